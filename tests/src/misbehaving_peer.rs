@@ -227,12 +227,12 @@ impl InventedHost {
     /// Returns the next batch of the stream with any bytes, correctly hashed.
     pub fn batch_of(&mut self, events: u32, body: &[u8], compress: bool) -> Vec<u8> {
         let (newest, before) = self.newest;
-        let (number, chain) = (newest + 1, before.then(events, body));
+        let (number, chain) = (newest + 1, before.next(events, body));
         self.newest = (number, chain);
         let (host, stream, process) = (self.hello.host.id, self.hello.stream, self.hello.process);
         let events_before = self.events;
         let head = BatchHead { host, stream, process, number, before, chain, events, events_before };
         self.events = head.events_through();
-        codec::batch_frame(&head, body, compress)
+        codec::encode_batch(&head, body, compress)
     }
 }

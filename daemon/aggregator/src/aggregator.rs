@@ -21,18 +21,18 @@ use crate::readiness::Readiness;
 use peernet_store::writing::{Integrity, OpenDatabase, Readers, StoredState};
 use peernet_store::{OpenError, RetentionConfig, Store, StoreError};
 
-/// Capacity of the channel of events to the live picture's task. That task never waits, so a short channel is enough.
-const LIVE_EVENTS: usize = 1_024;
+/// Capacity of the channel of events to the live state's task. That task never waits, so a short channel is enough.
+const LIVE_EVENT_CAPACITY: usize = 1_024;
 /// Capacity of the channel of store events to the ingest task.
-const COMMITS: usize = 16;
+const STORE_EVENT_CAPACITY: usize = 16;
 /// Capacity of the channel of requests to the writer's task.
-const WRITER_REQUESTS: usize = 16;
+const WRITER_REQUEST_CAPACITY: usize = 16;
 
 /// Handle of a running aggregator; cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Aggregator {
     live: watch::Receiver<Arc<LiveState>>,
-    ready: watch::Receiver<Readiness>,
+    readiness: watch::Receiver<Readiness>,
     store: Store,
     requests: mpsc::Sender<WriterRequest>,
     database: Arc<Path>,
@@ -42,7 +42,7 @@ pub struct Aggregator {
 
 /// A running aggregator, to be joined.
 #[derive(Debug)]
-pub struct Running {
+pub struct RunningAggregator {
     /// Handle for readers.
     pub handle: Aggregator,
     tasks: JoinSet<Result<(), Failure>>,
@@ -50,7 +50,7 @@ pub struct Running {
     names: HashMap<Id, &'static str>,
     stop: CancellationToken,
     /// Receives the database, if it is open, when the writer's task ends.
-    written: oneshot::Receiver<Option<OpenDatabase>>,
+    closed_database: oneshot::Receiver<Option<OpenDatabase>>,
 }
 
 impl Aggregator {
@@ -67,51 +67,51 @@ impl Aggregator {
         config: AggregatorConfig,
         clock: SharedClock,
         stop: CancellationToken,
-    ) -> Result<Running, StartError> {
+    ) -> Result<RunningAggregator, StartError> {
         // Checked before anything is created, so that a wrong configuration leaves no files behind.
         if let Some(problem) = config.problems().into_iter().next() {
             return Err(problem.into());
         }
         let name = config.name();
         if let Some(folder) = config.database.parent() {
-            let no_folder = |error| OpenError::no_folder(&config.database, error);
+            let no_folder = |error| OpenError::folder_not_created(&config.database, error);
             std::fs::create_dir_all(folder).map_err(no_folder)?;
         }
         // Before the database is opened: files of earlier releases may be readable by other users.
         peernet_permissions::log_changes(&peernet_permissions::restrict_database(&config.database));
-        let integrity = Integrity::of(&config.database);
+        let integrity = Integrity::new(&config.database);
         let (database, state) = OpenDatabase::open(&config.database, config.retention, &integrity).await?;
-        let StoredState { streams, runs, unknown, hosts, known } = state;
+        let StoredState { streams, runs, unnamed_runs, hosts, host_secrets } = state;
         let (socket, address) = socket::listen(&config).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
         let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
-        let mut picture = LiveTracker::new(name.clone(), address.clone(), forget);
-        // The picture starts with what is stored, so that counts and run numbers are right from the first update on.
+        let mut tracker = LiveTracker::new(name.clone(), address.clone(), forget);
+        // The live state starts with what is stored, so that counts and run numbers are right from the first update on.
         for (host, run, number) in runs {
-            picture.apply(LiveEvent::Run(host, run, number), clock.stamp());
+            tracker.apply(LiveEvent::Run(host, run, number), clock.stamp());
         }
         for (host, stored) in hosts {
-            picture.apply(LiveEvent::Stored(host, stored, None), clock.stamp());
+            tracker.apply(LiveEvent::Stored(host, stored, None), clock.stamp());
         }
         let (queue, waiting) = ingest::queue();
         let grouping = committing::Grouping::new(&config);
         // While one group is committed, the next is prepared.
-        let (prepared, work) = preparing::channel(2 * grouping.most);
-        let (requests_in, requests) = mpsc::channel(WRITER_REQUESTS);
-        let (live_events_in, live_events) = mpsc::channel(LIVE_EVENTS);
-        let (stored_in, stored) = mpsc::channel(COMMITS);
-        let (pictures, live) = watch::channel(picture.shared(clock.stamp()));
-        let (written_in, written) = oneshot::channel();
-        let (ready_in, ready) = watch::channel(Readiness::Ready);
-        // A batch without room in the queue has to be sent again, which costs more than waiting; so the window never
-        // exceeds the queue's room.
-        let (budget_bytes, most_window) = (ingest::ROOM_BYTES as u64, ingest::MOST_WINDOW);
+        let (prepared, work) = preparing::channel(2 * grouping.max_nodes);
+        let (requests_in, requests) = mpsc::channel(WRITER_REQUEST_CAPACITY);
+        let (live_events_in, live_events) = mpsc::channel(LIVE_EVENT_CAPACITY);
+        let (stored_in, stored) = mpsc::channel(STORE_EVENT_CAPACITY);
+        let (snapshots, live) = watch::channel(tracker.shared_snapshot(clock.stamp()));
+        let (written_in, closed_database) = oneshot::channel();
+        let (ready_in, readiness) = watch::channel(Readiness::Ready);
+        // A batch that does not fit into the queue has to be sent again, which costs more than waiting; so
+        // the window never exceeds the queue's capacity.
+        let (budget_bytes, max_window) = (ingest::CAPACITY_BYTES as u64, ingest::MAX_WINDOW);
         let challenges = Challenges::new(name.clone());
-        let hosts = Hosts::new(config.max_hosts, known);
+        let hosts = Hosts::new(config.max_hosts, host_secrets);
         let receiving =
-            Receiving::new(ReceivingConfig { budget_bytes, most_window, ..ReceivingConfig::new(name) });
-        let session = IngestSession::new(receiving, challenges, hosts, queue, streams, unknown);
+            Receiving::new(ReceivingConfig { budget_bytes, max_window, ..ReceivingConfig::new(name) });
+        let session = IngestSession::new(receiving, challenges, hosts, queue, streams, unnamed_runs);
         let store = Store::new(Readers::open(
             &config.database,
             config.readers,
@@ -122,10 +122,10 @@ impl Aggregator {
 
         // A child token, because a failed task stops the others and must not stop the rest of the program.
         let stop = stop.child_token();
-        let mut running = Running {
+        let mut running = RunningAggregator {
             handle: Self {
                 live,
-                ready,
+                readiness,
                 store,
                 requests: requests_in,
                 database: config.database.as_path().into(),
@@ -135,12 +135,12 @@ impl Aggregator {
             tasks: JoinSet::new(),
             names: HashMap::new(),
             stop: stop.clone(),
-            written,
+            closed_database,
         };
-        running.spawn("live picture", {
+        running.spawn("live state", {
             let clock = Arc::clone(&clock);
             async move {
-                live::task::run(picture, live_events, pictures, clock).await;
+                live::task::run(tracker, live_events, snapshots, clock).await;
                 Ok(())
             }
         });
@@ -152,8 +152,8 @@ impl Aggregator {
             queue: work,
             requests,
             stored: stored_in,
-            ready: ready_in,
-            pictures: running.handle.live(),
+            readiness: ready_in,
+            snapshots: running.handle.live(),
             clock: Arc::clone(&clock),
             integrity: integrity.clone(),
             stop: stop.clone(),
@@ -171,7 +171,7 @@ impl Aggregator {
         Ok(running)
     }
 
-    /// Follows the snapshots of the live picture: a new one after each change, at most five per second.
+    /// Follows the snapshots of the live state: a new one after each change, at most five per second.
     pub fn live(&self) -> watch::Receiver<Arc<LiveState>> {
         self.live.clone()
     }
@@ -189,8 +189,8 @@ impl Aggregator {
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
         let (answer, answered) = oneshot::channel();
         match self.requests.send(WriterRequest::Pin(run, pinned, answer)).await {
-            Ok(()) => answered.await.unwrap_or_else(|_| Err(StoreError::no_writer())),
-            Err(_) => Err(StoreError::no_writer()),
+            Ok(()) => answered.await.unwrap_or_else(|_| Err(StoreError::writer_stopped())),
+            Err(_) => Err(StoreError::writer_stopped()),
         }
     }
 
@@ -215,16 +215,16 @@ impl Aggregator {
 
     /// Follows whether events are being stored.
     pub fn readiness(&self) -> watch::Receiver<Readiness> {
-        self.ready.clone()
+        self.readiness.clone()
     }
 
     /// Returns whether events are being stored, and the reason if not.
-    pub fn ready(&self) -> Readiness {
-        self.ready.borrow().clone()
+    pub fn current_readiness(&self) -> Readiness {
+        self.readiness.borrow().clone()
     }
 }
 
-impl Running {
+impl RunningAggregator {
     /// Spawns a task that ends with the aggregator.
     fn spawn(
         &mut self,
@@ -258,8 +258,8 @@ impl Running {
                 Ok((id, Ok(()))) => {
                     // `self.stop` is a child token: when it is cancelled, the tasks may not have noticed yet, but their
                     // end is expected.
-                    let unasked = !self.stop.is_cancelled() && first.is_ok();
-                    unasked.then(|| Failure::TaskEnded(self.name(id)))
+                    let is_unexpected = !self.stop.is_cancelled() && first.is_ok();
+                    is_unexpected.then(|| Failure::TaskEnded(self.name(id)))
                 }
                 Err(error) => {
                     Some(Failure::TaskDied { task: self.name(error.id()), reason: panic_message(error) })
@@ -280,9 +280,9 @@ impl Running {
     async fn close(&mut self) {
         self.handle.store.close().await;
         // There is no database if the writer's task died or the file is missing.
-        let Ok(Some(database)) = (&mut self.written).await else { return };
+        let Ok(Some(database)) = (&mut self.closed_database).await else { return };
         if let (_, Err(error)) = database.close().await {
-            tracing::warn!(%error, "the database was not closed well; what is stored is in its -wal file, too");
+            tracing::warn!(%error, "cannot close the database cleanly; keep its -wal file, which contains a part of the stored data");
         }
     }
 
@@ -296,5 +296,5 @@ impl Running {
 fn panic_message(error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return "cancelled".to_owned() };
     let text = panic.downcast_ref::<String>().map(String::as_str);
-    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words").to_owned()
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a message").to_owned()
 }

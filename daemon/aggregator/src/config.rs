@@ -36,7 +36,7 @@ pub struct AggregatorConfig {
     pub readers: u32,
     /// Longest time of a reader's SQL statement, 100 to 600,000 ms; a longer one is interrupted.
     pub question_limit_ms: u64,
-    /// Time after the last message of a host until the live picture drops the host, 1 to 2^32 - 1 s; its stored runs
+    /// Time after the last message of a host until the live state drops the host, 1 to 2^32 - 1 s; its stored runs
     /// remain.
     pub forget_hosts_after_s: u64,
     /// Largest number of stored hosts, 1 to 65,536. Beyond it, agents of new hosts are refused; known hosts are always
@@ -95,29 +95,29 @@ impl AggregatorConfig {
         let mut check = |key, wrong: Option<String>| {
             problems.extend(wrong.map(|message| Problem { key, message }));
         };
-        check("listen", wrong_address(&self.listen));
-        check("hello_timeout_ms", outside(self.hello_timeout_ms, 10, 24 * 3600 * 1000));
-        check("max_unfinished_bytes", outside(self.max_unfinished_bytes, 64 * 1024, 1 << 40));
-        check("database", wrong_database(&self.database));
-        check("commit_interval_ms", outside(self.commit_interval_ms, 1, 10_000));
-        check("commit_nodes", outside(self.commit_nodes as u64, 1, 1_000_000));
-        check("readers", outside(u64::from(self.readers), 1, 64));
-        check("question_limit_ms", outside(self.question_limit_ms, 100, 600_000));
-        check("forget_hosts_after_s", outside(self.forget_hosts_after_s, 1, u64::from(u32::MAX)));
-        check("max_hosts", outside(self.max_hosts as u64, 1, 65_536));
+        check("listen", address_problem(&self.listen));
+        check("hello_timeout_ms", range_problem(self.hello_timeout_ms, 10, 24 * 3600 * 1000));
+        check("max_unfinished_bytes", range_problem(self.max_unfinished_bytes, 64 * 1024, 1 << 40));
+        check("database", database_problem(&self.database));
+        check("commit_interval_ms", range_problem(self.commit_interval_ms, 1, 10_000));
+        check("commit_nodes", range_problem(self.commit_nodes as u64, 1, 1_000_000));
+        check("readers", range_problem(u64::from(self.readers), 1, 64));
+        check("question_limit_ms", range_problem(self.question_limit_ms, 100, 600_000));
+        check("forget_hosts_after_s", range_problem(self.forget_hosts_after_s, 1, u64::from(u32::MAX)));
+        check("max_hosts", range_problem(self.max_hosts as u64, 1, 65_536));
         let retention = self.retention.problems().into_iter();
         problems.extend(retention.map(|(key, message)| Problem { key, message }));
         problems
     }
 }
 
-/// Returns a problem if `value` is not between `least` and `most`.
-fn outside(value: u64, least: u64, most: u64) -> Option<String> {
-    (value < least || value > most).then(|| format!("{value} is outside {least} to {most}"))
+/// Returns a problem if `value` is not between `min` and `max`.
+fn range_problem(value: u64, min: u64, max: u64) -> Option<String> {
+    (value < min || value > max).then(|| format!("{value} is outside {min} to {max}"))
 }
 
 /// Returns a problem if `address` cannot be listened on.
-fn wrong_address(address: &str) -> Option<String> {
+fn address_problem(address: &str) -> Option<String> {
     match address.parse::<Address>() {
         Ok(address) => address.check_event_stream().err().map(|error| error.to_string()),
         Err(error) => Some(InvalidEventStreamAddress(error).to_string()),
@@ -126,12 +126,12 @@ fn wrong_address(address: &str) -> Option<String> {
 
 /// Returns a problem unless `path` names a file that is writable or can be created: the file, and the nearest existing
 /// folder above it, must be writable.
-fn wrong_database(path: &Path) -> Option<String> {
+fn database_problem(path: &Path) -> Option<String> {
     let text = path.to_string_lossy();
     // SQLite would accept these and lose acknowledged data at the end of the program.
     if text.is_empty() || text.starts_with(":memory:") || text.starts_with("file:") {
         return Some(format!(
-            "{text:?} is not the path of a file; what is acknowledged must outlive this program: name a file, such as \
+            "{text:?} is not the path of a file, and acknowledged events must survive a restart: name a file, such as \
              peernet.sqlite"
         ));
     }

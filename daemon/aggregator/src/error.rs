@@ -37,7 +37,7 @@ pub enum StartError {
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
     /// A task panicked.
-    #[error("the aggregator's {task} task died: {reason}")]
+    #[error("the aggregator's {task} task panicked: {reason}")]
     TaskDied {
         /// Name of the task.
         task: &'static str,
@@ -45,7 +45,7 @@ pub enum Failure {
         reason: String,
     },
     /// A task ended early.
-    #[error("the aggregator's {0} task ended before it was asked to")]
+    #[error("the aggregator's {0} task ended unexpectedly")]
     TaskEnded(&'static str),
     /// The socket was closed.
     #[error("cannot receive on {address}: its socket was closed")]

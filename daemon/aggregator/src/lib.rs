@@ -1,20 +1,20 @@
 //! The aggregator: receives the event streams of all agents, stores their durable lane in SQLite, and computes the live
-//! picture from their live lane alone.
+//! state from their live lane alone.
 //!
-//! Four tasks, each the only owner of its state, so that none waits for another one's lock:
+//! There are four tasks. Each is the only owner of its state, so that none waits for a lock of another:
 //!
 //! ```text
 //! agents ── ingest: socket and session, who may send ─── preparing: batches to rows ── writer: one transaction a group
 //!              │  ▲                                                                    │
 //!              │  └───────────────────────────────── acknowledgements ─────────────────┤
-//!              └─ live lane ── live picture ◄──────── what is stored now ──────────────┘
+//!              └─ live lane ── live state ◄──────── what is stored now ──────────────┘
 //! ```
 //!
-//! The live picture has constant memory per host and does not depend on the database, so it stays current while the
+//! The live state has constant memory per host and does not depend on the database, so it stays current while the
 //! database is slow or closed.
 //!
-//! Readers get snapshots of the picture with [`Aggregator::live`] and query the [`Store`](peernet_store::Store), which
-//! has separate connections. The crate `peernet_store` contains the database and its queries.
+//! Readers get snapshots of the live state with [`Aggregator::live`] and query the [`Store`](peernet_store::Store),
+//! which has separate connections. The crate `peernet_store` contains the database and its queries.
 
 mod aggregator;
 mod config;
@@ -24,7 +24,7 @@ mod live;
 mod live_state;
 mod readiness;
 
-pub use aggregator::{Aggregator, Running};
+pub use aggregator::{Aggregator, RunningAggregator};
 pub use config::AggregatorConfig;
 pub use error::{Failure, Problem, StartError};
 pub use live_state::{

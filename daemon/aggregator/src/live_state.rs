@@ -1,4 +1,4 @@
-//! The live picture: the current state of all agents for readers.
+//! The live state: the current state of all agents for readers.
 //!
 //! Plain data, made by the task that owns the live state (`live/`) and shared by reference count: hosts and pipelines
 //! that did not change since the previous snapshot are not copied.
@@ -76,7 +76,8 @@ pub struct CatchingUp {
     /// Events stored per second, over the same time.
     pub events_per_second: f64,
     /// Time until the lag is zero at this rate.
-    pub left: Span,
+    #[serde(rename = "left")]
+    pub remaining: Span,
 }
 
 /// Snapshot of one link: an edge and a cloud over one network.
@@ -121,7 +122,8 @@ pub struct HostSnapshot {
     /// the first update, because the other values are those of the previous process.
     pub connected: bool,
     /// `true` if the host said goodbye with nothing left in its spool: it stopped in order.
-    pub left: bool,
+    #[serde(rename = "left")]
+    pub has_left: bool,
     /// Time of the host's last message on the aggregator's wall clock.
     pub last_seen: WallTime,
     /// The host's wall clock minus the aggregator's at the latest update. It includes the update's network delay, so it

@@ -1,4 +1,4 @@
-//! Opening the file for writing: settings and migrations.
+//! Opening of the file for writing: settings and migrations.
 
 use std::path::Path;
 
@@ -6,24 +6,25 @@ use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{ConnectOptions, SqliteConnection};
 
-use super::contents::Contents;
-use super::foreign_log::mark;
-use super::limits::BUSY;
-use super::rebuild::make_coarser;
+use super::file_kind::FileKind;
+use super::foreign_log::assign_id;
+use super::limits::BUSY_TIMEOUT;
+use super::rebuild::build_missing_rollups;
 use crate::database_error::{DatabaseError, is_damage};
 use crate::error::OpenError;
 
-/// Page cache of the writing connection in negative KiB: 64 MiB, so that the growing ends of the tables stay in memory.
+/// Page cache of the writing connection: 64 MiB, so that the growing ends of the tables stay in memory. A negative value means
+/// KiB.
 const CACHE: &str = "-65536";
 
-/// Number of pages in the log (WAL) before they are carried over into the file: 64 MiB of them.
+/// Number of pages in the log (WAL) before they are checkpointed into the file: 64 MiB of them.
 ///
 /// A commit of 100,000 nodes from a thousand agents changes some thousand pages, most of them again in the next commit. With
-/// SQLite's default of 1,000 every commit would carry over, sync the file once more, and take a third to three quarters
-/// longer (1,000 interleaved runs, a busy machine).
-const CARRY_OVER: &str = "16000";
+/// SQLite's default of 1,000 every commit would checkpoint, sync the file once more, and take a third to three quarters longer
+/// (1,000 interleaved runs, a busy machine).
+const CHECKPOINT_PAGES: &str = "16000";
 
-/// Size in bytes to which the log's file is cut when it is restarted after a reader kept it growing. It is the usual size:
+/// Size in bytes to which the log's file is truncated when it is restarted after a reader kept it growing. It is the usual size:
 /// 16,000 pages with their frames' headers.
 const LOG_BYTES: &str = "65920032";
 
@@ -33,7 +34,7 @@ pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
 ///
 /// WAL lets readers read while it writes. `synchronous=FULL` syncs the log at each commit: with NORMAL a power cut would lose
 /// batches that were acknowledged, and that their agents have deleted.
-pub(crate) fn writing(path: &Path) -> SqliteConnectOptions {
+pub(crate) fn write_options(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
         .create_if_missing(true)
@@ -41,46 +42,46 @@ pub(crate) fn writing(path: &Path) -> SqliteConnectOptions {
         .synchronous(SqliteSynchronous::Full)
         .foreign_keys(true)
         .pragma("cache_size", CACHE)
-        .pragma("wal_autocheckpoint", CARRY_OVER)
+        .pragma("wal_autocheckpoint", CHECKPOINT_PAGES)
         .pragma("journal_size_limit", LOG_BYTES)
-        .busy_timeout(BUSY)
+        .busy_timeout(BUSY_TIMEOUT)
         .disable_statement_logging()
 }
 
 /// Opens the file for writing, creates it if it is missing, and brings its schema up to date.
 pub(crate) async fn open(path: &Path) -> Result<SqliteConnection, OpenError> {
-    prepare(path, writing(path)).await
+    prepare(path, write_options(path)).await
 }
 
 /// Opens an existing file for writing, and brings its schema up to date.
 pub(crate) async fn open_existing(path: &Path) -> Result<SqliteConnection, OpenError> {
-    prepare(path, writing(path).create_if_missing(false)).await
+    prepare(path, write_options(path).create_if_missing(false)).await
 }
 
 async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteConnection, OpenError> {
-    let cannot_open = |source| OpenError::opening(path, source);
+    let cannot_open = |source| OpenError::cannot_open(path, source);
     let mut connection = options.connect().await.map_err(cannot_open)?;
     // A read-only file opens without an error and fails at the first batch: find out now.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut connection).await.map_err(cannot_open)?;
-    let contents = Contents::of(&mut connection).await.map_err(cannot_open)?;
-    if let (true, Some(what)) = (contents != Contents::Nothing, contents.instead_of_database()) {
+    let kind = FileKind::detect(&mut connection).await.map_err(cannot_open)?;
+    if let (true, Some(what)) = (kind != FileKind::Empty, kind.other_kind()) {
         return Err(OpenError::NotADatabase { path: path.to_owned(), what });
     }
     MIGRATIONS.run_direct(None, &mut connection, false).await.map_err(|source| match source {
         MigrateError::VersionMissing(found) => {
-            let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
-            OpenError::NewerSchema { path: path.to_owned(), found, known }
+            let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+            OpenError::NewerSchema { path: path.to_owned(), found, supported }
         }
-        MigrateError::Execute(source) if is_damage(&source) => OpenError::opening(path, source),
+        MigrateError::Execute(source) if is_damage(&source) => OpenError::cannot_open(path, source),
         source => OpenError::Migrate { path: path.to_owned(), source: DatabaseError::new(source) },
     })?;
-    make_coarser(&mut connection).await.map_err(|source| OpenError::Migrate {
+    build_missing_rollups(&mut connection).await.map_err(|source| OpenError::Migrate {
         path: path.to_owned(),
         source: DatabaseError::new(MigrateError::Execute(source)),
     })?;
     // On a full disk the file can still be read. The first commit reports the error.
-    if let Err(error) = mark(&mut connection).await {
-        tracing::warn!(%error, database = %path.display(), "cannot write to the database yet");
+    if let Err(error) = assign_id(&mut connection).await {
+        tracing::warn!(%error, database = %path.display(), "cannot write to the database yet; nothing is stored until it succeeds");
     }
     Ok(connection)
 }

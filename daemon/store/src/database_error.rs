@@ -18,7 +18,7 @@ pub(crate) fn is_partial_damage(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(CORRUPT)
 }
 
-/// Error of SQLite or of the system beneath it; the text is theirs.
+/// Error of SQLite or of the operating system, with its text.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub struct DatabaseError(Cause);
@@ -48,8 +48,9 @@ impl DatabaseError {
         self.statement().is_some_and(is_damage)
     }
 
-    /// Returns whether the database is full or locked by another program: the same statement may succeed later.
-    pub fn is_passing(&self) -> bool {
+    /// Returns whether the error is transient: the database is full or locked by another program, and the same statement may
+    /// succeed later.
+    pub fn is_transient(&self) -> bool {
         /// Primary result codes: BUSY, LOCKED, FULL.
         const PASSING: [i32; 3] = [5, 6, 13];
         self.statement().and_then(primary_code).is_some_and(|code| PASSING.contains(&code))

@@ -10,7 +10,7 @@ use crate::foreign_log::ForeignLog;
 use crate::integrity::{has_table_list, remedy};
 use crate::lock::LockError;
 
-/// The reason why a database cannot be opened.
+/// Reason why a database cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The database cannot be opened.
@@ -32,7 +32,7 @@ pub enum OpenError {
         is_repairable: bool,
     },
     /// The file has no database header, or no longer has one.
-    #[error("cannot open the database {}: {source}; if it was one, its first page is lost: put the newest backup in its place, agents send again what they still have in their spools; or choose another file with `database`", path.display())]
+    #[error("cannot open the database {}: {source}; if it was one, its first page is lost: replace it by the newest backup, and agents send the events in their spools again; or choose another file with `database`", path.display())]
     Unrecognised {
         /// The configured file.
         path: PathBuf,
@@ -54,14 +54,14 @@ pub enum OpenError {
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The database was written by a newer version.
-    #[error("the database {} was written by a newer version (its schema {found}, known here {known}); update this program or choose another file with `database`", path.display())]
+    #[error("the database {} was written by a newer version (its schema {found}, this program supports {supported}); update this program or choose another file with `database`", path.display())]
     NewerSchema {
         /// The configured file.
         path: PathBuf,
         /// Schema in the file.
         found: i64,
-        /// Newest schema that this version knows.
-        known: i64,
+        /// Newest schema that this program supports.
+        supported: i64,
     },
     /// The schema cannot be brought up to date.
     #[error("cannot bring the schema of the database {} up to date: {source}; keep the file, and restore a backup or choose another file with `database`", path.display())]
@@ -74,13 +74,13 @@ pub enum OpenError {
 }
 
 impl OpenError {
-    /// Makes the error for a database folder that cannot be created.
-    pub fn no_folder(database: &Path, error: std::io::Error) -> Self {
+    /// Creates the error for a database folder that cannot be created.
+    pub fn folder_not_created(database: &Path, error: std::io::Error) -> Self {
         Self::Open { path: database.to_owned(), source: DatabaseError::new(error) }
     }
 
-    /// Makes the error for a database that SQLite could not open or read.
-    pub(crate) fn opening(path: &Path, source: sqlx::Error) -> Self {
+    /// Creates the error for a database that SQLite could not open or read.
+    pub(crate) fn cannot_open(path: &Path, source: sqlx::Error) -> Self {
         let (path, is_partial_damage, is_damage) =
             (path.to_owned(), is_partial_damage(&source), is_damage(&source));
         let source = DatabaseError::new(source);
@@ -100,13 +100,13 @@ impl OpenError {
     }
 }
 
-/// The reason why a question to the store has no answer, or a change was not made.
+/// Reason why a query has no result, or a change was not made.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// SQLite reported an error.
     #[error("cannot read {what} from the database: {source}")]
     Database {
-        /// Subject of the question.
+        /// Data that was requested.
         what: &'static str,
         /// SQLite's error.
         source: DatabaseError,
@@ -114,50 +114,48 @@ pub enum StoreError {
     /// The database is damaged.
     #[error("cannot read or write {what}: {refusal}")]
     Damaged {
-        /// Subject of the question.
+        /// Data that was requested.
         what: &'static str,
         /// Description of the damage and of what to do.
         refusal: String,
     },
     /// SQLite refused a change, or the task that writes has ended.
-    #[error(
-        "cannot write {what} to the database: {source}; the aggregator's log tells whether it stores at all"
-    )]
+    #[error("cannot write {what} to the database: {source}; see the aggregator's log")]
     Write {
         /// Data that was to be written.
         what: &'static str,
         /// SQLite's error.
         source: DatabaseError,
     },
-    /// The question took longer than a reader's statement may.
+    /// The query took longer than the time limit of a statement.
     #[error(
-        "reading {what} from the database took longer than the {} s of [aggregator] question_limit_ms and was stopped; ask for less, or raise the limit",
+        "cannot read {what} from the database: the query took longer than the {} s of [aggregator] question_limit_ms and was stopped; request less data, or raise the limit",
         limit.as_secs_f64()
     )]
     TooLong {
-        /// Subject of the question.
+        /// Data that was requested.
         what: &'static str,
         /// The time limit of a statement.
         limit: Duration,
     },
     /// No connection became free within the time limit.
     #[error(
-        "cannot read {what} from the database: all connections of [aggregator] readers are busy; ask again, or raise their number"
+        "cannot read {what} from the database: all connections are busy; try again, or raise [aggregator] readers"
     )]
     Busy {
-        /// Subject of the question.
+        /// Data that was requested.
         what: &'static str,
     },
     /// The database is closed at present.
-    #[error("cannot read {what}: the database is not open now; /readyz says why")]
+    #[error("cannot read {what}: the database is closed; /readyz gives the reason")]
     Closed {
-        /// Subject of the question.
+        /// Data that was requested.
         what: &'static str,
     },
     /// The database holds a value that this version cannot have written.
-    #[error("cannot make sense of {what} in the database: {detail}")]
+    #[error("invalid {what} in the database: {detail}")]
     Corrupt {
-        /// Subject of the question.
+        /// Data that was requested.
         what: &'static str,
         /// Description of the invalid value.
         detail: String,
@@ -165,17 +163,17 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Makes the error for a change that is requested after the writing task has ended.
-    pub fn no_writer() -> Self {
-        Self::pinning(DatabaseError::new(sqlx::Error::WorkerCrashed))
+    /// Creates the error for a change that is requested after the writing task has ended.
+    pub fn writer_stopped() -> Self {
+        Self::pin_failed(DatabaseError::new(sqlx::Error::WorkerCrashed))
     }
 
-    /// Makes the error for a change that is requested while the database is closed.
-    pub fn no_database() -> Self {
-        Self::pinning(DatabaseError::new(std::io::Error::other("the database is not open now")))
+    /// Creates the error for a change that is requested while the database is closed.
+    pub fn database_closed() -> Self {
+        Self::pin_failed(DatabaseError::new(std::io::Error::other("the database is closed")))
     }
 
-    pub(crate) fn pinning(source: DatabaseError) -> Self {
-        Self::Write { what: "whether a run is kept", source }
+    pub(crate) fn pin_failed(source: DatabaseError) -> Self {
+        Self::Write { what: "the pin of a run", source }
     }
 }

@@ -9,7 +9,7 @@ pub(crate) struct Extent {
 
 impl Extent {
     /// Makes the range of one number.
-    pub(crate) const fn of(number: i64) -> Self {
+    pub(crate) const fn single(number: i64) -> Self {
         Self { first: number, last: number }
     }
 
@@ -18,7 +18,7 @@ impl Extent {
         Self { first: self.first.min(other.first), last: self.last.max(other.last) }
     }
 
-    /// Returns the parts of this range that none of the others contains, in rising order.
+    /// Returns the parts of this range that none of the others contains, in ascending order.
     pub(crate) fn without(self, mut others: Vec<Self>) -> Vec<Self> {
         others.sort_unstable_by_key(|other| other.first);
         let mut left = Vec::new();
@@ -69,7 +69,7 @@ mod tests {
     fn ends_of_the_whole_range_do_not_overflow() {
         let all = Extent { first: i64::MIN, last: i64::MAX };
         assert_eq!(all.without(vec![all]), []);
-        let parts = all.without(vec![Extent::of(i64::MIN), Extent::of(3), Extent::of(i64::MAX)]);
+        let parts = all.without(vec![Extent::single(i64::MIN), Extent::single(3), Extent::single(i64::MAX)]);
         let expected = [(i64::MIN + 1, 2), (4, i64::MAX - 1)].map(|(first, last)| Extent { first, last });
         assert_eq!(parts, expected);
     }

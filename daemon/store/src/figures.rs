@@ -8,9 +8,9 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 /// Samples below which a 95th percentile is not given.
-pub const P95_NEEDS: u64 = ENOUGH_FOR_P95 as u64;
+pub const MIN_P95_SAMPLES: u64 = ENOUGH_FOR_P95 as u64;
 /// Samples below which a 99th percentile is not given.
-pub const P99_NEEDS: u64 = ENOUGH_FOR_P99 as u64;
+pub const MIN_P99_SAMPLES: u64 = ENOUGH_FOR_P99 as u64;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
 // The REST API sends this type as it is: these comments are its documentation, where an absent number is null.
@@ -33,7 +33,7 @@ pub struct Figures {
 
 impl Figures {
     /// Returns the figures of a summary, or `None` when it holds no samples.
-    pub fn of(summary: &Summary) -> Option<Self> {
+    pub fn from_summary(summary: &Summary) -> Option<Self> {
         let moments = &summary.moments;
         let from = |needed, q| (moments.count >= needed).then(|| summary.quantile(q)).flatten();
         Some(Self {
@@ -42,8 +42,8 @@ impl Figures {
             std: moments.std(),
             min: moments.min,
             p50: from(1, 0.5)?,
-            p95: from(P95_NEEDS, 0.95),
-            p99: from(P99_NEEDS, 0.99),
+            p95: from(MIN_P95_SAMPLES, 0.95),
+            p99: from(MIN_P99_SAMPLES, 0.99),
             max: moments.max,
         })
     }
@@ -56,7 +56,7 @@ pub struct Bound {
     pub stage: Name,
     /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
     pub half_width: Option<Figures>,
-    /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are left out.
+    /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are omitted.
     pub verdicts: Vec<(Verdict, u64)>,
 }
 
@@ -91,12 +91,12 @@ mod tests {
     #[test]
     fn quantiles_need_enough_samples() {
         let mut summary = Summary::default();
-        assert_eq!(Figures::of(&summary), None);
+        assert_eq!(Figures::from_summary(&summary), None);
         let figures_at = |summary: &mut Summary, count: u64| {
             while summary.count() < count {
                 summary.record(0.001);
             }
-            Figures::of(summary).expect("has samples")
+            Figures::from_summary(summary).expect("has samples")
         };
         let one = figures_at(&mut summary, 1);
         assert_eq!((one.p50, one.std, one.p95), (0.001, None, None));

@@ -1,8 +1,8 @@
 //! Detection of a log (`-wal`) that belongs to another database file.
 //!
-//! SQLite applies any log that lies beside the file. If a backup takes the place of a database, the log of the old file would
-//! spoil the backup and be lost itself. Therefore each file has a random number in the header field that SQLite leaves to
-//! programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
+//! SQLite applies any log that lies beside the file. If a backup replaces a database, SQLite would apply the old file's log to
+//! the backup: the backup would be damaged, and the log lost. Therefore each file has a random number in the header field that
+//! SQLite leaves to programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -29,9 +29,9 @@ pub struct ForeignLog(pub(crate) PathBuf);
 
 /// Gives the file a number if it has none.
 ///
-/// Writes page 1 in any case, so that the log contains the number: commits that change other pages only, as those of an
-/// aggregator without agents, would leave page 1 out.
-pub(crate) async fn mark(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+/// Always writes page 1, so that the log contains the number: commits that change other pages only, such as those of an
+/// aggregator without agents, would not write page 1.
+pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let id: i32 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
     let id = if id == 0 { random_id() } else { id };
     sqlx::raw_sql(AssertSqlSafe(format!("PRAGMA user_version = {id}"))).execute(connection).await?;
@@ -39,7 +39,7 @@ pub(crate) async fn mark(connection: &mut SqliteConnection) -> Result<(), sqlx::
 }
 
 /// Gives a copied file without a log a new number. No connection may have it open.
-pub(crate) fn mark_copy(file: &File) -> io::Result<()> {
+pub(crate) fn assign_new_id(file: &File) -> io::Result<()> {
     file.write_all_at(&random_id().to_be_bytes(), ID_AT as u64)
 }
 
@@ -55,30 +55,32 @@ pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), For
     let mut log = fs::canonicalize(database).map_or_else(|_| database.into(), OsString::from);
     log.push("-wal");
     let log = PathBuf::from(log);
-    match own_id(file).and_then(|own| own.map_or(Ok(false), |own| is_foreign(&log, own))) {
+    match read_id(file)
+        .and_then(|database_id| database_id.map_or(Ok(false), |database_id| is_foreign(&log, database_id)))
+    {
         Ok(false) => Ok(()),
         Ok(true) => Err(ForeignLog(log)),
         Err(error) => {
-            tracing::warn!(%error, log = %log.display(), "cannot see whether the log belongs to the database");
+            tracing::warn!(%error, log = %log.display(), "cannot determine whether the log belongs to the database; SQLite will read it");
             Ok(())
         }
     }
 }
 
-/// Does the same for a file that no connection of this process has open.
-pub(crate) fn refuse_foreign_log_of(database: &Path) -> Result<(), ForeignLog> {
+/// Does the same as [`refuse_foreign_log`] for a file that no connection of this process has open.
+pub(crate) fn refuse_foreign_log_at(database: &Path) -> Result<(), ForeignLog> {
     File::open(database).map_or(Ok(()), |file| refuse_foreign_log(database, &file))
 }
 
 /// Returns the number of a database; `None` if the file is no database or has no number.
-fn own_id(file: &File) -> io::Result<Option<u32>> {
+fn read_id(file: &File) -> io::Result<Option<u32>> {
     let mut header = [0; 100];
     let is_database = read_whole(file, &mut header, 0)? && header.starts_with(b"SQLite format 3\0");
     Ok(Some(be32(&header, ID_AT)).filter(|id| is_database && *id != 0))
 }
 
 /// Returns whether SQLite would apply a page 1 with another number, and none with this one.
-fn is_foreign(log: &Path, own: u32) -> io::Result<bool> {
+fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     let log = match File::open(log) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
         log => log?,
@@ -91,7 +93,7 @@ fn is_foreign(log: &Path, own: u32) -> io::Result<bool> {
     let mut sum = Checksum { big_endian: magic & 1 == 1, words: (0, 0) };
     sum.add(&header[..24]);
     let is_log = magic & !1 == MAGIC && page_bytes.is_power_of_two() && (512..=65_536).contains(&page_bytes);
-    if !is_log || !sum.stands_in(&header[24..]) {
+    if !is_log || !sum.equals_stored(&header[24..]) {
         return Ok(false);
     }
     let (mut frame, mut at, mut foreign) = (vec![0; FRAME_HEADER + page_bytes], LOG_HEADER as u64, false);
@@ -99,13 +101,13 @@ fn is_foreign(log: &Path, own: u32) -> io::Result<bool> {
         let (head, page) = frame.split_at(FRAME_HEADER);
         sum.add(&head[..8]);
         sum.add(page);
-        // What follows is older than the log's begin, or was not written whole: SQLite stops here, too.
-        if head[8..16] != header[16..24] || !sum.stands_in(&head[16..]) {
+        // The frames after this one are older than the start of the log, or were not written completely. SQLite stops here, too.
+        if head[8..16] != header[16..24] || !sum.equals_stored(&head[16..]) {
             break;
         }
         match be32(page, ID_AT) {
             id if be32(head, 0) != 1 || id == 0 => {}
-            id if id == own => return Ok(false),
+            id if id == database_id => return Ok(false),
             _ => foreign = true,
         }
         at += frame.len() as u64;
@@ -132,7 +134,7 @@ impl Checksum {
         self.words = (first, second);
     }
 
-    fn stands_in(&self, bytes: &[u8]) -> bool {
+    fn equals_stored(&self, bytes: &[u8]) -> bool {
         (be32(bytes, 0), be32(bytes, 4)) == self.words
     }
 }

@@ -6,18 +6,18 @@ use sqlx::SqliteConnection;
 use super::wall_clock::WallClockWatch;
 use crate::types::AggregatorIncidentKind;
 
-/// Number of the aggregator's own incidents that are kept: more than a year of one an hour.
-const KEPT: i64 = 10_000;
+/// Maximum number of stored incidents of the aggregator: at one per hour they cover more than a year.
+const MAX_STORED: i64 = 10_000;
 /// Number of incidents that may wait while the database cannot be written. Later ones are dropped: the first ones are the
 /// most useful.
-const MOST_PENDING: usize = 64;
+const MAX_PENDING: usize = 64;
 
 const INSERT: &str = "INSERT INTO incident (host, at_ns, kind, text) VALUES (NULL, ?1, ?2, ?3)";
 /// ?1 number of incidents to keep.
 const DELETE_OLDEST: &str = "DELETE FROM incident WHERE host IS NULL AND id <= \
      (SELECT id FROM incident WHERE host IS NULL ORDER BY id DESC LIMIT 1 OFFSET ?1)";
 
-/// Stores an incident of the aggregator itself and returns its id. Only the newest [`KEPT`] remain.
+/// Stores an incident of the aggregator itself and returns its id. Only the newest [`MAX_STORED`] remain.
 pub(crate) async fn record(
     connection: &mut SqliteConnection,
     kind: AggregatorIncidentKind,
@@ -26,12 +26,12 @@ pub(crate) async fn record(
 ) -> Result<i64, sqlx::Error> {
     let inserted = sqlx::query(INSERT).bind(at.unix_nanos()).bind(kind.name()).bind(text);
     let id = inserted.execute(&mut *connection).await?.last_insert_rowid();
-    sqlx::query(DELETE_OLDEST).bind(KEPT).execute(connection).await?;
+    sqlx::query(DELETE_OLDEST).bind(MAX_STORED).execute(connection).await?;
     Ok(id)
 }
 
-/// Incidents of the aggregator that wait to be stored, within a second or as soon as the database can be written. They
-/// survive a reopening of the database.
+/// Incidents of the aggregator that wait to be stored. They are stored within a second, or as soon as the database can be
+/// written, and are kept while the database is reopened.
 #[derive(Debug)]
 pub struct PendingIncidents {
     wall_clock: WallClockWatch,
@@ -53,7 +53,7 @@ impl PendingIncidents {
 
     /// Adds an incident, or drops it if too many wait.
     pub fn add(&mut self, kind: AggregatorIncidentKind, at: WallTime, text: String) {
-        if self.waiting.len() < MOST_PENDING {
+        if self.waiting.len() < MAX_PENDING {
             self.waiting.push(PendingIncident { kind, at, text });
         }
     }
@@ -88,7 +88,7 @@ impl PendingIncidents {
 
     fn add_step(&mut self, step: Option<String>, now: Stamp) {
         if let Some(text) = step {
-            tracing::warn!("{text}; nothing is deleted because of it, set the clock right");
+            tracing::warn!("{text}; no data is deleted because of it; correct the clock");
             self.add(AggregatorIncidentKind::ClockStep, now.wall, text);
         }
     }

@@ -1,15 +1,15 @@
-//! The store: the aggregator's SQLite database, and the only crate that contains SQL.
+//! The store: the aggregator's SQLite database. It is the only crate that contains SQL for this database.
 //!
-//! [`Store`] answers the questions of people and programs over read-only connections. `write` stores batches, `retention`
-//! deletes old data between commits, and `maintenance` holds the commands that an operator applies to the file.
+//! [`Store`] serves queries over read-only connections. `write` stores batches, `retention` deletes
+//! old data between commits, and `maintenance` holds the commands that an operator applies to the file.
 
 mod column;
-pub(crate) mod contents;
 pub(crate) mod database;
 mod database_error;
 mod error;
 mod extent;
 mod figures;
+pub(crate) mod file_kind;
 pub(crate) mod foreign_log;
 mod incidents;
 mod insert;
@@ -43,16 +43,16 @@ use readers::Readers;
 
 pub use database_error::DatabaseError;
 pub use error::{OpenError, StoreError};
-pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
+pub use figures::{Bound, Figures, MIN_P95_SAMPLES, MIN_P99_SAMPLES, rank};
 pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
 pub use types::{
     AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
-    Judgement, LinkKey, LinkRow, MeanBucket, MergeableStatistics, Pairs, Recomputed, RecomputedStage,
-    RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans,
-    StageSeries, StageStatistics,
+    Judgement, LinkKey, LinkRow, MeanBucket, MergeableStatistics, Recomputed, RecomputedStage, RunDetail,
+    RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageBuckets, StageMeans, StageSeries,
+    StageStatistics, ValuePairs,
 };
 
 /// Types for the one process that writes to the database.
@@ -74,17 +74,17 @@ pub struct Store {
 }
 
 impl Store {
-    /// Makes a store that answers over these connections.
+    /// Creates a store that answers over these connections.
     pub fn new(readers: Readers) -> Self {
         Self { readers }
     }
 
-    /// Closes the connections after the questions that are under way are answered. Later questions are refused.
+    /// Closes the connections after the queries in progress are answered. Later queries are refused.
     pub async fn close(&self) {
         self.readers.close().await;
     }
 
-    /// Opens new connections in place of the closed ones, so that questions are answered again.
+    /// Opens new connections in place of the closed ones, so that queries work again.
     pub fn reopen(&self) {
         self.readers.reopen();
     }
@@ -92,12 +92,12 @@ impl Store {
     /// Returns runs, newest first.
     ///
     /// # Errors
-    /// When the database cannot be read. This holds for all questions here.
+    /// When the database cannot be read. This applies to all queries here.
     pub async fn runs(&self, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
         read::runs::runs(&self.readers, filter).await
     }
 
-    /// Returns one run, or `None` when no run has this number. All questions about one run treat unknown numbers so.
+    /// Returns one run, or `None` when no run has this number. The other queries about one run also return `None` for an unknown number.
     pub async fn run(&self, number: i64) -> Result<Option<RunDetail>, StoreError> {
         read::runs::run(&self.readers, number).await
     }
@@ -112,25 +112,25 @@ impl Store {
         read::runs::experiments(&self.readers, limit).await
     }
 
-    /// Returns node names over the time of a run, each in at most `most_buckets` summaries, in the order of `stages`. Names
-    /// without samples are left out.
-    pub async fn course(
+    /// Returns the values of node names over the time of a run, each as at most `max_buckets` summaries, in the order of
+    /// `stages`. Names without samples are omitted.
+    pub async fn stage_buckets(
         &self,
         run: i64,
         stages: &[Name],
-        most_buckets: usize,
-    ) -> Result<Vec<StageCourse>, StoreError> {
-        read::statistics::course(&self.readers, run, stages, most_buckets).await
+        max_buckets: usize,
+    ) -> Result<Vec<StageBuckets>, StoreError> {
+        read::statistics::stage_buckets(&self.readers, run, stages, max_buckets).await
     }
 
-    /// Returns counts and means over the time of a run, divided as in [`Store::course`]. It costs a tenth of the work.
-    pub async fn means(
+    /// Returns counts and means over the time of a run, in the buckets of [`Store::stage_buckets`], in a tenth of its time.
+    pub async fn stage_means(
         &self,
         run: i64,
         stages: &[Name],
-        most_buckets: usize,
+        max_buckets: usize,
     ) -> Result<Vec<StageMeans>, StoreError> {
-        read::statistics::means(&self.readers, run, stages, most_buckets).await
+        read::statistics::stage_means(&self.readers, run, stages, max_buckets).await
     }
 
     /// Returns the statistics of whole runs, in the order of `runs`; they are empty for a run that is not stored.
@@ -153,8 +153,8 @@ impl Store {
         read::statistics::histogram(&self.readers, run, stage, bins).await
     }
 
-    /// Returns node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30, 60 … seconds. Where
-    /// retention deleted the fine buckets of a part of the run, all points are made of coarser ones.
+    /// Returns the values of node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30, 60 …
+    /// seconds. If retention deleted the fine buckets of a part of the run, all points are made from coarser buckets.
     pub async fn series(&self, run: i64, stages: &[Name], max_points: usize) -> Result<Series, StoreError> {
         read::statistics::series(&self.readers, run, stages, max_points).await
     }
@@ -165,11 +165,11 @@ impl Store {
     }
 
     /// Returns the `n` slowest successful iterations (at most 1,000), slowest first.
-    pub async fn slowest(&self, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
-        read::iterations::slowest(&self.readers, run, n).await
+    pub async fn slowest_iterations(&self, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
+        read::iterations::slowest_iterations(&self.readers, run, n).await
     }
 
-    /// Returns iterations by rising number.
+    /// Returns iterations by ascending number.
     pub async fn iterations(
         &self,
         run: i64,
@@ -178,45 +178,50 @@ impl Store {
         read::iterations::iterations(&self.readers, run, filter).await
     }
 
-    /// Returns the values of two node names in at most `most` iterations, evenly spread over the stored ones.
+    /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored ones.
     ///
     /// The value of a standard name is the sum of its nodes below the root; that of a user's name is its first node, as in
     /// `data.csv`. Only a few iterations of a long run are read.
-    pub async fn pairs(&self, run: i64, names: [&str; 2], most: u32) -> Result<Pairs, StoreError> {
-        read::pairs::pairs(&self.readers, run, names, most).await
+    pub async fn value_pairs(
+        &self,
+        run: i64,
+        names: [&str; 2],
+        max_pairs: u32,
+    ) -> Result<ValuePairs, StoreError> {
+        read::pairs::value_pairs(&self.readers, run, names, max_pairs).await
     }
 
-    /// Everything by which a run is judged, its time series in at most 120 buckets.
+    /// Returns the values that the trust findings of a run are computed from, with its time series in at most 120 buckets.
     pub async fn trust_input(&self, run: &RunDetail) -> Result<TrustInput, StoreError> {
         read::trust::trust_input(&self.readers, run).await
     }
 
-    /// One iteration with its tree.
+    /// Returns one iteration with its tree.
     pub async fn iteration(&self, run: i64, number: u64) -> Result<Option<IterationDetail>, StoreError> {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
-    /// Returns the next iterations after a number, as the agent sent them, by rising number, together with the last number
-    /// that was examined. `None` behind the last iteration.
-    pub async fn whole(
+    /// Returns the next iterations after a number, as the agent sent them, by ascending number, together with the last number
+    /// that was examined. `None` after the last iteration.
+    pub async fn full_iterations(
         &self,
         run: &RunSummary,
         after: u64,
     ) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
-        read::whole::whole(&self.readers, run, after).await
+        read::whole::full_iterations(&self.readers, run, after).await
     }
 
-    /// Returns, of the next few thousand iterations, the first of each shape of tree; otherwise as [`Store::whole`]. Together
-    /// they have all columns that a table of the run needs.
-    pub async fn shapes(
+    /// Returns the first iteration of each shape of tree among the next few thousand iterations. Argument and result are
+    /// otherwise those of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
+    pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,
         after: u64,
     ) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
-        read::whole::shapes(&self.readers, run, after).await
+        read::whole::iterations_by_shape(&self.readers, run, after).await
     }
 
-    /// Incidents, newest first.
+    /// Returns incidents, newest first.
     pub async fn incidents(&self, filter: &IncidentFilter) -> Result<Vec<IncidentRow>, StoreError> {
         read::incidents::incidents(&self.readers, filter).await
     }
@@ -231,16 +236,16 @@ impl Store {
         read::clocks::links(&self.readers).await
     }
 
-    /// Returns the clock relation of a link from `from` to `to`, on the edge's wall clock, in at most `most_points`
+    /// Returns the clock relation of a link from `from` to `to`, on the edge's wall clock, in at most `max_points`
     /// (1 to 10,000) buckets of 1, 2, 5, 10, 30, 60 … seconds. The result has no points for an unknown link.
     pub async fn clock_series(
         &self,
         link: &LinkKey,
         from: WallTime,
         to: WallTime,
-        most_points: u32,
+        max_points: u32,
     ) -> Result<ClockSeries, StoreError> {
-        read::clocks::series(&self.readers, link, (from, to), most_points).await
+        read::clocks::series(&self.readers, link, (from, to), max_points).await
     }
 
     /// Returns the assumptions behind the one-way delays of a link's newest window, or `None` for an unknown link.
@@ -248,7 +253,7 @@ impl Store {
         read::clocks::of_link(&self.readers, link).await
     }
 
-    /// Judges the one-way delays of a run again, including the exchanges after them. Writes nothing.
+    /// Judges the one-way delays of a run again, with the exchanges that were stored after them. Writes nothing.
     pub async fn recompute(&self, run: i64) -> Result<Option<Recomputed>, StoreError> {
         read::recompute::recompute(&self.readers, run).await
     }

@@ -1,4 +1,4 @@
-//! Exclusive lock of a database: a second aggregator, or a command that rewrites the file, is refused meanwhile.
+//! Exclusive lock of a database. While it is held, a second aggregator or a command that rewrites the file is refused.
 
 use std::fs::{File, Metadata, TryLockError};
 use std::io;
@@ -6,7 +6,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The reason why a database could not be locked.
+/// Reason why a database could not be locked.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
     /// Another process holds the lock.
@@ -27,7 +27,7 @@ pub enum LockError {
     },
 }
 
-/// The right to write to a database: a lock on the file itself, released when this is dropped or the process ends.
+/// Lock of a database for writing: a lock on the file itself, which is released when this value is dropped or the process ends.
 ///
 /// There is one lock for a file, whatever name leads to it (link, hard link, another mount).
 //

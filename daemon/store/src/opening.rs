@@ -1,4 +1,4 @@
-//! Opening of the database for writing, at the start and again after the file was moved, replaced or unmounted.
+//! Opening of the database for writing, at the start and after the file was moved, replaced or unmounted.
 //!
 //! Reopening is one mechanism for read-only descriptors and for moved, replaced and unmounted files, because it assumes
 //! nothing about the contents of the file. It takes the same steps as the start, but never accepts an empty or missing file.
@@ -13,7 +13,8 @@ use super::foreign_log::{ForeignLog, refuse_foreign_log};
 use super::integrity::{Integrity, IntegrityCheck};
 use super::lock::{DatabaseLock, LockError};
 use super::write::{
-    CommitError, FormerFiles, Streams, Writer, known_hosts, newest_runs, stored_hosts, unknown_runs,
+    CommitError, FormerFiles, Streams, Writer, read_host_counts, read_host_secrets, read_newest_runs,
+    read_unnamed_runs,
 };
 use crate::database_error::DatabaseError;
 use crate::error::OpenError;
@@ -35,7 +36,7 @@ pub struct OpenDatabase {
     lock: DatabaseLock,
 }
 
-/// Contents of a database at its opening, from which ingest and the live picture start.
+/// Contents of a database at its opening, from which ingest and the live state start.
 #[derive(Debug)]
 pub struct StoredState {
     /// Position up to which each stream is stored.
@@ -43,21 +44,21 @@ pub struct StoredState {
     /// The newest runs with their numbers.
     pub runs: Vec<(HostId, RunId, i64)>,
     /// Open runs of which only iterations are stored.
-    pub unknown: Vec<(HostId, RunId)>,
+    pub unnamed_runs: Vec<(HostId, RunId)>,
     /// Counts of each host's stored data.
     pub hosts: Vec<(HostId, Stored)>,
     /// All stored hosts in the order of their first contact, with their secrets.
-    pub known: Vec<(HostId, Option<HostSecret>)>,
+    pub host_secrets: Vec<(HostId, Option<HostSecret>)>,
 }
 
-/// The reason why a database that was in use could not be opened again.
+/// Reason why a database that was in use could not be opened again.
 #[derive(Debug, thiserror::Error)]
 pub enum ReopenError {
     /// The path names no file.
     #[error(transparent)]
     Missing(CommitError),
     /// The file at the path is empty.
-    #[error("the database file {} is empty; put the right one there, or restart to begin with this one", .0.display())]
+    #[error("the database file {} is empty; put the right file there, or restart the aggregator to create a new database in it", .0.display())]
     Empty(PathBuf),
     /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
     #[error(transparent)]
@@ -103,7 +104,7 @@ impl OpenDatabase {
         if std::fs::metadata(path).map_err(cannot_open)?.len() == 0 {
             return Err(ReopenError::Empty(path.to_owned()));
         }
-        if let Some(log) = former.log_beside_another_file() {
+        if let Some(log) = former.leftover_log() {
             return Err(ReopenError::ForeignLog(ForeignLog(log)));
         }
         let (mut database, state) = Self::with(lock, path, retention, integrity).await?;
@@ -111,7 +112,7 @@ impl OpenDatabase {
             // A connection that is only dropped keeps the file, and so the lock and the file system, for some time.
             let (_, closed) = database.close().await;
             if let Err(error) = closed {
-                tracing::debug!(%error, database = %path.display(), "the database was not closed well");
+                tracing::debug!(%error, database = %path.display(), "cannot close the database cleanly");
             }
             return Err(OpenError::Open { path: path.to_owned(), source }.into());
         }
@@ -124,29 +125,30 @@ impl OpenDatabase {
         retention: RetentionConfig,
         integrity: &Integrity,
     ) -> Result<(Self, StoredState), OpenError> {
-        let cannot_open = |source| OpenError::opening(path, source);
-        integrity.recall().map_err(|error| cannot_open(error.into()))?;
+        let cannot_open = |source| OpenError::cannot_open(path, source);
+        integrity.load_record().map_err(|error| cannot_open(error.into()))?;
         refuse_foreign_log(path, &lock.file())?;
         // Taking the lock has created the file; if it has gone since then, it must not be created again.
         let mut connection =
             database::open_existing(path).await.map_err(|error| error.with_file(&lock.file()))?;
-        let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
-        let unknown = unknown_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
-        let known = known_hosts(&mut connection).await.map_err(cannot_open)?;
-        let hosts = stored_hosts(&mut connection, HOSTS).await.map_err(cannot_open)?;
+        let runs = read_newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let unnamed_runs = read_unnamed_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let host_secrets = read_host_secrets(&mut connection).await.map_err(cannot_open)?;
+        let hosts = read_host_counts(&mut connection, HOSTS).await.map_err(cannot_open)?;
         let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
         // The locked file could have been replaced before SQLite opened it.
         if !lock.is_of(path).map_err(|error| cannot_open(error.into()))? {
             let moved = CommitError::Moved(path.to_owned()).to_string();
             return Err(cannot_open(std::io::Error::other(moved).into()));
         }
-        let state = StoredState { streams: writer.streams().clone(), runs, unknown, hosts, known };
+        let state =
+            StoredState { streams: writer.streams().clone(), runs, unnamed_runs, hosts, host_secrets };
         let check = IntegrityCheck::start(integrity.clone(), lock.file());
         Ok((Self { writer, check, lock }, state))
     }
 
-    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite carries its log over into
-    /// it and removes the log. Returns which files they were.
+    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints its log into it
+    /// and removes the log. Returns which files they were.
     pub async fn close(self) -> (FormerFiles, Result<(), DatabaseError>) {
         let Self { writer, check, lock } = self;
         check.stop().await;

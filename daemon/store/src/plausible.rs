@@ -1,5 +1,5 @@
-//! Removal of impossible values from what agents report about clocks. The store and the live picture share it, so that both
-//! show the same.
+//! Removal of impossible values from what agents report about clocks. The store and the live state share it, so that both show
+//! the same.
 
 use peernet_clock::{DelaySource, Interval, Offset, Span};
 use peernet_stream::{DelayPoint, DelaySecond, EstimateBasis};

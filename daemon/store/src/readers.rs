@@ -1,4 +1,4 @@
-//! Read-only connections that answer questions, few in number and with a time limit for each statement.
+//! Read-only connections for queries, few in number and with a time limit for each statement.
 
 use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -10,14 +10,14 @@ use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 use sqlx::{ConnectOptions, SqliteConnection, SqlitePool};
 
 use super::integrity::Integrity;
-use super::limits::BUSY;
+use super::limits::BUSY_TIMEOUT;
 use crate::database_error::DatabaseError;
 use crate::error::StoreError;
 
-/// Longest wait of a question for a connection.
-const ACQUIRE: Duration = Duration::from_secs(5);
+/// Longest wait of a query for a connection.
+const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Instructions of SQLite's virtual machine between two checks of the deadline: some tens of microseconds.
-const INSTRUCTIONS: i32 = 2_000;
+const INSTRUCTIONS_PER_CHECK: i32 = 2_000;
 /// SQLite's code for an interrupted statement (SQLITE_INTERRUPT).
 const INTERRUPTED: &str = "9";
 
@@ -33,7 +33,7 @@ pub struct Readers {
 }
 
 impl Readers {
-    /// Makes at most `connections` connections to the file, which is opened at the first question.
+    /// Creates at most `connections` connections to the file, which is opened at the first query.
     ///
     /// `limit` bounds each statement, from the moment it gets the connection until its last row was read. Damage that a statement
     /// meets is noted in `integrity`.
@@ -47,14 +47,14 @@ impl Readers {
         let options = SqliteConnectOptions::new()
             .filename(path)
             .read_only(true)
-            .busy_timeout(BUSY)
+            .busy_timeout(BUSY_TIMEOUT)
             .disable_statement_logging();
         let within = Span::from_nanos(i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX));
         let deadline = Deadline { limit: within, clock };
         let again = deadline.clone();
         let pool = SqlitePoolOptions::new()
             .max_connections(connections)
-            .acquire_timeout(ACQUIRE)
+            .acquire_timeout(ACQUIRE_TIMEOUT)
             .test_before_acquire(false)
             .after_connect(move |connection, _| deadline.clone().set(connection))
             .before_acquire(move |connection, _| {
@@ -70,12 +70,12 @@ impl Readers {
         self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Closes the connections after the questions that are under way are answered; later ones are refused.
+    /// Closes the connections after the queries in progress are answered; later ones are refused.
     pub(super) async fn close(&self) {
         self.pool().close().await;
     }
 
-    /// Makes new connections in place of the closed ones.
+    /// Creates new connections in place of the closed ones.
     pub(super) fn reopen(&self) {
         let mut pool = self.pool.write().unwrap_or_else(PoisonError::into_inner);
         let options = pool.connect_options().as_ref().clone();
@@ -116,8 +116,8 @@ impl Deadline {
         Box::pin(async move {
             let Self { limit, clock } = self;
             let begin = clock.mono();
-            let goes_on = move || clock.mono() - begin < limit;
-            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, goes_on);
+            let is_within_limit = move || clock.mono() - begin < limit;
+            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS_PER_CHECK, is_within_limit);
             Ok(())
         })
     }

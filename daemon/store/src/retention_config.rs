@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 
 const DAY_S: i64 = 86_400;
 /// Longest period: a hundred years.
-const MOST_DAYS: u32 = 36_525;
+const MAX_DAYS: u32 = 36_525;
 /// Smallest size limit that a run fits into.
-const LEAST_BYTES: u64 = 16 << 20;
+const MIN_BYTES: u64 = 16 << 20;
 
 /// The `[aggregator.retention]` table.
 ///
@@ -15,7 +15,7 @@ const LEAST_BYTES: u64 = 16 << 20;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RetentionConfig {
-    /// Iterations with their trees of nodes, days; 0 keeps them for ever, as for all of these.
+    /// Iterations with their trees of nodes, days; 0 keeps them without limit, as for all of these.
     pub nodes_days: u32,
     /// Statistics per second.
     pub seconds_days: u32,
@@ -23,7 +23,7 @@ pub struct RetentionConfig {
     pub ten_seconds_days: u32,
     /// Statistics per minute.
     pub minutes_days: u32,
-    /// Statistics per hour. Those of whole runs stay for ever.
+    /// Statistics per hour. Those of whole runs are never deleted.
     pub hours_days: u32,
     /// Samples of the relation between two hosts' clocks, one per second.
     pub clock_samples_days: u32,
@@ -61,31 +61,32 @@ impl RetentionConfig {
             ("retention.clock_samples_days", self.clock_samples_days),
         ];
         for (key, days) in widths.into_iter().chain(others) {
-            if days > MOST_DAYS {
-                problems.push((key, format!("{days} is outside 0 to {MOST_DAYS}; 0 is for ever")));
+            if days > MAX_DAYS {
+                problems.push((key, format!("{days} is outside 0 to {MAX_DAYS}; 0 means no limit")));
             }
         }
         for [(finer, days), (coarser, at_least)] in widths.array_windows() {
-            if kept_s(*days).unwrap_or(i64::MAX) > kept_s(*at_least).unwrap_or(i64::MAX) {
+            if period_s(*days).unwrap_or(i64::MAX) > period_s(*at_least).unwrap_or(i64::MAX) {
                 let finer = finer.trim_start_matches("retention.");
-                let wrong =
-                    format!("must not be shorter than {finer}: a page over a long time is made of it");
+                let wrong = format!(
+                    "must not be shorter than {finer}: pages over a long time are made from the coarser statistics"
+                );
                 problems.push((coarser, wrong));
             }
         }
         let limit = self.size_limit_bytes;
-        if limit > 0 && limit < LEAST_BYTES {
+        if limit > 0 && limit < MIN_BYTES {
             problems.push((
                 "retention.size_limit_bytes",
-                format!("{limit} is below {LEAST_BYTES}; 0 is for no limit"),
+                format!("{limit} is below {MIN_BYTES}; 0 means no limit"),
             ));
         }
         problems
     }
 }
 
-/// Converts days to seconds; `None` for data that is kept for ever.
-pub(crate) fn kept_s(days: u32) -> Option<i64> {
+/// Converts days to seconds; `None` for data that is kept without limit.
+pub(crate) fn period_s(days: u32) -> Option<i64> {
     (days > 0).then(|| i64::from(days) * DAY_S)
 }
 

@@ -5,10 +5,10 @@
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use sqlx::SqliteConnection;
 
-/// Longest advance for a time without a transaction: a process that was stopped, or whose database refused to store, was
-/// not storing.
+/// Longest advance for a time without a transaction: time in which the process was stopped or the database refused to store does
+/// not count.
 const LONGEST_ADVANCE: Span = Span::from_seconds(60);
-/// Longest time between two stored readings. After `kill -9` the stored reading lacks at most as much.
+/// Longest time between two stored readings. After `kill -9` the stored reading is behind by at most this time.
 const STORE_EVERY: Span = Span::from_seconds(30);
 
 const READ: &str = "SELECT elapsed_ns FROM storage_clock";
@@ -49,7 +49,7 @@ impl StorageClock {
         Ok(Span::from_nanos(advanced))
     }
 
-    /// Notes that the transaction that advanced it was committed.
+    /// Records that the transaction that advanced it was committed.
     pub(crate) fn committed(&mut self, now: MonoTime) {
         self.advanced = self.advanced.max(Some(now));
     }

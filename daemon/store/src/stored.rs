@@ -1,4 +1,4 @@
-//! Types of the store that the live picture contains as well.
+//! Types of the store that the live state contains as well.
 
 use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};
@@ -29,7 +29,7 @@ pub struct ClockPoint {
     pub grown_window: Option<Span>,
 }
 
-/// Counts of what the database holds of one host.
+/// Counts of the stored data of one host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Stored {
     /// Events of all kinds.

@@ -6,8 +6,8 @@ mod pairs;
 mod statistics;
 
 pub use episodes::Episodes;
-pub use experiment::{ExperimentSummary, MeanBucket, StageCourse, StageMeans};
-pub use pairs::Pairs;
+pub use experiment::{ExperimentSummary, MeanBucket, StageBuckets, StageMeans};
+pub use pairs::ValuePairs;
 pub(crate) use statistics::NameSummary;
 pub use statistics::{MergeableStatistics, RunStatistics, StageStatistics};
 
@@ -66,11 +66,11 @@ pub struct RunSummary {
     pub reason: Option<EndReason>,
     /// Start of the newest stored iteration on the edge's wall clock.
     pub last_iteration: Option<WallTime>,
-    /// Iterations by outcome, warm-up left out.
+    /// Iterations by outcome, without the warm-up.
     pub counts: OutcomeCounts,
     /// Iterations of the warm-up: stored, but excluded from statistics.
     pub warm_up: u64,
-    /// Skipped starts of an open loop before its iterations, whatever their outcome; warm-up left out.
+    /// Skipped starts of an open loop before its iterations, whatever their outcome; without the warm-up.
     pub skipped_starts: u64,
     /// Longest allowed duration of an iteration in seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
@@ -177,7 +177,7 @@ pub struct StageSeries {
 /// Statistics of one bucket.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SeriesPoint {
-    /// Begin of the bucket on the edge's wall clock; a multiple of the bucket's width.
+    /// Start of the bucket on the edge's wall clock; a multiple of the bucket's width.
     pub at: WallTime,
     /// Number of samples.
     pub count: u64,
@@ -189,7 +189,7 @@ pub struct SeriesPoint {
     pub p95: Option<f64>,
 }
 
-/// Selection of the iterations of a run to list, by rising number.
+/// Selection of the iterations of a run to list, by ascending number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IterationFilter {
     /// Only iterations with a greater number: the last number of the previous page; 0 for the first page.
@@ -215,7 +215,7 @@ pub struct IterationRow {
     pub episode: u32,
     /// Step within the episode, from 0.
     pub step: u32,
-    /// `true` if it belongs to the warm-up and is left out of statistics.
+    /// `true` if it belongs to the warm-up and is excluded from statistics.
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
     pub outcome: String,
@@ -260,7 +260,7 @@ pub struct DelayRow {
     pub assumptions: Option<DelayAssumptions>,
 }
 
-/// Assumptions behind the bounds of one-way delays, besides the exchanges and the source.
+/// Assumptions behind the bounds of one-way delays, in addition to the exchanges and the source.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DelayAssumptions {
     /// The related clocks.
@@ -333,7 +333,7 @@ impl IncidentFilter {
     }
 }
 
-/// Something that happened beside the measurements.
+/// Something that happened in addition to the measurements.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct IncidentRow {
     /// Number in the order of arrival, for paging.
@@ -459,7 +459,7 @@ pub struct Recomputed {
     pub stages: Vec<RecomputedStage>,
 }
 
-/// One direction, before and after. Successful iterations only, warm-up left out.
+/// One direction, before and after. Successful iterations only, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecomputedStage {
     /// The node's name.

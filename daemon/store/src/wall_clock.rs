@@ -4,7 +4,7 @@ use peernet_clock::{Span, Stamp, WallTime};
 
 /// Smallest step that is reported. Smaller ones are left to the time daemon: nothing is deleted because of them, and pages
 /// show seconds.
-const LEAST_STEP: Span = Span::from_seconds(10);
+const MIN_STEP: Span = Span::from_seconds(10);
 
 /// Comparison of the wall clock with the monotonic clock.
 #[derive(Debug)]
@@ -21,11 +21,11 @@ impl WallClockWatch {
     /// Returns a description if the wall clock is behind its reading at the last commit of an aggregator.
     pub(super) fn compare(now: Stamp, last_stored: WallTime) -> Option<String> {
         let step = now.wall - last_stored;
-        (step <= -LEAST_STEP).then(|| {
+        (step <= -MIN_STEP).then(|| {
             format!(
                 "this aggregator's wall clock shows {} less than when it last stored something: it was set back while \
                  the aggregator did not run, or it was wrong before",
-                in_words(step)
+                format_span(step)
             )
         })
     }
@@ -34,16 +34,16 @@ impl WallClockWatch {
     pub(super) fn check_step(&mut self, now: Stamp) -> Option<String> {
         let step = (now.wall - self.last.wall) - (now.mono - self.last.mono);
         self.last = now;
-        (step.abs() >= LEAST_STEP).then(|| {
+        (step.abs() >= MIN_STEP).then(|| {
             let direction = if step.is_negative() { "back" } else { "forward" };
             let cause = if step.is_negative() { "" } else { ", or the machine slept" };
-            format!("this aggregator's wall clock was set {direction} by {}{cause}", in_words(step))
+            format!("this aggregator's wall clock was set {direction} by {}{cause}", format_span(step))
         })
     }
 }
 
 /// Formats a length of time without its sign.
-fn in_words(span: Span) -> String {
+fn format_span(span: Span) -> String {
     let seconds = span.abs().seconds();
     match seconds {
         172_800.0.. => format!("{:.1} days", seconds / 86_400.0),

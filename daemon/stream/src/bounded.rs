@@ -1,4 +1,4 @@
-//! Lists from an untrusted peer, with a limit on their length. A byte on the wire may become many bytes in memory.
+//! Lists from an untrusted peer, with a limit on their length: one byte on the wire may take many bytes in memory.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -6,29 +6,29 @@ use std::marker::PhantomData;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-/// Reads a list of at most `MOST` items. A longer list is refused before it is in memory.
-pub(super) fn at_most<'de, const MOST: usize, T, D>(deserializer: D) -> Result<Vec<T>, D::Error>
+/// Reads a list of at most `MAX` items. A longer list is refused before it is in memory.
+pub(super) fn at_most<'de, const MAX: usize, T, D>(deserializer: D) -> Result<Vec<T>, D::Error>
 where
     T: Deserialize<'de>,
     D: Deserializer<'de>,
 {
-    deserializer.deserialize_seq(Bounded::<MOST, T>(PhantomData))
+    deserializer.deserialize_seq(Bounded::<MAX, T>(PhantomData))
 }
 
-struct Bounded<const MOST: usize, T>(PhantomData<T>);
+struct Bounded<const MAX: usize, T>(PhantomData<T>);
 
-impl<'de, const MOST: usize, T: Deserialize<'de>> Visitor<'de> for Bounded<MOST, T> {
+impl<'de, const MAX: usize, T: Deserialize<'de>> Visitor<'de> for Bounded<MAX, T> {
     type Value = Vec<T>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "at most {MOST} items")
+        write!(f, "at most {MAX} items")
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Vec<T>, A::Error> {
         let mut list = Vec::new();
         while let Some(item) = items.next_element()? {
-            if list.len() == MOST {
-                return Err(A::Error::custom(format_args!("a list of more than {MOST} items")));
+            if list.len() == MAX {
+                return Err(A::Error::custom(format_args!("a list of more than {MAX} items")));
             }
             list.push(item);
         }

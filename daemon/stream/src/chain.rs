@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// SHA-256 over the chain of the previous batch, the number of events and their bytes, cut to 128 bits.
+/// SHA-256 over the chain of the previous batch, the number of events and their bytes, truncated to 128 bits.
 ///
 /// Two spools that were one and diverged (a copied machine, a restored disk) have batches with the same stream and
 /// number but with different chains. The comparison of one chain therefore detects a divergence at any earlier batch.
@@ -17,7 +17,7 @@ impl Chain {
     pub const START: Self = Self([0; 16]);
 
     /// Returns the chain of the next batch, which has `events` events with the wire form `body`.
-    pub fn then(self, events: u32, body: &[u8]) -> Self {
+    pub fn next(self, events: u32, body: &[u8]) -> Self {
         let digest = Sha256::new().chain_update(self.0).chain_update(events.to_be_bytes()).chain_update(body);
         let (chain, _) =
             digest.finalize().0.split_first_chunk().map(|(head, rest)| (*head, rest)).unwrap_or_default();
@@ -48,11 +48,11 @@ mod tests {
     #[test]
     fn a_chain_is_the_hash_of_all_that_came_before() {
         // The expected value is that of `(head -c 16 /dev/zero; printf '\0\0\0\2ab') | sha256sum`.
-        let chain = Chain::START.then(2, b"ab");
+        let chain = Chain::START.next(2, b"ab");
         assert_eq!(chain.to_string(), "406eafa51a022395ef1bb1ee145156df");
         assert_eq!(Chain::from_bytes(*chain.as_bytes()), chain);
         let others =
-            [Chain::START.then(1, b"ab"), Chain::START.then(2, b"ac"), chain.then(2, b"ab"), Chain::START];
+            [Chain::START.next(1, b"ab"), Chain::START.next(2, b"ac"), chain.next(2, b"ab"), Chain::START];
         assert!(others.iter().all(|other| *other != chain));
     }
 }

@@ -1,7 +1,7 @@
 //! Encoding of the event stream's messages and batches: MessagePack with one message per frame, and frames of batches.
 //!
-//! A batch's frame begins with a byte that begins no MessagePack value, so that the two cannot be confused. Numbers are
-//! big-endian:
+//! A batch's frame begins with a byte that no MessagePack value begins with, so that the two cannot be confused.
+//! Numbers are big-endian:
 //!
 //! | bytes | what |
 //! | --- | --- |
@@ -27,9 +27,9 @@ use super::{BatchHead, Chain, Event, StreamId, ToAgent, ToAggregator};
 use peernet_logger::HostId;
 
 pub(super) use self::parts::PART_HEAD_BYTES;
-pub use self::parts::{Part, part, part_frame};
+pub use self::parts::{Part, decode_part, encode_part};
 
-/// Longest message that is read, and longest body of a batch, bytes. Batches are cut far below it; one tree of the
+/// Longest message that is read, and longest body of a batch, bytes. Usual batches are far shorter; one tree of the
 /// largest size fits.
 pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
 
@@ -50,7 +50,7 @@ const ZSTD: u8 = 1;
 const PART: u8 = 2;
 /// Form byte of a compressed message: four bytes with the length of the message follow, and then the compressed
 /// message.
-const PACKED: u8 = 3;
+const COMPRESSED: u8 = 3;
 
 /// Fastest of the usual levels of Zstandard. Events shrink to about a third with it; level 3 gains little more.
 const ZSTD_LEVEL: i32 = 1;
@@ -71,7 +71,7 @@ pub enum CodecError {
     #[error("{0} bytes follow the message")]
     Trailing(usize),
     /// The body does not match the chain of its batch.
-    #[error("batch {0} does not match its hash: it was damaged in the spool or on its way")]
+    #[error("batch {0} does not match its hash: it was damaged in the spool or in transit")]
     Damaged(u64),
 }
 
@@ -84,38 +84,39 @@ impl Message for ToAgent {}
 /// Returns the frame of a message.
 pub fn encode(message: &impl Message) -> Vec<u8> {
     let mut frame = Vec::with_capacity(256);
-    append(&mut frame, message);
+    encode_into(&mut frame, message);
     frame
 }
 
 /// Returns the frame of a message for a slow link, compressed if that makes it shorter.
-pub fn encode_packed(message: &impl Message) -> Vec<u8> {
+pub fn encode_compressed(message: &impl Message) -> Vec<u8> {
     let plain = encode(message);
-    let (Ok(length), Ok(packed)) = (u32::try_from(plain.len()), zstd::bulk::compress(&plain, ZSTD_LEVEL))
+    let (Ok(length), Ok(compressed)) = (u32::try_from(plain.len()), zstd::bulk::compress(&plain, ZSTD_LEVEL))
     else {
         return plain;
     };
-    let frame = [&[BATCH, PACKED][..], &length.to_be_bytes(), &packed].concat();
+    let frame = [&[BATCH, COMPRESSED][..], &length.to_be_bytes(), &compressed].concat();
     // A short message can grow when compressed.
     if frame.len() < plain.len() { frame } else { plain }
 }
 
-/// Decompresses the message in a frame that [`encode_packed`] made.
-fn unpack(frame: &[u8]) -> Result<Vec<u8>, CodecError> {
-    let read =
-        frame.split_first_chunk().map(|(length, packed)| (u32::from_be_bytes(*length) as usize, packed));
-    let Some((length, packed)) = read else {
+/// Decompresses the message in a frame that [`encode_compressed`] made.
+fn decompress_message(frame: &[u8]) -> Result<Vec<u8>, CodecError> {
+    let read = frame
+        .split_first_chunk()
+        .map(|(length, compressed)| (u32::from_be_bytes(*length) as usize, compressed));
+    let Some((length, compressed)) = read else {
         return Err(CodecError::Malformed("a compressed message without a length".into()));
     };
     if length > MAX_MESSAGE_BYTES {
         return Err(CodecError::TooLong(length));
     }
     // The output is limited to the stated length, which is within the limit.
-    zstd::bulk::decompress(packed, length).map_err(|error| CodecError::Malformed(error.to_string()))
+    zstd::bulk::decompress(compressed, length).map_err(|error| CodecError::Malformed(error.to_string()))
 }
 
 /// Appends the wire form of plain data.
-pub(super) fn append(out: &mut Vec<u8>, data: &impl Serialize) {
+pub(super) fn encode_into(out: &mut Vec<u8>, data: &impl Serialize) {
     rmp_serde::encode::write(out, data).expect("plain data written to memory always serialises");
 }
 
@@ -127,8 +128,8 @@ pub fn decode<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
     if frame.len() > MAX_MESSAGE_BYTES {
         return Err(CodecError::TooLong(frame.len()));
     }
-    if let Some(packed) = frame.strip_prefix(&[BATCH, PACKED]) {
-        return read(&unpack(packed)?);
+    if let Some(compressed) = frame.strip_prefix(&[BATCH, COMPRESSED]) {
+        return read(&decompress_message(compressed)?);
     }
     read(frame)
 }
@@ -145,10 +146,10 @@ fn read<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
 
 /// Returns the frame of a batch of encoded events. It is compressed if `compress` is set and compression makes it
 /// shorter.
-pub fn batch_frame(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
-    let packed = compress.then(|| zstd::bulk::compress(body, ZSTD_LEVEL).ok()).flatten();
-    let (form, sent) = match &packed {
-        Some(packed) if packed.len() < body.len() => (ZSTD, packed.as_slice()),
+pub fn encode_batch(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
+    let compressed = compress.then(|| zstd::bulk::compress(body, ZSTD_LEVEL).ok()).flatten();
+    let (form, sent) = match &compressed {
+        Some(compressed) if compressed.len() < body.len() => (ZSTD, compressed.as_slice()),
         _ => (PLAIN, body),
     };
     let mut frame = Vec::with_capacity(BATCH_HEAD_BYTES + sent.len());
@@ -168,8 +169,8 @@ pub fn batch_frame(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
 }
 
 /// Returns the head of a batch's frame; `None` for any other message. The body is not checked: a batch that
-/// [`batch_body`] or [`events`] refuses can still be named, quarantined and passed over.
-pub fn batch_head(frame: &[u8]) -> Option<BatchHead> {
+/// [`decode_batch_body`] or [`decode_events`] refuses can still be identified, quarantined and skipped.
+pub fn decode_batch_head(frame: &[u8]) -> Option<BatchHead> {
     read_head(frame).map(|head| head.batch)
 }
 
@@ -177,9 +178,9 @@ pub fn batch_head(frame: &[u8]) -> Option<BatchHead> {
 ///
 /// # Errors
 /// If the frame is not that of a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain.
-pub fn batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
+pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
     let Some(Head { form, batch, length }) = read_head(&frame) else {
-        return Err(CodecError::Malformed("it is no batch".into()));
+        return Err(CodecError::Malformed("not a batch".into()));
     };
     if length > MAX_MESSAGE_BYTES {
         return Err(CodecError::TooLong(length));
@@ -193,10 +194,10 @@ pub fn batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
                 zstd::bulk::decompress(&frame, length).map_err(|_| CodecError::Damaged(batch.number))?;
             Bytes::from(body)
         }
-        other => return Err(CodecError::Malformed(format!("no body has the form {other}"))),
+        other => return Err(CodecError::Malformed(format!("unknown form of a body: {other}"))),
     };
     // The chain covers the body and all batches before it, so it also detects a batch of another history.
-    if body.len() != length || batch.before.then(batch.events, &body) != batch.chain {
+    if body.len() != length || batch.before.next(batch.events, &body) != batch.chain {
         return Err(CodecError::Damaged(batch.number));
     }
     Ok(body)
@@ -206,7 +207,7 @@ pub fn batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
 ///
 /// # Errors
 /// Unless the body is exactly `count` events.
-pub fn events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> {
+pub fn decode_events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> {
     let count = count as usize;
     // Every event takes at least one byte.
     if count > body.len() {
@@ -222,7 +223,7 @@ pub fn events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> {
     match IgnoredAny::deserialize(&mut reader) {
         // No first byte of another value follows.
         Err(rmp_serde::decode::Error::InvalidMarkerRead(_)) => Ok(events),
-        _ => Err(CodecError::Malformed(format!("more than its {count} events are in the batch"))),
+        _ => Err(CodecError::Malformed(format!("bytes follow the {count} events of the batch"))),
     }
 }
 
@@ -238,7 +239,7 @@ fn read_head(frame: &[u8]) -> Option<Head> {
     let rest = frame.strip_prefix(&[BATCH])?;
     let (&[form], rest) = rest.split_first_chunk()?;
     // These forms have other fields after the second byte.
-    if form == PART || form == PACKED {
+    if form == PART || form == COMPRESSED {
         return None;
     }
     let (&host, rest) = rest.split_first_chunk()?;

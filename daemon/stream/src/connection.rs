@@ -35,7 +35,7 @@ pub struct NetworkInterface {
     /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux (`ARPHRD_*`); `None` if
     /// the system does not state it.
     pub kind: Option<String>,
-    /// Largest packet that it sends in one piece, bytes.
+    /// Largest packet that it sends without fragmentation (maximum transmission unit), bytes.
     pub mtu_bytes: Option<u32>,
 }
 

@@ -1,4 +1,4 @@
-//! Counts of the events that were handed in, per run. They show which events a killed process lost.
+//! Counts of the events that were submitted, per run. They show which events a killed process lost.
 
 use std::collections::BTreeMap;
 
@@ -8,37 +8,37 @@ use peernet_logger::{RunId, Slug};
 use crate::Gap;
 
 /// Largest number of runs that are counted separately: one per pipeline, and some that have just ended.
-pub const MOST_COUNTED_RUNS: usize = 256;
+pub const MAX_COUNTED_RUNS: usize = 256;
 
 /// Reason of the gap in place of events that were lost with their process.
-pub const KILLED: &str = "the agent was killed before these events reached its spool";
+pub const KILLED_REASON: &str = "the agent was killed before these events reached its spool";
 
-/// Numbers of events: of all, and of each run.
+/// Numbers of events in total and per run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunCounts {
     /// Number of all events, including those without a run.
-    pub all: u64,
-    /// Number of events of each run, for at most [`MOST_COUNTED_RUNS`] runs.
+    pub total: u64,
+    /// Number of events of each run, for at most [`MAX_COUNTED_RUNS`] runs.
     pub runs: BTreeMap<RunId, u64>,
 }
 
-/// Events that were handed in to this process, by result.
+/// Events that were submitted to this process, by outcome.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct HandedInEvents {
+pub struct SubmittedEvents {
     /// Events in batches.
-    pub taken: RunCounts,
+    pub batched: RunCounts,
     /// Dropped events.
     pub dropped: RunCounts,
     /// Time of the last event; `None` before the first.
     pub last: Option<WallTime>,
 }
 
-/// Events that a process counted when each of them was handed in. The counts are in shared memory, which outlives the
+/// Events that a process counted when each of them was submitted. The counts are in shared memory, which outlives the
 /// process.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CountedEvents {
     /// Number of all events.
-    pub all: u64,
+    pub total: u64,
     /// Time of the last event.
     pub last: WallTime,
     /// Last batches that were sent without being in the spool.
@@ -53,7 +53,7 @@ pub struct SettledEvents {
     /// Events in batches, and dropped events.
     pub events: RunCounts,
     /// Number of events in batches.
-    pub taken: u64,
+    pub batched: u64,
     /// Time of the last event.
     pub last: Option<WallTime>,
 }
@@ -65,10 +65,10 @@ pub struct SentUnspooled {
     pub process: u64,
     /// Number of the batch.
     pub number: u64,
-    /// Number of events that were handed in to that process and are in batches.
-    pub taken: u64,
-    /// Number of dropped events that gaps have reported, like [`super::Totals::told`].
-    pub told: u64,
+    /// Number of events that were submitted to that process and are in batches.
+    pub batched: u64,
+    /// Number of dropped events that gaps have reported, like [`super::Totals::reported_drops`].
+    pub reported_drops: u64,
     /// Number of events in batches since the spool was created, including gaps.
     pub events: u64,
 }
@@ -89,57 +89,57 @@ pub struct CountedRun {
 impl RunCounts {
     /// Adds events. If a run has no separate count because there are too many runs, its events count among all.
     pub fn add(&mut self, run: Option<RunId>, events: u64) {
-        self.all += events;
+        self.total += events;
         let Some(run) = run else { return };
-        if self.runs.len() < MOST_COUNTED_RUNS || self.runs.contains_key(&run) {
+        if self.runs.len() < MAX_COUNTED_RUNS || self.runs.contains_key(&run) {
             *self.runs.entry(run).or_default() += events;
         }
     }
 
     /// Returns the number of events of a run.
-    pub fn of(&self, run: RunId) -> u64 {
+    pub fn events_of(&self, run: RunId) -> u64 {
         self.runs.get(&run).copied().unwrap_or_default()
     }
 }
 
-impl HandedInEvents {
+impl SubmittedEvents {
     /// Returns the counts that the spool records.
     pub fn settled(&self) -> SettledEvents {
-        let mut events = self.taken.clone();
-        events.all += self.dropped.all;
+        let mut events = self.batched.clone();
+        events.total += self.dropped.total;
         for (run, count) in &self.dropped.runs {
             *events.runs.entry(*run).or_default() += count;
         }
-        SettledEvents { events, taken: self.taken.all, last: self.last }
+        SettledEvents { events, batched: self.batched.total, last: self.last }
     }
 
     /// Moves the events in batches that are not in `kept` to the dropped ones.
     pub(super) fn give_up(&mut self, kept: &RunCounts) {
-        let taken = std::mem::replace(&mut self.taken, kept.clone());
-        self.dropped.all += taken.all.saturating_sub(kept.all);
-        for (run, events) in taken.runs {
-            *self.dropped.runs.entry(run).or_default() += events.saturating_sub(kept.of(run));
+        let batched = std::mem::replace(&mut self.batched, kept.clone());
+        self.dropped.total += batched.total.saturating_sub(kept.total);
+        for (run, events) in batched.runs {
+            *self.dropped.runs.entry(run).or_default() += events.saturating_sub(kept.events_of(run));
         }
     }
 
     pub(super) fn forget(&mut self, run: RunId) {
-        self.taken.runs.remove(&run);
+        self.batched.runs.remove(&run);
         self.dropped.runs.remove(&run);
     }
 }
 
 impl CountedEvents {
-    /// Returns the gaps for `lost` events. `known` events that the spool lacks were stored or reported anyway; their
-    /// runs are unknown.
+    /// Returns the gaps for `lost` events. `known` is the number of events that the spool lacks but that were stored or
+    /// reported; their runs are unknown.
     pub(super) fn gaps(&self, settled: &SettledEvents, known: u64, lost: u64) -> Vec<Gap> {
         let mut left = lost;
         let gap = |pipeline, run, count, to: WallTime| {
             let from = settled.last.unwrap_or(to).min(to);
-            Gap { pipeline, run, from, to, count, reason: KILLED.to_owned() }
+            Gap { pipeline, run, from, to, count, reason: KILLED_REASON.to_owned() }
         };
         let mut gaps = Vec::new();
         for CountedRun { run, pipeline, events, last } in &self.runs {
-            let count = events.saturating_sub(settled.events.of(*run)).saturating_sub(known).min(left);
+            let count = events.saturating_sub(settled.events.events_of(*run)).saturating_sub(known).min(left);
             left -= count;
             gaps.push(gap(pipeline.clone(), Some(*run), count, *last));
         }

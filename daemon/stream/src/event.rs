@@ -20,7 +20,7 @@ pub enum Event {
     RunEnded(RunEnded),
     /// An iteration ended, successfully or not.
     Iteration(Iteration),
-    /// An incident: something that happened besides the measurements.
+    /// An incident: something that happened in addition to the measurements.
     Incident(Incident),
     /// Events were dropped.
     Gap(Gap),
@@ -144,7 +144,7 @@ impl Outcome {
     }
 }
 
-/// An incident: something that happened besides the measurements.
+/// An incident: something that happened in addition to the measurements.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Incident {
     /// Time on the reporting host's wall clock.

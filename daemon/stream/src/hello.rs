@@ -46,7 +46,8 @@ pub struct Hello {
     pub events_before_oldest: u64,
     /// Number of events in all batches of the spool before `first`, in earlier streams; `None` if it is unknown.
     pub events_before_first: Option<u64>,
-    /// Usual longest body of a batch, bytes. Windows are counted in the weight of such a batch.
+    /// Configured length of a batch's body, bytes; a single larger event makes a longer batch. Windows are counted in
+    /// the weight of such a batch.
     pub batch_bytes: u32,
     /// Random number of the process. It distinguishes a reconnect from a second process with a copied host id.
     pub process: u64,
@@ -75,7 +76,7 @@ pub struct HelloExtension {
 
 impl HelloExtension {
     /// Returns the extension for an agent that supports these versions.
-    pub fn of(versions: &VersionRange) -> Option<Self> {
+    pub fn from_versions(versions: &VersionRange) -> Option<Self> {
         // PEERNet 0.1.0 cannot read a hello with an extension, so that it is omitted for version 5 alone.
         let is_first = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
         (!is_first).then_some(Self { newest: versions.newest, since: versions.since })

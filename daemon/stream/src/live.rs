@@ -139,15 +139,15 @@ impl PlacementKind {
     }
 }
 
-/// Summary of one second of the edge's wall clock, by the ends of its iterations.
+/// Summary of the iterations that ended within one second of the edge's wall clock.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Second {
     /// Seconds since the Unix epoch.
     pub at: i64,
     /// Iterations by outcome, without warm-up.
     pub counts: OutcomeCounts,
-    /// Summaries by node name in SI units: the stages, `total`, `unattributed`, throughputs and sizes. Those of
-    /// throughputs are of the ratios of single iterations. Only successful iterations count, without warm-up.
+    /// Summaries by node name in SI units: the stages, `total`, `unattributed`, throughputs and sizes. A throughput's
+    /// summary is over the throughputs of single iterations. Only successful iterations count, without warm-up.
     pub values: Vec<(Name, Summary)>,
     /// Half-widths of the clock bounds of `upload` and `download` in seconds.
     pub bounds: Vec<(Name, Summary)>,
@@ -171,11 +171,11 @@ pub struct OutcomeCounts {
 /// Numbers of an agent's events since its spool was created. `produced = stored + waiting + dropped` always holds.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Accounting {
-    /// Number of events that were handed in. Reported gaps count as events, too.
+    /// Number of events that were submitted. Reported gaps count as events, too.
     pub produced: u64,
-    /// Number of those that were written to the spool, or were stored without it while its disk failed.
+    /// Number of events that were written to the spool, or were stored without it while its disk failed.
     pub spooled: u64,
-    /// Number of those that were sent at least once.
+    /// Number of events that were sent at least once.
     pub sent: u64,
     /// Number of events that were acknowledged as stored.
     pub stored: u64,
@@ -191,7 +191,7 @@ pub struct Accounting {
     pub spool_limit_bytes: u64,
     /// Bytes of events in memory that are not in the spool yet.
     pub memory_bytes: u64,
-    /// Time of the oldest waiting event on the agent's wall clock. It shows how far storing is behind measuring.
+    /// Time of the oldest waiting event on the agent's wall clock. The difference from the present is the storage lag.
     pub oldest: Option<WallTime>,
     /// `true` if batches are compressed, because that is configured or because they wait for acknowledgements of a slow
     /// link or a slow store.

@@ -7,7 +7,7 @@ use peernet_logger::{HostId, Slug};
 use crate::{Chain, Event, Hello, HostSecret, LiveUpdate, Nonce, ProofCode, StreamId};
 
 /// Largest number of batches of one agent in flight, however small they are.
-pub const MOST_UNDER_WAY: usize = 1_024;
+pub const MAX_IN_FLIGHT_BATCHES: usize = 1_024;
 
 /// Returns the weight of a batch in a window: the bytes of its body, and at least 1 KiB, because a small batch also
 /// takes space in memory and in queues.
@@ -17,8 +17,8 @@ pub fn batch_weight(body_bytes: usize) -> u64 {
 
 /// Messages from the agent to the aggregator. The host id is in the message, never in the transport's routing id.
 ///
-/// Batches of the durable lane are frames of another kind ([`super::codec::batch_frame`]): their hash is checked before
-/// they are decoded. A batch that is long for its link is sent in parts ([`super::codec::part_frame`]), so that live
+/// Batches of the durable lane are frames of another kind ([`super::codec::encode_batch`]): their hash is checked before
+/// they are decoded. A batch that is long for its link is sent in parts ([`super::codec::encode_part`]), so that live
 /// updates can be sent between them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAggregator {
@@ -99,9 +99,9 @@ pub enum ToAgent {
         stream: StreamId,
         /// Number of the last stored batch.
         through: u64,
-        /// New window of batches in flight, in units of a batch of [`Hello::batch_bytes`], at least 1. The sum of the
-        /// weights ([`batch_weight`]) of batches in flight may not exceed it, nor their number [`MOST_UNDER_WAY`]; one
-        /// batch is always allowed.
+        /// New window of batches in flight, in units of a batch of [`Hello::batch_bytes`], at least 1. It limits the
+        /// sum of the weights ([`batch_weight`]) of the batches in flight. Their number is limited to
+        /// [`MAX_IN_FLIGHT_BATCHES`]. One batch in flight is always allowed.
         window: u32,
     },
     /// Batches are missing; the agent must send them again from this number on.
@@ -111,8 +111,8 @@ pub enum ToAgent {
         /// Number of the first missing batch.
         from: u64,
     },
-    /// All bytes before the request of this echo have arrived, whatever happens to them. Sent at once, and separate
-    /// from acknowledgements, so that a slow store is not mistaken for a slow link.
+    /// All bytes before the request for this echo have arrived; they may not be stored yet. The echo is sent at once
+    /// and is separate from acknowledgements, so that a slow store is not mistaken for a slow link.
     Echo {
         /// Number from the request.
         bytes: u64,

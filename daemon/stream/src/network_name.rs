@@ -31,7 +31,7 @@ impl NetworkName {
 
 impl Default for NetworkName {
     fn default() -> Self {
-        Self(Self::UNNAMED.parse().expect("it keeps to the rules of names"))
+        Self(Self::UNNAMED.parse().expect("a valid name"))
     }
 }
 

@@ -87,12 +87,12 @@ pub struct SpoolState {
     /// Time of the first event of the oldest batch.
     pub since: Option<WallTime>,
     /// Number of events and bytes held.
-    pub held: Usage,
+    pub waiting_usage: Usage,
     /// Totals up to the newest batch.
     pub totals: Totals,
     /// Batches that processes may have sent from this spool. Processes may be missing from the list; one that is
     /// missing is treated as a process of a copy of the spool.
-    pub reached: Vec<NewestSentBatch>,
+    pub newest_sent: Vec<NewestSentBatch>,
     /// Gaps of earlier processes that are not reported yet: dropped events, and events lost with the process.
     pub unreported: Vec<Gap>,
     /// The last batches of an earlier process of which only the aggregator knows whether they are stored. No loss is
@@ -112,9 +112,9 @@ impl SpoolState {
             before: Chain::START,
             newest: (0, Chain::START),
             since: None,
-            held: Usage::default(),
+            waiting_usage: Usage::default(),
             totals: Totals::default(),
-            reached: Vec::new(),
+            newest_sent: Vec::new(),
             unreported: Vec::new(),
             unresolved: None,
         }
@@ -122,9 +122,9 @@ impl SpoolState {
 }
 
 impl SpoolState {
-    /// Records the losses of an earlier process, which counted events when they were handed in. The spool accounts for
-    /// `settled`; the others were lost with that process. Returns the number of lost events; `None` if the process sent
-    /// batches that are not in the spool, so that only the aggregator knows which events are lost
+    /// Records the losses of an earlier process, which counted events when they were submitted. The spool accounts for
+    /// `settled`; the other events were lost with that process. Returns the number of lost events; `None` if the
+    /// process sent batches that are not in the spool, so that only the aggregator knows which events are lost
     /// ([`Self::unresolved`]).
     ///
     /// The number is exact. The losses of a run that was not counted separately are reported in a gap without a run.
@@ -133,7 +133,7 @@ impl SpoolState {
             self.unresolved = Some(UnresolvedBatches::new(counted, settled, &self.totals));
             return None;
         }
-        let lost = counted.all.saturating_sub(settled.events.all);
+        let lost = counted.total.saturating_sub(settled.events.total);
         for gap in counted.gaps(&settled, 0, lost) {
             self.lose(gap);
         }
@@ -176,13 +176,17 @@ mod tests {
         WallTime::from_unix_nanos(seconds * 1_000_000_000)
     }
 
-    fn counted(all: u64, runs: &[(RunId, u64)]) -> CountedEvents {
+    fn counted(total: u64, runs: &[(RunId, u64)]) -> CountedEvents {
         let run = |&(run, events)| CountedRun { run, pipeline: "line".parse().ok(), events, last: at(9) };
-        CountedEvents { all, last: at(10), sent: Vec::new(), runs: runs.iter().map(run).collect() }
+        CountedEvents { total, last: at(10), sent: Vec::new(), runs: runs.iter().map(run).collect() }
     }
 
-    fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> SettledEvents {
-        SettledEvents { events: RunCounts { all, runs: runs.iter().copied().collect() }, taken: all, last }
+    fn settled(total: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> SettledEvents {
+        SettledEvents {
+            events: RunCounts { total, runs: runs.iter().copied().collect() },
+            batched: total,
+            last,
+        }
     }
 
     #[test]
@@ -193,14 +197,14 @@ mod tests {
         let counted = counted(115, &[(first, 70), (second, 4)]);
         let settled = settled(100, &[(first, 60), (ended, 30)], Some(at(8)));
         assert_eq!(state.lose_tail(counted.clone(), settled), Some(15));
-        assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (115, 15, 0));
+        assert_eq!((state.totals.produced, state.totals.dropped, state.totals.reported_drops), (115, 15, 0));
         let gaps: Vec<_> =
             state.unreported.iter().map(|gap| (gap.run, gap.count, gap.from, gap.to)).collect();
         let expected =
             [(Some(first), 10, at(8), at(9)), (Some(second), 4, at(8), at(9)), (None, 1, at(8), at(10))];
         assert_eq!(gaps, expected);
         // Another process that is killed at once adds only its events.
-        let next = CountedEvents { all: 2, ..counted };
+        let next = CountedEvents { total: 2, ..counted };
         assert_eq!(state.lose_tail(next, SettledEvents::default()), Some(2));
         assert_eq!((state.unreported.len(), state.unreported[0].count), (3, 12));
     }

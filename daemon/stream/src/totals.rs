@@ -1,14 +1,14 @@
 //! Counts since a spool was created, and the newest batch of each process.
 
 use crate::Gap;
-use crate::counts::HandedInEvents;
+use crate::counts::SubmittedEvents;
 
 /// Newest batch that a process may have sent.
 ///
-/// It is written before anything is sent, with the number of the process that will send it. Everything in the file up
-/// to this number is what that process sent under these numbers, or was sent before it. If the aggregator has a later
-/// batch of that process, all of it is therefore stored: the file lost its end (a power failure, a failed disk), or is
-/// an older copy. If the aggregator has a batch of a process that the file does not know, nothing follows.
+/// It is written before anything is sent, with the number of the process that will send it. That process, or one before
+/// it, sent the batches in the file up to this number. If the aggregator has a later batch of that process, all batches
+/// in the file are therefore stored: the file lost its end (a power failure, a failed disk), or is an older copy. A
+/// batch of a process that is not recorded in the file proves nothing about the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NewestSentBatch {
     /// The process ([`super::Hello::process`]).
@@ -21,19 +21,19 @@ pub struct NewestSentBatch {
 /// process is killed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
-    /// Number of events that were handed in.
+    /// Number of events that were submitted.
     pub produced: u64,
     /// Number of events that were dropped.
     pub dropped: u64,
     /// Number of gaps that were reported.
     pub gaps: u64,
     /// Number of dropped events that gaps have reported. The others must still be reported, after a restart as well.
-    pub told: u64,
-    /// Events that were handed in to the current process.
-    pub handed_in: HandedInEvents,
+    pub reported_drops: u64,
+    /// Events that were submitted to the current process.
+    pub submitted: SubmittedEvents,
     /// Newest batch that the current process may have sent; `None` before the aggregator has accepted it. The spool
     /// then keeps its records of this and other processes.
-    pub reached: Option<NewestSentBatch>,
+    pub newest_sent: Option<NewestSentBatch>,
     /// Losses that no gap reports yet. Their presence means that [`SpoolState::unresolved`] is resolved.
     pub unreported: Option<Vec<Gap>>,
 }

@@ -1,17 +1,17 @@
 //! Batches that a process sent while its spool could not be written, before it was killed. The aggregator's first
 //! welcome tells whether they are stored.
 //!
-//! Without this step such events would be reported as lost although they may be stored.
+//! Without this step, such events would be reported as lost although they may be stored.
 
 use std::collections::VecDeque;
 
 use crate::counts::{CountedEvents, SentUnspooled, SettledEvents};
 use crate::totals::Totals;
-use crate::{Gap, MOST_UNDER_WAY};
+use crate::{Gap, MAX_IN_FLIGHT_BATCHES};
 
 /// Number of batches for which [`SentUnspooled`] must be kept: those that may be in flight, and the last acknowledged
 /// one.
-pub const MOST_SENT_UNSPOOLED: usize = MOST_UNDER_WAY + 1;
+pub const MAX_SENT_UNSPOOLED: usize = MAX_IN_FLIGHT_BATCHES + 1;
 
 /// The last batches of a process, some of which may be stored although its spool does not contain them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -20,8 +20,8 @@ pub struct UnresolvedBatches {
     pub counted: CountedEvents,
     /// Events that the spool accounts for.
     pub settled: SettledEvents,
-    /// Number of dropped events that gaps had reported ([`super::Totals::told`]).
-    pub told: u64,
+    /// Number of dropped events that gaps had reported ([`super::Totals::reported_drops`]).
+    pub reported_drops: u64,
     /// Number of events in all batches that were written to the spool.
     pub events: u64,
 }
@@ -34,65 +34,71 @@ pub(super) struct ResolvedBatches {
     /// Number of lost events.
     pub(super) lost: u64,
     /// Number of dropped events that a stored gap reports.
-    pub(super) told: u64,
-    /// Number of events that were handed in and are stored.
-    taken: u64,
+    pub(super) reported_drops: u64,
+    /// Number of events that were submitted and are stored.
+    batched: u64,
 }
 
 impl CountedEvents {
     /// Returns whether batches were sent that are not in the spool.
     pub(super) fn may_be_stored(&self, settled: &SettledEvents, totals: &Totals) -> bool {
-        self.sent.iter().any(|sent| sent.taken > settled.taken || sent.told > totals.told)
+        self.sent
+            .iter()
+            .any(|sent| sent.batched > settled.batched || sent.reported_drops > totals.reported_drops)
     }
 }
 
 impl UnresolvedBatches {
     pub(super) fn new(counted: CountedEvents, settled: SettledEvents, totals: &Totals) -> Self {
         let events = totals.produced.saturating_sub(totals.dropped);
-        Self { counted, settled, told: totals.told, events }
+        Self { counted, settled, reported_drops: totals.reported_drops, events }
     }
 
     /// Computes the result. The aggregator has stored everything up to batch `number`, which `process` sent.
     pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> ResolvedBatches {
         let is_last = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
         let sent = self.counted.sent.iter().find(is_last).copied().unwrap_or_default();
-        let taken = sent.taken.saturating_sub(self.settled.taken);
+        let batched = sent.batched.saturating_sub(self.settled.batched);
         ResolvedBatches {
             stored: sent.events.saturating_sub(self.events),
-            lost: self.counted.all.saturating_sub(self.settled.events.all + taken),
-            told: sent.told.saturating_sub(self.told),
-            taken,
+            lost: self.counted.total.saturating_sub(self.settled.events.total + batched),
+            reported_drops: sent.reported_drops.saturating_sub(self.reported_drops),
+            batched,
         }
     }
 
-    /// Updates the losses that no gap reports yet: those in `owed`, `earlier_drops` events that earlier processes dropped,
+    /// Updates the losses that no gap reports yet: those in `earlier_gaps`, `earlier_drops` events that earlier processes dropped,
     /// and those of the process itself. Losses that its stored gaps reported are removed, the oldest first.
     pub(super) fn unreported(
         &self,
         resolved: &ResolvedBatches,
-        owed: &mut VecDeque<Gap>,
+        earlier_gaps: &mut VecDeque<Gap>,
         earlier_drops: &mut u64,
     ) {
-        let mut told = resolved.told;
-        while let Some(gap) = owed.pop_front_if(|gap| gap.count <= told) {
-            told -= gap.count;
+        let mut reported_drops = resolved.reported_drops;
+        while let Some(gap) = earlier_gaps.pop_front_if(|gap| gap.count <= reported_drops) {
+            reported_drops -= gap.count;
         }
         // Gaps report losses in the order in which they happened.
-        let of_before = told.min(*earlier_drops);
+        let of_before = reported_drops.min(*earlier_drops);
         *earlier_drops -= of_before;
-        told -= of_before;
-        let of_lost = told.min(resolved.lost);
-        told -= of_lost;
+        reported_drops -= of_before;
+        let of_lost = reported_drops.min(resolved.lost);
+        reported_drops -= of_lost;
         // One gap may contain losses of a later process together with reported ones.
-        while let Some(mut gap) = (told > 0).then(|| owed.pop_front()).flatten() {
-            let of_gap = told.min(gap.count);
-            told -= of_gap;
+        while let Some(mut gap) = (reported_drops > 0).then(|| earlier_gaps.pop_front()).flatten() {
+            let of_gap = reported_drops.min(gap.count);
+            reported_drops -= of_gap;
             gap.count -= of_gap;
             if gap.count > 0 {
-                owed.push_front(gap);
+                earlier_gaps.push_front(gap);
             }
         }
-        owed.extend(self.counted.gaps(&self.settled, resolved.taken + of_lost, resolved.lost - of_lost));
+        earlier_gaps.extend(self.counted.gaps(
+            &self.settled,
+            resolved.batched + of_lost,
+            resolved.lost - of_lost,
+        ));
     }
 }
 
@@ -102,7 +108,7 @@ impl Totals {
         Self {
             produced: self.produced + resolved.stored + resolved.lost,
             dropped: self.dropped + resolved.lost,
-            told: self.told + resolved.told,
+            reported_drops: self.reported_drops + resolved.reported_drops,
             ..self
         }
     }
@@ -113,7 +119,7 @@ mod tests {
     use peernet_clock::WallTime;
 
     use super::*;
-    use crate::{CountedRun, KILLED, RunCounts, SpoolState, StreamId};
+    use crate::{CountedRun, KILLED_REASON, RunCounts, SpoolState, StreamId};
     use peernet_logger::RunId;
 
     const PROCESS: u64 = 7;
@@ -122,15 +128,20 @@ mod tests {
     /// 3 events and a gap of 2.
     fn unresolved(run: RunId) -> (SpoolState, UnresolvedBatches) {
         let mut state = SpoolState::new(StreamId::random());
-        (state.totals.produced, state.totals.dropped, state.totals.told) = (15, 3, 1);
-        let sent =
-            |number, taken, told, events| SentUnspooled { process: PROCESS, number, taken, told, events };
+        (state.totals.produced, state.totals.dropped, state.totals.reported_drops) = (15, 3, 1);
+        let sent = |number, batched, reported_drops, events| SentUnspooled {
+            process: PROCESS,
+            number,
+            batched,
+            reported_drops,
+            events,
+        };
         let last = WallTime::from_unix_nanos(9);
         let runs = vec![CountedRun { run, pipeline: None, events: 26, last }];
         let sent = vec![sent(4, 14, 1, 18), sent(5, 17, 3, 22)];
-        let counted = CountedEvents { all: 30, last, sent, runs };
-        let events = RunCounts { all: 10, runs: [(run, 9)].into() };
-        assert_eq!(state.lose_tail(counted, SettledEvents { events, taken: 8, last: None }), None);
+        let counted = CountedEvents { total: 30, last, sent, runs };
+        let events = RunCounts { total: 10, runs: [(run, 9)].into() };
+        assert_eq!(state.lose_tail(counted, SettledEvents { events, batched: 8, last: None }), None);
         let unresolved = state.unresolved.clone().expect("what was sent may be stored");
         (state, unresolved)
     }
@@ -141,10 +152,10 @@ mod tests {
         resolved: &ResolvedBatches,
         mut earlier_drops: u64,
     ) -> (u64, u64) {
-        let mut owed = VecDeque::new();
-        unresolved.unreported(resolved, &mut owed, &mut earlier_drops);
-        assert!(owed.iter().all(|gap| gap.reason == KILLED));
-        let (named, unnamed): (Vec<_>, Vec<_>) = owed.iter().partition(|gap| gap.run.is_some());
+        let mut earlier_gaps = VecDeque::new();
+        unresolved.unreported(resolved, &mut earlier_gaps, &mut earlier_drops);
+        assert!(earlier_gaps.iter().all(|gap| gap.reason == KILLED_REASON));
+        let (named, unnamed): (Vec<_>, Vec<_>) = earlier_gaps.iter().partition(|gap| gap.run.is_some());
         let sum = |gaps: Vec<&Gap>| gaps.iter().map(|gap| gap.count).sum();
         (sum(named), earlier_drops + sum(unnamed))
     }
@@ -152,23 +163,23 @@ mod tests {
     #[test]
     fn aggregator_says_which_events_are_lost() {
         let (state, unresolved) = unresolved(RunId::random());
-        // 3 - 1 events are not reported; 20 were handed in and neither stored nor dropped.
+        // 3 - 1 events are not reported; 20 were submitted and neither stored nor dropped.
         let none = unresolved.resolve(3, Some(PROCESS));
-        assert_eq!((none.stored, none.lost, none.told), (0, 20, 0));
+        assert_eq!((none.stored, none.lost, none.reported_drops), (0, 20, 0));
         assert_eq!(gaps(&unresolved, &none, 2), (17, 2 + 3));
         assert_eq!(unresolved.resolve(5, Some(PROCESS + 1)), none, "another process has batch 5");
 
         let one = unresolved.resolve(4, Some(PROCESS));
-        assert_eq!((one.stored, one.lost, one.told), (6, 14, 0));
+        assert_eq!((one.stored, one.lost, one.reported_drops), (6, 14, 0));
         let (named, unnamed) = gaps(&unresolved, &one, 2);
         assert_eq!((named, named + unnamed), (11, 2 + 14), "of 6 stored events the run is not known");
 
         let both = unresolved.resolve(5, Some(PROCESS));
-        assert_eq!((both.stored, both.lost, both.told), (10, 11, 2));
+        assert_eq!((both.stored, both.lost, both.reported_drops), (10, 11, 2));
         let (named, unnamed) = gaps(&unresolved, &both, 2);
         assert_eq!(named + unnamed, 11, "the gap in batch 5 told of both that were untold");
         let totals = state.totals.with(&both);
-        assert_eq!((totals.produced, totals.dropped, totals.told), (36, 14, 3));
+        assert_eq!((totals.produced, totals.dropped, totals.reported_drops), (36, 14, 3));
     }
 
     #[test]
@@ -182,21 +193,21 @@ mod tests {
             count,
             reason: "full".to_owned(),
         };
-        let (mut owed, mut earlier_drops) = (VecDeque::from([gap(1), gap(4)]), 0);
-        unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut owed, &mut earlier_drops);
-        assert_eq!(owed.front().map(|gap| gap.count), Some(4));
-        assert_eq!(owed.iter().map(|gap| gap.count).sum::<u64>(), 5 + 11 - 2);
+        let (mut earlier_gaps, mut earlier_drops) = (VecDeque::from([gap(1), gap(4)]), 0);
+        unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut earlier_gaps, &mut earlier_drops);
+        assert_eq!(earlier_gaps.front().map(|gap| gap.count), Some(4));
+        assert_eq!(earlier_gaps.iter().map(|gap| gap.count).sum::<u64>(), 5 + 11 - 2);
     }
 
     #[test]
     fn told_part_of_merged_gap_is_not_reported_again() {
         let (_, unresolved) = unresolved(RunId::random());
-        let resolved = ResolvedBatches { lost: 1, told: 4, ..ResolvedBatches::default() };
+        let resolved = ResolvedBatches { lost: 1, reported_drops: 4, ..ResolvedBatches::default() };
         let gap =
             |count| Gap { count, ..unresolved.counted.gaps(&SettledEvents::default(), 0, 1)[0].clone() };
-        let (mut owed, mut earlier_drops) = (VecDeque::from([gap(5)]), 1);
-        unresolved.unreported(&resolved, &mut owed, &mut earlier_drops);
-        let counts: Vec<u64> = owed.iter().map(|gap| gap.count).collect();
+        let (mut earlier_gaps, mut earlier_drops) = (VecDeque::from([gap(5)]), 1);
+        unresolved.unreported(&resolved, &mut earlier_gaps, &mut earlier_drops);
+        let counts: Vec<u64> = earlier_gaps.iter().map(|gap| gap.count).collect();
         assert_eq!(
             (counts, earlier_drops),
             (vec![3], 0),
@@ -208,7 +219,7 @@ mod tests {
     fn another_process_that_is_killed_before_the_answer_leaves_it_open() {
         let run = RunId::random();
         let (mut state, first) = unresolved(run);
-        let counted = CountedEvents { all: 2, ..first.counted.clone() };
+        let counted = CountedEvents { total: 2, ..first.counted.clone() };
         let nothing_sent = CountedEvents { sent: Vec::new(), runs: Vec::new(), ..counted };
         assert_eq!(state.lose_tail(nothing_sent, SettledEvents::default()), Some(2));
         assert_eq!(state.unresolved, Some(first));

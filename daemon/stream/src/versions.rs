@@ -1,10 +1,10 @@
 //! Versions of a protocol: the range that each end supports, and the highest version that both support.
 //!
-//! Both protocols, the event stream and the session protocol, negotiate as follows. The end that connects states its
+//! The event stream and the session protocol negotiate their versions as follows. The end that connects states its
 //! range and the first release that supports the oldest version in it. The other end chooses the highest version that
 //! both support and says so: the aggregator in its challenge, the cloud when it accepts a session. Without a common
-//! version the connection is refused, with a text that names the end to update and the release that it needs. The end
-//! that is too old cannot know that release; it is stated in the range of the other end.
+//! version the connection is refused, with a text that names the end to update and the release that it needs. The older
+//! end cannot know that release; the range of the other end states it.
 //!
 //! A release that changes messages raises the newest version of its range and keeps writing the older forms to peers
 //! that chose them. Messages that are sent before a version is chosen (hello, refusal) never change their form, except

@@ -72,7 +72,9 @@ async fn table(
             if after >= through {
                 return Ok::<_, WebError>(None);
             }
-            let Some((last, iterations)) = app.store().whole(&run, after).await? else { return Ok(None) };
+            let Some((last, iterations)) = app.store().full_iterations(&run, after).await? else {
+                return Ok(None);
+            };
             for iteration in iterations.iter().filter(|iteration| iteration.number <= through) {
                 header.row(&mut text, &Row::of(iteration));
             }
@@ -97,7 +99,7 @@ struct Begun {
 /// Returns the columns that a run needs, and the number of its last iteration.
 async fn columns(store: &Store, run: &RunSummary) -> Result<(Header, u64), WebError> {
     let (mut header, mut through) = (Header::default(), 0);
-    while let Some((last, firsts)) = store.shapes(run, through).await? {
+    while let Some((last, firsts)) = store.iterations_by_shape(run, through).await? {
         firsts.iter().for_each(|iteration| header.add(&Row::of(iteration)));
         through = last;
     }

@@ -39,7 +39,7 @@ struct Readiness {
     (status = 503, description = "batches are not acknowledged, agents keep their events; the answer says why", content((String = "text/plain"), (Readiness = "application/json"))),
 ))]
 async fn ready(State(app): State<App>, headers: HeaderMap) -> Response {
-    let reason = match app.aggregator.ready() {
+    let reason = match app.aggregator.current_readiness() {
         Told::Ready => None,
         Told::NotStoring(reason) => Some(reason),
     };

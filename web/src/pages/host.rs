@@ -152,7 +152,7 @@ fn host_page(app: &AppState, picture: &LiveState, host: &HostSnapshot) -> Host {
     let serving =
         picture.pipelines.iter().filter(|one| one.placement.peer.as_ref() == Some(&description.name));
     let title = match (host.connected, mine.len(), serving.count()) {
-        (false, ..) if host.left => {
+        (false, ..) if host.has_left => {
             format!("{name} took its leave at {}", app.zone.moment(host.last_seen).clock())
         }
         (false, ..) => format!("{name} has not reported since {}", app.zone.moment(host.last_seen).clock()),

@@ -149,7 +149,7 @@ async fn show(
         store.statistics_of(number),
         store.histogram(number, &wanted, BINS),
         store.series(number, &names, POINTS),
-        store.slowest(number, OUTLIERS),
+        store.slowest_iterations(number, OUTLIERS),
         store.iterations(number, &without_answer),
         store.episodes(number),
         store.trust_input(&run),

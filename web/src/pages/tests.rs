@@ -266,7 +266,7 @@ async fn what_wants_to_be_looked_at_comes_worst_first() {
 #[tokio::test]
 async fn a_host_that_took_its_leave_is_nothing_to_look_at() {
     let mut left = host("cam-1", "Orin");
-    (left.connected, left.left) = (false, true);
+    (left.connected, left.has_left) = (false, true);
     let mut ended = pipeline("line", 0.0, 1.0, Verdict::Ok, &[]);
     ended.state = PipelineState::Finished;
     let shown = picture(vec![left], vec![ended]);

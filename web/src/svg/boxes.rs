@@ -3,7 +3,7 @@
 use askama::Template;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{SPACE, count, milliseconds};
-use peernet_store::P95_NEEDS;
+use peernet_store::MIN_P95_SAMPLES;
 
 use super::{Percent, Scale};
 
@@ -14,7 +14,7 @@ pub(crate) struct BoxPlot {
     look: &'static str,
     label: String,
     grid: Vec<Percent>,
-    /// Missing below [`P95_NEEDS`] samples.
+    /// Missing below [`MIN_P95_SAMPLES`] samples.
     whiskers: Option<(Percent, Percent)>,
     quartiles: (Percent, Percent),
     width: Percent,
@@ -31,7 +31,7 @@ pub(crate) struct BoxStatistics {
     pub mean: f64,
     /// p25, p50 and p75.
     pub middle: [f64; 3],
-    /// p5 and p95; `None` below [`P95_NEEDS`] samples.
+    /// p5 and p95; `None` below [`MIN_P95_SAMPLES`] samples.
     pub tails: Option<(f64, f64)>,
 }
 
@@ -39,7 +39,7 @@ impl BoxStatistics {
     /// Returns the numbers of a distribution; `None` without samples. Quantiles are within 1 % of the true ones.
     pub(crate) fn of(summary: &Summary) -> Option<Self> {
         let [p5, p25, p50, p75, p95] = [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| summary.quantile(q));
-        let tails = p5.zip(p95).filter(|_| summary.count() >= P95_NEEDS);
+        let tails = p5.zip(p95).filter(|_| summary.count() >= MIN_P95_SAMPLES);
         Some(Self { count: summary.count(), mean: summary.moments.mean, middle: [p25?, p50?, p75?], tails })
     }
 

@@ -191,7 +191,7 @@ pub(crate) fn host(name: &str, kind: &str) -> HostSnapshot {
             models: Vec::new(),
         },
         connected: true,
-        left: false,
+        has_left: false,
         last_seen: NOW,
         clock_ahead: Span::from_millis(3),
         behind: None,

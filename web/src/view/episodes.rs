@@ -13,7 +13,7 @@ pub(crate) fn said(known: &Episodes) -> Option<String> {
         None if known.count > 1 => all,
         None => return None,
     };
-    let too_many = known.count > u64::from(Episodes::MOST_BORDERS) + 1;
+    let too_many = known.count > u64::from(Episodes::MAX_BORDERS) + 1;
     Some(if too_many { format!("{whole}, too many to mark") } else { whole })
 }
 
@@ -23,8 +23,8 @@ pub(crate) fn unanswered(known: &Episodes, run: &RunSummary) -> Option<String> {
     let counts = &run.counts;
     // The counts of a run do not include the warm-up; the stored rows lack those that retention deleted.
     let all = (counts.failed + counts.lost + counts.timeout).max(known.without_answer);
-    let shown = if known.without_answer > Episodes::MOST_COUNTED {
-        format!("more than {}", count(Episodes::MOST_COUNTED))
+    let shown = if known.without_answer > Episodes::MAX_COUNTED {
+        format!("more than {}", count(Episodes::MAX_COUNTED))
     } else {
         count(all)
     };

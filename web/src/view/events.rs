@@ -112,7 +112,7 @@ impl Events {
             behind: (
                 host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| length(behind.seconds())),
                 match host.catching_up {
-                    Some(found) => format!("about {} left", roughly(found.left.seconds())),
+                    Some(found) => format!("about {} left", roughly(found.remaining.seconds())),
                     None if account.waiting == 0 => "nothing waits".to_owned(),
                     None => format!("{} wait", counted_events(account.waiting)),
                 },
@@ -147,7 +147,7 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
         let behind = length(behind.seconds());
         remarks.push(match host.catching_up {
             Some(found) => {
-                let (left, rate) = (roughly(found.left.seconds()), figure(found.events_per_second));
+                let (left, rate) = (roughly(found.remaining.seconds()), figure(found.events_per_second));
                 let text = format!(
                     "{behind} behind, about {left} left at {rate} events/s. Live figures are not affected."
                 );
@@ -290,7 +290,7 @@ mod tests {
             ["storing is 3\u{202f}h 12\u{202f}min behind measuring. Live figures are not affected."]
         );
         host.catching_up =
-            Some(CatchingUp { rate: 48.0, events_per_second: 20_100.0, left: Span::from_seconds(240) });
+            Some(CatchingUp { rate: 48.0, events_per_second: 20_100.0, remaining: Span::from_seconds(240) });
         assert_eq!(
             texts(&host),
             [

@@ -91,7 +91,7 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
     let note =
         |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text, link: None };
     let mut notes = Vec::new();
-    if !host.connected && !host.left {
+    if !host.connected && !host.has_left {
         let seen = zone.moment(host.last_seen).clock();
         notes.push(note(Chip::new(Tone::Warn, "gap", "away"), format!("has not reported since {seen}.")));
     }
@@ -110,7 +110,7 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
     if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
         let left = host
             .catching_up
-            .map_or_else(String::new, |found| format!(", about {} left", roughly(found.left.seconds())));
+            .map_or_else(String::new, |found| format!(", about {} left", roughly(found.remaining.seconds())));
         let text = format!(
             "stores {} behind measuring{left}, {} events wait there. Live figures are not affected.",
             length(behind.seconds()),

@@ -137,7 +137,7 @@ impl HostLine {
         let late = host.behind.is_some_and(|behind| behind > FAR_BEHIND);
         let remark = events::worst(host).filter(|remark| late || remark.chip.tone >= Tone::Warn);
         let tone = match &remark {
-            _ if host.left => Tone::Quiet,
+            _ if host.has_left => Tone::Quiet,
             _ if !host.connected => Tone::Bad,
             Some(remark) => remark.chip.tone.max(Tone::Warn),
             None => Tone::Ok,

@@ -158,8 +158,8 @@ impl NowRow {
     ) -> Self {
         let host = pipeline.host_name.as_str();
         let total = window.value(&stage::TOTAL);
-        let (p95, p95_cell) = quantile(total, peernet_store::P95_NEEDS, |total| total.p95);
-        let (p99, p99_cell) = quantile(total, peernet_store::P99_NEEDS, |total| total.p99);
+        let (p95, p95_cell) = quantile(total, peernet_store::MIN_P95_SAMPLES, |total| total.p95);
+        let (p99, p99_cell) = quantile(total, peernet_store::MIN_P99_SAMPLES, |total| total.p99);
         let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
         let mean =
             |name: &&'static str| part(name).map_or_else(|| NONE.to_owned(), |part| stage_ms(part.seconds));

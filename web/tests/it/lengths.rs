@@ -22,7 +22,7 @@ async fn answers_of_different_length_are_drawn_as_they_stand_in_the_run_s_file()
     let (bed, _factory) = TestDashboard::with(vec![Line::talking(), Line::full()]).await;
     let rows = exported(bed.get("/api/v1/runs/1/export").await.text());
     assert!(rows.len() > 300 && rows.len() < 400, "{}", rows.len());
-    let pairs = bed.aggregator.store().pairs(1, ["download-bytes", "inference"], 1_000).await;
+    let pairs = bed.aggregator.store().value_pairs(1, ["download-bytes", "inference"], 1_000).await;
     let pairs = pairs.expect("answers").points.into_iter();
     let pairs: Vec<_> = pairs.map(|(length, latency)| (length.to_string(), latency.to_string())).collect();
     assert_eq!(pairs, rows);

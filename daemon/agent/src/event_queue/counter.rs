@@ -31,7 +31,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::WallTime;
 use peernet_logger::{RunId, Slug};
-use peernet_stream::{CountedEvents, CountedRun, MOST_COUNTED_RUNS, MOST_SENT_UNSPOOLED, SentUnspooled};
+use peernet_stream::{CountedEvents, CountedRun, MAX_COUNTED_RUNS, MAX_SENT_UNSPOOLED, SentUnspooled};
 use rustix::fs::{OFlags, statfs};
 use uuid::Uuid;
 
@@ -54,10 +54,10 @@ const NUMBERS: usize = 24;
 const NAME: usize = NUMBERS + 16;
 /// Offset of the slots of batches that were sent without being in the spool; the slot is selected by the batch's
 /// number. Each has five numbers: the process, the number of the batch, and three counts up to it.
-const SENT: usize = RECORD * (1 + MOST_COUNTED_RUNS);
+const SENT: usize = RECORD * (1 + MAX_COUNTED_RUNS);
 const SENT_BYTES: usize = 40;
 /// Offset of the identity of the spool that the counts belong to.
-const OWNER: usize = SENT + SENT_BYTES * MOST_SENT_UNSPOOLED;
+const OWNER: usize = SENT + SENT_BYTES * MAX_SENT_UNSPOOLED;
 const FILE_BYTES: usize = OWNER + OWNER_BYTES;
 
 /// Counter of queued events. Clones share it; without a file nothing is counted.
@@ -69,7 +69,7 @@ pub(crate) struct EventCounter(Option<Arc<Mutex<CountFile>>>);
 struct CountFile {
     file: File,
     name: String,
-    all: u64,
+    total: u64,
     /// Index of the record and number of events of each run in progress.
     runs: BTreeMap<RunId, (usize, u64)>,
     free: Vec<usize>,
@@ -95,9 +95,9 @@ impl EventCounter {
         let owner = owner.encoded();
         bytes[OWNER..OWNER + owner.len()].copy_from_slice(&owner);
         file.write_all_at(&bytes, 0)?;
-        let free = (1..=MOST_COUNTED_RUNS).rev().collect();
+        let free = (1..=MAX_COUNTED_RUNS).rev().collect();
         let counting =
-            CountFile { file, name, all: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
+            CountFile { file, name, total: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
         Ok(Self(Some(Arc::new(Mutex::new(counting)))))
     }
 
@@ -118,10 +118,10 @@ impl EventCounter {
     pub(crate) fn record_sent_unspooled(&self, sent: SentUnspooled) {
         if let Some(mut counting) = self.counting().filter(|counting| counting.sent != Some(sent)) {
             counting.sent = Some(sent);
-            let SentUnspooled { process, number, taken, told, events } = sent;
-            let bytes = [process, number, taken, told, events].map(u64::to_be_bytes).concat();
+            let SentUnspooled { process, number, batched, reported_drops, events } = sent;
+            let bytes = [process, number, batched, reported_drops, events].map(u64::to_be_bytes).concat();
             // A ring: a batch overwrites the one that is as many numbers older.
-            let place = SENT as u64 + number % MOST_SENT_UNSPOOLED as u64 * SENT_BYTES as u64;
+            let place = SENT as u64 + number % MAX_SENT_UNSPOOLED as u64 * SENT_BYTES as u64;
             let written = counting.file.write_all_at(&bytes, place);
             counting.check(written);
         }
@@ -149,7 +149,7 @@ impl EventCounter {
 
     /// Returns the number of all events; `None` if they are not counted.
     pub(crate) fn total(&self) -> Option<u64> {
-        self.counting().map(|counting| counting.all)
+        self.counting().map(|counting| counting.total)
     }
 
     /// Removes the file, once no counted event can be lost any more.
@@ -166,8 +166,8 @@ impl EventCounter {
 
 impl CountFile {
     fn count(&mut self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) -> io::Result<()> {
-        self.all += 1;
-        let numbers = [self.all.to_be_bytes(), now.unix_nanos().to_be_bytes()].concat();
+        self.total += 1;
+        let numbers = [self.total.to_be_bytes(), now.unix_nanos().to_be_bytes()].concat();
         // Each event is a single write, so the total is in the record of its run. The largest total of all records is
         // the current one.
         let Some(run) = run else { return self.file.write_all_at(&numbers, HEAD_ALL) };
@@ -186,7 +186,7 @@ impl CountFile {
 
     fn release(&mut self, run: RunId, place: usize) -> io::Result<()> {
         // The total first, because the record may hold the newest one.
-        self.file.write_all_at(&self.all.to_be_bytes(), HEAD_ALL)?;
+        self.file.write_all_at(&self.total.to_be_bytes(), HEAD_ALL)?;
         self.file.write_all_at(&[0; RECORD], (place * RECORD) as u64)?;
         self.runs.remove(&run);
         self.free.push(place);
@@ -283,12 +283,12 @@ pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
     let sent = sent.chunks_exact(SENT_BYTES).map(|sent| SentUnspooled {
         process: number(sent, 0),
         number: number(sent, 8),
-        taken: number(sent, 16),
-        told: number(sent, 24),
+        batched: number(sent, 16),
+        reported_drops: number(sent, 24),
         events: number(sent, 32),
     });
     let sent = sent.filter(|sent| sent.number > 0).collect();
-    let mut counted = CountedEvents { all: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
+    let mut counted = CountedEvents { total: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
     for record in records.chunks_exact(RECORD) {
         let (all, last, events) = (number(record, 0), time(record, 8), number(record, 16));
         // A record without events is free.
@@ -296,8 +296,8 @@ pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
             continue;
         }
         // The largest total is the newest one, see `count`.
-        if all >= counted.all {
-            (counted.all, counted.last) = (all, last);
+        if all >= counted.total {
+            (counted.total, counted.last) = (all, last);
         }
         let run = record[NUMBERS..].first_chunk().map(|id| RunId::from_bytes(*id))?;
         let name = record[NAME + 1..].get(..record[NAME].into());

@@ -159,7 +159,7 @@ fn sending(config: &AgentConfig) -> SendingConfig {
         first_pause: Span::from_seconds(1),
         longest_pause: Span::from_seconds(10),
         refused_pause: Span::from_seconds(1),
-        patience: Span::from_seconds(10),
+        ack_timeout: Span::from_seconds(10),
         spool_pause: Span::from_seconds(1),
     }
 }

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    BatchHead, Chain, Event, Hello, MOST_UNDER_WAY, STREAM_VERSIONS, StreamId, batch_weight, codec,
+    BatchHead, Chain, Event, Hello, MAX_IN_FLIGHT_BATCHES, STREAM_VERSIONS, StreamId, batch_weight, codec,
 };
 
 use crate::generate;
@@ -45,7 +45,7 @@ impl Load {
     /// Returns how many batches from index `from` on may be in flight together if the window has `room` bytes; at least
     /// one.
     pub(crate) fn within(&self, from: usize, mut room: u64) -> usize {
-        let waiting = self.frames[from..].iter().take(MOST_UNDER_WAY);
+        let waiting = self.frames[from..].iter().take(MAX_IN_FLIGHT_BATCHES);
         let fits = |frame: &Bytes| {
             let rest = room.checked_sub(batch_weight(frame.len()));
             room = rest.unwrap_or(0);
@@ -95,13 +95,13 @@ impl LoadPlan {
             let events: Vec<Event> = first.into_iter().chain(iterations).collect();
             let body = generate::body(&events);
             let count = events.len() as u32;
-            let chain = before.then(count, &body);
+            let chain = before.next(count, &body);
             let head =
                 BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
             events_before = head.events_through();
             before = chain;
             longest = longest.max(body.len());
-            frames.push(Bytes::from(codec::batch_frame(&head, &body, false)));
+            frames.push(Bytes::from(codec::encode_batch(&head, &body, false)));
         }
         assert!(longest as u64 <= BATCH_BYTES + 1_024, "batches of {longest} bytes are not cut as agents do");
         let hello = Hello {

@@ -165,13 +165,13 @@ impl Agent {
         let body = generate::body(events);
         let count = u32::try_from(events.len()).expect("a batch");
         let before = self.chain;
-        self.chain = before.then(count, &body);
+        self.chain = before.next(count, &body);
         let (host, stream, number, chain) = (self.hosts.0, self.stream, self.number, self.chain);
         let events_before = self.events;
         let head =
             BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
         self.events = head.events_through();
-        let frame = Bytes::from(codec::batch_frame(&head, &body, false));
+        let frame = Bytes::from(codec::encode_batch(&head, &body, false));
         self.socket.send(Message::single(frame)).await.expect("sends");
     }
 

@@ -76,7 +76,11 @@ async fn answers(folder: &Path, nodes: u64) -> Vec<ResponseTimes> {
 }
 
 /// Starts an aggregator on a free port.
-async fn start(database: &Path, clock: &SharedClock, stop: CancellationToken) -> peernet_aggregator::Running {
+async fn start(
+    database: &Path,
+    clock: &SharedClock,
+    stop: CancellationToken,
+) -> peernet_aggregator::RunningAggregator {
     let config = AggregatorConfig {
         listen: "tcp://127.0.0.1:0".into(),
         database: database.to_owned(),

@@ -44,7 +44,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
     let links = store.links().await.expect("answers");
     let link = links.first().expect("there is a link");
     let key = &link.key();
-    let slowest = store.slowest(number, 1_000).await.expect("answers");
+    let slowest = store.slowest_iterations(number, 1_000).await.expect("answers");
     let ranked = slowest.last().expect("there are some").number;
     let [total, upload] = [stage::TOTAL, stage::UPLOAD];
     let chosen = store.runs(&RunFilter { limit: CHOSEN, ..RunFilter::default() }).await.expect("answers");
@@ -76,9 +76,9 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
                 store.statistics_of(number),
                 store.histogram(number, &total, BINS),
                 store.series(number, &names[..1], POINTS),
-                store.slowest(number, SLOWEST),
+                store.slowest_iterations(number, SLOWEST),
                 store.iterations(number, &unanswered),
-                store.course(number, &names[..1], BUCKETS),
+                store.stage_buckets(number, &names[..1], BUCKETS),
                 store.episodes(number),
             )
         })
@@ -87,17 +87,17 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
             tokio::try_join!(
                 store.run(number),
                 store.statistics_of(number),
-                store.course(number, &names[..1], BUCKETS),
-                store.course(number, &stages, BUCKETS),
+                store.stage_buckets(number, &names[..1], BUCKETS),
+                store.stage_buckets(number, &stages, BUCKETS),
             )
         })
         .await,
         time("compare page, two runs", clock, async || {
             for number in [number, number] {
                 store.run(number).await?;
-                store.means(number, &of_difference, BUCKETS).await?;
+                store.stage_means(number, &of_difference, BUCKETS).await?;
                 over_time(store, number).await?;
-                store.pairs(number, lengths, PAIRS).await?;
+                store.value_pairs(number, lengths, PAIRS).await?;
             }
             store.statistics(&[number, number]).await
         })
@@ -121,7 +121,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
         })
         .await,
         time("a run over time", clock, || over_time(store, number)).await,
-        time("pairs of 750 iterations", clock, || store.pairs(number, lengths, PAIRS)).await,
+        time("pairs of 750 iterations", clock, || store.value_pairs(number, lengths, PAIRS)).await,
         time("experiments", clock, || store.experiments(50)).await,
         time("iteration page", clock, async || {
             tokio::try_join!(store.run(number), store.iteration(number, last / 2))
@@ -135,8 +135,8 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
         time("iterations, first page", clock, || store.iterations(number, &first)).await,
         time("iterations, last page", clock, || store.iterations(number, &end_of_list)).await,
         time("iterations without answer", clock, || store.iterations(number, &later_lost)).await,
-        time("forty slowest", clock, || store.slowest(number, SLOWEST)).await,
-        time("thousand slowest", clock, || store.slowest(number, 1_000)).await,
+        time("forty slowest", clock, || store.slowest_iterations(number, SLOWEST)).await,
+        time("thousand slowest", clock, || store.slowest_iterations(number, 1_000)).await,
         time("one iteration", clock, || store.iteration(number, last / 2)).await,
         time("one of the slowest", clock, || store.iteration(number, ranked)).await,
         time("hosts", clock, || store.hosts()).await,
@@ -157,7 +157,7 @@ async fn over_time(store: &Store, run: i64) -> Result<(), StoreError> {
     let names: Vec<Name> = [stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
     tokio::try_join!(
         store.series(run, &names[..1], COURSE_POINTS),
-        store.means(run, &names, COURSE_POINTS),
+        store.stage_means(run, &names, COURSE_POINTS),
         store.episodes(run),
     )
     .map(drop)

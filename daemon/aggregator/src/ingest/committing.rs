@@ -1,10 +1,11 @@
 //! The writer's task, the only owner of the writing connection: it commits the batches of several agents together
 //! (group commit).
 //!
-//! A commit costs one sync of the disk whatever its size. A group is what arrived while the previous commit was
-//! syncing, so that groups grow with the load. A batch of few nodes waits up to `commit_interval_ms` for others, so
-//! that a quiet system does not sync at each batch. A group of `commit_nodes` makes the sync a small part of its cost;
-//! it does not wait longer, because its agents may have used up their windows and wait for this commit.
+//! A commit costs one sync of the disk whatever its size. A group consists of the batches that arrived while the
+//! previous commit was syncing, so that groups grow with the load. A batch of few nodes waits up to
+//! `commit_interval_ms` for others, so that a quiet system does not sync at each batch. A group of `commit_nodes` makes
+//! the sync a small part of its cost; it does not wait longer, because its agents may have used up their windows and
+//! wait for this commit.
 //!
 //! Agents get their acknowledgements only after the commit. Nothing in this task waits for an agent.
 
@@ -31,32 +32,32 @@ use peernet_store::writing::{
 use peernet_store::{AggregatorIncidentKind, StoreError};
 
 /// Interval of checking the database's files while no work arrives.
-const CHECK_EVERY: Duration = Duration::from_secs(1);
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Size of SQLite's -wal file above which it is truncated as soon as no reader uses it: twice the usual size.
-const MOST_LOG_BYTES: u64 = 128 << 20;
+const MAX_WAL_BYTES: u64 = 128 << 20;
 
 /// Largest number of nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
-const MOST_NODES: usize = 100_000;
+const MAX_COMMIT_NODES: usize = 100_000;
 
 /// Number of commits after which expired data is deleted even if work is waiting.
-const RETAIN_EVERY: u64 = 8;
+const COMMITS_PER_RETENTION: u64 = 8;
 
 /// Limits at which a group is committed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Grouping {
     /// Longest time that the first batch of a group waits for others.
     pub(crate) interval: Duration,
-    /// Number of nodes at which a group waits for no more batches; those that are ready join it.
-    pub(crate) enough: usize,
+    /// Number of nodes at which a group no longer waits for batches; batches that are ready still join it.
+    pub(crate) min_nodes: usize,
     /// Number of nodes at which a group is full.
-    pub(crate) most: usize,
+    pub(crate) max_nodes: usize,
 }
 
 impl Grouping {
     pub(crate) fn new(config: &AggregatorConfig) -> Self {
-        let enough = config.commit_nodes;
-        Self { interval: config.commit_interval(), enough, most: enough.max(MOST_NODES) }
+        let min_nodes = config.commit_nodes;
+        Self { interval: config.commit_interval(), min_nodes, max_nodes: min_nodes.max(MAX_COMMIT_NODES) }
     }
 }
 
@@ -83,9 +84,9 @@ pub(crate) struct TaskContext {
     pub(crate) queue: mpsc::Receiver<PreparedWork>,
     pub(crate) requests: mpsc::Receiver<WriterRequest>,
     pub(crate) stored: mpsc::Sender<StoreEvent>,
-    pub(crate) ready: watch::Sender<Readiness>,
-    /// Snapshots of the live picture, the source of the connections' statistics.
-    pub(crate) pictures: watch::Receiver<Arc<LiveState>>,
+    pub(crate) readiness: watch::Sender<Readiness>,
+    /// Snapshots of the live state, the source of the connections' statistics.
+    pub(crate) snapshots: watch::Receiver<Arc<LiveState>>,
     pub(crate) clock: SharedClock,
     pub(crate) integrity: Integrity,
     pub(crate) stop: CancellationToken,
@@ -180,7 +181,7 @@ async fn serve(
     grouping: Grouping,
     state: &mut WriterState,
 ) -> ServeEnd {
-    let mut check_interval = tokio::time::interval(CHECK_EVERY);
+    let mut check_interval = tokio::time::interval(CHECK_INTERVAL);
     check_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     // Retention starts at once: limits may have changed while the aggregator was stopped.
     let (mut commits, mut more) = (0_u64, Step::More);
@@ -202,11 +203,11 @@ async fn serve(
                     continue;
                 }
                 _ = check_interval.tick() => {
-                    match maintain(writer, context, state).await {
-                        Ok(()) if damaged => set_readiness(&context.ready, Readiness::Ready),
+                    match check_and_maintain(writer, context, state).await {
+                        Ok(()) if damaged => set_readiness(&context.readiness, Readiness::Ready),
                         Ok(()) => {}
                         Err(error @ CommitError::Damaged(_)) => {
-                            set_readiness(&context.ready, readiness_after(&error));
+                            set_readiness(&context.readiness, readiness_after(&error));
                         }
                         Err(error) => return ServeEnd::Failed(error),
                     }
@@ -223,8 +224,9 @@ async fn serve(
             group.retain(|queued| state.is_current(queued));
         }
         let mut work: Vec<Work> = state.departed.drain(..).map(Work::Goodbye).collect();
-        let (of_group, room): (Vec<Work>, Vec<_>) = group.into_iter().map(|it| (it.work, it.room)).unzip();
-        work.extend(of_group);
+        let (works, capacity): (Vec<Work>, Vec<_>) =
+            group.into_iter().map(|it| (it.work, it.capacity)).unzip();
+        work.extend(works);
         if work.is_empty() {
             continue;
         }
@@ -233,18 +235,18 @@ async fn serve(
             Ok(false) => return ServeEnd::Finished,
             Err(error) => {
                 // Agents send batches again, but not a goodbye, so it is kept for the reopened database.
-                let left = |work| if let Work::Goodbye(host) = work { Some(host) } else { None };
-                state.departed = work.into_iter().filter_map(left).collect();
+                let departed_host = |work| if let Work::Goodbye(host) = work { Some(host) } else { None };
+                state.departed = work.into_iter().filter_map(departed_host).collect();
                 return ServeEnd::Failed(error);
             }
         }
         // Frees the room in the queue before retention, which may take a while.
-        drop((work, room));
+        drop((work, capacity));
         commits += 1;
         more = Step::More;
-        if commits.is_multiple_of(RETAIN_EVERY) {
+        if commits.is_multiple_of(COMMITS_PER_RETENTION) {
             more = retain(writer, context).await;
-            match maintain(writer, context, state).await {
+            match check_and_maintain(writer, context, state).await {
                 // The next commit reports the damage.
                 Ok(()) | Err(CommitError::Damaged(_)) => {}
                 Err(error) => return ServeEnd::Failed(error),
@@ -258,7 +260,7 @@ async fn serve(
 ///
 /// # Errors
 /// If the database has to be reopened, or is damaged.
-async fn maintain(
+async fn check_and_maintain(
     writer: &mut Writer,
     context: &TaskContext,
     state: &mut WriterState,
@@ -267,11 +269,11 @@ async fn maintain(
     ensure_undamaged(&context.integrity)?;
     let maintained = async {
         writer.keep_clocks(context.clock.stamp(), &mut state.incidents).await?;
-        let connections = state.connections.observe(&context.pictures.borrow(), context.clock.mono());
+        let connections = state.connections.observe(&context.snapshots.borrow(), context.clock.mono());
         if !connections.is_empty() {
             writer.store_connections(&connections).await?;
         }
-        writer.bound_log(MOST_LOG_BYTES).await
+        writer.bound_log(MAX_WAL_BYTES).await
     };
     maintained.await.or_else(|error: CommitError| {
         // A full disk is reported by the next commit.
@@ -279,7 +281,7 @@ async fn maintain(
     })
 }
 
-/// Deletes a small part of the expired data. A failed deletion is retried at the next occasion.
+/// Deletes a small part of the expired data. A failed deletion is retried in the next step.
 async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
     // Deletion writes to freed pages. In a damaged file they have to stay as they are for a salvage.
     if context.integrity.damage().is_some() {
@@ -287,7 +289,7 @@ async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
     }
     writer.retain(context.clock.stamp()).await.unwrap_or_else(|error| {
         context.integrity.note(&error);
-        tracing::warn!(%error, "cannot delete what is old, tried again by itself");
+        tracing::warn!(%error, "cannot delete expired data; the deletion is retried");
         Step::Done
     })
 }
@@ -307,9 +309,9 @@ async fn store(
         let error = match commit(writer, work, context).await {
             Ok(stored) => {
                 state.record_success(context.clock.stamp());
-                set_readiness(&context.ready, Readiness::Ready);
+                set_readiness(&context.readiness, Readiness::Ready);
                 for (head, reason) in &stored.quarantined {
-                    tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
+                    tracing::error!(host = %head.host, number = head.number, %reason, "a batch was quarantined");
                 }
                 // The receiver is closed only while the aggregator ends.
                 let _ended = context.stored.send(StoreEvent::Committed(stored)).await;
@@ -318,14 +320,14 @@ async fn store(
             Err(error) => error,
         };
         if context.stop.is_cancelled() {
-            tracing::error!(batches = work.len(), %error, "gave up storing: told to stop");
+            tracing::error!(batches = work.len(), %error, "stopped before these batches could be stored; agents keep them");
             return Ok(false);
         }
         if !error.leaves_connection_usable() {
             return Err(error);
         }
         state.record_failure(&error, context.clock.stamp());
-        set_readiness(&context.ready, readiness_after(&error));
+        set_readiness(&context.readiness, readiness_after(&error));
         // Requests are answered during the pause, too.
         let again = tokio::time::sleep(state.backoff.next());
         tokio::pin!(again);
@@ -383,12 +385,12 @@ fn readiness_after(error: &CommitError) -> Readiness {
 
 /// Returns the readiness while nothing can be stored.
 pub(super) fn not_storing(error: &impl Display) -> Readiness {
-    Readiness::NotStoring(format!("cannot store events: {error}; agents keep them, tried again by itself"))
+    Readiness::NotStoring(format!("cannot store events: {error}; agents keep them, and storing is retried"))
 }
 
 /// Collects the group that begins with `first`: the work that is ready, and work that arrives until `first` has waited
 /// for `grouping.interval` since its admission. Under load `first` has waited during the previous commit, so that the
-/// group waits for nothing. Neither does a group of `grouping.enough` nodes.
+/// group waits for nothing. Neither does a group of `grouping.min_nodes` nodes.
 async fn collect_group(
     first: PreparedWork,
     queue: &mut mpsc::Receiver<PreparedWork>,
@@ -397,16 +399,16 @@ async fn collect_group(
 ) -> Vec<PreparedWork> {
     let mut nodes = first.work.weight();
     let mut group = vec![first];
-    let patience = tokio::time::sleep(grouping.interval.saturating_sub(waited));
-    tokio::pin!(patience);
-    while nodes < grouping.most {
-        let next = if nodes >= grouping.enough {
+    let timeout = tokio::time::sleep(grouping.interval.saturating_sub(waited));
+    tokio::pin!(timeout);
+    while nodes < grouping.max_nodes {
+        let next = if nodes >= grouping.min_nodes {
             queue.try_recv().ok()
         } else {
             tokio::select! {
                 biased;
                 next = queue.recv() => next,
-                () = &mut patience => None,
+                () = &mut timeout => None,
             }
         };
         let Some(next) = next else { break };
@@ -417,16 +419,16 @@ async fn collect_group(
 }
 
 /// Sets the readiness and logs each change once.
-pub(super) fn set_readiness(ready: &watch::Sender<Readiness>, now: Readiness) {
-    ready.send_if_modified(|was| {
-        if *was == now {
+pub(super) fn set_readiness(readiness: &watch::Sender<Readiness>, now: Readiness) {
+    readiness.send_if_modified(|previous| {
+        if *previous == now {
             return false;
         }
         match &now {
             Readiness::Ready => tracing::info!("storing events again"),
             Readiness::NotStoring(reason) => tracing::warn!("{reason}"),
         }
-        *was = now;
+        *previous = now;
         true
     });
 }
@@ -442,13 +444,13 @@ mod tests {
 
     /// Work that weighs one node.
     fn piece() -> PreparedWork {
-        let room = Arc::new(Semaphore::new(2));
-        let permit = || Arc::clone(&room).try_acquire_owned().expect("a permit");
+        let capacity = Arc::new(Semaphore::new(2));
+        let permit = || Arc::clone(&capacity).try_acquire_owned().expect("a permit");
         PreparedWork {
             work: Work::Goodbye(HostId::random()),
             generation: 0,
             since: MonoTime::from_nanos(0),
-            room: [permit(), permit()],
+            capacity: [permit(), permit()],
         }
     }
 
@@ -463,14 +465,14 @@ mod tests {
     #[tokio::test]
     async fn large_group_takes_ready_work_without_waiting() {
         let (_more_may_come, mut queue) = waiting(4).await;
-        let grouping = Grouping { interval: EVER, enough: 2, most: 100 };
+        let grouping = Grouping { interval: EVER, min_nodes: 2, max_nodes: 100 };
         assert_eq!(collect_group(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
     }
 
     #[tokio::test]
     async fn small_group_waits_until_large_enough() {
         let (sender, mut queue) = waiting(1).await;
-        let grouping = Grouping { interval: EVER, enough: 4, most: 100 };
+        let grouping = Grouping { interval: EVER, min_nodes: 4, max_nodes: 100 };
         let group =
             tokio::spawn(async move { collect_group(piece(), &mut queue, Duration::ZERO, grouping).await });
         tokio::task::yield_now().await;
@@ -484,14 +486,14 @@ mod tests {
     #[tokio::test]
     async fn group_is_committed_after_interval_however_small() {
         let (_more_may_come, mut queue) = waiting(1).await;
-        let grouping = Grouping { interval: EVER, enough: 100, most: 100 };
+        let grouping = Grouping { interval: EVER, min_nodes: 100, max_nodes: 100 };
         assert_eq!(collect_group(piece(), &mut queue, EVER, grouping).await.len(), 2);
     }
 
     #[tokio::test]
     async fn group_is_limited_to_most_nodes() {
         let (_more_may_come, mut queue) = waiting(10).await;
-        let grouping = Grouping { interval: EVER, enough: 2, most: 6 };
+        let grouping = Grouping { interval: EVER, min_nodes: 2, max_nodes: 6 };
         assert_eq!(collect_group(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
     }
 }

@@ -1,8 +1,8 @@
 //! Selects the statistics of connections that are stored: one sample per minute, and the last one of a connection that
 //! has ended.
 //!
-//! The samples come from the live picture: as an event of the stream they would need a newer aggregator. A missed
-//! sample loses no totals, because the totals are cumulative and the next sample contains them.
+//! The samples come from the live state: as an event of the stream they would need a newer aggregator. A missed sample
+//! loses no totals, because the totals are cumulative and the next sample contains them.
 
 use std::collections::HashMap;
 
@@ -35,10 +35,10 @@ struct OpenConnection {
 
 impl ConnectionLog {
     /// Updates the open connections from a snapshot. Returns the samples to be stored.
-    pub(super) fn observe(&mut self, picture: &LiveState, now: MonoTime) -> Vec<ConnectionSample> {
+    pub(super) fn observe(&mut self, snapshot: &LiveState, now: MonoTime) -> Vec<ConnectionSample> {
         let mut due = Vec::new();
         let mut before = std::mem::take(&mut self.open);
-        for link in picture.links.iter().filter(|link| link.connected) {
+        for link in snapshot.links.iter().filter(|link| link.connected) {
             for connection in &link.live.connections {
                 let (edge, cloud) = (link.edge, link.live.peer);
                 let (pipeline, network) = (connection.pipeline.clone(), connection.network.clone());
@@ -94,8 +94,8 @@ mod tests {
         }
     }
 
-    /// Returns a picture with one link.
-    fn picture(connected: bool, connections: Vec<Connection>) -> LiveState {
+    /// Returns a live state with one link.
+    fn snapshot(connected: bool, connections: Vec<Connection>) -> LiveState {
         let (at, peer) = (WallTime::from_unix_nanos(9), HostId::from_bytes([9; 16]));
         let now = ClockSample {
             network: NetworkName::default(),
@@ -151,8 +151,8 @@ mod tests {
         let mut log = ConnectionLog::default();
         let stored: Vec<u64> = (0..=150)
             .flat_map(|second: i64| {
-                let picture = picture(true, vec![connection("10.0.0.2:1", second.unsigned_abs())]);
-                bytes(&log.observe(&picture, after(second)))
+                let snapshot = snapshot(true, vec![connection("10.0.0.2:1", second.unsigned_abs())]);
+                bytes(&log.observe(&snapshot, after(second)))
             })
             .collect();
         assert_eq!(stored, [60, 120]);
@@ -161,12 +161,12 @@ mod tests {
     #[test]
     fn ended_connection_is_stored_with_its_last_totals() {
         let mut log = ConnectionLog::default();
-        let open = |local, bytes| picture(true, vec![connection(local, bytes)]);
+        let open = |local, bytes| snapshot(true, vec![connection(local, bytes)]);
         assert_eq!(bytes(&log.observe(&open("10.0.0.2:1", 5), after(0))), [0; 0]);
         // The connection was reopened from another port.
         assert_eq!(bytes(&log.observe(&open("10.0.0.2:2", 1), after(1))), [5]);
         // The edge disconnected.
-        let gone = picture(false, vec![connection("10.0.0.2:2", 1)]);
+        let gone = snapshot(false, vec![connection("10.0.0.2:2", 1)]);
         assert_eq!(bytes(&log.observe(&gone, after(2))), [1]);
         assert_eq!(bytes(&log.observe(&gone, after(3))), [0; 0]);
     }

@@ -1,9 +1,9 @@
 //! The known hosts: the stored ones with their secrets, and newcomers.
 //!
 //! A newcomer is a host whose hello was accepted and of which nothing is stored yet. It exists only in memory and only
-//! while it is connected; its first batch makes it a stored host. So invented hosts fill neither the database nor the
-//! pages: the number of newcomers is limited to `max_hosts`, and beyond that the oldest newcomer is dropped. A genuine
-//! agent stores its first event within a second.
+//! while it is connected; its first batch makes it a stored host. Invented hosts therefore fill neither the database
+//! nor the pages. The number of newcomers is limited to `max_hosts`; beyond that, the oldest newcomer is dropped. A
+//! genuine agent has its first event stored within a second.
 
 use std::collections::HashMap;
 
@@ -15,13 +15,13 @@ use peernet_store::writing::Introduction;
 
 /// Shortest interval between two reads of a host's secret from the database. A wrong proof causes such a read, because
 /// an operator may have cleared the secret; the interval limits the reads that somebody who guesses secrets can cause.
-const CHECK_EVERY: Span = Span::from_seconds(1);
+const CHECK_INTERVAL: Span = Span::from_seconds(1);
 
 /// The known hosts.
 #[derive(Debug)]
 pub(crate) struct Hosts {
     /// Largest number of stored hosts, and of newcomers.
-    most: usize,
+    max_hosts: usize,
     stored: HashMap<HostId, StoredHost>,
     newcomers: HashMap<HostId, Newcomer>,
     /// Number of newcomers so far.
@@ -36,7 +36,7 @@ struct StoredHost {
     /// The host's secret; `None` for a host of an earlier version or after an operator cleared it.
     secret: Option<HostSecret>,
     /// Time of the last read of the secret after a wrong proof.
-    checked: Option<MonoTime>,
+    secret_read_at: Option<MonoTime>,
 }
 
 /// A host whose hello was accepted and of which nothing is stored.
@@ -51,30 +51,32 @@ pub(super) struct Newcomer {
 }
 
 impl Hosts {
-    /// Creates the table of the stored hosts, oldest first. At most `most` hosts are stored.
-    pub(crate) fn new(most: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
-        let mut hosts = Self { most, stored: HashMap::new(), newcomers: HashMap::new(), arrival_number: 0 };
-        hosts.restart(stored);
+    /// Creates the table of the stored hosts, oldest first. At most `max_hosts` hosts are stored.
+    pub(crate) fn new(max_hosts: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
+        let mut hosts =
+            Self { max_hosts, stored: HashMap::new(), newcomers: HashMap::new(), arrival_number: 0 };
+        hosts.replace_stored(stored);
         hosts
     }
 
     /// Replaces the stored hosts after the database was reopened. Newcomers are dropped and have to send their hello
     /// again.
-    pub(super) fn restart(&mut self, stored: Vec<(HostId, Option<HostSecret>)>) {
+    pub(super) fn replace_stored(&mut self, stored: Vec<(HostId, Option<HostSecret>)>) {
         self.newcomers.clear();
         let stored = (0..).zip(stored);
-        let stored =
-            stored.map(|(seniority, (host, secret))| (host, StoredHost { seniority, secret, checked: None }));
+        let stored = stored.map(|(seniority, (host, secret))| {
+            (host, StoredHost { seniority, secret, secret_read_at: None })
+        });
         self.stored = stored.collect();
     }
 
     /// Returns the reason for refusing a host that is not stored, if the number of stored hosts has reached its limit.
-    pub(super) fn refuses(&self, host: HostId) -> Option<String> {
-        let full = !self.is_stored(host) && self.stored.len() >= self.most;
+    pub(super) fn limit_refusal(&self, host: HostId) -> Option<String> {
+        let full = !self.is_stored(host) && self.stored.len() >= self.max_hosts;
         full.then(|| {
             format!(
-                "{} hosts are stored here and [aggregator] max_hosts allows no more: raise max_hosts to let another in. \
-                 This agent keeps its events meanwhile",
+                "{} hosts are stored, the maximum of [aggregator] max_hosts: raise max_hosts to admit another host. \
+                 Until then this agent keeps its events",
                 self.stored.len()
             )
         })
@@ -113,12 +115,12 @@ impl Hosts {
     }
 
     /// Returns whether the host's secret has to be read from the database again after a wrong proof: an operator may
-    /// have cleared it. At most once per `CHECK_EVERY`.
+    /// have cleared it. At most once per `CHECK_INTERVAL`.
     pub(super) fn needs_secret_check(&mut self, host: HostId, now: MonoTime) -> bool {
         let Some(stored) = self.stored.get_mut(&host) else { return false };
-        let due = stored.checked.is_none_or(|at| now - at >= CHECK_EVERY);
+        let due = stored.secret_read_at.is_none_or(|at| now - at >= CHECK_INTERVAL);
         if due {
-            stored.checked = Some(now);
+            stored.secret_read_at = Some(now);
         }
         due
     }
@@ -132,7 +134,7 @@ impl Hosts {
 
     /// Adds a host of which nothing is stored. Findings of an earlier hello of the same stream are kept. Returns the
     /// newcomer that was dropped for it.
-    pub(super) fn welcome(
+    pub(super) fn add_newcomer(
         &mut self,
         introduction: Introduction,
         missing: Option<MissingBatches>,
@@ -151,7 +153,7 @@ impl Hosts {
                 newcomer.missing = newcomer.missing.or(before.missing);
             }
             Some(before) => gone = Some(before),
-            None if self.newcomers.len() >= self.most => {
+            None if self.newcomers.len() >= self.max_hosts => {
                 let first = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.arrival_number);
                 let first = first.map(|(host, _)| *host);
                 gone = first.and_then(|first| self.newcomers.remove(&first));
@@ -163,16 +165,16 @@ impl Hosts {
     }
 
     /// Turns a newcomer into a stored host, because its first batch is about to be stored.
-    pub(super) fn store(&mut self, host: HostId) -> Option<Newcomer> {
+    pub(super) fn promote_newcomer(&mut self, host: HostId) -> Option<Newcomer> {
         let newcomer = self.newcomers.remove(&host)?;
         let seniority = self.stored.values().map(|host| host.seniority + 1).max().unwrap_or(0);
         let secret = newcomer.introduction.secret.clone();
-        self.stored.insert(host, StoredHost { seniority, secret, checked: None });
+        self.stored.insert(host, StoredHost { seniority, secret, secret_read_at: None });
         Some(newcomer)
     }
 
     /// Removes a newcomer that disconnected.
-    pub(super) fn forget(&mut self, host: HostId) -> Option<Newcomer> {
+    pub(super) fn remove_newcomer(&mut self, host: HostId) -> Option<Newcomer> {
         self.newcomers.remove(&host)
     }
 
@@ -214,7 +216,7 @@ mod tests {
     #[test]
     fn invented_hosts_take_no_memory() {
         let mut hosts = Hosts::new(1_000, Vec::new());
-        let gone = (0..20_000).filter(|_| hosts.welcome(introduction(HostId::random()), None).is_some());
+        let gone = (0..20_000).filter(|_| hosts.add_newcomer(introduction(HostId::random()), None).is_some());
         assert_eq!(gone.count(), 19_000);
         assert_eq!((hosts.newcomers.len(), hosts.stored.len()), (1_000, 0));
     }
@@ -224,12 +226,12 @@ mod tests {
         let known = HostId::random();
         let mut hosts = Hosts::new(2, vec![(known, None)]);
         let second = HostId::random();
-        assert_eq!(hosts.refuses(second), None);
-        hosts.welcome(introduction(second), None);
-        assert!(hosts.store(second).is_some() && hosts.seniority(known) < hosts.seniority(second));
-        let refusal = hosts.refuses(HostId::random()).expect("it is full");
+        assert_eq!(hosts.limit_refusal(second), None);
+        hosts.add_newcomer(introduction(second), None);
+        assert!(hosts.promote_newcomer(second).is_some() && hosts.seniority(known) < hosts.seniority(second));
+        let refusal = hosts.limit_refusal(HostId::random()).expect("it is full");
         assert!(refusal.contains("max_hosts"), "{refusal}");
-        assert_eq!((hosts.refuses(known), hosts.refuses(second)), (None, None));
+        assert_eq!((hosts.limit_refusal(known), hosts.limit_refusal(second)), (None, None));
     }
 
     #[test]

@@ -1,6 +1,7 @@
-//! The way from the socket to the store: the decision who may send ([`session`], [`hosts`], [`routes`]), the socket
-//! ([`socket`]), a bounded [`queue`], the thread that turns batches into rows ([`preparing`]), the task that commits
-//! them ([`committing`]), and the reopening of a database whose file fails or is replaced ([`reopening`]).
+//! Ingest: the path of a frame from the socket to the store. [`socket`] receives frames, and [`session`], [`hosts`] and
+//! [`routes`] decide which hosts may send. Admitted work waits in a bounded [`queue`]. A thread turns batches into rows
+//! ([`preparing`]), and a task commits them ([`committing`]). [`reopening`] reopens a database whose file failed or was
+//! replaced.
 
 mod backoff;
 pub(crate) mod committing;
@@ -15,6 +16,6 @@ pub(crate) mod socket;
 
 pub(crate) use self::committing::WriterRequest;
 pub(crate) use self::hosts::Hosts;
-pub(crate) use self::queue::{MOST_WINDOW, ROOM_BYTES, queue};
+pub(crate) use self::queue::{CAPACITY_BYTES, MAX_WINDOW, queue};
 pub(crate) use self::reopening::Reopening;
 pub(crate) use self::session::IngestSession;

@@ -10,11 +10,11 @@ use peernet_clock::MonoTime;
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 
-use super::queue::{Incoming, QueueItem};
+use super::queue::{AdmittedWork, QueueItem};
 use peernet_store::writing::Work;
 
-/// Largest number of prepared pieces of work. Their nodes are limited, too.
-const PIECES: usize = 4_096;
+/// Largest number of prepared items. Their nodes are limited, too.
+const MAX_PREPARED_ITEMS: usize = 4_096;
 
 /// Work that is ready for the writer. It occupies its room in the queue until it is dropped.
 #[derive(Debug)]
@@ -24,7 +24,7 @@ pub(crate) struct PreparedWork {
     pub(crate) generation: u64,
     /// Time of the admission.
     pub(crate) since: MonoTime,
-    pub(crate) room: [OwnedSemaphorePermit; 2],
+    pub(crate) capacity: [OwnedSemaphorePermit; 2],
 }
 
 /// The sending end of the prepared work.
@@ -32,31 +32,31 @@ pub(crate) struct PreparedWork {
 pub(crate) struct PreparedSender {
     sender: mpsc::Sender<PreparedWork>,
     nodes: Arc<Semaphore>,
-    most_nodes: u32,
+    max_nodes: u32,
 }
 
-/// Creates the channel of prepared work with room for `most_nodes` nodes. A single larger piece of work has room, too.
-pub(crate) fn channel(most_nodes: usize) -> (PreparedSender, mpsc::Receiver<PreparedWork>) {
-    let (sender, receiver) = mpsc::channel(PIECES);
-    let most_nodes = u32::try_from(most_nodes).unwrap_or(u32::MAX);
-    (PreparedSender { sender, nodes: Arc::new(Semaphore::new(most_nodes as usize)), most_nodes }, receiver)
+/// Creates the channel of prepared work with capacity for `max_nodes` nodes. A single larger item is accepted as well.
+pub(crate) fn channel(max_nodes: usize) -> (PreparedSender, mpsc::Receiver<PreparedWork>) {
+    let (sender, receiver) = mpsc::channel(MAX_PREPARED_ITEMS);
+    let max_nodes = u32::try_from(max_nodes).unwrap_or(u32::MAX);
+    (PreparedSender { sender, nodes: Arc::new(Semaphore::new(max_nodes as usize)), max_nodes }, receiver)
 }
 
 /// Prepares work until the queue is closed or the writer has ended. Blocks its thread.
 pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<QueueItem>, prepared: &PreparedSender) {
-    while let Some(QueueItem { incoming, generation, since, room }) = waiting.blocking_recv() {
-        let work = match incoming {
-            Incoming::Work(work) => work,
-            Incoming::Batch(head, body) => Work::of_batch(head, body),
+    while let Some(QueueItem { admitted, generation, since, capacity }) = waiting.blocking_recv() {
+        let work = match admitted {
+            AdmittedWork::Work(work) => work,
+            AdmittedWork::Batch(head, body) => Work::from_batch(head, body),
         };
-        // At most all permits, so that work larger than the whole room passes, too.
-        let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(prepared.most_nodes);
+        // At most all permits, so that an item larger than the whole capacity passes, too.
+        let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(prepared.max_nodes);
         let nodes = runtime.block_on(Arc::clone(&prepared.nodes).acquire_many_owned(weight));
         // The semaphore is closed only after the writer ended.
         let Ok(nodes) = nodes else { return };
         if prepared
             .sender
-            .blocking_send(PreparedWork { work, generation, since, room: [room, nodes] })
+            .blocking_send(PreparedWork { work, generation, since, capacity: [capacity, nodes] })
             .is_err()
         {
             return;

@@ -1,7 +1,8 @@
 //! The bounded queue of work that waits to be stored, limited by number and bytes.
 //!
 //! The socket must not wait for the database, because live updates arrive on the same socket. So adding to the queue
-//! never waits: work without room is treated as if it had not arrived, and is requested again when there is room.
+//! never waits: work that does not fit into the queue is treated as if it had not arrived, and is requested again when
+//! the queue has capacity.
 
 use std::sync::Arc;
 
@@ -13,38 +14,38 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use peernet_store::writing::Work;
 
 /// Memory for waiting batches, from their arrival until they are stored, bytes.
-pub(crate) const ROOM_BYTES: usize = 96 * 1024 * 1024;
-/// Largest window of one agent, in batches of the usual size. The window is the aggregator's room divided by the
-/// connected agents, at most this: 32 batches have about 160,000 nodes, several commits' worth, so that a single agent
-/// keeps the writer busy while a commit syncs.
-pub(crate) const MOST_WINDOW: u32 = 32;
-/// Largest number of waiting pieces of work: the room filled with the smallest batches.
-const ROOM_ITEMS: usize = ROOM_BYTES / PER_PERMIT;
+pub(crate) const CAPACITY_BYTES: usize = 96 * 1024 * 1024;
+/// Largest window of one agent, in batches of the usual size. An agent's window is the queue's capacity divided by the
+/// number of connected agents, but at most this. 32 batches have about 160,000 nodes, enough for several commits, so
+/// that a single agent keeps the writer busy while a commit syncs.
+pub(crate) const MAX_WINDOW: u32 = 32;
+/// Largest number of waiting items: the capacity filled with the smallest batches.
+const CAPACITY_ITEMS: usize = CAPACITY_BYTES / BYTES_PER_PERMIT;
 /// Bytes per permit of the semaphore, which counts permits in 32 bits.
-const PER_PERMIT: usize = 1_024;
+const BYTES_PER_PERMIT: usize = 1_024;
 
 /// Admitted work.
 #[derive(Debug)]
-pub(crate) enum Incoming {
+pub(crate) enum AdmittedWork {
     /// Work that needs no preparation.
     Work(Work),
     /// Events that match their hash and are not decoded yet.
     Batch(BatchHead, Bytes),
 }
 
-/// Admitted work with its time of admission. It occupies its room until it is dropped.
+/// Admitted work with its time of admission. It occupies its part of the capacity until it is dropped.
 #[derive(Debug)]
 pub(crate) struct QueueItem {
-    pub(crate) incoming: Incoming,
+    pub(crate) admitted: AdmittedWork,
     pub(crate) generation: u64,
     pub(crate) since: MonoTime,
-    pub(crate) room: OwnedSemaphorePermit,
+    pub(crate) capacity: OwnedSemaphorePermit,
 }
 
 /// The sending end of the queue.
 #[derive(Debug)]
 pub(crate) struct Queue {
-    room: Arc<Semaphore>,
+    capacity: Arc<Semaphore>,
     /// `None` after [`Queue::close`].
     sender: Option<mpsc::Sender<QueueItem>>,
     /// Number of times that the database was reopened. Work admitted before was checked against the stored state of the
@@ -52,21 +53,21 @@ pub(crate) struct Queue {
     generation: u64,
 }
 
-/// A reserved slot of the queue with room for a number of bytes.
+/// A reserved slot of the queue, with capacity for a number of bytes.
 #[derive(Debug)]
 pub(super) struct QueueSlot<'a> {
     queue: &'a Queue,
     permit: mpsc::Permit<'a, QueueItem>,
-    room: OwnedSemaphorePermit,
+    capacity: OwnedSemaphorePermit,
     bytes: usize,
 }
 
 /// Creates an empty queue.
 pub(crate) fn queue() -> (Queue, mpsc::Receiver<QueueItem>) {
-    let (sender, receiver) = mpsc::channel(ROOM_ITEMS);
+    let (sender, receiver) = mpsc::channel(CAPACITY_ITEMS);
     (
         Queue {
-            room: Arc::new(Semaphore::new(ROOM_BYTES / PER_PERMIT)),
+            capacity: Arc::new(Semaphore::new(CAPACITY_BYTES / BYTES_PER_PERMIT)),
             sender: Some(sender),
             generation: 0,
         },
@@ -75,20 +76,20 @@ pub(crate) fn queue() -> (Queue, mpsc::Receiver<QueueItem>) {
 }
 
 impl Queue {
-    /// Reserves a slot with room for `bytes`, if there is room now.
+    /// Reserves a slot for `bytes`; `None` if the queue is full.
     pub(super) fn reserve(&self, bytes: usize) -> Option<QueueSlot<'_>> {
-        let room = self.take(bytes / PER_PERMIT + 1)?;
-        Some(QueueSlot { queue: self, permit: self.sender.as_ref()?.try_reserve().ok()?, room, bytes })
+        let capacity = self.acquire(bytes / BYTES_PER_PERMIT + 1)?;
+        Some(QueueSlot { queue: self, permit: self.sender.as_ref()?.try_reserve().ok()?, capacity, bytes })
     }
 
-    /// Returns how many pieces of work of `bytes` each there is room for.
-    pub(super) fn room_for(&self, bytes: usize) -> usize {
+    /// Returns the number of items of `bytes` each that fit into the queue now.
+    pub(super) fn capacity_for(&self, bytes: usize) -> usize {
         let slots = self.sender.as_ref().map_or(0, mpsc::Sender::capacity);
-        slots.min(self.room.available_permits() / (bytes / PER_PERMIT + 1))
+        slots.min(self.capacity.available_permits() / (bytes / BYTES_PER_PERMIT + 1))
     }
 
     /// Marks later work as checked against the reopened database.
-    pub(super) fn begin_generation(&mut self) {
+    pub(super) fn start_generation(&mut self) {
         self.generation += 1;
     }
 
@@ -98,25 +99,25 @@ impl Queue {
         self.sender = None;
     }
 
-    /// Reserves room, if there is enough.
-    fn take(&self, permits: usize) -> Option<OwnedSemaphorePermit> {
-        Arc::clone(&self.room).try_acquire_many_owned(u32::try_from(permits).ok()?).ok()
+    /// Acquires permits; `None` if there are not enough.
+    fn acquire(&self, permits: usize) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.capacity).try_acquire_many_owned(u32::try_from(permits).ok()?).ok()
     }
 }
 
 impl QueueSlot<'_> {
-    /// Enlarges the reserved room to `bytes`, if there is room now.
-    pub(super) fn grown_to(mut self, bytes: usize) -> Option<Self> {
-        // A slot holds `bytes / PER_PERMIT + 1` permits, so the difference of the quotients is sufficient.
-        let more = (bytes / PER_PERMIT).saturating_sub(self.bytes / PER_PERMIT);
-        self.room.merge(self.queue.take(more)?);
+    /// Enlarges the slot to `bytes`; `None` if the queue is full.
+    pub(super) fn grow_to(mut self, bytes: usize) -> Option<Self> {
+        // A slot holds `bytes / BYTES_PER_PERMIT + 1` permits, so the difference of the quotients is sufficient.
+        let more = (bytes / BYTES_PER_PERMIT).saturating_sub(self.bytes / BYTES_PER_PERMIT);
+        self.capacity.merge(self.queue.acquire(more)?);
         Some(self)
     }
 
     /// Fills the slot.
-    pub(super) fn put(self, incoming: Incoming, since: MonoTime) {
+    pub(super) fn fill(self, admitted: AdmittedWork, since: MonoTime) {
         let generation = self.queue.generation;
-        self.permit.send(QueueItem { incoming, generation, since, room: self.room });
+        self.permit.send(QueueItem { admitted, generation, since, capacity: self.capacity });
     }
 }
 
@@ -127,24 +128,24 @@ mod tests {
     #[test]
     fn room_is_reserved_by_bytes_and_released() {
         let (queue, mut waiting) = queue();
-        let fits = queue.room_for(1 << 20);
-        assert_eq!(fits, ROOM_BYTES / PER_PERMIT / 1_025);
-        let frame = || Incoming::Work(Work::Goodbye(peernet_logger::HostId::random()));
+        let fits = queue.capacity_for(1 << 20);
+        assert_eq!(fits, CAPACITY_BYTES / BYTES_PER_PERMIT / 1_025);
+        let frame = || AdmittedWork::Work(Work::Goodbye(peernet_logger::HostId::random()));
         for _ in 0..fits {
-            queue.reserve(1 << 20).expect("there is room").put(frame(), MonoTime::from_nanos(0));
+            queue.reserve(1 << 20).expect("there is room").fill(frame(), MonoTime::from_nanos(0));
         }
         assert!(queue.reserve(1 << 20).is_none(), "full");
         let small = queue.reserve(1_000).expect("there is a little");
-        assert!(small.grown_to(1 << 20).is_none(), "it cannot grow");
+        assert!(small.grow_to(1 << 20).is_none(), "it cannot grow");
         drop(waiting.try_recv().expect("the first"));
-        let grown = queue.reserve(1_000).and_then(|slot| slot.grown_to((1 << 20) - 1));
-        grown.expect("there is room again").put(frame(), MonoTime::from_nanos(0));
+        let grown = queue.reserve(1_000).and_then(|slot| slot.grow_to((1 << 20) - 1));
+        grown.expect("there is room again").fill(frame(), MonoTime::from_nanos(0));
     }
 
     #[test]
     fn closed_queue_admits_nothing() {
         let (mut queue, waiting) = queue();
         queue.close();
-        assert!(queue.reserve(0).is_none() && queue.room_for(0) == 0 && waiting.is_closed());
+        assert!(queue.reserve(0).is_none() && queue.capacity_for(0) == 0 && waiting.is_closed());
     }
 }

@@ -37,14 +37,14 @@ impl Reopening {
         backoff: &mut Backoff,
     ) -> Option<OpenDatabase> {
         // Set before the files are closed, which may take long.
-        set_readiness(&context.ready, not_storing(error));
+        set_readiness(&context.readiness, not_storing(error));
         // The receiver is closed only while the aggregator ends, here and below.
         let _ended = context.stored.send(StoreEvent::Closed).await;
         // SQLite checkpoints its log when the last connection is closed, so the readers are closed before the writer.
         self.store.close().await;
         let (former, closed) = database.close().await;
         if let Err(error) = closed {
-            tracing::debug!(%error, database = %self.path.display(), "the database was not closed well");
+            tracing::debug!(%error, database = %self.path.display(), "cannot close the database cleanly");
         }
         loop {
             pause(backoff.next(), context).await?;
@@ -52,10 +52,10 @@ impl Reopening {
                 Ok((database, state)) => {
                     self.store.reopen();
                     let _ended = context.stored.send(StoreEvent::Opened(Box::new(state))).await;
-                    set_readiness(&context.ready, Readiness::Ready);
+                    set_readiness(&context.readiness, Readiness::Ready);
                     return Some(database);
                 }
-                Err(error) => set_readiness(&context.ready, not_storing(&error)),
+                Err(error) => set_readiness(&context.readiness, not_storing(&error)),
             }
         }
     }
@@ -79,7 +79,7 @@ fn refuse(request: WriterRequest) {
     match request {
         WriterRequest::Pin(_, _, answer) => {
             // The requester may have been dropped.
-            let _gone = answer.send(Err(StoreError::no_database()));
+            let _gone = answer.send(Err(StoreError::database_closed()));
         }
     }
 }

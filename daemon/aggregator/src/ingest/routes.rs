@@ -6,8 +6,8 @@ use peernet_logger::HostId;
 use peernet_networks::ConnectionId;
 
 /// Largest number of hosts on one connection; an agent needs one. The hosts of all connections together are not limited
-/// here: somebody who reached that limit would lock out all other agents, and the live picture has a limit for hosts.
-const MOST_PER_CONNECTION: usize = 64;
+/// here: somebody who reached that limit would lock out all other agents, and the live state has a limit for hosts.
+const MAX_HOSTS_PER_CONNECTION: usize = 64;
 
 /// A change of what a connection may send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub(super) struct Routes {
 
 impl Routes {
     /// Returns the connection of a host.
-    pub(super) fn of(&self, host: HostId) -> Option<ConnectionId> {
+    pub(super) fn connection_of(&self, host: HostId) -> Option<ConnectionId> {
         self.connections.get(&host).copied()
     }
 
@@ -38,34 +38,35 @@ impl Routes {
     }
 
     /// Records that a host's hello was accepted on a connection.
-    pub(super) fn enter(&mut self, host: HostId, connection: ConnectionId) {
+    pub(super) fn insert(&mut self, host: HostId, connection: ConnectionId) {
         // The host may have opened a new connection before the old one was noticed to be lost.
-        let left = self.connections.insert(host, connection);
+        let former = self.connections.insert(host, connection);
         self.admissions.push(Admission::Admit(connection));
-        self.demote(left);
+        self.demote(former);
     }
 
     /// Removes a host.
-    pub(super) fn leave(&mut self, host: HostId) {
-        let left = self.connections.remove(&host);
-        self.demote(left);
+    pub(super) fn remove(&mut self, host: HostId) {
+        let former = self.connections.remove(&host);
+        self.demote(former);
     }
 
     /// Removes all hosts. Returns the connection of each.
     pub(super) fn clear(&mut self) -> Vec<ConnectionId> {
-        let left: Vec<ConnectionId> = self.connections.drain().map(|(_, connection)| connection).collect();
-        self.admissions.extend(left.iter().copied().map(Admission::Demote));
-        left
+        let former: Vec<ConnectionId> = self.connections.drain().map(|(_, connection)| connection).collect();
+        self.admissions.extend(former.iter().copied().map(Admission::Demote));
+        former
     }
 
     /// Returns a reason for refusing another host on this connection, if it has too many.
-    pub(super) fn too_many(&self, connection: ConnectionId, host: HostId) -> Option<String> {
+    pub(super) fn limit_refusal(&self, connection: ConnectionId, host: HostId) -> Option<String> {
         if self.connections.contains_key(&host) {
             return None;
         }
         let here = self.connections.values().filter(|other| **other == connection).count();
-        (here >= MOST_PER_CONNECTION)
-            .then(|| format!("{here} hosts said hello on this connection: let each agent open its own"))
+        (here >= MAX_HOSTS_PER_CONNECTION).then(|| {
+            format!("{here} hosts have sent a hello on this connection; let each agent open its own")
+        })
     }
 
     /// Returns and clears the collected changes for connections.
@@ -74,8 +75,8 @@ impl Routes {
     }
 
     /// Demotes a connection that a host left, unless other hosts use it.
-    fn demote(&mut self, left: Option<ConnectionId>) {
-        let is_empty = |left: &ConnectionId| !self.connections.values().any(|other| other == left);
-        self.admissions.extend(left.filter(is_empty).map(Admission::Demote));
+    fn demote(&mut self, former: Option<ConnectionId>) {
+        let is_empty = |former: &ConnectionId| !self.connections.values().any(|other| other == former);
+        self.admissions.extend(former.filter(is_empty).map(Admission::Demote));
     }
 }

@@ -1,6 +1,6 @@
 //! The decisions about each frame and each host. Free of I/O: frames go in, replies and live events come out.
 
-mod greeting;
+mod admission;
 mod output;
 mod store_view;
 
@@ -15,17 +15,17 @@ use self::output::SessionOutput;
 use self::store_view::StoreView;
 use super::committing::StoreEvent;
 use super::hosts::{Hosts, Newcomer};
-use super::queue::{Incoming, Queue};
+use super::queue::{AdmittedWork, Queue};
 use super::routes::{Admission, Routes};
 use crate::live::LiveEvent;
 use peernet_store::writing::{Committed, RunName, StoredState, Streams, UnstorableBatch, Work};
 
 /// Time without messages after which a host loses its session and has to send its hello again.
-const FORGET_SESSIONS: Span = Span::from_seconds(60);
+const SESSION_TIMEOUT: Span = Span::from_seconds(60);
 /// Time without messages after which a newcomer is dropped. Agents send four messages a second.
-const FORGET_NEWCOMERS: Span = Span::from_seconds(10);
+const NEWCOMER_TIMEOUT: Span = Span::from_seconds(10);
 /// Usual size of a batch as agents cut them, bytes. The number of batches that have room is computed with it.
-const USUAL_BATCH: usize = 128 * 1024;
+const USUAL_BATCH_BYTES: usize = 128 * 1024;
 
 /// The state of ingest, which decides about each frame.
 #[derive(Debug)]
@@ -41,7 +41,7 @@ pub(crate) struct IngestSession {
 }
 
 impl IngestSession {
-    /// Creates the state without sessions. `hosts` and `streams` come from the database; `unknown` are runs of which
+    /// Creates the state without sessions. `hosts` and `streams` come from the database; `unnamed_runs` are runs of which
     /// the database has iterations only.
     pub(crate) fn new(
         receiving: Receiving,
@@ -49,7 +49,7 @@ impl IngestSession {
         hosts: Hosts,
         queue: Queue,
         streams: Streams,
-        unknown: Vec<(HostId, RunId)>,
+        unnamed_runs: Vec<(HostId, RunId)>,
     ) -> Self {
         Self {
             receiving,
@@ -57,33 +57,34 @@ impl IngestSession {
             hosts,
             queue,
             routes: Routes::default(),
-            store: StoreView::new(streams, unknown),
+            store: StoreView::new(streams, unnamed_runs),
             refusals: LogThrottle::default(),
             output: SessionOutput::default(),
         }
     }
 
     /// Processes a frame of a connection.
-    pub(super) fn frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
+    pub(super) fn handle_frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
         // The kind of a frame is decided by its first bytes, so that batches are not decoded twice.
-        if let Some(part) = codec::part(frame) {
+        if let Some(part) = codec::decode_part(frame) {
             if self.has_session(from, part.host)
-                && let Some(frame) = self.receiving.part(&part, now.mono)
-                && let Some(head) = codec::batch_head(&frame)
+                && let Some(frame) = self.receiving.handle_part(&part, now.mono)
+                && let Some(head) = codec::decode_batch_head(&frame)
             {
-                self.batch(from, head, &frame, now);
+                self.handle_batch(from, head, &frame, now);
             }
             return;
         }
-        if let Some(head) = codec::batch_head(frame) {
-            self.batch(from, head, frame, now);
+        if let Some(head) = codec::decode_batch_head(frame) {
+            self.handle_batch(from, head, frame, now);
             return;
         }
         match codec::decode(frame) {
-            Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
-            Ok(ToAggregator::Proof(proof)) => self.proof(from, proof, now),
+            Ok(ToAggregator::Hello(hello)) => self.handle_hello(from, hello, now),
+            Ok(ToAggregator::Proof(proof)) => self.handle_proof(from, proof, now),
             Ok(ToAggregator::Live(update)) => {
-                if self.has_session(from, update.host) && self.receiving.live(update.host, now.mono).is_none()
+                if self.has_session(from, update.host)
+                    && self.receiving.handle_live(update.host, now.mono).is_none()
                 {
                     self.name_runs(&update, now.mono);
                     self.output.announce(LiveEvent::Update(Box::new(update)));
@@ -91,16 +92,16 @@ impl IngestSession {
             }
             Ok(ToAggregator::Echo { host, bytes }) => {
                 if self.has_session(from, host) {
-                    self.output.reply(from.connection, self.receiving.echo(host, bytes, now.mono));
+                    self.output.reply(from.connection, self.receiving.handle_echo(host, bytes, now.mono));
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {
                 if self.has_session(from, host) && !self.forget_newcomer(host) {
-                    self.receiving.goodbye(host);
-                    self.routes.leave(host);
-                    // Without room, the next hello of the host ends its runs.
+                    self.receiving.handle_goodbye(host);
+                    self.routes.remove(host);
+                    // If the queue is full, the next hello of the host ends its runs.
                     if let Some(slot) = self.queue.reserve(0) {
-                        slot.put(Incoming::Work(Work::Goodbye(host)), now.mono);
+                        slot.fill(AdmittedWork::Work(Work::Goodbye(host)), now.mono);
                     }
                     self.output.announce(LiveEvent::Goodbye(host));
                 }
@@ -121,43 +122,43 @@ impl IngestSession {
             let Some(run) = live.run.filter(|run| self.store.is_unnamed(update.host, *run)) else {
                 continue;
             };
-            // Without room, a later update is used.
+            // If the queue is full, a later update is used.
             let Some(slot) = self.queue.reserve(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
             let name = RunName { host, run, pipeline, placement };
-            slot.put(Incoming::Work(Work::Name(Box::new(name))), now);
-            self.store.named(update.host, run);
+            slot.fill(AdmittedWork::Work(Work::Name(Box::new(name))), now);
+            self.store.record_name(update.host, run);
         }
     }
 
     /// Returns whether the host has a session on the connection. If not, the agent is asked for its hello.
     fn has_session(&mut self, from: &Peer, host: HostId) -> bool {
-        let known = self.routes.of(host) == Some(from.connection);
-        if !known {
+        let has_session = self.routes.connection_of(host) == Some(from.connection);
+        if !has_session {
             self.output.reject_stranger(from.connection);
         }
-        known
+        has_session
     }
 
     /// Handles the end of a connection. Its stored hosts send their hello on the next connection; its newcomers are
     /// dropped.
-    pub(super) fn connection_closed(&mut self, connection: ConnectionId) {
+    pub(super) fn handle_connection_closed(&mut self, connection: ConnectionId) {
         self.challenges.forget(&connection);
         let routes = &self.routes;
-        for host in self.hosts.newcomers_where(|host| routes.of(host) == Some(connection)) {
+        for host in self.hosts.newcomers_where(|host| routes.connection_of(host) == Some(connection)) {
             self.forget_newcomer(host);
         }
     }
 
-    /// Admits a batch to the queue, or requests it again if there is no room.
-    fn batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
+    /// Admits a batch to the queue, or requests it again if the queue is full.
+    fn handle_batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
         if !self.has_session(from, head.host) {
             return;
         }
         // The first batch of a newcomer stores the host, too, which needs two more slots.
         let before = if self.hosts.is_newcomer(head.host) {
             let Some(slots) = self.queue.reserve(0).zip(self.queue.reserve(0)) else {
-                return self.defer(head);
+                return self.defer_batch(head);
             };
             Some(slots)
         } else {
@@ -165,36 +166,37 @@ impl IngestSession {
         };
         let Some(slot) = self.queue.reserve(frame.len()) else {
             drop(before);
-            return self.defer(head);
+            return self.defer_batch(head);
         };
-        let body = codec::batch_body(frame.clone());
+        let body = codec::decode_batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
-        // Decompressed events need more room than their frame.
-        let Some(slot) = slot.grown_to(size) else {
+        // Decompressed events take more bytes than their frame.
+        let Some(slot) = slot.grow_to(size) else {
             drop(before);
-            return self.defer(head);
+            return self.defer_batch(head);
         };
         if body.is_err() {
             self.output.reject_damaged(head.host);
         }
-        // Room is reserved before: a batch that is accepted must not be lost afterwards.
-        let arrival = self.receiving.batch(&head, body.is_ok(), now.mono);
+        // The slot is reserved first, because an accepted batch must not be lost afterwards.
+        let arrival = self.receiving.handle_batch(&head, body.is_ok(), now.mono);
         if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
-            && let (Some((greeting, hole)), Some(newcomer)) = (before, self.hosts.store(head.host))
+            && let (Some((introduction_slot, gap_slot)), Some(newcomer)) =
+                (before, self.hosts.promote_newcomer(head.host))
         {
             let Newcomer { introduction, missing, .. } = newcomer;
-            self.store.streams.came(head.host, introduction.stream);
-            greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
+            self.store.streams.record_hello(head.host, introduction.stream);
+            introduction_slot.fill(AdmittedWork::Work(Work::Hello(Box::new(introduction))), now.mono);
             if let Some(missing) = missing {
-                hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono);
+                gap_slot.fill(AdmittedWork::Work(Work::MissingBatches(missing)), now.mono);
             }
         }
         match (arrival, body) {
-            (Arrival::Accept, Ok(body)) => slot.put(Incoming::Batch(head, body), now.mono),
+            (Arrival::Accept, Ok(body)) => slot.fill(AdmittedWork::Batch(head, body), now.mono),
             (Arrival::AcceptDamaged, Err(error)) => {
-                let aside =
+                let unstorable =
                     UnstorableBatch { head, frame: frame.clone(), body: None, reason: error.to_string() };
-                slot.put(Incoming::Work(Work::UnstorableBatch(Box::new(aside))), now.mono);
+                slot.fill(AdmittedWork::Work(Work::UnstorableBatch(Box::new(unstorable))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
                 // The reply acknowledges the batch, which needs an open database.
@@ -203,16 +205,16 @@ impl IngestSession {
                 }
                 self.output.announce(LiveEvent::Duplicate(head.host));
             }
-            (Arrival::Hole(Some(reply)) | Arrival::Unknown(reply), _) => {
+            (Arrival::Rejected(Some(reply)) | Arrival::Unknown(reply), _) => {
                 self.output.reply(from.connection, reply);
             }
-            (Arrival::Pending | Arrival::Hole(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
+            (Arrival::Pending | Arrival::Rejected(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
         }
     }
 
     /// Drops a newcomer. Returns whether the host was one.
     fn forget_newcomer(&mut self, host: HostId) -> bool {
-        let Some(newcomer) = self.hosts.forget(host) else { return false };
+        let Some(newcomer) = self.hosts.remove_newcomer(host) else { return false };
         self.end_dropped_newcomer(newcomer);
         true
     }
@@ -222,56 +224,56 @@ impl IngestSession {
         let host = introduction.host.id;
         if missing.is_some() {
             // The missing range will not be stored, so nothing has to wait for it.
-            self.receiving.failed(introduction.stream);
+            self.receiving.handle_failed_store(introduction.stream);
         }
         if !self.hosts.is_newcomer(host) {
-            self.receiving.goodbye(host);
-            self.routes.leave(host);
+            self.receiving.handle_goodbye(host);
+            self.routes.remove(host);
             self.output.announce(LiveEvent::Forget(host));
         }
     }
 
-    /// Treats a batch without room as if it had not arrived.
-    fn defer(&mut self, head: BatchHead) {
-        self.receiving.deferred(head.stream);
+    /// Treats a batch that did not fit into the queue as if it had not arrived.
+    fn defer_batch(&mut self, head: BatchHead) {
+        self.receiving.defer_batch(head.stream);
         self.output.defer_batch(head.host);
     }
 
-    /// Requests deferred batches as far as there is room now.
-    fn ask_for_deferred(&mut self) {
-        for (host, request) in self.receiving.room(self.queue.room_for(USUAL_BATCH)) {
-            if let Some(route) = self.routes.of(host) {
+    /// Requests deferred batches as far as the queue has capacity now.
+    fn request_deferred(&mut self) {
+        for (host, request) in self.receiving.request_deferred(self.queue.capacity_for(USUAL_BATCH_BYTES)) {
+            if let Some(route) = self.routes.connection_of(host) {
                 self.output.reply(route, request);
             }
         }
     }
 
     /// Handles a message of the writer's task.
-    pub(super) fn store_event(&mut self, event: StoreEvent) {
+    pub(super) fn handle_store_event(&mut self, event: StoreEvent) {
         match event {
-            StoreEvent::Committed(committed) => self.committed(committed),
-            StoreEvent::Closed => self.database_closed(),
-            StoreEvent::Opened(state) => self.database_opened(*state),
+            StoreEvent::Committed(committed) => self.handle_commit(committed),
+            StoreEvent::Closed => self.handle_database_closed(),
+            StoreEvent::Opened(state) => self.handle_database_opened(*state),
         }
     }
 
     /// Acknowledges the batches of a transaction that is on disk.
-    fn committed(&mut self, committed: Committed) {
+    fn handle_commit(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
             self.store.streams.marks.insert(stream, mark);
-            let listener = self.receiving.stored(stream, mark);
+            let receiver = self.receiving.handle_stored(stream, mark);
             if let Some((route, reply)) =
-                listener.and_then(|(host, reply)| Some((self.routes.of(host)?, reply)))
+                receiver.and_then(|(host, reply)| Some((self.routes.connection_of(host)?, reply)))
             {
                 self.output.reply(route, reply);
             }
         }
-        // The commit has freed room in the queue.
-        self.ask_for_deferred();
+        // The commit has freed capacity of the queue.
+        self.request_deferred();
         for (host, (stored, newest)) in committed.hosts {
             self.output.announce(LiveEvent::Stored(host, stored, newest));
         }
-        self.store.add_unnamed(committed.unknown);
+        self.store.add_unnamed(committed.unnamed_runs);
         for (host, secret) in committed.secrets {
             self.hosts.set_secret(host, secret);
         }
@@ -281,18 +283,18 @@ impl IngestSession {
     }
 
     /// Handles the closing of the database, whose file is missing or unusable. Agents with a session continue to send.
-    fn database_closed(&mut self) {
+    fn handle_database_closed(&mut self) {
         self.store.close();
     }
 
     /// Handles the reopening of the database, which may be another one. Every agent has to send its hello again, so
     /// that its spool is compared with the stored state. The writer drops work admitted before.
-    fn database_opened(&mut self, state: StoredState) {
-        let StoredState { streams, runs, unknown, hosts, known } = state;
+    fn handle_database_opened(&mut self, state: StoredState) {
+        let StoredState { streams, runs, unnamed_runs, hosts, host_secrets } = state;
         self.receiving.forget_sessions();
-        self.hosts.restart(known);
-        self.queue.begin_generation();
-        self.store = StoreView::new(streams, unknown);
+        self.hosts.replace_stored(host_secrets);
+        self.queue.start_generation();
+        self.store = StoreView::new(streams, unnamed_runs);
         for route in self.routes.clear() {
             self.output.reply(route, ToAgent::Unknown);
         }
@@ -300,19 +302,19 @@ impl IngestSession {
     }
 
     /// Drops silent hosts and logs repeated refusals.
-    pub(super) fn age(&mut self, now: Stamp) {
-        self.challenges.age(now.mono);
+    pub(super) fn expire(&mut self, now: Stamp) {
+        self.challenges.remove_expired(now.mono);
         let receiving = &self.receiving;
-        let silent = self.hosts.newcomers_where(|host| !receiving.is_alive(host, FORGET_NEWCOMERS, now.mono));
+        let silent = self.hosts.newcomers_where(|host| !receiving.is_alive(host, NEWCOMER_TIMEOUT, now.mono));
         for host in silent {
             self.forget_newcomer(host);
         }
-        // Silent hosts count in the division of the windows, so they must not keep their share.
-        self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
-        let is_silent = |host: &HostId| !self.receiving.is_alive(*host, FORGET_SESSIONS, now.mono);
+        // Silent hosts count when the capacity is divided into windows, so they must not keep their share.
+        self.receiving.forget_silent(SESSION_TIMEOUT, now.mono);
+        let is_silent = |host: &HostId| !self.receiving.is_alive(*host, SESSION_TIMEOUT, now.mono);
         let silent: Vec<HostId> = self.routes.hosts().filter(is_silent).collect();
         for host in silent {
-            self.routes.leave(host);
+            self.routes.remove(host);
         }
         for (reason, address, times) in self.refusals.age(now.mono) {
             tracing::warn!(address = address.map(tracing::field::display), %reason, times, "hosts were refused");
@@ -329,7 +331,7 @@ impl IngestSession {
         self.routes.take_admissions()
     }
 
-    /// Returns and clears the events for the live picture.
+    /// Returns and clears the events for the live state.
     pub(super) fn take_live_events(&mut self) -> Vec<LiveEvent> {
         self.output.take_live_events()
     }

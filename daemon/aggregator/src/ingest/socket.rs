@@ -19,10 +19,11 @@ use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
 use crate::live::LiveEvent;
 
-/// Longest queue of replies to one agent. A reply without room is sent again when the agent asks again.
+/// Longest queue of replies to one agent. A reply that does not fit into the queue is sent again when the agent asks
+/// again.
 const MAX_QUEUED_REPLIES: usize = 16;
 /// Interval of dropping silent hosts and of reporting rejected messages.
-const AGE_EVERY: Duration = Duration::from_secs(5);
+const EXPIRY_INTERVAL: Duration = Duration::from_secs(5);
 /// Interval of ZeroMQ's heartbeats.
 const HEARTBEAT: Duration = Duration::from_secs(2);
 /// Time without any frame after which a connection is closed.
@@ -30,7 +31,7 @@ const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(10);
 /// Longest time for sending the last acknowledgements at the end.
 const LINGER: Duration = Duration::from_millis(500);
 /// Part of the message limit for the ZMTP framing beside the payload.
-const FRAMING: usize = 4_096;
+const FRAMING_BYTES: usize = 4_096;
 
 /// Listens. Returns the socket and its address with the actual port.
 pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, String), StartError> {
@@ -40,7 +41,7 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
     let limits = ListenerLimits {
         // A share of the file descriptors, so that agents leave some to the database and the dashboard.
         max_connections: DescriptorShare::EventPort.connections(),
-        max_message_bytes: MAX_MESSAGE_BYTES + FRAMING,
+        max_message_bytes: MAX_MESSAGE_BYTES + FRAMING_BYTES,
         max_unfinished_bytes: config.max_unfinished_bytes,
         hello_timeout: config.hello_timeout(),
         max_queued_messages: MAX_QUEUED_REPLIES,
@@ -71,7 +72,7 @@ pub(crate) async fn run(
     mut context: TaskContext,
 ) -> Result<(), Failure> {
     let sender = listener.sender();
-    let mut ageing = tokio::time::interval(AGE_EVERY);
+    let mut ageing = tokio::time::interval(EXPIRY_INTERVAL);
     ageing.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     // One line per interval instead of one per message, which a hostile peer could use to fill the log.
     let mut reported = RejectedCounts::default();
@@ -80,9 +81,9 @@ pub(crate) async fn run(
             () = context.stop.cancelled() => break,
             received = listener.receive() => match received {
                 Some(Arrival::Message(from, frames)) => if let Some(frame) = frames.first() {
-                    session.frame(&from, frame, context.clock.stamp());
+                    session.handle_frame(&from, frame, context.clock.stamp());
                 },
-                Some(Arrival::Gone(connection, _)) => session.connection_closed(connection),
+                Some(Arrival::Gone(connection, _)) => session.handle_connection_closed(connection),
                 // TCP connections do not report these arrivals.
                 Some(
                     Arrival::Garbage(..)
@@ -95,13 +96,13 @@ pub(crate) async fn run(
                 None => return Err(Failure::Socket { address }),
             },
             event = context.stored.recv() => match event {
-                Some(event) => session.store_event(event),
+                Some(event) => session.handle_store_event(event),
                 // A writer that cannot store ends as soon as `stop` is cancelled, perhaps before this task notices.
                 None if context.stop.is_cancelled() => break,
                 None => return Err(Failure::TaskEnded("writer")),
             },
             _ = ageing.tick() => {
-                session.age(context.clock.stamp());
+                session.expire(context.clock.stamp());
                 report(session.rejected(), &mut reported);
             }
         }
@@ -110,15 +111,15 @@ pub(crate) async fn run(
     // Closing the queue lets the writer finish; its acknowledgements arrive until it ends.
     session.close();
     while let Some(event) = context.stored.recv().await {
-        session.store_event(event);
+        session.handle_store_event(event);
         deliver(&sender, &mut session, &context.live_events).await;
     }
     listener.close(LINGER).await;
     Ok(())
 }
 
-/// Sends the replies and passes on the live events without waiting for the other side: a reply without room is sent
-/// again when the agent asks again, and the live picture's task never waits.
+/// Sends the replies and passes on the live events without waiting for the other side: a reply that does not fit into
+/// the queue is sent again when the agent asks again, and the live state's task never waits.
 async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: &mpsc::Sender<LiveEvent>) {
     // Admitted before the replies are sent, because a welcomed agent sends at once.
     for admission in session.take_admissions() {
@@ -129,7 +130,7 @@ async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: 
     }
     for (to, reply) in session.take_replies() {
         if let Err(error) = sender.try_send(to, vec![Bytes::from(codec::encode(&reply))]) {
-            tracing::debug!(%error, "a reply was not sent; its agent will ask again");
+            tracing::debug!(%error, "cannot send a reply; its agent will repeat the request");
         }
     }
     for event in session.take_live_events() {
@@ -146,8 +147,8 @@ fn report(rejected: RejectedCounts, reported: &mut RejectedCounts) {
             damaged = rejected.damaged - reported.damaged,
             unreadable = rejected.unreadable - reported.unreadable,
             strangers = rejected.strangers - reported.strangers,
-            "messages were not taken: without room (asked for again), damaged on their way (asked for again), not \
-             readable, from hosts that did not say hello"
+            "messages were rejected: deferred because the queue was full (requested again), damaged in transit (requested \
+             again), unreadable, or from hosts without a session (strangers)"
         );
         *reported = rejected;
     }

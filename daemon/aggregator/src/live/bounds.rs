@@ -1,5 +1,5 @@
-//! Limits for an agent's statements: they are cut to what the live picture keeps, so that its memory is bounded
-//! whatever is sent.
+//! Limits for an agent's statements: they are cut to what the live state keeps, so that its memory is bounded whatever
+//! is sent.
 
 use peernet_stream::{
     Accounting, Connection, HostClock, HostDescription, LinkLive, NetworkInterface, PipelineState, Placement,
@@ -9,22 +9,22 @@ use peernet_stream::{
 use peernet_store::plausible;
 
 /// Longest list: network names, accelerators, steps of an injected clock fault.
-const MOST_LISTED: usize = 32;
+const MAX_LIST_ITEMS: usize = 32;
 /// Largest number of models that a host offers.
-const MOST_MODELS: usize = 256;
+const MAX_MODELS: usize = 256;
 /// Longest text, bytes.
-const MOST_TEXT: usize = 512;
+const MAX_TEXT_BYTES: usize = 512;
 
 /// Cuts a link's state and removes impossible clock values. The number of removed items is added to `left_out`.
 pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
-    list(&mut live.networks, MOST_LISTED, left_out);
+    list(&mut live.networks, MAX_LIST_ITEMS, left_out);
     live.networks.iter_mut().for_each(text);
-    list(&mut live.pipelines, MOST_LISTED, left_out);
+    list(&mut live.pipelines, MAX_LIST_ITEMS, left_out);
     probing(&mut live.probing);
     if let Some(named) = &mut live.reflector {
         reflector(named, left_out);
     }
-    list(&mut live.connections, MOST_LISTED, left_out);
+    list(&mut live.connections, MAX_LIST_ITEMS, left_out);
     live.connections.iter_mut().for_each(connection);
     for theirs in [&mut live.edge, &mut live.cloud].into_iter().flatten() {
         clock(theirs, left_out);
@@ -71,15 +71,15 @@ pub(super) fn clock(clock: &mut HostClock, left_out: &mut u64) {
     text(&mut clock.text);
     clock.clocksource.iter_mut().for_each(text);
     if let Some(rehearsal) = &mut clock.rehearsal {
-        list(&mut rehearsal.steps, MOST_LISTED, left_out);
+        list(&mut rehearsal.steps, MAX_LIST_ITEMS, left_out);
     }
 }
 
 /// Cuts a host's description.
 pub(crate) fn description(description: &mut HostDescription, left_out: &mut u64) {
     let hardware = &mut description.hardware;
-    list(&mut hardware.gpus, MOST_LISTED, left_out);
-    list(&mut description.models, MOST_MODELS, left_out);
+    list(&mut hardware.gpus, MAX_LIST_ITEMS, left_out);
+    list(&mut description.models, MAX_MODELS, left_out);
     let texts =
         [&mut description.version, &mut hardware.cpu, &mut hardware.system, &mut hardware.architecture];
     texts.into_iter().chain(&mut hardware.gpus).chain(&mut description.serves).for_each(text);
@@ -105,14 +105,14 @@ pub(super) fn placement(placement: &mut Placement) {
 
 /// Cuts a text at a character boundary.
 pub(super) fn text(text: &mut String) {
-    text.truncate(text.floor_char_boundary(MOST_TEXT));
+    text.truncate(text.floor_char_boundary(MAX_TEXT_BYTES));
     text.shrink_to_fit();
 }
 
 /// Cuts a list.
-fn list<T>(items: &mut Vec<T>, most: usize, left_out: &mut u64) {
-    *left_out += items.len().saturating_sub(most) as u64;
+fn list<T>(items: &mut Vec<T>, max: usize, left_out: &mut u64) {
+    *left_out += items.len().saturating_sub(max) as u64;
     // Truncating keeps the capacity, so that memory is freed explicitly.
-    items.truncate(most);
+    items.truncate(max);
     items.shrink_to_fit();
 }

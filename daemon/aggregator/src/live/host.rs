@@ -17,7 +17,7 @@ use super::link::Link;
 use super::metrics_history::MetricsHistory;
 use super::pipeline::Pipeline;
 use super::presence::Presence;
-use super::{MOST_LINKS, MOST_PIPELINES};
+use super::{MAX_HOST_LINKS, MAX_HOST_PIPELINES};
 use crate::live_state::{Arrivals, HostSnapshot, LinkSnapshot, PipelineSnapshot};
 use peernet_store::Stored;
 
@@ -35,7 +35,7 @@ pub(super) struct Host {
     /// Keyed by the cloud and the network.
     links: BTreeMap<(HostId, NetworkName), Link>,
     /// The latest snapshot; `None` if something changed since.
-    picture: Option<Arc<HostSnapshot>>,
+    snapshot: Option<Arc<HostSnapshot>>,
 }
 
 impl Host {
@@ -52,7 +52,7 @@ impl Host {
             left_out,
             pipelines: BTreeMap::new(),
             links: BTreeMap::new(),
-            picture: None,
+            snapshot: None,
         }
     }
 
@@ -61,14 +61,14 @@ impl Host {
     pub(super) fn introduce(&mut self, mut description: HostDescription, process: u64, now: Stamp) {
         bounds::description(&mut description, &mut self.left_out);
         if self.description.name != description.name {
-            self.pipelines.values_mut().for_each(Pipeline::redraw);
-            self.links.values_mut().for_each(Link::redraw);
+            self.pipelines.values_mut().for_each(Pipeline::invalidate_snapshot);
+            self.links.values_mut().for_each(Link::invalidate_snapshot);
         }
         self.description = description;
         if !self.presence.introduce(process, now) {
-            self.lose();
+            self.mark_silent();
         }
-        self.picture = None;
+        self.snapshot = None;
     }
 
     /// Processes a goodbye. Pipelines of the host's latest update have ended, whatever state that update gave them.
@@ -78,19 +78,19 @@ impl Host {
         for pipeline in self.pipelines.values_mut() {
             // Only the pipelines of the last update ended in order; others had disappeared before.
             if Some(pipeline.sent()) == last {
-                pipeline.end();
+                pipeline.mark_finished();
             } else {
-                pipeline.away();
+                pipeline.mark_away();
             }
         }
-        self.presence.leave();
-        self.picture = None;
+        self.presence.mark_left();
+        self.snapshot = None;
     }
 
     /// Marks a host that became silent, unless it has said goodbye.
-    fn lose(&mut self) {
-        self.presence.lose();
-        self.picture = None;
+    fn mark_silent(&mut self) {
+        self.presence.mark_silent();
+        self.snapshot = None;
         self.pipelines.values_mut().for_each(Pipeline::away);
     }
 
@@ -109,23 +109,23 @@ impl Host {
         for live in update.pipelines {
             if let Some(pipeline) = self.pipelines.get_mut(&live.pipeline) {
                 pipeline.update(live, update.sent, now, &mut self.left_out);
-            } else if self.pipelines.len() < MOST_PIPELINES {
+            } else if self.pipelines.len() < MAX_HOST_PIPELINES {
                 let name = live.pipeline.clone();
                 self.pipelines.insert(name, Pipeline::new(live, update.sent, now, &mut self.left_out));
             } else {
                 self.left_out += 1;
             }
         }
-        update.links.into_iter().for_each(|live| self.link(live, update.sent, now));
-        self.picture = None;
+        update.links.into_iter().for_each(|live| self.update_link(live, update.sent, now));
+        self.snapshot = None;
     }
 
     /// Applies the report of one link.
-    fn link(&mut self, live: LinkLive, sent: WallTime, now: Stamp) {
+    fn update_link(&mut self, live: LinkLive, sent: WallTime, now: Stamp) {
         let key = (live.peer, live.network().clone());
         if let Some(link) = self.links.get_mut(&key) {
             link.update(live, sent, now, &mut self.left_out);
-        } else if self.links.len() < MOST_LINKS {
+        } else if self.links.len() < MAX_HOST_LINKS {
             self.links.insert(key, Link::new(live, sent, now, &mut self.left_out));
         } else {
             self.left_out += 1;
@@ -135,7 +135,7 @@ impl Host {
     /// Applies the database's counts.
     pub(super) fn store(&mut self, stored: Stored, newest: Option<WallTime>) {
         self.events.store(stored, newest);
-        self.picture = None;
+        self.snapshot = None;
     }
 
     /// Returns whether the database holds events of the host.
@@ -149,21 +149,21 @@ impl Host {
     }
 
     /// Counts a duplicate batch.
-    pub(super) fn duplicate(&mut self) {
+    pub(super) fn record_duplicate(&mut self) {
         self.events.add_duplicate();
-        self.picture = None;
+        self.snapshot = None;
     }
 
     /// Counts a batch that arrived and was not stored.
-    pub(super) fn arrived(&mut self, count: impl FnOnce(&mut Arrivals)) {
+    pub(super) fn record_arrival(&mut self, count: impl FnOnce(&mut Arrivals)) {
         self.events.add_arrival(count);
-        self.picture = None;
+        self.snapshot = None;
     }
 
     /// Redraws the pipeline of a run whose number has become known.
-    pub(super) fn number(&mut self, run: RunId) {
+    pub(super) fn refresh_run(&mut self, run: RunId) {
         let of_run = self.pipelines.values_mut().filter(|pipeline| pipeline.run() == Some(run));
-        of_run.for_each(Pipeline::redraw);
+        of_run.for_each(Pipeline::invalidate_snapshot);
     }
 
     /// Returns the current or last runs of the host's pipelines.
@@ -172,10 +172,10 @@ impl Host {
     }
 
     /// Applies the passing of time. Returns whether anything visible changed.
-    pub(super) fn age(&mut self, now: Stamp, forget: Span) -> bool {
+    pub(super) fn expire(&mut self, now: Stamp, forget: Span) -> bool {
         let mut changed = false;
         if self.presence.is_overdue(now.mono) {
-            self.lose();
+            self.mark_silent();
             changed = true;
         }
         let before = (self.pipelines.len(), self.links.len());
@@ -183,7 +183,7 @@ impl Host {
         self.links.retain(|_, link| now.mono - link.seen() <= forget);
         changed |= (self.pipelines.len(), self.links.len()) != before;
         for pipeline in self.pipelines.values_mut() {
-            changed |= pipeline.age(now);
+            changed |= pipeline.expire(now);
         }
         changed
     }
@@ -193,26 +193,26 @@ impl Host {
         self.presence.seen().mono
     }
 
-    /// Returns the host's name, by which the picture is sorted.
+    /// Returns the host's name, by which the live state is sorted.
     pub(super) fn name(&self) -> &Slug {
         &self.description.name
     }
 
     /// Returns the host's snapshot.
-    pub(super) fn picture(&mut self) -> Arc<HostSnapshot> {
-        if let Some(drawn) = &self.picture {
-            return Arc::clone(drawn);
+    pub(super) fn snapshot(&mut self) -> Arc<HostSnapshot> {
+        if let Some(cached) = &self.snapshot {
+            return Arc::clone(cached);
         }
-        let picture = Arc::new(HostSnapshot {
+        let snapshot = Arc::new(HostSnapshot {
             id: self.description.id,
             description: self.description.clone(),
             connected: self.is_connected(),
-            left: self.presence.has_left() && self.events.accounting().waiting == 0,
+            has_left: self.presence.has_left() && self.events.accounting().waiting == 0,
             last_seen: self.presence.seen().wall,
             clock_ahead: self.presence.clock_ahead(),
             behind: self.events.behind(self.presence.sent()),
             // The rate is not valid while the host is disconnected, because nothing is stored then.
-            catching_up: self.events.lag().catching_up().filter(|_| self.is_connected()),
+            catching_up: self.events.lag().estimate().filter(|_| self.is_connected()),
             clock: self.clock.clone(),
             metrics: self.metrics.current().clone(),
             history: self.metrics.points(),
@@ -222,8 +222,8 @@ impl Host {
             newest_stored: self.events.newest_stored(),
             live_left_out: self.left_out,
         });
-        self.picture = Some(Arc::clone(&picture));
-        picture
+        self.snapshot = Some(Arc::clone(&snapshot));
+        snapshot
     }
 
     /// Returns the snapshots of its pipelines, sorted by name.
@@ -234,7 +234,7 @@ impl Host {
     ) -> impl Iterator<Item = Arc<PipelineSnapshot>> {
         let Self { description, pipelines, .. } = self;
         pipelines.iter_mut().map(move |(name, pipeline)| {
-            pipeline.picture((description.id, &description.name, name), number, now)
+            pipeline.snapshot((description.id, &description.name, name), number, now)
         })
     }
 
@@ -244,9 +244,9 @@ impl Host {
         let last = self.is_connected().then_some(self.presence.seen().mono);
         let mut links: Vec<(&(HostId, NetworkName), &mut Link)> = self.links.iter_mut().collect();
         links.sort_by(|(a, x), (b, y)| (x.cloud(), a).cmp(&(y.cloud(), b)));
-        let drawn = links
+        let cached = links
             .into_iter()
-            .map(|(_, link)| link.picture(self.description.id, &self.description.name, last));
-        drawn.collect()
+            .map(|(_, link)| link.snapshot(self.description.id, &self.description.name, last));
+        cached.collect()
     }
 }

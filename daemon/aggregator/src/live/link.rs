@@ -14,7 +14,7 @@ use peernet_store::ClockPoint;
 /// Length of the history, seconds.
 const HISTORY_S: i64 = 600;
 /// Longest time between the stamp of an update and the creation of its parts.
-const LATER: Span = Span::from_millis(100);
+const MAX_REPORT_SKEW: Span = Span::from_millis(100);
 
 /// The latest report of one link, and a history whose seconds are those of the edge's wall clock, whatever time that
 /// shows.
@@ -24,13 +24,13 @@ pub(super) struct Link {
     seen: Stamp,
     history: BTreeMap<i64, Arc<ClockPoint>>,
     /// The latest snapshot; `None` if something changed since.
-    picture: Option<Arc<LinkSnapshot>>,
+    snapshot: Option<Arc<LinkSnapshot>>,
 }
 
 impl Link {
     /// Creates the state at the link's first report.
     pub(super) fn new(live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) -> Self {
-        let mut link = Self { live: live.clone(), seen: now, history: BTreeMap::new(), picture: None };
+        let mut link = Self { live: live.clone(), seen: now, history: BTreeMap::new(), snapshot: None };
         link.update(live, sent, now, left_out);
         link
     }
@@ -40,7 +40,7 @@ impl Link {
     pub(super) fn update(&mut self, mut live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
         bounds::link(&mut live, left_out);
         // `newest` is the incomplete second. Later seconds were reported before the edge's clock was set back.
-        let newest = (sent + LATER).unix_seconds();
+        let newest = (sent + MAX_REPORT_SKEW).unix_seconds();
         drop(self.history.split_off(&newest.saturating_add(1)));
         let at = second(live.now.at);
         if at <= newest && at > newest.saturating_sub(HISTORY_S) {
@@ -51,7 +51,7 @@ impl Link {
         if let Some((last, _)) = self.history.last_key_value() {
             self.history = self.history.split_off(&(last.saturating_sub(HISTORY_S) + 1));
         }
-        (self.live, self.seen, self.picture) = (live, now, None);
+        (self.live, self.seen, self.snapshot) = (live, now, None);
     }
 
     /// Returns the time of the latest report.
@@ -59,26 +59,31 @@ impl Link {
         self.seen.mono
     }
 
-    /// Returns the cloud's name, by which the picture is sorted.
+    /// Returns the cloud's name, by which the live state is sorted.
     pub(super) fn cloud(&self) -> &Slug {
         &self.live.peer_name
     }
 
     /// Discards the snapshot after a change outside the reports.
-    pub(super) fn redraw(&mut self) {
-        self.picture = None;
+    pub(super) fn invalidate_snapshot(&mut self) {
+        self.snapshot = None;
     }
 
     /// Returns the link's snapshot. `last` is the time of the edge's last message if the edge is connected.
-    pub(super) fn picture(&mut self, edge: HostId, name: &Slug, last: Option<MonoTime>) -> Arc<LinkSnapshot> {
+    pub(super) fn snapshot(
+        &mut self,
+        edge: HostId,
+        name: &Slug,
+        last: Option<MonoTime>,
+    ) -> Arc<LinkSnapshot> {
         // A connected edge whose latest update does not contain the link does not use the cloud any more.
         let connected = last == Some(self.seen.mono);
-        if let Some(drawn) = &self.picture
-            && drawn.connected == connected
+        if let Some(cached) = &self.snapshot
+            && cached.connected == connected
         {
-            return Arc::clone(drawn);
+            return Arc::clone(cached);
         }
-        let picture = Arc::new(LinkSnapshot {
+        let snapshot = Arc::new(LinkSnapshot {
             edge,
             edge_name: name.clone(),
             connected,
@@ -86,8 +91,8 @@ impl Link {
             live: self.live.clone(),
             history: self.history.values().cloned().collect(),
         });
-        self.picture = Some(Arc::clone(&picture));
-        picture
+        self.snapshot = Some(Arc::clone(&snapshot));
+        snapshot
     }
 }
 

@@ -9,9 +9,9 @@ use peernet_stream::HostMetrics;
 use crate::live_state::MetricsPoint;
 
 /// Interval between two points.
-const POINT_EVERY: Span = Span::from_seconds(5);
+const POINT_INTERVAL: Span = Span::from_seconds(5);
 /// Number of points: ten minutes.
-const POINTS: usize = 120;
+const MAX_POINTS: usize = 120;
 
 /// The latest metrics of a host, and earlier ones at a fixed interval.
 #[derive(Debug)]
@@ -30,8 +30,8 @@ impl MetricsHistory {
     /// Adds the latest metrics.
     pub(super) fn push(&mut self, metrics: HostMetrics, now: Stamp) {
         if now.mono >= self.next_point {
-            self.next_point = now.mono + POINT_EVERY;
-            if self.points.len() == POINTS {
+            self.next_point = now.mono + POINT_INTERVAL;
+            if self.points.len() == MAX_POINTS {
                 self.points.pop_front();
             }
             self.points.push_back(Arc::new(MetricsPoint { at: now.wall, metrics: metrics.clone() }));

@@ -1,4 +1,4 @@
-//! The live picture: the current state of all agents, from the live lane alone, so that it stays current however many
+//! The live state: the current state of all agents, from the live lane alone, so that it stays current however many
 //! batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
 //! Memory is bounded whatever agents send: the numbers of hosts, of pipelines and links per host, and of names per
@@ -29,26 +29,26 @@ use self::host::Host;
 use crate::live_state::{LiveState, RefusedHost, Totals};
 use peernet_store::Stored;
 
-/// Largest number of hosts in the picture. Beyond it, the host that was silent longest is removed.
-const MOST_HOSTS: usize = 4_096;
-/// Silence after which a host without stored events is removed from the picture.
-const FORGET_STRANGERS: Span = Span::from_seconds(600);
+/// Largest number of hosts in the live state. Beyond it, the host that was silent longest is removed.
+const MAX_HOSTS: usize = 4_096;
+/// Silence after which a host without stored events is removed from the live state.
+const UNSTORED_HOST_TIMEOUT: Span = Span::from_seconds(600);
 /// Largest number of pipelines per host.
-const MOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
+const MAX_HOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
 /// Largest number of links per host.
-const MOST_LINKS: usize = 64;
+const MAX_HOST_LINKS: usize = 64;
 /// Largest number of names per pipeline and window.
-const MOST_NAMES: usize = 128;
-/// Largest number of refused hosts in the picture.
-const MOST_REFUSED: usize = 32;
+const MAX_NAMES: usize = 128;
+/// Largest number of refused hosts in the live state.
+const MAX_REFUSED: usize = 32;
 /// Time for which a refused host is shown.
-const REFUSED_FOR: Span = Span::from_seconds(600);
-/// Largest number of hosts outside the picture whose stored counts are kept for the totals.
-const MOST_REMEMBERED: usize = 65_536;
+const REFUSAL_SHOWN_FOR: Span = Span::from_seconds(600);
+/// Largest number of hosts outside the live state whose stored counts are kept for the totals.
+const MAX_REMEMBERED: usize = 65_536;
 /// Largest number of run numbers that are kept.
-const MOST_RUNS: usize = 10_000;
+const MAX_RUN_NUMBERS: usize = 10_000;
 
-/// An event that changes the picture.
+/// An event that changes the live state.
 #[derive(Debug)]
 pub(crate) enum LiveEvent {
     /// A host's hello was accepted, with the number that its process drew at its start.
@@ -89,19 +89,19 @@ pub(crate) enum LiveEvent {
 pub(crate) struct LiveTracker {
     aggregator: Slug,
     listening: String,
-    /// Silence after which a host is removed from the picture.
+    /// Silence after which a host is removed from the live state.
     forget: Span,
     hosts: HashMap<HostId, Host>,
     refused: VecDeque<(Stamp, RefusedHost)>,
     /// Keyed by the host and the id under which it reports the run.
     numbers: HashMap<(HostId, RunId), i64>,
-    /// Stored counts of hosts that are not in the picture.
+    /// Stored counts of hosts that are not in the live state.
     stored: HashMap<HostId, Stored>,
     totals: Totals,
 }
 
 impl LiveTracker {
-    /// Creates an empty picture. A host that is silent for `forget` is removed.
+    /// Creates an empty live state. A host that is silent for `forget` is removed.
     pub(crate) fn new(aggregator: Slug, listening: String, forget: Span) -> Self {
         Self {
             aggregator,
@@ -123,11 +123,11 @@ impl LiveTracker {
             LiveEvent::Reopened { runs, hosts } => self.restart(runs, hosts),
             LiveEvent::Run(host, run, number) => {
                 // A hostile agent can start any number of runs.
-                if self.numbers.len() >= MOST_RUNS {
+                if self.numbers.len() >= MAX_RUN_NUMBERS {
                     self.forget_numbers();
                 }
                 self.numbers.insert((host, run), number);
-                self.with(host, |host| host.number(run));
+                self.update_host(host, |host| host.refresh_run(run));
             }
             LiveEvent::Forget(host) => {
                 let forgotten = self.hosts.get(&host).is_some_and(|host| !host.has_stored());
@@ -136,19 +136,21 @@ impl LiveTracker {
                 }
                 return forgotten;
             }
-            LiveEvent::Update(update) => return self.with(update.host, |host| host.update(*update, now)),
-            LiveEvent::Goodbye(host) => return self.with(host, Host::goodbye),
+            LiveEvent::Update(update) => {
+                return self.update_host(update.host, |host| host.update(*update, now));
+            }
+            LiveEvent::Goodbye(host) => return self.update_host(host, Host::goodbye),
             LiveEvent::Duplicate(host) => {
                 self.totals.stored.duplicates += 1;
-                return self.with(host, Host::duplicate);
+                return self.update_host(host, Host::record_duplicate);
             }
             LiveEvent::Deferred(host) => {
                 self.totals.arrivals.deferred += 1;
-                return self.with(host, |host| host.arrived(|arrivals| arrivals.deferred += 1));
+                return self.update_host(host, |host| host.record_arrival(|arrivals| arrivals.deferred += 1));
             }
             LiveEvent::Damaged(host) => {
                 self.totals.arrivals.damaged += 1;
-                return self.with(host, |host| host.arrived(|arrivals| arrivals.damaged += 1));
+                return self.update_host(host, |host| host.record_arrival(|arrivals| arrivals.damaged += 1));
             }
             LiveEvent::Unreadable => self.totals.refused.unreadable += 1,
             LiveEvent::Stranger => self.totals.refused.strangers += 1,
@@ -162,7 +164,7 @@ impl LiveTracker {
         let shown: HashSet<(HostId, RunId)> =
             self.hosts.iter().flat_map(|(id, host)| host.runs().map(|run| (*id, run))).collect();
         self.numbers.retain(|run, _| shown.contains(run));
-        if self.numbers.len() > MOST_RUNS / 2 {
+        if self.numbers.len() > MAX_RUN_NUMBERS / 2 {
             self.numbers.clear();
         }
     }
@@ -172,7 +174,7 @@ impl LiveTracker {
         self.numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
         for host in self.hosts.values_mut() {
             let shown: Vec<RunId> = host.runs().collect();
-            shown.into_iter().for_each(|run| host.number(run));
+            shown.into_iter().for_each(|run| host.refresh_run(run));
         }
         let held: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
         self.stored.retain(|host, _| held.contains(host));
@@ -185,27 +187,27 @@ impl LiveTracker {
         }
     }
 
-    /// Applies the database's counts of a host. Returns whether the host is in the picture.
+    /// Applies the database's counts of a host. Returns whether the host is in the live state.
     fn store(&mut self, id: HostId, stored: Stored, newest: Option<WallTime>) -> bool {
         let before = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
-        // The increase is added, so that totals stay when a host leaves the picture.
-        add(&mut self.totals.stored, before.unwrap_or_default(), stored);
-        let known = self.with(id, |host| host.store(stored, newest));
+        // The increase is added, so that totals stay when a host leaves the live state.
+        add_increase(&mut self.totals.stored, before.unwrap_or_default(), stored);
+        let known = self.update_host(id, |host| host.store(stored, newest));
         if !known {
             self.remember(id, stored);
         }
         known
     }
 
-    /// Keeps the stored counts of a host that is not in the picture, for the totals.
+    /// Keeps the stored counts of a host that is not in the live state, for the totals.
     fn remember(&mut self, id: HostId, stored: Stored) {
-        if self.stored.len() < MOST_REMEMBERED || self.stored.contains_key(&id) {
+        if self.stored.len() < MAX_REMEMBERED || self.stored.contains_key(&id) {
             self.stored.insert(id, stored);
         }
     }
 
-    /// Changes a host. Returns `false` if it is not in the picture.
-    fn with(&mut self, host: HostId, change: impl FnOnce(&mut Host)) -> bool {
+    /// Changes a host. Returns `false` if it is not in the live state.
+    fn update_host(&mut self, host: HostId, change: impl FnOnce(&mut Host)) -> bool {
         self.hosts.get_mut(&host).map(change).is_some()
     }
 
@@ -215,7 +217,7 @@ impl LiveTracker {
             host.introduce(description, process, now);
             return;
         }
-        if self.hosts.len() >= MOST_HOSTS {
+        if self.hosts.len() >= MAX_HOSTS {
             let silent = self.hosts.iter().min_by_key(|(_, host)| host.seen()).map(|(id, _)| *id);
             if let Some((id, host)) = silent.and_then(|id| self.hosts.remove_entry(&id)) {
                 self.remember(id, host.stored());
@@ -235,32 +237,32 @@ impl LiveTracker {
         let same = |known: &RefusedHost| (&known.name, &known.reason) == (&refused.name, &refused.reason);
         self.refused.retain(|(_, known)| !same(known));
         // The newest refusals are the relevant ones.
-        self.refused.truncate(MOST_REFUSED - 1);
+        self.refused.truncate(MAX_REFUSED - 1);
         self.refused.push_front((now, refused));
     }
 
     /// Applies the passing of time. Returns whether anything visible changed.
-    pub(crate) fn age(&mut self, now: Stamp) -> bool {
+    pub(crate) fn expire(&mut self, now: Stamp) -> bool {
         let before = (self.hosts.len(), self.refused.len());
         let forget = self.forget;
         let gone = self.hosts.extract_if(|_, host| {
-            let patience = if host.has_stored() { forget } else { forget.min(FORGET_STRANGERS) };
-            now.mono - host.seen() > patience
+            let timeout = if host.has_stored() { forget } else { forget.min(UNSTORED_HOST_TIMEOUT) };
+            now.mono - host.seen() > timeout
         });
         let gone: Vec<(HostId, Stored)> = gone.map(|(id, host)| (id, host.stored())).collect();
         gone.into_iter()
             .filter(|(_, stored)| stored.events > 0)
             .for_each(|(id, stored)| self.remember(id, stored));
-        self.refused.retain(|(at, _)| now.mono - at.mono <= REFUSED_FOR);
+        self.refused.retain(|(at, _)| now.mono - at.mono <= REFUSAL_SHOWN_FOR);
         let mut changed = before != (self.hosts.len(), self.refused.len());
         for host in self.hosts.values_mut() {
-            changed |= host.age(now, forget);
+            changed |= host.expire(now, forget);
         }
         changed
     }
 
     /// Returns a snapshot.
-    pub(crate) fn picture(&mut self, now: Stamp) -> LiveState {
+    pub(crate) fn snapshot(&mut self, now: Stamp) -> LiveState {
         let numbers = &self.numbers;
         let mut by_name: BTreeMap<(Slug, HostId), &mut Host> =
             self.hosts.iter_mut().map(|(id, host)| ((host.name().clone(), *id), host)).collect();
@@ -268,7 +270,7 @@ impl LiveTracker {
         let (mut pipelines, mut links) = (Vec::new(), Vec::new());
         for ((_, id), host) in &mut by_name {
             let number = |run| numbers.get(&(*id, run)).copied();
-            hosts.push(host.picture());
+            hosts.push(host.snapshot());
             pipelines.extend(host.pipelines(number, now));
             links.extend(host.links());
         }
@@ -286,13 +288,13 @@ impl LiveTracker {
     }
 
     /// Returns a snapshot to be published.
-    pub(crate) fn shared(&mut self, now: Stamp) -> Arc<LiveState> {
-        Arc::new(self.picture(now))
+    pub(crate) fn shared_snapshot(&mut self, now: Stamp) -> Arc<LiveState> {
+        Arc::new(self.snapshot(now))
     }
 }
 
 /// Adds the increase of a host's stored counts to the totals. Saturates, because a host may state any number.
-const fn add(total: &mut Stored, before: Stored, now: Stored) {
+const fn add_increase(total: &mut Stored, before: Stored, now: Stored) {
     total.events = total.events.saturating_add(now.events.saturating_sub(before.events));
     total.nodes = total.nodes.saturating_add(now.nodes.saturating_sub(before.nodes));
     total.gaps = total.gaps.saturating_add(now.gaps.saturating_sub(before.gaps));

@@ -3,18 +3,18 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_statistics::{Moments, Sketch, Summary};
-use peernet_store::{Figures, P95_NEEDS};
+use peernet_store::{Figures, MIN_P95_SAMPLES};
 
 use crate::live_state::{PercentilePoint, PercentileSeries};
 
 /// Possible lengths of a bucket, seconds.
 const BUCKETS_S: [u32; 9] = [1, 2, 5, 10, 30, 60, 120, 300, 600];
 /// Safety factor for the number of iterations of a bucket, because they are not spread evenly over the buckets.
-const SPARE: f64 = 1.1;
+const COUNT_MARGIN: f64 = 1.1;
 /// Longest pause between two seconds with iterations that counts as running time; a longer one is an interruption and
 /// does not lower the rate. A pipeline with longer intervals has too few iterations for a percentile even in the
 /// longest bucket.
-const PAUSE_S: i64 = 10;
+const MAX_PAUSE_S: i64 = 10;
 
 /// Summaries of the total latency, one per second, and the percentiles of the buckets.
 #[derive(Debug, Default)]
@@ -27,7 +27,7 @@ pub(super) struct Percentiles {
     /// Seconds that changed since the last call of [`Self::series`].
     changed: BTreeSet<i64>,
     /// `true` if a second was added or removed since the last call of [`Self::series`], which changes the rate.
-    grown: bool,
+    has_new_rate: bool,
 }
 
 /// A serialised summary, which needs a tenth of the memory: each pipeline has hundreds of them.
@@ -54,7 +54,7 @@ impl Percentiles {
     /// Replaces the summary of a second; `None` if no iteration succeeded in it.
     pub(super) fn replace(&mut self, at: i64, total: Option<&Summary>) {
         let packed = total.map_or_else(|| PackedSummary::pack(&Summary::default()), PackedSummary::pack);
-        self.grown |= self.seconds.insert(at, packed).is_none();
+        self.has_new_rate |= self.seconds.insert(at, packed).is_none();
         self.changed.insert(at);
     }
 
@@ -62,7 +62,7 @@ impl Percentiles {
     pub(super) fn forget_from(&mut self, second: i64) {
         // Their buckets have to be computed again.
         self.changed.extend(self.seconds.split_off(&second).into_keys());
-        self.grown = true;
+        self.has_new_rate = true;
     }
 
     /// Discards the seconds before `second`. A percentile remains while its bucket overlaps the rest.
@@ -75,8 +75,8 @@ impl Percentiles {
 
     /// Returns the percentiles of the buckets with enough iterations.
     pub(super) fn series(&mut self) -> PercentileSeries {
-        if std::mem::take(&mut self.grown) {
-            let bucket_s = self.rate().and_then(bucket);
+        if std::mem::take(&mut self.has_new_rate) {
+            let bucket_s = self.rate().and_then(bucket_length);
             // Another rate may need another length, which changes all buckets.
             if bucket_s != self.bucket_s {
                 self.bucket_s = bucket_s;
@@ -90,7 +90,7 @@ impl Percentiles {
         // Only buckets with a changed second are merged, because merging sketches is the main cost of a snapshot.
         let buckets: BTreeSet<i64> = changed.into_iter().map(|at| at.div_euclid(length) * length).collect();
         for from in buckets {
-            match self.merge(from, length) {
+            match self.bucket_percentile(from, length) {
                 Some(point) => self.points.insert(from, point),
                 None => self.points.remove(&from),
             };
@@ -99,23 +99,23 @@ impl Percentiles {
     }
 
     /// Returns the percentile of a bucket; `None` if it has too few iterations.
-    fn merge(&self, from: i64, length: i64) -> Option<PercentilePoint> {
+    fn bucket_percentile(&self, from: i64, length: i64) -> Option<PercentilePoint> {
         let mut sum = Summary::default();
         for second in self.seconds.range(from..from.saturating_add(length)).map(|(_, second)| second) {
             sum.merge(&second.unpack());
         }
-        let figures = Figures::of(&sum)?;
+        let figures = Figures::from_summary(&sum)?;
         Some(PercentilePoint { at: from, count: figures.count, p95: figures.p95? })
     }
 
-    /// Returns the rate of successful iterations per second of running time; `None` in the first second.
+    /// Returns the number of successful iterations per second of running time; `None` in the first second.
     fn rate(&self) -> Option<f64> {
         // The newest second is incomplete.
         let newest = *self.seconds.last_key_value()?.0;
         let (mut count, mut covered, mut last) = (0, 0, None);
         for (at, second) in self.seconds.range(..newest) {
             count += second.moments.count;
-            covered += last.map_or(1, |last: i64| (at - last).min(PAUSE_S));
+            covered += last.map_or(1, |last: i64| (at - last).min(MAX_PAUSE_S));
             last = Some(*at);
         }
         (covered > 0).then(|| count as f64 / covered as f64)
@@ -123,7 +123,7 @@ impl Percentiles {
 }
 
 /// Returns the length of the shortest bucket with enough iterations for a 95th percentile at this rate, seconds.
-fn bucket(rate_hz: f64) -> Option<u32> {
-    let needed = P95_NEEDS as f64 * SPARE;
+fn bucket_length(rate_hz: f64) -> Option<u32> {
+    let needed = MIN_P95_SAMPLES as f64 * COUNT_MARGIN;
     BUCKETS_S.into_iter().find(|seconds| rate_hz * f64::from(*seconds) >= needed)
 }

@@ -13,18 +13,18 @@ use super::percentiles::Percentiles;
 use super::second_figures::SecondFigures;
 use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 
-/// Lengths of the picture's windows, in complete seconds.
+/// Lengths of the live state's windows, in complete seconds.
 const WINDOWS: [u32; 3] = [1, 10, 60];
 /// Seconds that are kept with their sketches: the longest window and the incomplete second.
 const SKETCHES_S: i64 = 61;
-/// Length of their ring, seconds. The surplus is for a clock that is set back by less than [`STEP`].
+/// Length of their ring, seconds. The surplus is for a clock that is set back by less than [`MAX_CLOCK_DECREASE`].
 const RING_S: usize = 64;
 /// Seconds that are kept as points of the live charts.
 const SERIES_S: i64 = 600;
-/// A larger decrease of the agent's clock means that the clock was set back.
-const STEP: Span = Span::from_seconds(2);
+/// Largest decrease of the agent's clock that the ring absorbs. A larger decrease means that the clock was set back.
+const MAX_CLOCK_DECREASE: Span = Span::from_seconds(2);
 /// Silence after which the windows continue without the agent. Updates arrive four times a second.
-const SILENT: Span = Span::from_seconds(1);
+const MAX_UPDATE_AGE: Span = Span::from_seconds(1);
 
 /// State of one pipeline, with rings of the last seconds of the agent's wall clock, whatever time that shows.
 #[derive(Debug)]
@@ -41,7 +41,7 @@ pub(super) struct Pipeline {
     /// The aggregator's clocks at the latest update.
     seen: Stamp,
     /// The latest snapshot; `None` if something changed since.
-    picture: Option<Arc<PipelineSnapshot>>,
+    snapshot: Option<Arc<PipelineSnapshot>>,
 }
 
 impl Pipeline {
@@ -57,7 +57,7 @@ impl Pipeline {
             percentiles: Percentiles::default(),
             sent,
             seen: now,
-            picture: None,
+            snapshot: None,
         };
         pipeline.update(live, sent, now, left_out);
         pipeline
@@ -69,7 +69,7 @@ impl Pipeline {
         bounds::state(&mut live.state);
         bounds::placement(&mut live.placement);
         bounds::text(&mut live.load);
-        if self.sent - sent > STEP {
+        if self.sent - sent > MAX_CLOCK_DECREASE {
             // The clock was set back and repeats these seconds; the known ones happened at other times.
             self.recent.forget_from(sent.unix_seconds());
             drop(self.series.split_off(&sent.unix_seconds()));
@@ -86,8 +86,8 @@ impl Pipeline {
                 *left_out += 1;
                 continue;
             }
-            let second_figures = SecondFigures::of(second, left_out);
-            self.series.insert(at, Arc::new(second_figures.draw(at)));
+            let second_figures = SecondFigures::from_report(second, left_out);
+            self.series.insert(at, Arc::new(second_figures.to_live_second(at)));
             self.percentiles.replace(at, second_figures.total());
             // Sketches are large; older seconds are kept as points of the charts only.
             if at > newest - SKETCHES_S {
@@ -97,7 +97,7 @@ impl Pipeline {
         let oldest = newest.saturating_sub(SERIES_S) + 1;
         self.series = self.series.split_off(&oldest);
         self.percentiles.forget_before(oldest);
-        self.picture = None;
+        self.snapshot = None;
     }
 
     /// Returns the time of the latest update.
@@ -106,13 +106,14 @@ impl Pipeline {
     }
 
     /// Discards the snapshot if its windows change with time, because the agent is silent. Returns whether it did.
-    pub(super) fn age(&mut self, now: Stamp) -> bool {
-        let empty =
-            |picture: &Arc<PipelineSnapshot>| picture.windows.iter().all(|window| window.counts.total() == 0);
-        let ageing =
-            now.mono - self.seen.mono > SILENT && self.picture.as_ref().is_some_and(|drawn| !empty(drawn));
+    pub(super) fn expire(&mut self, now: Stamp) -> bool {
+        let empty = |snapshot: &Arc<PipelineSnapshot>| {
+            snapshot.windows.iter().all(|window| window.counts.total() == 0)
+        };
+        let ageing = now.mono - self.seen.mono > MAX_UPDATE_AGE
+            && self.snapshot.as_ref().is_some_and(|cached| !empty(cached));
         if ageing {
-            self.picture = None;
+            self.snapshot = None;
         }
         ageing
     }
@@ -123,24 +124,24 @@ impl Pipeline {
     }
 
     /// Marks the pipeline as finished, because its agent stopped in order.
-    pub(super) fn end(&mut self) {
+    pub(super) fn mark_finished(&mut self) {
         if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
             self.state = PipelineState::Finished;
-            self.picture = None;
+            self.snapshot = None;
         }
     }
 
     /// Marks the pipeline as away, because its host became silent and may or may not still run it.
-    pub(super) fn away(&mut self) {
+    pub(super) fn mark_away(&mut self) {
         if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
             self.state = PipelineState::Away;
-            self.picture = None;
+            self.snapshot = None;
         }
     }
 
     /// Discards the snapshot after a change outside the updates.
-    pub(super) fn redraw(&mut self) {
-        self.picture = None;
+    pub(super) fn invalidate_snapshot(&mut self) {
+        self.snapshot = None;
     }
 
     /// Returns the current or last run.
@@ -149,17 +150,17 @@ impl Pipeline {
     }
 
     /// Returns the pipeline's snapshot. `number` returns the store's number of a run.
-    pub(super) fn picture(
+    pub(super) fn snapshot(
         &mut self,
         (host, host_name, pipeline): (HostId, &Slug, &Slug),
         number: impl Fn(RunId) -> Option<i64>,
         now: Stamp,
     ) -> Arc<PipelineSnapshot> {
         // Unchanged pipelines share one snapshot between pictures.
-        if let Some(drawn) = &self.picture {
-            return Arc::clone(drawn);
+        if let Some(cached) = &self.snapshot {
+            return Arc::clone(cached);
         }
-        let picture = Arc::new(PipelineSnapshot {
+        let snapshot = Arc::new(PipelineSnapshot {
             host,
             host_name: host_name.clone(),
             pipeline: pipeline.clone(),
@@ -173,14 +174,14 @@ impl Pipeline {
             series: self.series.values().cloned().collect(),
             total_p95: self.percentiles.series(),
         });
-        self.picture = Some(Arc::clone(&picture));
-        picture
+        self.snapshot = Some(Arc::clone(&snapshot));
+        snapshot
     }
 
     /// Returns the windows. They end at the agent's latest update, or at the present if the agent is silent.
     fn windows(&self, now: Stamp) -> [Window; 3] {
         let silence = now.mono - self.seen.mono;
-        let end = if silence > SILENT { self.sent + silence } else { self.sent };
+        let end = if silence > MAX_UPDATE_AGE { self.sent + silence } else { self.sent };
         let current = end.unix_seconds();
         let under_way = (end - WallTime::from_unix_nanos(current.saturating_mul(1_000_000_000))).seconds();
         // The time before the pipeline's start does not lower the rate. At least 1 s is assumed, so that a pipeline

@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 
 /// Silence after which a host counts as disconnected. Agents send four messages a second.
-const CONNECTED_WITHIN: Span = Span::from_seconds(3);
+const SILENCE_TIMEOUT: Span = Span::from_seconds(3);
 
 /// State of a host's presence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +68,7 @@ impl Presence {
     pub(super) fn introduce(&mut self, process: u64, now: Stamp) -> bool {
         self.seen = now;
         let same = std::mem::replace(&mut self.process, process) == process;
-        // A new process counts as connected from its first update on: until then the picture shows the previous one.
+        // A new process counts as connected from its first update on: until then the live state shows the previous one.
         if same {
             self.state = State::Connected;
         }
@@ -82,12 +82,12 @@ impl Presence {
     }
 
     /// Records a goodbye.
-    pub(super) const fn leave(&mut self) {
+    pub(super) const fn mark_left(&mut self) {
         self.state = State::Left;
     }
 
     /// Records that the host became silent, unless it has said goodbye.
-    pub(super) fn lose(&mut self) {
+    pub(super) fn mark_silent(&mut self) {
         if self.is_connected() {
             self.state = State::Silent;
         }
@@ -95,6 +95,6 @@ impl Presence {
 
     /// Returns whether the host counts as connected and has been silent for too long.
     pub(super) fn is_overdue(&self, now: MonoTime) -> bool {
-        self.is_connected() && now - self.seen.mono > CONNECTED_WITHIN
+        self.is_connected() && now - self.seen.mono > SILENCE_TIMEOUT
     }
 }

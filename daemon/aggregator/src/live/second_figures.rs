@@ -8,7 +8,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::{Merge, Summary};
 use peernet_stream::{OutcomeCounts, Second};
 
-use super::MOST_NAMES;
+use super::MAX_NAMES;
 use crate::live_state::{LiveSecond, Window};
 use peernet_store::{Bound, Figures, rank};
 
@@ -24,13 +24,13 @@ pub(super) struct SecondFigures {
 }
 
 impl SecondFigures {
-    /// Creates the figures from an agent's report of a second, cut to `MOST_NAMES`. The number of removed names is
+    /// Creates the figures from an agent's report of a second, cut to `MAX_NAMES`. The number of removed names is
     /// added to `left_out`.
-    pub(super) fn of(second: Second, left_out: &mut u64) -> Self {
+    pub(super) fn from_report(second: Second, left_out: &mut u64) -> Self {
         let Second { counts, mut values, mut bounds, verdicts, .. } = second;
         let mut limit = |names: &mut Vec<(Name, Summary)>| {
-            *left_out += names.len().saturating_sub(MOST_NAMES) as u64;
-            names.truncate(MOST_NAMES);
+            *left_out += names.len().saturating_sub(MAX_NAMES) as u64;
+            names.truncate(MAX_NAMES);
             names.shrink_to_fit();
         };
         limit(&mut values);
@@ -38,7 +38,7 @@ impl SecondFigures {
         let known =
             |(stage, verdict, count): (Name, Name, u64)| Some((stage, Verdict::from_name(&verdict)?, count));
         // Verdicts of a later version are unknown here and left out.
-        let verdicts = verdicts.into_iter().filter_map(known).take(MOST_NAMES).collect();
+        let verdicts = verdicts.into_iter().filter_map(known).take(MAX_NAMES).collect();
         Self { counts, values, bounds, verdicts }
     }
 
@@ -48,7 +48,7 @@ impl SecondFigures {
     }
 
     /// Returns the second in the form of the live charts.
-    pub(super) fn draw(&self, at: i64) -> LiveSecond {
+    pub(super) fn to_live_second(&self, at: i64) -> LiveSecond {
         let mut means: Vec<(Name, f64)> = self
             .values
             .iter()
@@ -56,7 +56,7 @@ impl SecondFigures {
             .map(|(name, summary)| (name.clone(), summary.moments.mean))
             .collect();
         means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        let total_p95 = self.total().and_then(Figures::of).and_then(|figures| figures.p95);
+        let total_p95 = self.total().and_then(Figures::from_summary).and_then(|figures| figures.p95);
         let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());
         LiveSecond { at, counts: self.counts, means, total_p95, transfers, verdicts }
     }
@@ -72,7 +72,8 @@ impl SecondFigures {
     /// Returns the figures of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
     pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
         let total = self.counts.total();
-        let figures = |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::of(summary)?));
+        let figures =
+            |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::from_summary(summary)?));
         let mut values: Vec<(Name, Figures)> = self.values.iter().filter_map(figures).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
         // A second without any answer lists the name without samples.
@@ -88,17 +89,17 @@ impl SecondFigures {
             miss_rate: misses.and_then(Misses::rate),
             values,
             transfers: self.transfers(),
-            bounds: self.directions(),
+            bounds: self.delay_bounds(),
         }
     }
 
     /// Returns the clock bounds of both directions.
-    fn directions(&self) -> Vec<Bound> {
+    fn delay_bounds(&self) -> Vec<Bound> {
         [stage::UPLOAD, stage::DOWNLOAD]
             .into_iter()
             .filter_map(|stage| {
                 let half_width = self.bounds.iter().find(|(name, _)| *name == stage);
-                let half_width = half_width.and_then(|(_, summary)| Figures::of(summary));
+                let half_width = half_width.and_then(|(_, summary)| Figures::from_summary(summary));
                 let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
                 for known in Verdict::ALL {
                     let given =
@@ -127,7 +128,7 @@ impl Merge for SecondFigures {
             let known = self.verdicts.iter().position(|(name, known, _)| name == stage && known == verdict);
             match known {
                 Some(at) => self.verdicts[at].2 = self.verdicts[at].2.saturating_add(*count),
-                None if self.verdicts.len() < MOST_NAMES => {
+                None if self.verdicts.len() < MAX_NAMES => {
                     self.verdicts.push((stage.clone(), *verdict, *count));
                 }
                 None => {}
@@ -136,7 +137,7 @@ impl Merge for SecondFigures {
     }
 }
 
-/// Merges summaries by name, up to `MOST_NAMES`.
+/// Merges summaries by name, up to `MAX_NAMES`.
 fn merge_named(into: &mut Vec<(Name, Summary)>, from: &[(Name, Summary)]) {
     for (position, (name, summary)) in from.iter().enumerate() {
         // Fast path: most seconds list the same names in the same order.
@@ -146,7 +147,7 @@ fn merge_named(into: &mut Vec<(Name, Summary)>, from: &[(Name, Summary)]) {
         };
         match known {
             Some(at) => into[at].1.merge(summary),
-            None if into.len() < MOST_NAMES => into.push((name.clone(), summary.clone())),
+            None if into.len() < MAX_NAMES => into.push((name.clone(), summary.clone())),
             None => {}
         }
     }

@@ -5,16 +5,16 @@ use peernet_clock::{MonoTime, Span};
 use crate::live_state::CatchingUp;
 
 /// Time constant of the exponential weights, seconds.
-const MEMORY_S: f64 = 10.0;
+const TIME_CONSTANT_S: f64 = 10.0;
 /// Shortest observed time that supports a rate, seconds.
-const LEAST_S: f64 = 2.0;
-/// Gap between updates after which the estimate starts again. Updates arrive four times a second, so a longer gap says
-/// nothing about the present rate.
-const SILENCE: Span = Span::from_seconds(5);
-/// Smaller lags are not a backlog: that is the time that a batch needs.
-const NEAR: Span = Span::from_seconds(5);
+const MIN_OBSERVED_S: f64 = 2.0;
+/// Time between updates after which the estimate is restarted. Updates arrive four times a second, so the rate before a
+/// longer gap does not apply after it.
+const MAX_UPDATE_GAP: Span = Span::from_seconds(5);
+/// Smallest lag that counts as a backlog. A smaller lag is the time that a batch needs.
+const MIN_BACKLOG: Span = Span::from_seconds(5);
 /// Smallest rate at which the lag falls, in seconds per second, for an estimate.
-const LEAST_RATE: f64 = 0.02;
+const MIN_RATE: f64 = 0.02;
 
 /// Exponentially weighted sums. They need constant memory and are unbiased from the first second on, because the sums
 /// and the observed time decay alike.
@@ -37,11 +37,11 @@ impl StorageLag {
         if let Some((then, before, count)) = self.last {
             let elapsed = (now - then).seconds();
             // The count of a replaced spool starts at 0.
-            if now - then > SILENCE || stored < count {
+            if now - then > MAX_UPDATE_GAP || stored < count {
                 *self = Self::default();
             } else {
                 // Weight of the earlier sums.
-                let kept = (-elapsed / MEMORY_S).exp();
+                let kept = (-elapsed / TIME_CONSTANT_S).exp();
                 self.observed_s = self.observed_s * kept + elapsed;
                 self.fallen_s = self.fallen_s * kept + (before - behind).seconds();
                 self.stored = self.stored * kept + (stored - count) as f64;
@@ -51,17 +51,17 @@ impl StorageLag {
     }
 
     /// Returns the estimate; `None` if the lag does not fall or is small.
-    pub(super) fn catching_up(&self) -> Option<CatchingUp> {
+    pub(super) fn estimate(&self) -> Option<CatchingUp> {
         let (_, behind, _) = self.last?;
         // Extrapolating from little data or a small lag would make the displayed time jump.
-        if self.observed_s < LEAST_S || behind < NEAR {
+        if self.observed_s < MIN_OBSERVED_S || behind < MIN_BACKLOG {
             return None;
         }
         let rate = self.fallen_s / self.observed_s;
-        (rate >= LEAST_RATE).then(|| CatchingUp {
+        (rate >= MIN_RATE).then(|| CatchingUp {
             rate,
             events_per_second: self.stored / self.observed_s,
-            left: Span::from_seconds_f64(behind.seconds() / rate),
+            remaining: Span::from_seconds_f64(behind.seconds() / rate),
         })
     }
 }
@@ -87,13 +87,13 @@ mod tests {
     fn falling_lag_yields_time_left() {
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 1, |time| 11_520.0 - 48.0 * time);
-        assert_eq!(lag.catching_up(), None, "one second supports no rate");
+        assert_eq!(lag.estimate(), None, "one second supports no rate");
         observe(&mut lag, 1, 30, |time| 11_520.0 - 48.0 * time);
-        let found = lag.catching_up().expect("it falls");
+        let found = lag.estimate().expect("it falls");
         assert!((found.rate - 48.0).abs() < 1e-6, "{found:?}");
         assert!((found.events_per_second - 20_000.0).abs() < 1.0, "{found:?}");
         let left = (11_520.0 - 48.0 * 29.75) / 48.0;
-        assert!((found.left.seconds() - left).abs() < 1e-3, "{found:?}");
+        assert!((found.remaining.seconds() - left).abs() < 1e-3, "{found:?}");
     }
 
     #[test]
@@ -101,7 +101,7 @@ mod tests {
         for behind in [|time: f64| 100.0 + time, |_: f64| 100.0, |time: f64| (4.0 - time * 0.1).max(0.1)] {
             let mut lag = StorageLag::default();
             observe(&mut lag, 0, 30, behind);
-            assert_eq!(lag.catching_up(), None);
+            assert_eq!(lag.estimate(), None);
         }
     }
 
@@ -110,12 +110,12 @@ mod tests {
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 + time);
         observe(&mut lag, 60, 120, |time| 10_060.0 - 20.0 * (time - 60.0));
-        let found = lag.catching_up().expect("it falls");
+        let found = lag.estimate().expect("it falls");
         assert!((found.rate - 20.0).abs() < 0.3, "{found:?}");
         // Batches of four seconds each: the age of the oldest waiting event falls in steps.
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 - 40.0 * (time / 4.0).floor() * 4.0);
-        let found = lag.catching_up().expect("it falls");
+        let found = lag.estimate().expect("it falls");
         assert!((30.0..50.0).contains(&found.rate), "{found:?}");
     }
 
@@ -124,12 +124,12 @@ mod tests {
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 30, |time| 10_000.0 - 20.0 * time);
         lag.observe(Some(Span::from_seconds(5_000)), 40_000_000, at(120.0));
-        assert_eq!(lag.catching_up(), None, "the silence is no catching up");
+        assert_eq!(lag.estimate(), None, "the silence is no catching up");
         observe(&mut lag, 121, 130, |time| 5_000.0 - 20.0 * (time - 121.0));
-        assert_eq!(lag.catching_up().map(|found| found.rate.round()), Some(20.0));
+        assert_eq!(lag.estimate().map(|found| found.rate.round()), Some(20.0));
         lag.observe(Some(Span::from_seconds(4_000)), 3, at(130.0));
-        assert_eq!(lag.catching_up(), None, "a spool that was replaced begins to count anew");
+        assert_eq!(lag.estimate(), None, "a spool that was replaced begins to count anew");
         lag.observe(None, 4, at(131.0));
-        assert_eq!(lag.catching_up(), None, "nothing waits");
+        assert_eq!(lag.estimate(), None, "nothing waits");
     }
 }

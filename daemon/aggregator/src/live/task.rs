@@ -1,4 +1,4 @@
-//! The task that owns the live picture's state and publishes its snapshots.
+//! The task that owns the live state and publishes its snapshots.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use super::{LiveEvent, LiveTracker};
 use crate::live_state::LiveState;
 
 /// Shortest interval between two snapshots: at most five a second.
-const BETWEEN: Span = Span::from_millis(200);
+const SNAPSHOT_INTERVAL: Span = Span::from_millis(200);
 /// Interval of applying the passing of time to silent hosts.
 const AGE_EVERY: Duration = Duration::from_secs(1);
 
@@ -18,7 +18,7 @@ const AGE_EVERY: Duration = Duration::from_secs(1);
 pub(crate) async fn run(
     mut live: LiveTracker,
     mut events: mpsc::Receiver<LiveEvent>,
-    pictures: watch::Sender<Arc<LiveState>>,
+    snapshots: watch::Sender<Arc<LiveState>>,
     clock: SharedClock,
 ) {
     let mut ageing = tokio::time::interval(AGE_EVERY);
@@ -27,17 +27,17 @@ pub(crate) async fn run(
     let mut changed = false;
     loop {
         // Events are collected until the next snapshot is due, so that a burst costs one snapshot.
-        let wait = (BETWEEN - (clock.mono() - published)).to_duration();
+        let wait = (SNAPSHOT_INTERVAL - (clock.mono() - published)).to_duration();
         tokio::select! {
             event = events.recv() => match event {
                 Some(event) => changed |= live.apply(event, clock.stamp()),
                 None => return,
             },
-            _ = ageing.tick() => changed |= live.age(clock.stamp()),
+            _ = ageing.tick() => changed |= live.expire(clock.stamp()),
             () = tokio::time::sleep(wait), if changed => {
                 changed = false;
                 published = clock.mono();
-                pictures.send_replace(live.shared(clock.stamp()));
+                snapshots.send_replace(live.shared_snapshot(clock.stamp()));
             }
         }
     }

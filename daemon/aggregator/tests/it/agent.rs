@@ -82,13 +82,13 @@ impl Agent {
 
     pub(crate) async fn with(id: HostId, name: &str, address: &str, clock: &SharedClock) -> Self {
         let spool = Spool::new();
-        // This socket does not report lost connections, so the agent detects them by its patience.
-        let patience = Span::from_millis(500);
-        let config = SendingConfig { batch_nodes: 1_000, patience, ..SendingConfig::default() };
+        // This socket does not report lost connections, so the agent detects them by its acknowledgement timeout.
+        let ack_timeout = Span::from_millis(500);
+        let config = SendingConfig { batch_nodes: 1_000, ack_timeout, ..SendingConfig::default() };
         let process = generate::Numbers::new(clock.mono().nanos() as u64).bits();
         let mut sending =
             Sending::new(config, generate::host(id, name), secret_of(id), process, spool.state());
-        sending.connected(clock.mono());
+        sending.on_connected(clock.mono());
         let socket = AgentSocket::to(address).await;
         Self { id, sending, notices: Vec::new(), spool, socket, clock: SharedClock::clone(clock) }
     }
@@ -121,7 +121,7 @@ impl Agent {
                     self.sending.deadline().map(|deadline| (deadline - self.clock.mono()).to_duration());
                 tokio::select! {
                     message = self.socket.receive() => {
-                        let notice = self.sending.received(&message, self.clock.stamp());
+                        let notice = self.sending.on_message(&message, self.clock.stamp());
                         self.notices.extend(notice);
                     }
                     () = tokio::time::sleep(wait.unwrap_or(PATIENCE).min(Duration::from_millis(50))) => {}

@@ -21,12 +21,12 @@ async fn second_host_of_one_name_is_refused_and_shown() {
     assert!(
         reason.contains("the name edge is taken by the host with the id") && reason.contains("another name")
     );
-    let picture = testbed.picture("the refusal", |picture| !picture.refused.is_empty()).await;
+    let snapshot = testbed.snapshot("the refusal", |snapshot| !snapshot.refused.is_empty()).await;
     assert_eq!(
-        (picture.hosts.len(), picture.refused[0].name.as_str(), &picture.refused[0].reason),
+        (snapshot.hosts.len(), snapshot.refused[0].name.as_str(), &snapshot.refused[0].reason),
         (1, "edge", reason)
     );
-    assert!(picture.refused[0].address.as_deref().is_some_and(|address| address.starts_with("127.0.0.1:")));
+    assert!(snapshot.refused[0].address.as_deref().is_some_and(|address| address.starts_with("127.0.0.1:")));
     testbed.stop().await;
 }
 
@@ -42,7 +42,7 @@ async fn crashed_agent_reconnects_with_same_id() {
     assert!(after.notices.iter().all(|notice| !matches!(notice, Notice::Refused(_))), "{:?}", after.notices);
     after.offer([generate::run_started(RunId::random(), "line", generate::at(0.0))]);
     after.until_stored().await;
-    assert_eq!(testbed.picture("the host", |picture| picture.hosts.len() == 1).await.hosts[0].id, id);
+    assert_eq!(testbed.snapshot("the host", |snapshot| snapshot.hosts.len() == 1).await.hosts[0].id, id);
     testbed.stop().await;
 }
 
@@ -68,8 +68,8 @@ async fn duplicate_missing_and_early_batches_are_distinguished() {
     scripted_agent.expect(Reply::Ack(2)).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 2);
     testbed
-        .picture("three duplicates", |picture| {
-            picture.hosts.first().is_some_and(|host| host.stored.duplicates == 3)
+        .snapshot("three duplicates", |snapshot| {
+            snapshot.hosts.first().is_some_and(|host| host.stored.duplicates == 3)
         })
         .await;
     // The host id is not sufficient on another connection.
@@ -109,13 +109,13 @@ async fn damaged_batch_is_requested_again_then_quarantined() {
     assert_eq!(testbed.count("SELECT count(*) FROM quarantine WHERE number = 2 AND events IS NULL").await, 1);
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 2);
     assert_eq!(testbed.count("SELECT count(*) FROM gap WHERE count = 1").await, 1);
-    let picture = testbed.picture("the quarantined batch", |picture| {
+    let snapshot = testbed.snapshot("the quarantined batch", |snapshot| {
         // The third batch may be in a separate transaction.
-        picture.hosts.first().is_some_and(|host| {
+        snapshot.hosts.first().is_some_and(|host| {
             host.stored.quarantined == 1 && host.arrivals.damaged == 4 && host.stored.nodes >= 42
         })
     });
-    assert_eq!(picture.await.hosts[0].stored.nodes, 42);
+    assert_eq!(snapshot.await.hosts[0].stored.nodes, 42);
     testbed.stop().await;
 }
 

@@ -40,13 +40,13 @@ async fn deferred_batches_are_requested_when_room_is_free() {
         }
     }
     let late = agents[2].next();
-    testbed.picture("that there is no room", |picture| picture.totals.arrivals.deferred >= 6).await;
+    testbed.snapshot("that there is no room", |snapshot| snapshot.totals.arrivals.deferred >= 6).await;
     let deferred = large(&mut agents[2]);
     agents[2].socket.send_frame(late.clone()).await;
     agents[2].socket.send_frame(deferred.clone()).await;
     testbed
-        .picture("that there is none for others either", |picture| {
-            picture
+        .snapshot("that there is none for others either", |snapshot| {
+            snapshot
                 .hosts
                 .iter()
                 .any(|host| host.description.name.as_str() == "late" && host.arrivals.deferred > 0)

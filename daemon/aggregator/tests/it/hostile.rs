@@ -74,12 +74,12 @@ async fn unreadable_and_unknown_messages_are_counted() {
     stranger.expect(Reply::Unknown).await;
     stranger.socket.send(&ToAggregator::Goodbye(stranger.host)).await;
     stranger.expect(Reply::Unknown).await;
-    let counted = testbed.picture("all of them", |picture| {
-        let refused = picture.totals.refused;
+    let counted = testbed.snapshot("all of them", |snapshot| {
+        let refused = snapshot.totals.refused;
         (refused.unreadable, refused.strangers) == (3, 2)
     });
-    let picture = counted.await;
-    assert!(picture.hosts.is_empty() && picture.totals.stored.events == 0);
+    let snapshot = counted.await;
+    assert!(snapshot.hosts.is_empty() && snapshot.totals.stored.events == 0);
     testbed.stop().await;
 }
 
@@ -104,11 +104,11 @@ async fn hostile_clock_values_are_bounded_and_stored() {
     let more = [&links[..], &links[..1]].concat();
     agent.live_with(vec![], more, clock.clone()).await;
     agent.live_with(vec![], links, clock).await;
-    let picture = testbed.picture("some links", |picture| !picture.links.is_empty()).await;
-    assert_eq!(picture.links.len(), 64);
+    let snapshot = testbed.snapshot("some links", |snapshot| !snapshot.links.is_empty()).await;
+    assert_eq!(snapshot.links.len(), 64);
     // 64 links of one update are shown, and of 63 of them half of the networks.
-    assert_eq!(picture.hosts[0].live_left_out, 1_024 - 64 + 63 * 32);
-    assert!(serde_json::to_string(&*picture).expect("serialises").len() < 1_000_000);
+    assert_eq!(snapshot.hosts[0].live_left_out, 1_024 - 64 + 63 * 32);
+    assert!(serde_json::to_string(&*snapshot).expect("serialises").len() < 1_000_000);
 
     // Extreme bit patterns in the durable lane, which must store what it can.
     let wild = |second: i64, nanos: i64| {
@@ -162,8 +162,10 @@ async fn nothing_is_acknowledged_while_the_database_file_is_away() {
     let away = testbed.database.with_extension("away");
     std::fs::rename(&testbed.database, &away).expect("moves");
     // Detected although nothing is to be stored.
-    agent.until("it is seen", |_| testbed.aggregator().ready() != Readiness::Ready).await;
-    let Readiness::NotStoring(reason) = testbed.aggregator().ready() else { panic!("not storing") };
+    agent.until("it is seen", |_| testbed.aggregator().current_readiness() != Readiness::Ready).await;
+    let Readiness::NotStoring(reason) = testbed.aggregator().current_readiness() else {
+        panic!("not storing")
+    };
     assert!(reason.contains("deleted, moved or replaced") && reason.contains("put it back"), "{reason}");
     let mut numbers = generate::Numbers::new(3);
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
@@ -173,7 +175,7 @@ async fn nothing_is_acknowledged_while_the_database_file_is_away() {
 
     std::fs::rename(&away, &testbed.database).expect("moves back");
     agent.until_stored().await;
-    assert_eq!(testbed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(testbed.aggregator().current_readiness(), Readiness::Ready);
     assert_eq!(testbed.count("SELECT ok FROM run").await, 50);
     testbed.stop().await;
 }
@@ -207,11 +209,11 @@ async fn unnamed_run_gets_name_from_live_lane() {
             .await,
         1
     );
-    let picture = testbed
-        .picture("what was stored before", |picture| {
-            picture.hosts.first().is_some_and(|host| host.stored.events == 7)
+    let snapshot = testbed
+        .snapshot("what was stored before", |snapshot| {
+            snapshot.hosts.first().is_some_and(|host| host.stored.events == 7)
         })
         .await;
-    assert_eq!(picture.hosts.len(), 1);
+    assert_eq!(snapshot.hosts.len(), 1);
     testbed.stop().await;
 }

@@ -73,10 +73,10 @@ async fn readers_get_what_agents_sent() {
         }
     }
     assert_eq!(testbed.count("SELECT count(*) FROM node").await, 500 * 21);
-    let picture = testbed.picture("both accounts", |picture| {
-        picture.hosts.len() == 2 && picture.hosts.iter().map(|host| host.stored.events).sum::<u64>() == 504
+    let snapshot = testbed.snapshot("both accounts", |snapshot| {
+        snapshot.hosts.len() == 2 && snapshot.hosts.iter().map(|host| host.stored.events).sum::<u64>() == 504
     });
-    assert_eq!(picture.await.hosts.iter().map(|host| host.stored.nodes).sum::<u64>(), 500 * 21);
+    assert_eq!(snapshot.await.hosts.iter().map(|host| host.stored.nodes).sum::<u64>(), 500 * 21);
     testbed.stop().await;
 }
 
@@ -113,13 +113,13 @@ async fn clock_samples_are_shown_and_stored() {
     now.at = testbed.clock.wall();
     let clock = HostClock { text: "kernel, synchronised".into(), ..HostClock::default() };
     agent.live_with(vec![], vec![clocks::link(now.clone())], clock.clone()).await;
-    let picture = testbed.picture("the link", |picture| picture.links.len() == 1).await;
-    let link = &picture.links[0];
+    let snapshot = testbed.snapshot("the link", |snapshot| snapshot.links.len() == 1).await;
+    let link = &snapshot.links[0];
     assert_eq!((link.edge, link.connected, &link.live), (agent.id, true, &clocks::link(now.clone())));
     assert_eq!((link.history.len(), &link.history[0].offset), (1, &now.offset));
-    assert_eq!(picture.hosts[0].clock, clock);
+    assert_eq!(snapshot.hosts[0].clock, clock);
     testbed
-        .picture("that the edge is away", |picture| picture.links.iter().all(|link| !link.connected))
+        .snapshot("that the edge is away", |snapshot| snapshot.links.iter().all(|link| !link.connected))
         .await;
     testbed.stop().await;
 }
@@ -154,7 +154,7 @@ async fn nothing_is_acknowledged_before_commit_while_picture_updates() {
     let mut testbed = Testbed::new().await;
     let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
-    testbed.picture("the host", |picture| picture.hosts.len() == 1).await;
+    testbed.snapshot("the host", |snapshot| snapshot.hosts.len() == 1).await;
     // The greeting is stored before the database is locked.
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
@@ -163,23 +163,27 @@ async fn nothing_is_acknowledged_before_commit_while_picture_updates() {
     let mut other = testbed.connection().await;
     sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut other).await.expect("locks");
     agent.offer(events(&iterations(run, agent.id, 1..=100)));
-    agent.until("storing is seen to fail", |_| testbed.aggregator().ready() != Readiness::Ready).await;
-    let Readiness::NotStoring(reason) = testbed.aggregator().ready() else { panic!("not storing") };
+    agent
+        .until("storing is seen to fail", |_| testbed.aggregator().current_readiness() != Readiness::Ready)
+        .await;
+    let Readiness::NotStoring(reason) = testbed.aggregator().current_readiness() else {
+        panic!("not storing")
+    };
     assert!(reason.contains("locked"), "{reason}");
     assert_eq!((agent.accounting().stored, agent.accounting().waiting), (1, 100));
 
     let second = testbed.clock.wall().unix_seconds();
     agent.live(vec![live(run, second, &[0.020; 7])]).await;
-    let picture = testbed.picture("the second", |picture| {
-        picture.pipelines.first().is_some_and(|line| line.windows[2].counts.ok == 7)
+    let snapshot = testbed.snapshot("the second", |snapshot| {
+        snapshot.pipelines.first().is_some_and(|line| line.windows[2].counts.ok == 7)
     });
-    let picture = picture.await;
-    assert_eq!((picture.pipelines[0].run_number, picture.hosts[0].accounting.waiting), (Some(1), 100));
-    assert!(picture.hosts[0].behind.is_some());
+    let snapshot = snapshot.await;
+    assert_eq!((snapshot.pipelines[0].run_number, snapshot.hosts[0].accounting.waiting), (Some(1), 100));
+    assert!(snapshot.hosts[0].behind.is_some());
 
     sqlx::raw_sql("ROLLBACK").execute(&mut other).await.expect("unlocks");
     agent.until_stored().await;
-    assert_eq!(testbed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(testbed.aggregator().current_readiness(), Readiness::Ready);
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 100);
     testbed.stop().await;
 }

@@ -96,10 +96,10 @@ async fn older_copy_is_compared_with_spools_again() {
     line.store(5).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 1);
-    let picture = testbed.picture("what this database holds", |picture| {
-        picture.hosts.first().is_some_and(|host| host.stored.events < 50)
+    let snapshot = testbed.snapshot("what this database holds", |snapshot| {
+        snapshot.hosts.first().is_some_and(|host| host.stored.events < 50)
     });
-    assert_eq!(picture.await.hosts.len(), 1);
+    assert_eq!(snapshot.await.hosts.len(), 1);
     // Readers use the file that is at the path now, too.
     let after = testbed.aggregator().store().run(1).await.expect("answers").expect("exists");
     assert_eq!(after.summary.counts.ok, 15);
@@ -127,7 +127,7 @@ async fn missing_database_is_never_created_again() {
     // The moved file is complete without its log.
     std::fs::rename(beside(&testbed.database, "-away"), &testbed.database).expect("moves back");
     line.agent.until_stored().await;
-    assert_eq!(testbed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(testbed.aggregator().current_readiness(), Readiness::Ready);
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 20);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
     testbed.stop().await;
@@ -176,7 +176,7 @@ async fn goodbye_during_outage_ends_runs() {
     not_storing(&testbed, "put it back").await;
     line.agent.goodbye().await;
     testbed
-        .picture("that it left", |picture| picture.hosts.first().is_some_and(|host| !host.connected))
+        .snapshot("that it left", |snapshot| snapshot.hosts.first().is_some_and(|host| !host.connected))
         .await;
     std::fs::rename(beside(&testbed.database, "-away"), &testbed.database).expect("moves back");
     ready(&testbed).await;

@@ -82,12 +82,12 @@ impl ScriptedAgent {
     pub(crate) fn next_with(&mut self, events: u32, body: &[u8]) -> Vec<u8> {
         self.number += 1;
         let (host, stream, number, before) = (self.host, self.stream, self.number, self.before);
-        self.before = before.then(events, body);
+        self.before = before.next(events, body);
         let (process, chain) = (self.process, self.before);
         let events_before = self.events;
         let head = BatchHead { host, stream, process, number, before, chain, events, events_before };
         self.events = head.events_through();
-        codec::batch_frame(&head, body, number.is_multiple_of(2))
+        codec::encode_batch(&head, body, number.is_multiple_of(2))
     }
 
     /// Sends the next batch.

@@ -18,7 +18,7 @@ pub(crate) struct Spool {
     deleted: (u64, Chain),
     batches: BTreeMap<u64, SpooledBatch>,
     totals: Totals,
-    reached: Vec<NewestSentBatch>,
+    newest_sent: Vec<NewestSentBatch>,
 }
 
 impl Spool {
@@ -31,7 +31,7 @@ impl Spool {
             deleted: (0, Chain::START),
             batches: BTreeMap::new(),
             totals: Totals::default(),
-            reached: Vec::new(),
+            newest_sent: Vec::new(),
         }
     }
 
@@ -51,9 +51,9 @@ impl Spool {
             before: self.deleted.1,
             newest: newest.map_or(self.deleted, |(number, batch)| (*number, batch.chain)),
             since: self.batches.first_key_value().map(|(_, batch)| batch.since),
-            held: held.fold(Usage::default(), |all, one| all + one),
+            waiting_usage: held.fold(Usage::default(), |all, one| all + one),
             totals: self.totals.clone(),
-            reached: self.reached.clone(),
+            newest_sent: self.newest_sent.clone(),
             unreported: Vec::new(),
             unresolved: None,
         }
@@ -64,10 +64,11 @@ impl Spool {
         match action {
             Action::Append { batches, totals } => {
                 self.batches.extend(batches.into_iter().map(|batch| (batch.number, batch)));
-                self.reached.retain(|old| totals.reached.is_none_or(|new| new.process != old.process));
-                self.reached.extend(totals.reached);
+                self.newest_sent
+                    .retain(|old| totals.newest_sent.is_none_or(|new| new.process != old.process));
+                self.newest_sent.extend(totals.newest_sent);
                 self.totals = totals;
-                sending.appended(now)
+                sending.on_appended(now)
             }
             Action::Load { from, bytes } => {
                 let mut wanted = Vec::new();
@@ -79,18 +80,18 @@ impl Spool {
                     length += batch.body.len();
                     wanted.push(batch.clone());
                 }
-                sending.loaded(wanted, now)
+                sending.on_loaded(wanted, now)
             }
             Action::Delete { through, chain } => {
                 self.batches.retain(|number, _| *number > through);
                 self.deleted = (through, chain);
-                sending.deleted();
+                sending.on_deleted();
                 None
             }
             Action::Renew { stream, previous, first, events_before_first } => {
                 self.events_before_first = Some(events_before_first);
                 (self.stream, self.previous, self.first) = (stream, Some(previous), first);
-                sending.renewed(now);
+                sending.on_renewed(now);
                 None
             }
             Action::Send(_) => None,

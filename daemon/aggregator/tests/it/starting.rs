@@ -53,9 +53,9 @@ async fn an_unwritable_database_is_named() {
 #[tokio::test]
 async fn picture_states_address_and_name() {
     let mut testbed = Testbed::new().await;
-    let picture = testbed.aggregator().live().borrow().clone();
-    assert_eq!(picture.aggregator.as_str(), "base");
-    assert!(picture.listening.starts_with("tcp://127.0.0.1:") && !picture.listening.ends_with(":0"));
-    assert!(picture.hosts.is_empty() && picture.pipelines.is_empty());
+    let snapshot = testbed.aggregator().live().borrow().clone();
+    assert_eq!(snapshot.aggregator.as_str(), "base");
+    assert!(snapshot.listening.starts_with("tcp://127.0.0.1:") && !snapshot.listening.ends_with(":0"));
+    assert!(snapshot.hosts.is_empty() && snapshot.pipelines.is_empty());
     testbed.stop().await;
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_aggregator::{Aggregator, AggregatorConfig, LiveState, Running};
+use peernet_aggregator::{Aggregator, AggregatorConfig, LiveState, RunningAggregator};
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, SqliteConnection};
@@ -20,7 +20,7 @@ pub(crate) struct Testbed {
     pub(crate) clock: SharedClock,
     /// Address that it listens on; a restart keeps it.
     pub(crate) address: String,
-    running: Option<(Running, CancellationToken)>,
+    running: Option<(RunningAggregator, CancellationToken)>,
 }
 
 impl Testbed {
@@ -68,11 +68,11 @@ impl Testbed {
     }
 
     /// Waits for a picture for which `is_it` is true.
-    pub(crate) async fn picture(&self, what: &str, is_it: impl Fn(&LiveState) -> bool) -> Arc<LiveState> {
+    pub(crate) async fn snapshot(&self, what: &str, is_it: impl Fn(&LiveState) -> bool) -> Arc<LiveState> {
         let mut live = self.aggregator().live();
-        let wait = live.wait_for(|picture| is_it(picture));
-        let picture = tokio::time::timeout(Duration::from_secs(30), wait).await;
-        Arc::clone(&picture.unwrap_or_else(|_| panic!("waited in vain for {what}")).expect("runs"))
+        let wait = live.wait_for(|snapshot| is_it(snapshot));
+        let snapshot = tokio::time::timeout(Duration::from_secs(30), wait).await;
+        Arc::clone(&snapshot.unwrap_or_else(|_| panic!("waited in vain for {what}")).expect("runs"))
     }
 
     /// Opens a further connection to the database, as another program would.

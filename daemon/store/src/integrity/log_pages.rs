@@ -40,7 +40,7 @@ impl LogPages {
     ///
     /// # Errors
     /// When the log cannot be read; the same for the other functions.
-    pub(super) fn of(log: &Path, page_bytes: usize) -> io::Result<Option<Self>> {
+    pub(super) fn open(log: &Path, page_bytes: usize) -> io::Result<Option<Self>> {
         let file = match File::open(log) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
             opened => opened?,
@@ -69,7 +69,7 @@ impl LogPages {
     }
 
     /// Returns whether a page is in it.
-    pub(super) fn holds(&self, number: u32) -> bool {
+    pub(super) fn contains(&self, number: u32) -> bool {
         self.offsets.contains_key(&number)
     }
 

@@ -2,10 +2,10 @@
 //!
 //! The check reads the main file with `pread`, through the descriptor that is locked, because closing another one would release
 //! what SQLite has locked in this process. It reads page by page at a bounded rate and parses the pages as SQLite's file format
-//! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the log
-//! from being carried over; it also goes through a cache and costs several times as much. Page checksums would find a changed
-//! value, too, but SQLite's `cksumvfs` is not in the bundled library, and checksums beside the file would have to be written with
-//! every checkpoint, which needs a virtual file system of our own.
+//! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the log from
+//! being checkpointed; it also goes through a cache and costs several times as much. Page checksums would find a changed value,
+//! too, but SQLite's `cksumvfs` is not in the bundled library, and checksums beside the file would have to be written with every
+//! checkpoint, which needs a virtual file system of our own.
 
 mod log_pages;
 mod page_check;
@@ -25,7 +25,7 @@ use crate::database_error::DatabaseError;
 
 pub(crate) use self::log_pages::log_path;
 pub(crate) use self::page_check::PageCheck;
-pub(crate) use self::task::{IntegrityCheck, sqlite_finds};
+pub(crate) use self::task::{IntegrityCheck, find_damage_with_sqlite};
 
 use self::pages::PageFile;
 
@@ -51,14 +51,14 @@ struct Damage {
 
 impl Integrity {
     /// Makes the record of a database, without damage.
-    pub fn of(database: &Path) -> Self {
+    pub fn new(database: &Path) -> Self {
         Self { database: database.into(), damage: watch::Sender::new(None), file: Arc::default() }
     }
 
     /// Reads the recorded damage of the file that is now at the path.
-    pub(crate) fn recall(&self) -> io::Result<()> {
-        let remembered = remembered(&self.database)?;
-        self.damage.send_replace(remembered.map(|what| Damage { what, is_repairable: true }));
+    pub(crate) fn load_record(&self) -> io::Result<()> {
+        let recorded_damage = recorded_damage(&self.database)?;
+        self.damage.send_replace(recorded_damage.map(|what| Damage { what, is_repairable: true }));
         Ok(())
     }
 
@@ -85,7 +85,7 @@ impl Integrity {
     }
 
     /// Waits until damage is found.
-    async fn damaged(&self) {
+    async fn wait_for_damage(&self) {
         let mut damage = self.damage.subscribe();
         // The sender lives as long as `self`.
         let _never_closed = damage.wait_for(Option::is_some).await;
@@ -113,14 +113,14 @@ impl Integrity {
             return;
         }
         tracing::error!(
-            "the database {database} is damaged: {what}; nothing more is stored, agents keep their events; {remedy}",
+            "the database {database} is damaged: {what}; nothing is stored any more, and agents keep their events; {remedy}",
             database = self.database.display(),
             remedy = remedy(&self.database, is_repairable)
         );
-        if let Err(error) = fs::write(marker(&self.database), format!("{what}\n")) {
+        if let Err(error) = fs::write(marker_path(&self.database), format!("{what}\n")) {
             tracing::warn!(
-                %error, file = %marker(&self.database).display(),
-                "cannot remember that the database is damaged; the check finds it again after a restart"
+                %error, file = %marker_path(&self.database).display(),
+                "cannot record the damage of the database in a file; after a restart the check has to find it again"
             );
         }
     }
@@ -133,8 +133,8 @@ impl Integrity {
     }
 
     /// Removes the record after a check of the whole database found no damage.
-    fn cleared(&self) -> io::Result<()> {
-        forget(&self.database)?;
+    fn clear(&self) -> io::Result<()> {
+        delete_record(&self.database)?;
         self.damage.send_replace(None);
         Ok(())
     }
@@ -146,20 +146,21 @@ pub(crate) fn remedy(database: &Path, is_repairable: bool) -> String {
     if is_repairable {
         format!("stop the aggregator and run `peernetd doctor --repair --database {}`", database.display())
     } else {
-        "its list of tables is lost, without which no row can be found: stop the aggregator and put the newest backup in its place, agents \
-         send again what they still have in their spools"
+        "its list of tables is lost, without which no row can be found: stop the aggregator and replace it by the newest backup, and \
+         agents send the events in their spools again"
             .to_owned()
     }
 }
 
 /// Returns whether the header of a database and the first page of the list of its tables can be read.
 pub(crate) fn has_table_list(file: Arc<File>) -> bool {
-    let first = PageFile::of(file).and_then(|file| file.map_or(Ok(None), |file| file.read_btree_page(1)));
+    let first =
+        PageFile::from_file(file).and_then(|file| file.map_or(Ok(None), |file| file.read_btree_page(1)));
     matches!(first, Ok(Some(page)) if page.kind.is_table())
 }
 
 /// Returns the path of the file that records damage. A link is resolved: the file lies beside the database itself.
-fn marker(database: &Path) -> PathBuf {
+fn marker_path(database: &Path) -> PathBuf {
     let mut path = fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-damaged");
     path.into()
@@ -169,8 +170,8 @@ fn marker(database: &Path) -> PathBuf {
 ///
 /// # Errors
 /// When the file that records it cannot be read.
-pub(crate) fn remembered(database: &Path) -> io::Result<Option<String>> {
-    match fs::read_to_string(marker(database)) {
+pub(crate) fn recorded_damage(database: &Path) -> io::Result<Option<String>> {
+    match fs::read_to_string(marker_path(database)) {
         Ok(text) => Ok(Some(text.trim().to_owned())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error),
@@ -178,8 +179,8 @@ pub(crate) fn remembered(database: &Path) -> io::Result<Option<String>> {
 }
 
 /// Removes the record of damage that was found earlier.
-pub(crate) fn forget(database: &Path) -> io::Result<()> {
-    match fs::remove_file(marker(database)) {
+pub(crate) fn delete_record(database: &Path) -> io::Result<()> {
+    match fs::remove_file(marker_path(database)) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }

@@ -29,8 +29,8 @@ impl PageCheck {
     ///
     /// # Errors
     /// When a file cannot be read; the same for the other functions.
-    pub(crate) fn begin(database: Arc<File>, log: PathBuf) -> io::Result<Option<Self>> {
-        Ok(PageFile::of(database)?.map(|file| Self {
+    pub(crate) fn start(database: Arc<File>, log: PathBuf) -> io::Result<Option<Self>> {
+        Ok(PageFile::from_file(database)?.map(|file| Self {
             file,
             log,
             next: 1,
@@ -41,9 +41,9 @@ impl PageCheck {
 
     /// Makes a whole pass over a file that no connection of this process has open ([`PageFile::open`]). Returns the numbers of
     /// malformed pages.
-    pub(crate) fn of(database: &Path) -> io::Result<Vec<u32>> {
+    pub(crate) fn find_malformed(database: &Path) -> io::Result<Vec<u32>> {
         let file = Arc::new(File::open(database)?);
-        let Some(mut check) = Self::begin(file, log_path(database))? else { return Ok(vec![1]) };
+        let Some(mut check) = Self::start(file, log_path(database))? else { return Ok(vec![1]) };
         while check.step(1 << 20)? {}
         check.finish()
     }
@@ -68,16 +68,16 @@ impl PageCheck {
 
     /// Returns the malformed pages that are in use.
     ///
-    /// While an aggregator stores, the main file is not the database of one moment: a checkpoint may be under way. So pages to which
-    /// the log refers are in use as well, and a page counts only if it is malformed when it is read again. Pages that were moved
-    /// during the pass may still be among the result; another pass does not find them.
+    /// While an aggregator stores, the main file is not the database of one moment: a checkpoint may be in progress. So pages to
+    /// which the log refers are in use as well, and a page counts only if it is malformed when it is read again. Pages that were
+    /// moved during the pass may still be among the result; another pass does not find them.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing = self.file.first_missing()?;
         self.follow_overflows(None)?;
         if self.others.is_empty() && missing.is_none() {
             return Ok(Vec::new());
         }
-        let log = LogPages::of(&self.log, self.file.page_bytes)?;
+        let log = LogPages::open(&self.log, self.file.page_bytes)?;
         // The file may have grown, and the log has pages that are still to be appended to it.
         self.file.update_length()?;
         let last = log.iter().flat_map(LogPages::numbers).max().unwrap_or(0).max(self.file.pages);
@@ -86,7 +86,8 @@ impl PageCheck {
             let page = page.and_then(|page| self.file.well_formed_page(number, page, last));
             self.overflows.extend(page.iter().flat_map(|page| page.overflows()));
         }
-        for number in Vec::from_iter(self.others.keys().copied().filter(|number| self.file.holds(*number))) {
+        for number in Vec::from_iter(self.others.keys().copied().filter(|number| self.file.contains(*number)))
+        {
             let page = self.file.read(number, 1)?;
             if let Some(page) = self.file.well_formed_page(number, page, last) {
                 self.others.remove(&number);
@@ -101,11 +102,11 @@ impl PageCheck {
         }
         let mut malformed: Vec<u32> = self.others.keys().copied().chain(missing).collect();
         if let Some(log) = &log
-            && malformed.iter().any(|number| log.holds(*number))
-            && !self.is_carried_over(log)?
+            && malformed.iter().any(|number| log.contains(*number))
+            && !self.is_checkpointed(log)?
         {
             // SQLite reads these from the log. In the main file there may be an older version, a hole, or nothing yet.
-            malformed.retain(|number| !log.holds(*number));
+            malformed.retain(|number| !log.contains(*number));
         }
         malformed.sort_unstable();
         Ok(malformed)
@@ -123,11 +124,11 @@ impl PageCheck {
         Ok(())
     }
 
-    /// Returns whether the main file has all pages of the log, except for those that may be malformed. A log that was carried over
-    /// stays until the next commit, and readers no longer use it.
-    fn is_carried_over(&self, log: &LogPages) -> io::Result<bool> {
+    /// Returns whether the main file has all pages of the log, except for those that may be malformed. A log that was
+    /// checkpointed stays until the next commit, and readers no longer use it.
+    fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
         // A file that was cut off lacks all pages from there on.
-        let is_whole = |number: &u32| !self.others.contains_key(number) && self.file.holds(*number);
+        let is_whole = |number: &u32| !self.others.contains_key(number) && self.file.contains(*number);
         for number in log.numbers().filter(is_whole) {
             if log.read(number)? != Some(self.file.read(number, 1)?) {
                 return Ok(false);

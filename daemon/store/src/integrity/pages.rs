@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 /// The first bytes of every SQLite file.
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
-/// Size of the file's header, at the begin of page 1.
+/// Size of the file's header, at the start of page 1.
 const HEADER_BYTES: usize = 100;
 /// Offset of the bytes that SQLite locks. The page that holds them is never used.
 const LOCK_BYTE: u64 = 1 << 30;
@@ -68,13 +68,13 @@ impl PageFile {
     /// that SQLite holds on the file in this process.
     ///
     /// # Errors
-    /// When it cannot be read; the same for the other functions.
+    /// If it cannot be read; the same for the other functions.
     pub(crate) fn open(path: &Path) -> io::Result<Option<Self>> {
-        Self::of(Arc::new(File::open(path)?))
+        Self::from_file(Arc::new(File::open(path)?))
     }
 
     /// Makes it of an open file; `None` if the file has no header of a database.
-    pub(crate) fn of(file: Arc<File>) -> io::Result<Option<Self>> {
+    pub(crate) fn from_file(file: Arc<File>) -> io::Result<Option<Self>> {
         let mut header = [0; HEADER_BYTES];
         match file.read_exact_at(&mut header, 0) {
             Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
@@ -116,7 +116,7 @@ impl PageFile {
     }
 
     /// Returns whether the file has a page of this number.
-    pub(crate) const fn holds(&self, page: u32) -> bool {
+    pub(crate) const fn contains(&self, page: u32) -> bool {
         page >= 1 && page <= self.pages
     }
 
@@ -142,7 +142,7 @@ impl PageFile {
 
     /// Reads one page of a b-tree; `None` if the page is of another kind.
     pub(crate) fn read_btree_page(&self, number: u32) -> io::Result<Option<BtreePage>> {
-        if !self.holds(number) {
+        if !self.contains(number) {
             return Ok(None);
         }
         Ok(self.btree_page(number, self.read(number, 1)?))
@@ -153,7 +153,7 @@ impl PageFile {
         let mut record = cell.local.to_vec();
         let mut next = cell.overflow;
         while record.len() < cell.record_bytes {
-            let Some(page) = next.filter(|page| self.holds(*page)) else { return Ok(None) };
+            let Some(page) = next.filter(|page| self.contains(*page)) else { return Ok(None) };
             let bytes = self.read(page, 1)?;
             let part = (cell.record_bytes - record.len()).min(self.usable - 4);
             record.extend_from_slice(&bytes[4..4 + part]);
@@ -170,7 +170,7 @@ impl PageFile {
     ) -> io::Result<Option<Vec<u32>>> {
         let read = |number| match newer(number)? {
             Some(bytes) => Ok(Some(bytes)),
-            None if self.holds(number) => self.read(number, 1).map(Some),
+            None if self.contains(number) => self.read(number, 1).map(Some),
             None => io::Result::Ok(None),
         };
         let Some(first) = read(1)? else { return Ok(None) };

@@ -15,18 +15,18 @@ use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
 use super::{Integrity, PageCheck, log_path};
 use crate::database_error::is_damage;
-use crate::limits::BUSY;
+use crate::limits::BUSY_TIMEOUT;
 
 /// Number of bytes that are read at once.
-const STEP: u64 = 1 << 20;
+const STEP_BYTES: u64 = 1 << 20;
 /// Bytes per second of the first pass: the file may have been damaged while no aggregator ran.
-const FIRST_RATE: u64 = 128 << 20;
+const FIRST_BYTES_PER_SECOND: u64 = 128 << 20;
 /// Bytes per second of later passes: 1 GiB takes a minute, of which a processor core is busy for two seconds.
-const RATE: u64 = 16 << 20;
+const BYTES_PER_SECOND: u64 = 16 << 20;
 /// Instructions of SQLite's virtual machine between two checks whether to stop.
-const INSTRUCTIONS: i32 = 10_000;
+const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
 /// Number of passes in which a page must look malformed before SQLite checks the whole file, which takes far longer.
-const PASSES: usize = 3;
+const MAX_PASSES: usize = 3;
 /// Pause between two passes.
 const PAUSE: Duration = Duration::from_secs(2);
 
@@ -36,7 +36,7 @@ pub(crate) struct IntegrityCheck {
     stop: CancellationToken,
     /// Dropping it aborts the task, which then releases the file.
     task: AbortOnDropHandle<()>,
-    /// Reads under way on other threads, which hold the file as well.
+    /// Reads in progress on other threads, which hold the file as well.
     reads: TaskTracker,
 }
 
@@ -54,8 +54,8 @@ impl IntegrityCheck {
                     confirm_earlier_damage(&integrity, &stopped).await;
                 }
                 tokio::select! {
-                    () = integrity.damaged() => {}
-                    () = check_for_ever(&integrity, &file, &of_task, &stopped) => {}
+                    () = integrity.wait_for_damage() => {}
+                    () = check_repeatedly(&integrity, &file, &of_task, &stopped) => {}
                 }
             };
             let _stopped = stopped.run_until_cancelled(checked).await;
@@ -67,7 +67,7 @@ impl IntegrityCheck {
     pub(crate) async fn stop(self) {
         self.stop.cancel();
         if let Err(error) = self.task.await {
-            tracing::error!(%error, "the check of the database died");
+            tracing::error!(%error, "the task that checks the database panicked");
         }
         self.reads.close();
         self.reads.wait().await;
@@ -78,53 +78,53 @@ impl IntegrityCheck {
 async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken) {
     tracing::warn!(database = %integrity.database.display(), "checking the whole database, in which damage was found earlier");
     loop {
-        match sqlite_finds(&integrity.database, stop).await {
+        match find_damage_with_sqlite(&integrity.database, stop).await {
             Ok(Some(what)) => {
-                tracing::error!("{}; found now: {what}", integrity.refusal().unwrap_or_default());
+                tracing::error!("{}; this check found: {what}", integrity.refusal().unwrap_or_default());
                 return;
             }
-            Ok(None) => match integrity.cleared() {
+            Ok(None) => match integrity.clear() {
                 Ok(()) => {
                     tracing::info!(database = %integrity.database.display(), "the database is not damaged");
                     return;
                 }
                 Err(error) => tracing::error!(
                     %error, database = %integrity.database.display(),
-                    "cannot remove the file that says that the database is damaged, which it is not"
+                    "the database is not damaged, but the file that records damage cannot be removed"
                 ),
             },
-            Err(error) => tracing::warn!(%error, "cannot check the database, tried again by itself"),
+            Err(error) => tracing::warn!(%error, "cannot check the whole database; the check is retried"),
         }
         tokio::time::sleep(PAUSE).await;
     }
 }
 
-async fn check_for_ever(
+async fn check_repeatedly(
     integrity: &Integrity,
     file: &Arc<File>,
     reads: &TaskTracker,
     stop: &CancellationToken,
 ) {
-    let mut rate = FIRST_RATE;
+    let mut rate = FIRST_BYTES_PER_SECOND;
     // Pages that look malformed but that SQLite does not use.
     let mut unused = HashSet::new();
     let mut failed = false;
     loop {
-        match pass(integrity, (file, reads), rate, &mut unused, stop).await {
+        match check_once(integrity, (file, reads), rate, &mut unused, stop).await {
             Ok(()) => failed = false,
             Err(error) if !failed => {
-                tracing::warn!(%error, database = %integrity.database.display(), "cannot check the database for damage, tried again by itself");
+                tracing::warn!(%error, database = %integrity.database.display(), "cannot check the database for damage; the check is retried");
                 failed = true;
             }
             Err(_) => {}
         }
-        rate = RATE;
+        rate = BYTES_PER_SECOND;
         tokio::time::sleep(PAUSE).await;
     }
 }
 
 /// Looks for damage once.
-async fn pass(
+async fn check_once(
     integrity: &Integrity,
     (file, reads): (&Arc<File>, &TaskTracker),
     rate: u64,
@@ -137,20 +137,20 @@ async fn pass(
     let database = integrity.database.display();
     tracing::info!(
         %database, page = first, pages = malformed.len(),
-        "pages of the database look malformed, SQLite checks the whole file"
+        "pages of the database look malformed; SQLite checks the whole file"
     );
-    match sqlite_finds(&integrity.database, stop).await? {
+    match find_damage_with_sqlite(&integrity.database, stop).await? {
         Some(what) => integrity.record_damage(format!("page {first} is malformed ({what})")),
         // No other page refers to them.
         None => {
-            tracing::info!(%database, "the database is not damaged: SQLite finds nothing wrong in the whole file");
+            tracing::info!(%database, "the database is not damaged: SQLite found no error in the whole file");
             *unused = malformed.into_iter().collect();
         }
     }
     Ok(())
 }
 
-/// Reads the whole file, and again while pages look malformed, at most [`PASSES`] times. Returns the pages that look malformed
+/// Reads the whole file, and again while pages look malformed, at most [`MAX_PASSES`] times. Returns the pages that look malformed
 /// each time.
 ///
 /// While events are stored, records move from page to page during a pass, and a page that holds the rest of one may look
@@ -162,11 +162,11 @@ pub(super) async fn malformed_pages(
     rate: u64,
 ) -> Result<Vec<u32>, sqlx::Error> {
     let mut malformed = read_pages(database, file, reads, rate).await?;
-    for _again in 1..PASSES {
+    for _again in 1..MAX_PASSES {
         if malformed.is_empty() {
             break;
         }
-        let still = read_pages(database, file, reads, FIRST_RATE).await?;
+        let still = read_pages(database, file, reads, FIRST_BYTES_PER_SECOND).await?;
         malformed.retain(|page| still.contains(page));
     }
     Ok(malformed)
@@ -180,16 +180,16 @@ async fn read_pages(
     rate: u64,
 ) -> Result<Vec<u32>, sqlx::Error> {
     let (file, log) = (Arc::clone(file), log_path(database));
-    let Some(mut check) = blocking(reads, move || PageCheck::begin(file, log)).await? else {
+    let Some(mut check) = blocking(reads, move || PageCheck::start(file, log)).await? else {
         return Ok(vec![1]);
     };
-    let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP / rate));
+    let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP_BYTES / rate));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut more = true;
     while more {
         ticks.tick().await;
         (check, more) = blocking(reads, move || {
-            let more = check.step(STEP)?;
+            let more = check.step(STEP_BYTES)?;
             Ok((check, more))
         })
         .await?;
@@ -209,14 +209,14 @@ async fn blocking<T: Send + 'static>(
 ///
 /// # Errors
 /// When the file cannot be checked now, or `stop` was cancelled.
-pub(crate) async fn sqlite_finds(
+pub(crate) async fn find_damage_with_sqlite(
     database: &Path,
     stop: &CancellationToken,
 ) -> Result<Option<String>, sqlx::Error> {
     let options = SqliteConnectOptions::new()
         .filename(database)
         .read_only(true)
-        .busy_timeout(BUSY)
+        .busy_timeout(BUSY_TIMEOUT)
         .disable_statement_logging();
     let found = match options.connect().await {
         Ok(mut connection) => {
@@ -237,7 +237,10 @@ async fn first_finding(
     connection: &mut SqliteConnection,
     stop: CancellationToken,
 ) -> Result<Option<String>, sqlx::Error> {
-    connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, move || !stop.is_cancelled());
+    connection
+        .lock_handle()
+        .await?
+        .set_progress_handler(INSTRUCTIONS_PER_CHECK, move || !stop.is_cancelled());
     // The first takes a fraction of the time of the second, and finds most errors.
     for pragma in ["PRAGMA quick_check(1)", "PRAGMA integrity_check(1)"] {
         let said: Vec<String> = sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;

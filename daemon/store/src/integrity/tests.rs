@@ -53,7 +53,7 @@ fn noise(mut seed: u64, length: usize) -> Vec<u8> {
 async fn intact_file_has_no_malformed_page() {
     let (_folder, path, connection) = file_of_all_pages(1_500).await;
     connection.close().await.expect("closes");
-    assert_eq!(PageCheck::of(&path).expect("reads"), Vec::<u32>::new());
+    assert_eq!(PageCheck::find_malformed(&path).expect("reads"), Vec::<u32>::new());
 }
 
 #[tokio::test]
@@ -74,7 +74,7 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
             [(0, noise(page.into(), 4096)), (0, vec![0; 4096]), (3_000, noise(page.into(), 1_096))]
         {
             overwrite(&path, offset + at, &bytes);
-            let is_seen = PageCheck::of(&path).expect("reads").contains(&page);
+            let is_seen = PageCheck::find_malformed(&path).expect("reads").contains(&page);
             assert!(is_seen || at > 0, "page {page} is other bytes from its beginning");
             unseen += usize::from(!is_seen);
             overwrite(&path, offset, &whole[offset as usize..(offset + PAGE) as usize]);
@@ -82,11 +82,11 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
     }
     // A sector may lie within the contents of one large row, where any bytes are valid.
     assert!(unseen * 20 < pages.len(), "{unseen} of {} overwritten sectors were not seen", pages.len());
-    assert_eq!(PageCheck::of(&path).expect("reads"), Vec::<u32>::new());
+    assert_eq!(PageCheck::find_malformed(&path).expect("reads"), Vec::<u32>::new());
 
     let pages = whole.len() as u64 / PAGE;
     File::options().write(true).open(&path).expect("opens").set_len(20 * PAGE + 7).expect("cuts it off");
-    let malformed = PageCheck::of(&path).expect("reads");
+    let malformed = PageCheck::find_malformed(&path).expect("reads");
     assert!(pages > 21 && malformed.contains(&21), "{malformed:?}");
 }
 
@@ -121,7 +121,7 @@ fn long_records(rows: u32) -> String {
 
 fn malformed(path: &Path, log: PathBuf) -> Vec<u32> {
     let file = Arc::new(File::open(path).expect("opens"));
-    let mut check = PageCheck::begin(file, log).expect("reads").expect("a database");
+    let mut check = PageCheck::start(file, log).expect("reads").expect("a database");
     while check.step(20 * PAGE).expect("reads") {}
     check.finish().expect("reads")
 }
@@ -148,7 +148,7 @@ async fn damaged_page_is_found_while_log_holds_copy() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("idle.sqlite");
     let mut writer = growing_file(&path).await;
-    // Everything is carried over and nothing is written after that: SQLite reads the main file.
+    // Everything is checkpointed and nothing is written after that: SQLite reads the main file.
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
     overwrite(&path, 2 * PAGE, &noise(3, 4096));
     assert_eq!(malformed(&path, log_path(&path)), [3]);
@@ -164,7 +164,7 @@ async fn second_pass_clears_pages_that_moved_during_the_first() {
     run(&mut writer, "PRAGMA wal_checkpoint(TRUNCATE)").await;
 
     let file = Arc::new(File::open(&path).expect("opens"));
-    let mut check = PageCheck::begin(file, log_path(&path)).expect("reads").expect("a database");
+    let mut check = PageCheck::start(file, log_path(&path)).expect("reads").expect("a database");
     assert!(check.step(20 * PAGE).expect("reads"));
     run(&mut writer, &long_records(300)).await;
     run(&mut writer, "DELETE FROM long WHERE a % 5 = 0").await;
@@ -210,8 +210,8 @@ async fn no_page_stays_malformed_while_rows_are_written_and_read() {
 async fn first_damage_is_remembered() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
-    let integrity = Integrity::of(&path);
-    integrity.recall().expect("nothing is known");
+    let integrity = Integrity::new(&path);
+    integrity.load_record().expect("nothing is known");
     integrity.record_damage("page 7 is malformed");
     integrity.record_damage("page 8 is malformed");
     let refusal = integrity.refusal().expect("nothing is stored");
@@ -219,12 +219,12 @@ async fn first_damage_is_remembered() {
         refusal.contains("page 7") && refusal.contains("peernetd doctor --repair --database"),
         "{refusal}"
     );
-    let later = Integrity::of(&path);
-    later.recall().expect("reads");
+    let later = Integrity::new(&path);
+    later.load_record().expect("reads");
     assert_eq!(later.damage().as_deref(), Some("page 7 is malformed"));
-    later.cleared().expect("removes");
+    later.clear().expect("removes");
     assert_eq!(later.damage(), None);
-    later.recall().expect("reads");
+    later.load_record().expect("reads");
     assert_eq!(later.damage(), None);
 }
 
@@ -233,7 +233,7 @@ async fn repair_is_recommended_only_if_it_can_help() {
     let (_folder, path, connection) = file_of_all_pages(100).await;
     connection.close().await.expect("closes");
     let file = Arc::new(File::open(&path).expect("opens"));
-    let integrity = Integrity::of(&path);
+    let integrity = Integrity::new(&path);
     integrity.attach_file(&file);
     integrity.record_damage("page 7 is malformed");
     assert!(integrity.refusal().is_some_and(|refusal| refusal.contains("doctor --repair")));
@@ -241,7 +241,7 @@ async fn repair_is_recommended_only_if_it_can_help() {
     overwrite(&path, 0, &noise(1, 4096));
     // After a restart, the damage is recalled and the file is opened in the same way.
     integrity.attach_file(&file);
-    let other = Integrity::of(&path);
+    let other = Integrity::new(&path);
     other.attach_file(&file);
     other.record_damage("page 1 is malformed");
     for integrity in [integrity, other] {
@@ -268,6 +268,6 @@ proptest! {
             bytes[start..start + 8].copy_from_slice(&[kind, 0, 0, 0, (keep % 250) as u8, 2, 0, 0]);
         }
         std::fs::write(&path, bytes).expect("writes");
-        let _malformed = PageCheck::of(&path).expect("reads");
+        let _malformed = PageCheck::find_malformed(&path).expect("reads");
     }
 }

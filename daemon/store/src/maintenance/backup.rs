@@ -9,15 +9,15 @@ use rustix::io::Errno;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use tokio_util::sync::CancellationToken;
 
-use super::{Contents, free_bytes, reading};
+use super::{FileKind, free_bytes, read_only_options};
 use crate::column::count;
 use crate::database_error::DatabaseError;
-use crate::foreign_log::{ForeignLog, mark_copy, refuse_foreign_log_of};
+use crate::foreign_log::{ForeignLog, assign_new_id, refuse_foreign_log_at};
 
 /// Instructions of SQLite's virtual machine between two checks whether to stop.
-const INSTRUCTIONS: i32 = 10_000;
+const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
 
-/// The reason why no copy was made.
+/// Reason why no copy was made.
 #[derive(Debug, thiserror::Error)]
 pub enum BackupError {
     /// The database does not exist.
@@ -43,7 +43,7 @@ pub enum BackupError {
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// A file with the copy's name exists.
-    #[error("{} exists already; name a file that does not", .0.display())]
+    #[error("{} already exists; name a file that does not exist", .0.display())]
     Exists(PathBuf),
     /// Another process writes the same copy.
     #[error("another backup writes to {}; wait for it, or name another file", .0.display())]
@@ -52,7 +52,7 @@ pub enum BackupError {
     #[error("{} is not UTF-8; name another file", .0.display())]
     Name(PathBuf),
     /// The disk has not enough room for the copy.
-    #[error("{} has {free} bytes of room and the copy needs {needed}; make room, or name a file on another disk", folder.display())]
+    #[error("{} has {free} bytes free, but the copy needs {needed}; free some space, or name a file on another disk", folder.display())]
     NoRoom {
         /// The folder of the copy.
         folder: PathBuf,
@@ -80,7 +80,7 @@ pub enum BackupError {
         source: DatabaseError,
     },
     /// The copying was stopped.
-    #[error("stopped; there is no copy")]
+    #[error("the backup was stopped; no copy was made")]
     Stopped,
 }
 
@@ -93,7 +93,7 @@ pub struct FinishedCopy {
     pub bytes: u64,
 }
 
-/// A copy that can be made: everything that can be checked before was checked.
+/// A backup whose preconditions were checked.
 #[derive(Debug)]
 pub struct Backup {
     database: PathBuf,
@@ -120,10 +120,10 @@ impl Backup {
             path: database.to_owned(),
             source: DatabaseError::new(error),
         };
-        refuse_foreign_log_of(database)?;
-        let mut connection = reading(database).connect().await.map_err(read)?;
-        let contents = Contents::of(&mut connection).await.map_err(read)?;
-        if let Some(what) = contents.instead_of_database() {
+        refuse_foreign_log_at(database)?;
+        let mut connection = read_only_options(database).connect().await.map_err(read)?;
+        let kind = FileKind::detect(&mut connection).await.map_err(read)?;
+        if let Some(what) = kind.other_kind() {
             return Err(BackupError::NotADatabase { path: database.to_owned(), what });
         }
         let used: i64 = sqlx::query_scalar(
@@ -151,7 +151,7 @@ impl Backup {
         self.expected
     }
 
-    /// Returns the path of the file that grows meanwhile.
+    /// Returns the path of the file that grows while the copy is made.
     pub fn partial(&self) -> &Path {
         &self.partial.path
     }
@@ -165,8 +165,8 @@ impl Backup {
         let name = partial.path.to_str().ok_or_else(|| BackupError::Name(partial.path.clone()))?;
         let stopped = stop.clone();
         let copied = async {
-            let goes_on = move || !stopped.is_cancelled();
-            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, goes_on);
+            let continues = move || !stopped.is_cancelled();
+            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS_PER_CHECK, continues);
             sqlx::query("VACUUM INTO ?1").bind(name).execute(&mut connection).await?;
             connection.close().await
         };
@@ -214,7 +214,7 @@ impl UnfinishedCopy {
     /// Gives the copy its own number, syncs it, renames it, and syncs the folder.
     fn publish(&mut self, target: &Path) -> Result<u64, BackupError> {
         let failed = |source| BackupError::Write { path: target.to_owned(), source };
-        mark_copy(&self.file).map_err(failed)?;
+        assign_new_id(&self.file).map_err(failed)?;
         self.file.sync_all().map_err(failed)?;
         let bytes = self.file.metadata().map_err(failed)?.len();
         rename(&self.path, target).map_err(|error| match error.kind() {

@@ -1,5 +1,5 @@
-//! Commands of an operator on the database's file. Backup and examination work while an aggregator runs; rebuilding roll-ups
-//! and repairing need it stopped.
+//! Commands of an operator on the database's file. Backup and examination work while an aggregator runs. For a rebuild of the
+//! roll-ups and for a repair the aggregator must be stopped.
 
 mod backup;
 mod doctor;
@@ -21,14 +21,18 @@ pub use self::doctor::{
 pub use self::rebuild::{RebuildError, Rebuilt, rebuild_rollups};
 pub use self::repair::{RepairError, Repaired, SalvagedTable, repair};
 pub use self::secrets::{ClearSecretError, ClearedSecret, clear_host_secret};
-pub use super::contents::Contents;
+pub use super::file_kind::FileKind;
 
 /// Longest wait of a command for another program that locks the file.
-const BUSY: Duration = Duration::from_secs(10);
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Returns the settings of a connection that changes nothing.
-fn reading(path: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
+fn read_only_options(path: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(path)
+        .read_only(true)
+        .busy_timeout(BUSY_TIMEOUT)
+        .disable_statement_logging()
 }
 
 /// Returns the free bytes for this user on the disk of a file or folder.

@@ -12,7 +12,7 @@ use crate::lock::{DatabaseLock, LockError};
 pub use crate::rebuild::Rebuilt;
 use crate::rebuild::rebuild;
 
-/// The reason why roll-ups were not rebuilt.
+/// Reason why roll-ups were not rebuilt.
 #[derive(Debug, thiserror::Error)]
 pub enum RebuildError {
     /// The database does not exist.
@@ -33,7 +33,7 @@ pub enum RebuildError {
         run: i64,
     },
     /// SQLite reported an error.
-    #[error("cannot rebuild roll-ups in the database {}: {source}; the runs that were done are done, the others as before", path.display())]
+    #[error("cannot rebuild roll-ups in the database {}: {source}; the runs that were finished have new roll-ups, the others are unchanged", path.display())]
     Database {
         /// The database.
         path: PathBuf,

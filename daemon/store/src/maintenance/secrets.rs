@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use peernet_logger::HostId;
 use sqlx::{ConnectOptions, Connection};
 
-use super::BUSY;
-use crate::contents::Contents;
+use super::BUSY_TIMEOUT;
 use crate::database;
 use crate::database_error::DatabaseError;
-use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
+use crate::file_kind::FileKind;
+use crate::foreign_log::{ForeignLog, refuse_foreign_log_at};
 
-/// The reason why a host's secret was not cleared.
+/// Reason why a host's secret was not cleared.
 #[derive(Debug, thiserror::Error)]
 pub enum ClearSecretError {
     /// The database does not exist.
@@ -75,15 +75,15 @@ pub async fn clear_host_secret(path: &Path, host: &str) -> Result<ClearedSecret,
     if !path.is_file() {
         return Err(ClearSecretError::Missing(path.to_owned()));
     }
-    refuse_foreign_log_of(path)?;
+    refuse_foreign_log_at(path)?;
     let failed = |error: sqlx::Error| ClearSecretError::Database {
         path: path.to_owned(),
         source: DatabaseError::new(error),
     };
-    let options = database::writing(path).create_if_missing(false).busy_timeout(BUSY);
+    let options = database::write_options(path).create_if_missing(false).busy_timeout(BUSY_TIMEOUT);
     let mut connection = options.connect().await.map_err(failed)?;
-    let contents = Contents::of(&mut connection).await.map_err(failed)?;
-    if let Some(what) = contents.instead_of_database() {
+    let kind = FileKind::detect(&mut connection).await.map_err(failed)?;
+    if let Some(what) = kind.other_kind() {
         return Err(ClearSecretError::NotADatabase { path: path.to_owned(), what });
     }
     let id = host.parse::<HostId>().ok().map(|id| id.to_string());

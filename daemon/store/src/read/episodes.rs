@@ -27,7 +27,7 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
     let Some((first, last)) = first.zip(last) else { return Ok(Episodes::default()) };
     let steps = steps(&last);
     let borders = match steps {
-        Some(steps) if last.episode <= Episodes::MOST_BORDERS => {
+        Some(steps) if last.episode <= Episodes::MAX_BORDERS => {
             let begins = (1..=i64::from(last.episode)).map(|episode| episode * steps + 1);
             let rows = rows(readers, run, &begins.collect::<Vec<_>>()).await?;
             rows.into_iter().filter(|row| row.step == 0 && begin(row, steps) == row.number).collect()
@@ -61,7 +61,7 @@ fn steps(row: &Row) -> Option<i64> {
     (steps > step && steps * episode == before).then_some(steps)
 }
 
-/// Returns the first iteration after the warm-up at the begin of a run.
+/// Returns the first iteration after the warm-up at the start of a run.
 async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>, StoreError> {
     if first.number != 1 || !first.warm_up {
         return Ok(None);
@@ -72,7 +72,7 @@ async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>
 
 /// Returns the unanswered iterations to mark and their number, which is at most one more than the limit of counting.
 async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
-    let most = Episodes::MOST_UNANSWERED;
+    let most = Episodes::MAX_UNANSWERED;
     let found: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
         .bind(run)
         .bind(0)
@@ -86,7 +86,7 @@ async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>,
     };
     let all: i64 = sqlx::query_scalar(sql::COUNT_WITHOUT_ANSWER)
         .bind(run)
-        .bind(i64::try_from(Episodes::MOST_COUNTED).map_or(i64::MAX, |most| most + 1))
+        .bind(i64::try_from(Episodes::MAX_COUNTED).map_or(i64::MAX, |most| most + 1))
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;

@@ -63,7 +63,11 @@ struct Place {
     faster: Option<u64>,
 }
 
-pub(crate) async fn slowest(readers: &Readers, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
+pub(crate) async fn slowest_iterations(
+    readers: &Readers,
+    run: i64,
+    n: u32,
+) -> Result<Vec<IterationRow>, StoreError> {
     let rows: Vec<Row> = sqlx::query_as(sql::SLOWEST)
         .bind(run)
         .bind(n.min(1_000))

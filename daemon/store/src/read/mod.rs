@@ -1,5 +1,4 @@
-//! Answers to questions, one file per subject. The statements stand together in [`sql`], where a test looks at
-//! all of their plans.
+//! Queries, one file per subject. The statements are together in [`sql`], where a test looks at all of their plans.
 
 pub(super) mod clocks;
 pub(super) mod episodes;
@@ -24,7 +23,7 @@ pub(super) fn corrupt(what: &'static str, detail: impl std::fmt::Display) -> Sto
     StoreError::Corrupt { what, detail: detail.to_string() }
 }
 
-/// Reads a text as what it must be.
+/// Parses a stored text.
 pub(super) fn parse<T: std::str::FromStr<Err: std::fmt::Display>>(
     what: &'static str,
     text: &str,
@@ -54,7 +53,7 @@ pub(super) struct StoredDelay {
 }
 
 impl StoredDelay {
-    /// The delay; `None` where it was never judged.
+    /// Returns the delay; `None` if it was never judged.
     pub(super) fn judged(self, what: &'static str) -> Result<Option<OneWayDelay>, StoreError> {
         let (Some(raw), Some(source), Some(verdict)) = (self.raw_ns, self.source, self.verdict) else {
             return Ok(None);

@@ -9,14 +9,14 @@ use super::{corrupt, sql};
 use crate::error::StoreError;
 use crate::figures::rank;
 use crate::readers::Readers;
-use crate::types::Pairs;
+use crate::types::ValuePairs;
 
 const WHAT: &str = "pairs of values";
 /// Number of parts of the sample that are read concurrently.
-const READ_AT_ONCE: usize = 4;
-/// The golden ratio. The place within a stretch moves by this share of it from one stretch to the next, so that places never
-/// repeat.
-const TURN: f64 = 0.618_033_988_749_895;
+const CONCURRENT_READS: usize = 4;
+/// The golden ratio. The position within an interval moves by this share of the interval's length from one interval to the next,
+/// so that positions never repeat.
+const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
 /// A node of one of the two names.
 #[derive(FromRow)]
@@ -29,7 +29,7 @@ struct Row {
     is_y: bool,
 }
 
-/// Values of a name in an iteration: one number, whatever the number of nodes.
+/// Values of a name in an iteration, reduced to one number whatever the number of nodes.
 #[derive(Default)]
 struct NameValues {
     /// The first node of the name with its value.
@@ -55,12 +55,12 @@ impl NameValues {
     }
 }
 
-pub(crate) async fn pairs(
+pub(crate) async fn value_pairs(
     readers: &Readers,
     run: i64,
     [x, y]: [&str; 2],
-    most: u32,
-) -> Result<Pairs, StoreError> {
+    max_pairs: u32,
+) -> Result<ValuePairs, StoreError> {
     let end = async |statement: &'static str, from: i64| {
         let number: Option<i64> = sqlx::query_scalar(statement)
             .bind(run)
@@ -71,8 +71,8 @@ pub(crate) async fn pairs(
         Ok(number)
     };
     let ends = end(sql::NEXT, 0).await?.zip(end(sql::PREVIOUS, i64::MAX).await?);
-    let Some((first, last)) = ends else { return Ok(Pairs::default()) };
-    let numbers = spread(first, last, most);
+    let Some((first, last)) = ends else { return Ok(ValuePairs::default()) };
+    let numbers = sample_numbers(first, last, max_pairs);
     let read = async |numbers: &[i64]| -> Result<Vec<Row>, StoreError> {
         sqlx::query_as(sql::PAIRS)
             .bind(run)
@@ -84,7 +84,7 @@ pub(crate) async fn pairs(
             .map_err(readers.failed(WHAT))
     };
     // Iterations of a long run are far apart in the file: each read waits for the disk.
-    let part = numbers.len().div_ceil(READ_AT_ONCE).max(1);
+    let part = numbers.len().div_ceil(CONCURRENT_READS).max(1);
     let rows = try_join_all(numbers.chunks(part).map(read)).await?;
     let mut found = BTreeMap::<i64, [NameValues; 2]>::new();
     for row in rows.into_iter().flatten() {
@@ -94,10 +94,10 @@ pub(crate) async fn pairs(
     }
     let is_standard = [x, y].map(|name| rank(name).0 < usize::MAX);
     let point = |[x, y]: &[NameValues; 2]| Some((x.value(is_standard[0])?, y.value(is_standard[1])?));
-    Ok(Pairs {
+    Ok(ValuePairs {
         points: found.values().filter_map(point).collect(),
-        asked: numbers.len() as u64,
-        of: length(first, last),
+        read_iterations: numbers.len() as u64,
+        stored_iterations: length(first, last),
     })
 }
 
@@ -105,22 +105,23 @@ const fn length(first: i64, last: i64) -> u64 {
     last.abs_diff(first).saturating_add(1)
 }
 
-/// Returns at most `most` numbers from the first to the last, rising: all, or one from each of `most` stretches of equal length.
+/// Returns at most `max_pairs` numbers from the first to the last, in ascending order: all of them, or one from each of
+/// `max_pairs` intervals of equal length.
 ///
-/// The place within its stretch changes from one stretch to the next: evenly spaced iterations would always meet the same few
-/// samples of a data set that repeats.
-fn spread(first: i64, last: i64, most: u32) -> Vec<i64> {
+/// The position within the interval changes from one interval to the next: evenly spaced iterations would always select the same
+/// few samples of a data set that repeats.
+fn sample_numbers(first: i64, last: i64, max_pairs: u32) -> Vec<i64> {
     let all = length(first, last);
-    if all <= u64::from(most) {
+    if all <= u64::from(max_pairs) {
         return (first..=last).collect();
     }
-    let begin = |stretch: u32| (u128::from(all) * u128::from(stretch) / u128::from(most)) as u64;
-    let number = |stretch: u32| {
-        let (from, to) = (begin(stretch), begin(stretch + 1));
-        let within = ((to - from) as f64 * (f64::from(stretch) * TURN).fract()) as u64;
+    let begin = |interval: u32| (u128::from(all) * u128::from(interval) / u128::from(max_pairs)) as u64;
+    let number = |interval: u32| {
+        let (from, to) = (begin(interval), begin(interval + 1));
+        let within = ((to - from) as f64 * (f64::from(interval) * GOLDEN_RATIO).fract()) as u64;
         first.saturating_add_unsigned(from + within.min(to - from - 1))
     };
-    (0..most).map(number).collect()
+    (0..max_pairs).map(number).collect()
 }
 
 #[cfg(test)]
@@ -134,7 +135,7 @@ mod tests {
     #[test]
     fn sample_covers_repeating_data_set() {
         for period in [7, 30, 100] {
-            let numbers = spread(1, 1_500 * period, 1_500);
+            let numbers = sample_numbers(1, 1_500 * period, 1_500);
             let places: HashSet<i64> = numbers.iter().map(|number| number % period).collect();
             assert_eq!(places.len() as i64, period);
         }
@@ -142,14 +143,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn each_stretch_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, most in 0u32..4_000) {
+        fn each_interval_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, max_pairs in 0u32..4_000) {
             let last = first.saturating_add(all - 1);
-            let (numbers, all) = (spread(first, last, most), length(first, last));
-            prop_assert_eq!(numbers.len() as u64, all.min(u64::from(most)));
+            let (numbers, all) = (sample_numbers(first, last, max_pairs), length(first, last));
+            prop_assert_eq!(numbers.len() as u64, all.min(u64::from(max_pairs)));
             prop_assert!(numbers.windows(2).all(|pair| pair[0] < pair[1]));
             prop_assert!(numbers.iter().all(|number| (first..=last).contains(number)));
-            let stretch = all as f64 / f64::from(most.max(1));
-            let far = numbers.windows(2).any(|pair| (pair[1] - pair[0]) as f64 > 2.0 * stretch + 2.0);
+            let interval = all as f64 / f64::from(max_pairs.max(1));
+            let far = numbers.windows(2).any(|pair| (pair[1] - pair[0]) as f64 > 2.0 * interval + 2.0);
             prop_assert!(!far, "no hole is wider than two stretches");
         }
     }

@@ -1,4 +1,4 @@
-//! Every statement that answers a question. Parameters are numbered, so that each reads on its own.
+//! Every statement of a query. Parameters are numbered, so that each reads on its own.
 
 macro_rules! statements {
     ($($(#[$doc:meta])* $name:ident = $text:expr;)*) => {

@@ -17,9 +17,9 @@ use crate::figures::Figures;
 use crate::readers::Readers;
 use crate::types::{Histogram, NameSummary};
 
-pub(crate) use self::means::means;
+pub(crate) use self::means::stage_means;
 pub(crate) use self::runs::statistics;
-pub(crate) use self::series::{course, series};
+pub(crate) use self::series::{series, stage_buckets};
 
 const WHAT: &str = "statistics";
 /// Quantile above which a histogram only counts, so that one outlier does not compress all others into a bin.
@@ -65,7 +65,7 @@ pub(super) async fn whole_runs(
     let mut found = HashMap::<i64, NameSummary>::new();
     for row in rows {
         let summary = row.summary()?;
-        found.entry(row.run).or_insert_with(|| NameSummary::of_unit(&row.unit)).summary.merge(&summary);
+        found.entry(row.run).or_insert_with(|| NameSummary::with_unit(&row.unit)).summary.merge(&summary);
     }
     Ok(found)
 }

@@ -69,7 +69,7 @@ pub(super) type Stored = (Tree, Vec<Option<Slug>>);
 
 /// Returns trees of iterations as they were sent, with the names of their hosts.
 ///
-/// `iterations` holds number and begin of each one, in rising order. The result is `None` for one that was deleted meanwhile.
+/// `iterations` holds number and start of each one, in ascending order. The result is `None` for one that was deleted meanwhile.
 pub(super) async fn trees(
     readers: &Readers,
     run: i64,

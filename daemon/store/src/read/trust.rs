@@ -9,10 +9,10 @@ use peernet_logger::stage;
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
-use super::statistics::{course, statistics};
+use super::statistics::{stage_buckets, statistics};
 use crate::error::StoreError;
 use crate::readers::Readers;
-use crate::types::{RunDetail, RunStatistics, RunSummary, StageCourse};
+use crate::types::{RunDetail, RunStatistics, RunSummary, StageBuckets};
 
 /// Largest number of buckets in which a run's time series is read.
 const BUCKETS: usize = 120;
@@ -20,28 +20,29 @@ const BUCKETS: usize = 120;
 pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<TrustInput, StoreError> {
     let number = run.summary.number;
     let numbers = [number];
-    let (known, courses) = tokio::try_join!(statistics(readers, &numbers), courses(readers, number))?;
-    Ok(collect(run, &known.into_iter().next().unwrap_or_default(), &courses))
+    let (known, stages_over_time) =
+        tokio::try_join!(statistics(readers, &numbers), stages_over_time(readers, number))?;
+    Ok(collect(run, &known.into_iter().next().unwrap_or_default(), &stages_over_time))
 }
 
 /// Reads the time series of the total, or of sensing for a run of a sensor alone.
 ///
 /// The stages are read only if the total has moved: over a day they are tens of thousands of rows.
-async fn courses(readers: &Readers, run: i64) -> Result<Vec<StageCourse>, StoreError> {
-    let mut found = course(readers, run, &[stage::TOTAL], BUCKETS).await?;
-    let has_moved = |course: &StageCourse| {
+async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBuckets>, StoreError> {
+    let mut found = stage_buckets(readers, run, &[stage::TOTAL], BUCKETS).await?;
+    let has_moved = |course: &StageBuckets| {
         TimeSeries::of_summaries(&course.buckets).is_some_and(|course| course.has_moved())
     };
     if found.is_empty() {
-        found = course(readers, run, &[stage::SENSING], BUCKETS).await?;
+        found = stage_buckets(readers, run, &[stage::SENSING], BUCKETS).await?;
     } else if found.iter().any(has_moved) {
-        found.extend(course(readers, run, &stage::ORDER, BUCKETS).await?);
+        found.extend(stage_buckets(readers, run, &stage::ORDER, BUCKETS).await?);
     }
     Ok(found)
 }
 
-/// Collects what a run is judged by; `courses` as [`courses`] reads them.
-fn collect(run: &RunDetail, known: &RunStatistics, courses: &[StageCourse]) -> TrustInput {
+/// Collects the values that the trust findings of a run are computed from. The function [`stages_over_time`] reads `stages_over_time`.
+fn collect(run: &RunDetail, known: &RunStatistics, stages_over_time: &[StageBuckets]) -> TrustInput {
     let RunStatistics { stages: statistics, bounds, .. } = known;
     let counts = Counts {
         ok: run.summary.counts.ok,
@@ -52,7 +53,7 @@ fn collect(run: &RunDetail, known: &RunStatistics, courses: &[StageCourse]) -> T
     };
     let figures =
         |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
-    let mut stages: Vec<(String, TimeSeries)> = courses
+    let mut stages: Vec<(String, TimeSeries)> = stages_over_time
         .iter()
         .filter_map(|course| Some((course.stage.to_string(), TimeSeries::of_summaries(&course.buckets)?)))
         .collect();

@@ -11,11 +11,11 @@ use crate::types::RunSummary;
 
 const WHAT: &str = "whole iterations";
 /// Maximum number of iterations that are read at a time: a tree may be large.
-const MOST: u32 = 200;
+const MAX_ITERATIONS: u32 = 200;
 /// Number of iterations whose shapes are compared together.
-const SHAPED: u32 = 5_000;
+const ITERATIONS_PER_COMPARISON: u32 = 5_000;
 
-pub(crate) async fn whole(
+pub(crate) async fn full_iterations(
     readers: &Readers,
     run: &RunSummary,
     after: u64,
@@ -23,7 +23,7 @@ pub(crate) async fn whole(
     let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS)
         .bind(run.number)
         .bind(column(after))
-        .bind(MOST)
+        .bind(MAX_ITERATIONS)
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
@@ -31,7 +31,7 @@ pub(crate) async fn whole(
     Ok(Some((last, with_trees(readers, run, rows).await?)))
 }
 
-pub(crate) async fn shapes(
+pub(crate) async fn iterations_by_shape(
     readers: &Readers,
     run: &RunSummary,
     after: u64,
@@ -39,7 +39,7 @@ pub(crate) async fn shapes(
     let last: Option<i64> = sqlx::query_scalar(sql::LAST_OF_NEXT)
         .bind(run.number)
         .bind(column(after))
-        .bind(SHAPED)
+        .bind(ITERATIONS_PER_COMPARISON)
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
@@ -52,7 +52,7 @@ pub(crate) async fn shapes(
         .await
         .map_err(readers.failed(WHAT))?;
     let mut found = Vec::with_capacity(firsts.len());
-    for some in firsts.chunks(MOST as usize) {
+    for some in firsts.chunks(MAX_ITERATIONS as usize) {
         let numbers = serde_json::to_string(some).map_err(|error| corrupt(WHAT, error))?;
         let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_OF)
             .bind(run.number)

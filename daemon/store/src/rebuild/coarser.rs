@@ -11,7 +11,7 @@ use crate::rollups::{RollupRow, Rollups, Scope, bucket};
 const STORED_S: i64 = 10;
 const HOUR_S: i64 = 3600;
 /// Number of runs between two log lines.
-const RUNS_TOLD: u64 = 100;
+const RUNS_PER_LOG_LINE: u64 = 100;
 
 /// The rows of buckets within a range: ?1 run, ?2 begin, ?3 end.
 pub(super) const TENS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
@@ -21,35 +21,35 @@ pub(super) const TENS: &str = "SELECT run, resolution_s, bucket_s, name, quantit
 ///
 /// # Errors
 /// When the database cannot be read or written.
-pub(crate) async fn make_coarser(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+pub(crate) async fn build_missing_rollups(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let runs: i64 =
         sqlx::query_scalar("SELECT count(*) FROM rollup_debt").fetch_one(&mut *connection).await?;
     if runs == 0 {
         return Ok(());
     }
-    tracing::info!(runs, "making statistics per minute and hour of runs that a version before stored");
+    tracing::info!(runs, "computing statistics per minute and hour for runs that an earlier version stored");
     for done in 1.. {
         let run: Option<i64> =
             sqlx::query_scalar("SELECT min(run) FROM rollup_debt").fetch_one(&mut *connection).await?;
         let Some(run) = run else { break };
         // Dropping it rolls back.
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
-        one_run(&mut transaction, run).await?;
+        rebuild_run(&mut transaction, run).await?;
         transaction.commit().await?;
-        if done % RUNS_TOLD == 0 {
-            tracing::info!(done, runs, "making statistics per minute and hour");
+        if done % RUNS_PER_LOG_LINE == 0 {
+            tracing::info!(done, runs, "computing statistics per minute and hour");
         }
     }
-    tracing::info!(runs, "statistics per minute and hour are there");
+    tracing::info!(runs, "computed statistics per minute and hour");
     Ok(())
 }
 
-async fn one_run(connection: &mut SqliteConnection, run: i64) -> Result<(), sqlx::Error> {
+async fn rebuild_run(connection: &mut SqliteConnection, run: i64) -> Result<(), sqlx::Error> {
     sqlx::query("DELETE FROM rollup WHERE run = ? AND resolution_s IN (60, 3600)")
         .bind(run)
         .execute(&mut *connection)
         .await?;
-    let mut rollups = Rollups::of(Scope::Coarser);
+    let mut rollups = Rollups::with_scope(Scope::Coarser);
     let mut from = i64::MIN;
     loop {
         let first: Option<i64> = sqlx::query_scalar(

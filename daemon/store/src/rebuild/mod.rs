@@ -5,7 +5,7 @@ mod nodes;
 
 use sqlx::{Connection, SqliteConnection};
 
-pub(crate) use self::coarser::make_coarser;
+pub(crate) use self::coarser::build_missing_rollups;
 use crate::retention::{Kind, release};
 use crate::rollups::{Rollups, Scope, WHOLE_RUN, WIDTHS_S};
 
@@ -24,7 +24,7 @@ pub struct Rebuilt {
 /// ?1 the run before.
 const NEXT_RUN: &str = "SELECT min(number) FROM run WHERE number > ?1";
 /// Second before which nodes are deleted: ?1 run.
-const FLOOR: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
+const FIRST_COMPLETE_SECOND: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
 /// Counts the skipped starts of a run as the migration that made the column does: ?1 run. Those before answered iterations
 /// are in the roll-up of the whole run.
 const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(0.0, min(9007199254740992.0, round( \
@@ -59,7 +59,7 @@ pub(crate) async fn rebuild(
         };
         // Dropping it rolls back.
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
-        one_run(&mut transaction, next, &mut rebuilt, &mut progress).await?;
+        rebuild_run(&mut transaction, next, &mut rebuilt, &mut progress).await?;
         transaction.commit().await?;
         rebuilt.runs += 1;
         progress(&rebuilt);
@@ -67,13 +67,14 @@ pub(crate) async fn rebuild(
     }
 }
 
-async fn one_run(
+async fn rebuild_run(
     connection: &mut SqliteConnection,
     run: i64,
     rebuilt: &mut Rebuilt,
     progress: &mut impl FnMut(&Rebuilt),
 ) -> Result<(), sqlx::Error> {
-    let floor: Option<i64> = sqlx::query_scalar(FLOOR).bind(run).fetch_optional(&mut *connection).await?;
+    let floor: Option<i64> =
+        sqlx::query_scalar(FIRST_COMPLETE_SECOND).bind(run).fetch_optional(&mut *connection).await?;
     let scope = floor.map_or(Scope::All, Scope::From);
     for width_s in WIDTHS_S {
         sqlx::query("DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s >= ?3")
@@ -93,7 +94,7 @@ async fn one_run(
     } else {
         rebuilt.in_part += 1;
     }
-    let mut rollups = Rollups::of(scope);
+    let mut rollups = Rollups::with_scope(scope);
     nodes::sum_up(connection, run, floor, &mut rollups, |iterations| {
         rebuilt.iterations += iterations;
         progress(rebuilt);
@@ -103,11 +104,11 @@ async fn one_run(
     if floor.is_none() {
         sqlx::query(SKIPPED_STARTS).bind(run).execute(&mut *connection).await?;
     }
-    complete(connection, run, floor).await
+    record_rebuilt(connection, run, floor).await
 }
 
-/// Notes that the rebuilt buckets exist again and are due for deletion at their time.
-async fn complete(
+/// Records that the rebuilt buckets exist again and are due for deletion at their time.
+async fn record_rebuilt(
     connection: &mut SqliteConnection,
     run: i64,
     floor: Option<i64>,
@@ -132,9 +133,9 @@ async fn complete(
 
 /// Statements of a rebuild, whose query plans a test checks.
 #[cfg(test)]
-pub(crate) const QUESTIONS: [(&str, &str); 6] = [
+pub(crate) const QUERIES: [(&str, &str); 6] = [
     ("NEXT_RUN", NEXT_RUN),
-    ("FLOOR", FLOOR),
+    ("FLOOR", FIRST_COMPLETE_SECOND),
     ("SKIPPED_STARTS", SKIPPED_STARTS),
     ("PAGE", nodes::PAGE),
     ("NUMBERS", nodes::NUMBERS),

@@ -74,10 +74,10 @@ pub(super) async fn sum_up(
         }
         if floor.is_none() {
             for ((name, verdict), count) in verdicts {
-                rollups.judge(run, name, verdict, count);
+                rollups.add_verdicts(run, name, verdict, count);
             }
         }
-        if rollups.waiting() >= SUMMARIES {
+        if rollups.pending_summaries() >= SUMMARIES {
             rollups.write(connection).await?;
         }
         done(counted.unsigned_abs());

@@ -1,6 +1,7 @@
-//! The table `arrival`: which data is due next for deletion, and which part of it may be deleted.
+//! The table `arrival`: it tells which data has to be deleted next, and which part of it may be deleted.
 //!
-//! A row is deleted without what a later row of the run holds as well. So a robot's clock that jumps during a run does no harm.
+//! If a later row of the run covers a part of the same data, that part is kept until the later row is due. A jump of a robot's
+//! clock during a run therefore deletes no data early.
 
 use sqlx::SqliteConnection;
 
@@ -108,7 +109,7 @@ pub(super) struct TrimResult {
     /// Cost of the deleted rows, in small rows.
     pub(super) rows: u64,
     /// `true` if no more data is due.
-    pub(super) through: bool,
+    pub(super) complete: bool,
 }
 
 /// Deletes data that had arrived by a second of the storage clock, in the order of arrival, about `rows` rows.
@@ -127,7 +128,7 @@ pub(super) async fn trim(
             break;
         }
         let Some(arrival) = next(connection, kind, before_s).await? else {
-            return Ok(TrimResult { rows: deleted, through: true });
+            return Ok(TrimResult { rows: deleted, complete: true });
         };
         let gone = arrival.delete(connection, now_s, left).await?;
         deleted += gone.rows;
@@ -135,12 +136,12 @@ pub(super) async fn trim(
             deletions.push(Deletion { cause, kind, owner: arrival.owner, items: gone.items });
         }
     }
-    Ok(TrimResult { rows: deleted, through: false })
+    Ok(TrimResult { rows: deleted, complete: false })
 }
 
 impl Arrival {
-    /// Deletes about `rows` rows of what it holds and no later arrival does. When that is complete, the row is removed, or
-    /// postponed for another period if pinned data remains.
+    /// Deletes about `rows` rows of the data that only this arrival covers. After the last of them the arrival is removed, or
+    /// postponed by another period if pinned data remains.
     async fn delete(
         self,
         connection: &mut SqliteConnection,

@@ -26,7 +26,7 @@ const DELETE: &str = "DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AN
 pub(super) const STATEMENTS: [(&str, &str); 4] =
     [("OLDEST", OLDEST), ("LAST", LAST), ("AFTER", AFTER), ("DELETE", DELETE)];
 
-/// Deletes buckets by rising begin, about `rows` rows.
+/// Deletes buckets by ascending start, about `rows` rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,

@@ -64,7 +64,7 @@ pub(super) async fn any(
     Ok(oldest.is_some())
 }
 
-/// Deletes samples by rising time, about `rows` rows.
+/// Deletes samples by ascending time, about `rows` rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     link: i64,

@@ -1,4 +1,4 @@
-//! Incidents and log lines about deleted data: at most one an hour, which grows.
+//! Incidents and log lines about deleted data: at most one incident per hour, whose text is updated.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write;
@@ -11,7 +11,7 @@ use crate::incidents;
 use crate::retention_config::RetentionConfig;
 use crate::types::AggregatorIncidentKind;
 
-/// Time on the storage clock for which an incident grows.
+/// Time on the storage clock for which an incident is updated.
 const GROUP_S: i64 = 3_600;
 
 /// ?1 incident, ?2 text.
@@ -37,7 +37,7 @@ pub(super) struct Deletion {
     pub(super) items: u64,
 }
 
-/// Owner of the incident that grows.
+/// The incident of the current hour, and the deletions in it.
 #[derive(Debug)]
 pub(super) struct Deletions {
     config: RetentionConfig,
@@ -76,7 +76,7 @@ impl Deletions {
         if deletions.is_empty() {
             return Ok(());
         }
-        self.end_if_old(now_s);
+        self.finish_if_old(now_s);
         let mut group = match self.group.take() {
             Some(group) => group,
             None => {
@@ -90,7 +90,7 @@ impl Deletions {
             count.items += items;
             count.owners.insert(*owner);
         }
-        let text = group.in_words(&self.config);
+        let text = group.description(&self.config);
         sqlx::query(UPDATE).bind(group.incident).bind(text).execute(connection).await?;
         self.group = Some(group);
         Ok(())
@@ -101,40 +101,40 @@ impl Deletions {
         self.group = None;
     }
 
-    /// Handles a time without deletions: logs the first deletions of the hour, and all of them at its end.
-    pub(super) fn rest(&mut self, now_s: i64) {
+    /// Handles a time without deletions: logs the first deletions of an hour, and at its end all deletions of the hour.
+    pub(super) fn log_at_rest(&mut self, now_s: i64) {
         if let Some(group) = &mut self.group
             && group.logged.is_none()
         {
             group.log(&self.config);
         }
-        self.end_if_old(now_s);
+        self.finish_if_old(now_s);
     }
 
     /// Logs the rest, because no more deletions follow.
-    pub(super) fn end(&mut self) {
+    pub(super) fn finish(&mut self) {
         if let Some(mut group) = self.group.take() {
             group.log(&self.config);
         }
     }
 
-    fn end_if_old(&mut self, now_s: i64) {
+    fn finish_if_old(&mut self, now_s: i64) {
         if self.group.as_ref().is_some_and(|group| now_s - group.from_s >= GROUP_S) {
-            self.end();
+            self.finish();
         }
     }
 }
 
 impl Group {
     fn log(&mut self, config: &RetentionConfig) {
-        let text = self.in_words(config);
+        let text = self.description(config);
         if self.logged.as_ref() != Some(&text) {
             tracing::info!("retention {text}");
             self.logged = Some(text);
         }
     }
 
-    fn in_words(&self, config: &RetentionConfig) -> String {
+    fn description(&self, config: &RetentionConfig) -> String {
         let mut text = "deleted".to_owned();
         let mut last = None;
         for ((cause, kind), Count { items, owners }) in &self.counts {
@@ -146,7 +146,7 @@ impl Group {
             last = Some(cause);
             let owners = owners.len();
             let plural = if owners == 1 { "" } else { "s" };
-            let (what, owner) = (kind.in_words(), kind.owner_in_words());
+            let (what, owner) = (kind.description(), kind.owner_description());
             // Writing to a string cannot fail.
             let _ = write!(text, "{separator}{items} {what} of {owners} {owner}{plural}");
             let _ = match cause {

@@ -22,18 +22,18 @@ pub(crate) use self::arrivals::{pin, release};
 use self::deletions::{Cause, Deletion, Deletions};
 use self::size::SizeLimit;
 use crate::raw_transaction;
-use crate::retention_config::{RetentionConfig, kept_s};
+use crate::retention_config::{RetentionConfig, period_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
-/// Number of rows that a step deletes, as a hint for its caller: some tens of milliseconds.
+/// Approximate number of rows that a step deletes; it takes some tens of milliseconds.
 pub(crate) const ROWS: u32 = 20_000;
 /// Pause after a step with nothing to do.
 const IDLE: Span = Span::from_seconds(1);
 /// Number of parts of a period. Data that arrives within one part is deleted together, so that a kind has few rows in the
 /// table `arrival`.
 const PARTS: i64 = 64;
-/// Length of a part for data that is kept for ever, seconds: the size limit, or a period that is configured later, needs it.
+/// Length of a part for data that is kept without limit, seconds: the size limit, or a period that is configured later, needs it.
 const UNLIMITED_RESOLUTION_S: i64 = 3_600;
 /// Maximum number of runs and of links whose arrivals one transaction converts.
 const ARRIVING: u32 = 64;
@@ -41,9 +41,9 @@ const ARRIVING: u32 = 64;
 /// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// There is nothing to do at present.
+    /// Nothing remains to be deleted now.
     Done,
-    /// Another step will find something to do.
+    /// More remains to be deleted.
     More,
 }
 
@@ -79,7 +79,7 @@ impl Kind {
         }
     }
 
-    /// Returns the number of days for which it is kept; 0 for ever.
+    /// Returns the number of days for which it is kept; 0 for no limit.
     const fn days(self, config: &RetentionConfig) -> u32 {
         match self {
             Self::Nodes => config.nodes_days,
@@ -104,7 +104,7 @@ impl Kind {
     }
 
     /// Returns a description of its items.
-    const fn in_words(self) -> &'static str {
+    const fn description(self) -> &'static str {
         match self {
             Self::Nodes => "iterations with their trees",
             Self::Buckets(1) => "statistics per second",
@@ -116,7 +116,7 @@ impl Kind {
     }
 
     /// Returns a description of their owner.
-    const fn owner_in_words(self) -> &'static str {
+    const fn owner_description(self) -> &'static str {
         if matches!(self, Self::ClockSamples) { "link" } else { "run" }
     }
 }
@@ -126,14 +126,14 @@ impl Kind {
 struct Periods(RetentionConfig);
 
 impl Periods {
-    /// Returns the period of a kind; `None` for ever.
-    fn kept_s(&self, kind: Kind) -> Option<i64> {
-        kept_s(kind.days(&self.0))
+    /// Returns the period of a kind; `None` for no limit.
+    fn period_s(&self, kind: Kind) -> Option<i64> {
+        period_s(kind.days(&self.0))
     }
 
-    /// Returns the number of seconds within which arrivals are deleted together.
+    /// Returns the length of a part of the period: arrivals within one part are deleted together, seconds.
     fn resolution_s(&self, kind: Kind) -> i64 {
-        self.kept_s(kind).map_or(UNLIMITED_RESOLUTION_S, |kept_s| (kept_s / PARTS).max(1))
+        self.period_s(kind).map_or(UNLIMITED_RESOLUTION_S, |period_s| (period_s / PARTS).max(1))
     }
 
     fn finest_resolution_s(&self) -> i64 {
@@ -189,7 +189,7 @@ impl Retention {
         let now_s = seconds(storage_clock.read(connection, now.mono).await?);
         let Some(work) = self.find_work(connection, now_s, now.mono).await? else {
             self.idle = Some(now.mono);
-            self.deletions.rest(now_s);
+            self.deletions.log_at_rest(now_s);
             return Ok(Step::Done);
         };
         self.idle = None;
@@ -205,8 +205,8 @@ impl Retention {
     }
 
     /// Logs the deletions that were not logged yet, because no more follow.
-    pub(crate) fn end(&mut self) {
-        self.deletions.end();
+    pub(crate) fn finish(&mut self) {
+        self.deletions.finish();
     }
 
     async fn transaction(
@@ -237,13 +237,13 @@ impl Retention {
             return Ok(Some(Work::Arriving { since_s }));
         }
         for kind in Kind::ALL {
-            if let Some(kept_s) = self.periods.kept_s(kind)
-                && arrivals::due(connection, kind, now_s - kept_s).await?
+            if let Some(period_s) = self.periods.period_s(kind)
+                && arrivals::due(connection, kind, now_s - period_s).await?
             {
-                return Ok(Some(Work::Aged { kind, before_s: now_s - kept_s }));
+                return Ok(Some(Work::Aged { kind, before_s: now_s - period_s }));
             }
         }
-        Ok(self.size.exceeded(connection, now).await?.then_some(Work::TooLarge))
+        Ok(self.size.is_exceeded(connection, now).await?.then_some(Work::TooLarge))
     }
 
     async fn perform(

@@ -34,7 +34,7 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("NODES_FROM", NODES_FROM),
 ];
 
-/// Deletes iterations by rising number, about `rows` rows.
+/// Deletes iterations by ascending number, about `rows` rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,

@@ -34,7 +34,7 @@ impl SizeLimit {
     }
 
     /// Returns whether something has to be deleted.
-    pub(super) async fn exceeded(
+    pub(super) async fn is_exceeded(
         &self,
         connection: &mut SqliteConnection,
         now: MonoTime,
@@ -59,7 +59,7 @@ impl SizeLimit {
                     tracing::warn!(
                         limit_bytes = self.limit,
                         "the database is at [aggregator.retention] size_limit_bytes: the oldest data is deleted before \
-                         its time; raise the limit, or ask for shorter periods"
+                         the end of its period; raise the limit, or shorten the periods"
                     );
                     self.is_reported = true;
                 }
@@ -79,8 +79,8 @@ impl SizeLimit {
         if !self.is_futility_reported {
             tracing::warn!(
                 limit_bytes = self.limit,
-                "the database is above [aggregator.retention] size_limit_bytes, and nothing is left that may be deleted: \
-                 the rest is pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
+                "the database is above [aggregator.retention] size_limit_bytes, and no more data may be deleted: \
+                 the remaining data are pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
             );
             self.is_futility_reported = true;
         }
@@ -94,7 +94,7 @@ async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Erro
     Ok(count(bytes))
 }
 
-/// Notes the deletion for `peernetd doctor`.
+/// Records the deletion for `peernetd doctor`.
 async fn note(connection: &mut SqliteConnection, now: WallTime, rows: u64) -> Result<(), sqlx::Error> {
     sqlx::query(
         "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \

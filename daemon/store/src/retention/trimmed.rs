@@ -11,7 +11,7 @@ const TRIMMED: &str = "INSERT INTO trimmed (run, kind, before_s) VALUES (?1, ?2,
 #[cfg(test)]
 pub(super) const STATEMENTS: [(&str, &str); 1] = [("TRIMMED", TRIMMED)];
 
-/// Notes that data of this kind that began before a second is deleted in part.
+/// Records that data of this kind that began before a second is deleted in part.
 pub(super) async fn trimmed(
     connection: &mut SqliteConnection,
     kind: Kind,

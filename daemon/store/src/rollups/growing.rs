@@ -8,8 +8,8 @@ use super::packed::PackedSummary;
 use super::table::{self, RollupRow};
 use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
-/// Number of older buckets of a width kept besides the newest one: iterations end in another order than they began in.
-const KEPT: usize = 2;
+/// Number of older buckets of a width kept in addition to the newest one: iterations end in another order than they began in.
+const OLDER_BUCKETS: usize = 2;
 /// Approximate memory of a run besides its rows, bytes.
 const OVERHEAD: usize = 512;
 
@@ -29,18 +29,18 @@ pub(super) struct GrowingBuckets {
     /// In the order of [`WIDTHS_S`], then the whole run.
     widths: [Width; WIDTHS_S.len() + 1],
     bytes: usize,
-    turn: u64,
+    transaction: u64,
 }
 
 impl GrowingBuckets {
     /// Reads the newest bucket of each width, but no rows.
-    pub(super) async fn of(connection: &mut SqliteConnection, run: i64) -> Result<Self, sqlx::Error> {
+    pub(super) async fn read(connection: &mut SqliteConnection, run: i64) -> Result<Self, sqlx::Error> {
         let newest = table::newest_buckets(connection, run).await?;
         let widths = newest.map(|newest| Width {
             buckets: BTreeMap::new(),
             known_from: newest.map_or(i64::MIN, |newest| newest.saturating_add(1)),
         });
-        Ok(Self { run, widths, bytes: OVERHEAD, turn: 0 })
+        Ok(Self { run, widths, bytes: OVERHEAD, transaction: 0 })
     }
 
     pub(super) const fn bytes(&self) -> usize {
@@ -48,8 +48,8 @@ impl GrowingBuckets {
     }
 
     /// Returns the number of the transaction that last wrote it.
-    pub(super) const fn turn(&self) -> u64 {
-        self.turn
+    pub(super) const fn last_transaction(&self) -> u64 {
+        self.transaction
     }
 
     /// Adds to the buckets of a width, and appends their new rows to `rows`.
@@ -83,7 +83,7 @@ impl GrowingBuckets {
                     at
                 }
                 Err(at) => {
-                    bucket.insert(at, (*series, PackedSummary::of(summary)));
+                    bucket.insert(at, (*series, PackedSummary::pack(summary)));
                     at
                 }
             };
@@ -94,10 +94,10 @@ impl GrowingBuckets {
     }
 
     /// Removes all but the newest buckets of each width.
-    pub(super) fn shrink(&mut self, turn: u64) {
-        self.turn = turn;
+    pub(super) fn shrink(&mut self, transaction: u64) {
+        self.transaction = transaction;
         for width in &mut self.widths {
-            while width.buckets.len() > KEPT
+            while width.buckets.len() > OLDER_BUCKETS
                 && let Some((bucket_s, _)) = width.buckets.pop_first()
             {
                 width.known_from = width.known_from.max(bucket_s.saturating_add(1));

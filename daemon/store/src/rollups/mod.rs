@@ -21,7 +21,7 @@ use sqlx::SqliteConnection;
 
 use self::growing::GrowingBuckets;
 #[cfg(test)]
-pub(crate) use self::table::QUESTIONS;
+pub(crate) use self::table::QUERIES;
 pub(crate) use self::table::RollupRow;
 use self::table::Upserts;
 
@@ -31,7 +31,7 @@ pub(crate) const WIDTHS_S: [i64; 4] = [1, 10, 60, 3600];
 pub(crate) const WHOLE_RUN: i64 = 0;
 /// Bytes of growing buckets kept in memory; beyond, the runs that were written least recently are read again when needed. It
 /// is enough for some thousand runs with usual trees.
-const MOST_BYTES: usize = 96 << 20;
+const MAX_BYTES: usize = 96 << 20;
 
 /// Quantity of a node that is summed up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -42,13 +42,13 @@ pub(crate) enum Quantity {
     HalfWidth = 1,
 }
 
-/// A name's number with its quantity: what is summed up together within a bucket.
+/// Name and quantity whose values are summed up together within a bucket.
 type Series = (i64, Quantity);
 
-/// Addition to a bucket: series, the bucket's begin, numbers.
+/// Addition to a bucket: series, the bucket's start, numbers.
 type Added = (Series, i64, Arc<Summary>);
 
-/// Returns the begin of the bucket of a width that contains a second.
+/// Returns the start of the bucket of a width that contains a second.
 pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
     if width_s == WHOLE_RUN { 0 } else { second_s - second_s.rem_euclid(width_s) }
 }
@@ -57,14 +57,14 @@ pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
 #[derive(Debug, Default)]
 pub(crate) struct Rollups {
     /// Additions of the current transaction, by run, second and series.
-    fresh: HashMap<(i64, i64, Series), Summary>,
+    pending: HashMap<(i64, i64, Series), Summary>,
     verdicts: HashMap<(i64, i64, u8), i64>,
     /// By run, as in the database after the current transaction.
     growing: HashMap<i64, GrowingBuckets>,
     /// Memory of all of `growing`, bytes.
     bytes: usize,
     /// Number of transactions, to find the run that was written least recently.
-    turn: u64,
+    transaction: u64,
     upserts: Upserts,
     scope: Scope,
 }
@@ -93,7 +93,7 @@ impl Scope {
 
 impl Rollups {
     /// Makes roll-ups that write only the buckets of `scope`.
-    pub(crate) fn of(scope: Scope) -> Self {
+    pub(crate) fn with_scope(scope: Scope) -> Self {
         Self { scope, ..Self::default() }
     }
 
@@ -109,7 +109,7 @@ impl Rollups {
         if summary.count() == 0 {
             return;
         }
-        match self.fresh.entry((run, second_s, (name, quantity))) {
+        match self.pending.entry((run, second_s, (name, quantity))) {
             Entry::Occupied(mut known) => known.get_mut().merge(summary),
             Entry::Vacant(place) => {
                 place.insert(summary.clone());
@@ -118,44 +118,44 @@ impl Rollups {
     }
 
     /// Adds `count` delays with this verdict.
-    pub(crate) fn judge(&mut self, run: i64, name: i64, verdict: u8, count: u64) {
+    pub(crate) fn add_verdicts(&mut self, run: i64, name: i64, verdict: u8, count: u64) {
         *self.verdicts.entry((run, name, verdict)).or_default() += count.cast_signed();
     }
 
     /// Returns the number of summaries that wait to be written.
-    pub(crate) fn waiting(&self) -> usize {
-        self.fresh.len()
+    pub(crate) fn pending_summaries(&self) -> usize {
+        self.pending.len()
     }
 
     /// Writes the additions since the last call.
     pub(crate) async fn write(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
-        self.turn += 1;
-        let mut fresh: Vec<(i64, Added)> = self
-            .fresh
+        self.transaction += 1;
+        let mut pending: Vec<(i64, Added)> = self
+            .pending
             .drain()
             .map(|((run, second_s, series), summary)| (run, (series, second_s, Arc::new(summary))))
             .collect();
-        fresh.sort_unstable_by_key(|(run, (series, second_s, _))| (*run, *series, *second_s));
-        let mut rows = Vec::with_capacity(fresh.len() * (WIDTHS_S.len() + 1));
-        for of_run in fresh.chunk_by(|(a, _), (b, _)| a == b) {
+        pending.sort_unstable_by_key(|(run, (series, second_s, _))| (*run, *series, *second_s));
+        let mut rows = Vec::with_capacity(pending.len() * (WIDTHS_S.len() + 1));
+        for of_run in pending.chunk_by(|(a, _), (b, _)| a == b) {
             let Some((run, _)) = of_run.first() else { continue };
             let mut growing = match self.growing.remove(run) {
                 Some(growing) => {
                     self.bytes -= growing.bytes();
                     growing
                 }
-                None => GrowingBuckets::of(connection, *run).await?,
+                None => GrowingBuckets::read(connection, *run).await?,
             };
             let begin = rows.len();
             let mut added: Vec<Added> = of_run.iter().map(|(_, added)| added.clone()).collect();
             for width_s in WIDTHS_S.into_iter().chain([WHOLE_RUN]) {
-                added = coarser(&added, width_s);
+                added = merge_into_width(&added, width_s);
                 let covered = |(_, bucket_s, _): &&Added| self.scope.covers(width_s, *bucket_s);
                 let covered: Vec<Added> = added.iter().filter(covered).cloned().collect();
                 growing.add(connection, width_s, &covered, &mut rows).await?;
             }
             rows[begin..].sort_unstable_by_key(RollupRow::key);
-            growing.shrink(self.turn);
+            growing.shrink(self.transaction);
             self.bytes += growing.bytes();
             self.growing.insert(*run, growing);
         }
@@ -163,25 +163,28 @@ impl Rollups {
         let mut verdicts: Vec<_> = self.verdicts.drain().collect();
         verdicts.sort_unstable();
         self.upserts.verdicts(connection, &verdicts).await?;
-        self.evict(MOST_BYTES);
+        self.evict(MAX_BYTES);
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(crate) fn forget(&mut self) {
-        self.fresh.clear();
+        self.pending.clear();
         self.verdicts.clear();
         self.growing.clear();
         self.bytes = 0;
     }
 
-    /// Forgets the runs that were written least recently, until memory is a tenth below the limit.
+    /// Removes the runs that were written least recently from memory, until memory is a tenth below the limit.
     fn evict(&mut self, most: usize) {
         if self.bytes <= most {
             return;
         }
-        let mut by_age: Vec<_> =
-            self.growing.iter().map(|(run, growing)| (growing.turn(), *run, growing.bytes())).collect();
+        let mut by_age: Vec<_> = self
+            .growing
+            .iter()
+            .map(|(run, growing)| (growing.last_transaction(), *run, growing.bytes()))
+            .collect();
         by_age.sort_unstable();
         for (_, run, bytes) in by_age {
             if self.bytes <= most - most / 10 {
@@ -198,15 +201,15 @@ impl Rollups {
         self.bytes
     }
 
-    /// Forgets runs until at most `bytes` of them remain.
+    /// Removes runs from memory until at most `bytes` remain.
     #[cfg(test)]
-    pub(crate) fn keep(&mut self, bytes: usize) {
+    pub(crate) fn shrink_to(&mut self, bytes: usize) {
         self.evict(bytes);
     }
 }
 
 /// Merges narrower buckets into those of a width; both are in the order of series and time.
-fn coarser(finer: &[Added], width_s: i64) -> Vec<Added> {
+fn merge_into_width(finer: &[Added], width_s: i64) -> Vec<Added> {
     let key = |(series, bucket_s, _): &Added| (*series, bucket(*bucket_s, width_s));
     finer
         .chunk_by(|a, b| key(a) == key(b))

@@ -12,7 +12,7 @@ pub(super) struct PackedSummary {
 }
 
 impl PackedSummary {
-    pub(super) fn of(summary: &Summary) -> Self {
+    pub(super) fn pack(summary: &Summary) -> Self {
         Self { moments: summary.moments, sketch: summary.sketch.to_bytes() }
     }
 

@@ -159,7 +159,7 @@ pub(super) async fn newest_buckets(
     Ok([second, ten, minute, hour, whole])
 }
 
-/// ?1 run, ?2 width, ?3 begins of the buckets, a JSON array.
+/// ?1 run, ?2 width, ?3 starts of the buckets, a JSON array.
 const BUCKETS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
      FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s IN (SELECT value FROM json_each(?3)) \
      ORDER BY bucket_s, name, quantity";
@@ -177,4 +177,4 @@ pub(super) async fn read_buckets(
 
 /// Statements of the writer, whose query plans a test checks.
 #[cfg(test)]
-pub(crate) const QUESTIONS: [(&str, &str); 2] = [("NEWEST", NEWEST), ("BUCKETS", BUCKETS)];
+pub(crate) const QUERIES: [(&str, &str); 2] = [("NEWEST", NEWEST), ("BUCKETS", BUCKETS)];

@@ -34,11 +34,11 @@ async fn store(test_store: &mut TestStore, samples: impl IntoIterator<Item = Clo
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
 }
 
-async fn series(test_store: &TestStore, most_points: u32) -> ClockSeries {
+async fn series(test_store: &TestStore, max_points: u32) -> ClockSeries {
     let (from, to) = ALWAYS;
     test_store
         .store
-        .clock_series(&key(test_store.edge, test_store.cloud), from, to, most_points)
+        .clock_series(&key(test_store.edge, test_store.cloud), from, to, max_points)
         .await
         .expect("answers")
 }

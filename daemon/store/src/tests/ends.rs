@@ -5,7 +5,7 @@ use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
 
 use super::{NOW, STAMP, TestStore, Work, generate, open};
 use crate::stored::Stored;
-use crate::write::{RunName, UnstorableBatch, stored_hosts, unknown_runs};
+use crate::write::{RunName, UnstorableBatch, read_host_counts, read_unnamed_runs};
 
 const LEFT: &str = "the agent ended without saying so";
 
@@ -88,9 +88,9 @@ async fn live_event_names_run_known_by_iterations_once() {
     let run = RunId::random();
     let events = iterations(&test_store, run, 4..=6);
     let work = test_store.batch(events);
-    assert_eq!(test_store.commit(&[work]).await.unknown, [(test_store.edge, run)]);
+    assert_eq!(test_store.commit(&[work]).await.unnamed_runs, [(test_store.edge, run)]);
     let mut connection = crate::database::open(&test_store.path).await.expect("opens");
-    assert_eq!(unknown_runs(&mut connection, 10).await.expect("reads"), [(test_store.edge, run)]);
+    assert_eq!(read_unnamed_runs(&mut connection, 10).await.expect("reads"), [(test_store.edge, run)]);
 
     let name = |host, pipeline: &str| {
         let pipeline = pipeline.parse().expect("a name");
@@ -109,7 +109,7 @@ async fn live_event_names_run_known_by_iterations_once() {
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.summary.pipeline.as_str(), &detail.summary.placement), ("line", &generate::remote()));
     assert_eq!(test_store.count("SELECT count(*) FROM run").await, 1);
-    assert!(unknown_runs(&mut connection, 10).await.expect("reads").is_empty());
+    assert!(read_unnamed_runs(&mut connection, 10).await.expect("reads").is_empty());
 }
 
 #[tokio::test]
@@ -124,7 +124,7 @@ async fn events_of_quarantined_batches_count_as_missing() {
         let number = test_store.next;
         test_store.next += 1;
         let head = BatchHead { events, ..test_store.head(number, &body, 2) };
-        let mut frame = codec::batch_frame(&head, &body, false);
+        let mut frame = codec::encode_batch(&head, &body, false);
         frame.truncate(frame.len() / 2);
         let reason = "cut off".into();
         Work::UnstorableBatch(Box::new(UnstorableBatch { head, frame: frame.into(), body: None, reason }))
@@ -136,11 +136,11 @@ async fn events_of_quarantined_batches_count_as_missing() {
     assert_eq!((stored.quarantined, stored.gaps, stored.missing), (3, 3, 5));
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.gaps.len(), detail.gaps[0].count), (1, 3));
-    assert!(detail.gaps[0].reason.starts_with("a batch was put aside: "), "{}", detail.gaps[0].reason);
+    assert!(detail.gaps[0].reason.starts_with("a batch was quarantined: "), "{}", detail.gaps[0].reason);
     assert_eq!(test_store.count("SELECT count(*) FROM gap WHERE run IS NULL AND count = 0").await, 1);
 
     let mut connection = crate::database::open(&test_store.path).await.expect("opens");
-    let hosts = stored_hosts(&mut connection, 10).await.expect("reads");
+    let hosts = read_host_counts(&mut connection, 10).await.expect("reads");
     let known = hosts.iter().find(|(host, _)| *host == test_store.edge).map(|(_, stored)| *stored);
     assert_eq!(known, Some(Stored { duplicates: 0, ..stored }));
 }

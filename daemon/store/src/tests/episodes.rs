@@ -153,7 +153,7 @@ async fn sample_of_unanswered_iterations_covers_whole_run() {
     let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!(known.without_answer, 601, "those of the warm-up too");
     let shown = known.unanswered;
-    assert!((150..=Episodes::MOST_UNANSWERED).contains(&shown.len()), "{}", shown.len());
+    assert!((150..=Episodes::MAX_UNANSWERED).contains(&shown.len()), "{}", shown.len());
     assert_eq!((shown[0], shown[shown.len() - 1]), (generate::at(0.4), generate::at(398.0)));
     assert!(shown.is_sorted());
 }
@@ -178,6 +178,6 @@ async fn unanswered_iterations_are_counted_up_to_limit() {
     );
     sqlx::query(sqlx::AssertSqlSafe(more)).execute(&mut other).await.expect("inserts");
     let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(known.without_answer, Episodes::MOST_COUNTED + 1);
-    assert!(known.unanswered.len() <= Episodes::MOST_UNANSWERED);
+    assert_eq!(known.without_answer, Episodes::MAX_COUNTED + 1);
+    assert!(known.unanswered.len() <= Episodes::MAX_UNANSWERED);
 }

@@ -133,7 +133,7 @@ async fn a_course_holds_every_sample_in_order_of_time() {
     let mut test_store = TestStore::new().await;
     test_store.run_of(500).await;
     let asked = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
-    let courses = test_store.store.course(1, &asked, 20).await.expect("answers");
+    let courses = test_store.store.stage_buckets(1, &asked, 20).await.expect("answers");
     assert_eq!(courses.iter().map(|it| it.stage.as_str()).collect::<Vec<_>>(), ["total", "upload"]);
     let whole = test_store.store.statistics_of(1).await.expect("answers").stages;
     for course in courses {
@@ -151,8 +151,8 @@ async fn means_are_those_of_the_course() {
     test_store.run_of(500).await;
     let asked = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
     for most in [1, 7, 20, 1_000] {
-        let courses = test_store.store.course(1, &asked, most).await.expect("answers");
-        let means = test_store.store.means(1, &asked, most).await.expect("answers");
+        let courses = test_store.store.stage_buckets(1, &asked, most).await.expect("answers");
+        let means = test_store.store.stage_means(1, &asked, most).await.expect("answers");
         assert_eq!(means.len(), courses.len(), "{means:?}");
         for (means, course) in means.iter().zip(&courses) {
             assert_eq!((&means.stage, means.buckets.len()), (&course.stage, course.buckets.len()));

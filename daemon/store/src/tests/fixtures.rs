@@ -42,7 +42,7 @@ async fn migrated(folder: &Path, version: i64) -> PathBuf {
     let newest = before.filter(|known| fixture(*known).exists()).max().expect("the first ones are there");
     let text = fs::read_to_string(fixture(newest)).expect("reads");
     let path = folder.join(format!("{version}.sqlite"));
-    let mut connection = database::writing(&path).connect().await.expect("makes");
+    let mut connection = database::write_options(&path).connect().await.expect("makes");
     sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");
     let migrations =
         database::MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
@@ -74,7 +74,7 @@ async fn database_of_each_migration_is_readable() {
         let text = fs::read_to_string(fixture(version));
         let text = text.unwrap_or_else(|error| panic!("the fixture of migration {version}: {error}"));
         let path = folder.path().join(format!("{version}.sqlite"));
-        let mut connection = database::writing(&path).connect().await.expect("makes");
+        let mut connection = database::write_options(&path).connect().await.expect("makes");
         sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");
         connection.close().await.expect("closes");
 

@@ -67,7 +67,7 @@ async fn backup(test_store: &TestStore, name: &str) -> PathBuf {
 }
 
 async fn start(path: &Path) -> Result<(), OpenError> {
-    let integrity = Integrity::of(path);
+    let integrity = Integrity::new(path);
     let (database, _) = OpenDatabase::open(path, RetentionConfig::default(), &integrity).await?;
     database.close().await.1.expect("closes");
     Ok(())

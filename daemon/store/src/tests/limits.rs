@@ -1,4 +1,4 @@
-//! Time limit of questions, read-only access, and the bounded log.
+//! Time limit of queries, read-only access, and the bounded log.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ fn impatient(path: &Path) -> Readers {
         1,
         Duration::from_millis(100),
         Arc::new(SystemClock::new(identity)),
-        Integrity::of(path),
+        Integrity::new(path),
     )
 }
 
@@ -31,14 +31,14 @@ async fn endless_query_is_stopped_while_writer_commits() {
     let readers = impatient(&test_store.path);
     let pool = readers.pool();
     let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
-    // The writer finishes; the question would not.
+    // The writer finishes; the query would not.
     let (endless, _) = tokio::join!(endless, test_store.run_of(50));
     let error = endless.map_err(readers.failed("everything")).expect_err("it has no end");
     assert!(matches!(error, StoreError::TooLong { what: "everything", .. }), "{error}");
     assert!(error.to_string().contains("longer than the 0.1 s of [aggregator] question_limit_ms"), "{error}");
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 50);
 
-    // The only connection is still usable, and each question has the whole time limit.
+    // The only connection is still usable, and each query has the whole time limit.
     for _ in 0..3 {
         let seen: i64 = sqlx::query_scalar("SELECT count(*) FROM iteration")
             .fetch_one(&readers.pool())

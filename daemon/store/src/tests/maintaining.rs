@@ -155,7 +155,7 @@ async fn damaged_page_is_found_and_named() {
     // Also a file that is no database, and the database of another program.
     file.write_all_at(&[0xa5; 100], 0).expect("writes");
     let report = examine(&copy, QUICK).await.expect("opens");
-    assert!(problems(&report).iter().any(|problem| problem.contains("no database")), "{report:?}");
+    assert!(problems(&report).iter().any(|problem| problem.contains("not a database")), "{report:?}");
     let other = test_store.path.with_file_name("other.sqlite");
     let options = SqliteConnectOptions::new().filename(&other).create_if_missing(true);
     let mut connection = options.connect().await.expect("opens");

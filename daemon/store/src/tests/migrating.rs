@@ -21,7 +21,7 @@ const LAST_COARSE: i64 = 4;
 /// Copies the data into a file of an earlier version: only the columns of that version, and only the statistics that it kept.
 pub(super) async fn as_of_version(test_store: &TestStore, version: i64) -> PathBuf {
     let path = test_store.path.with_file_name(format!("version-{version}.sqlite"));
-    let mut old = database::writing(&path).connect().await.expect("makes");
+    let mut old = database::write_options(&path).connect().await.expect("makes");
     let migrations: Vec<_> =
         database::MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
     let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
@@ -85,7 +85,7 @@ async fn answers(test_store: &TestStore) -> String {
 async fn reopen(test_store: &mut TestStore, path: &Path) -> SqliteConnection {
     test_store.writer = open(path).await;
     test_store.store = super::Store::new(super::readers(path));
-    database::writing(path).connect().await.expect("opens")
+    database::write_options(path).connect().await.expect("opens")
 }
 
 /// Version 5 is the first with statistics of all widths.

@@ -102,12 +102,12 @@ impl TestStore {
     fn batch_numbered(&self, number: u64, events: impl AsRef<[Event]>) -> Work {
         let events = events.as_ref();
         let body = Bytes::from(generate::body(events));
-        Work::of_batch(self.head(number, &body, events.len()), body)
+        Work::from_batch(self.head(number, &body, events.len()), body)
     }
 
     fn head(&self, number: u64, body: &[u8], events: usize) -> BatchHead {
         let (host, stream, before, events) = (self.edge, self.stream, Chain::START, events as u32);
-        let (chain, events_before) = (before.then(events, body), 100 * number);
+        let (chain, events_before) = (before.next(events, body), 100 * number);
         BatchHead { host, stream, process: PROCESS, number, before, chain, events, events_before }
     }
 
@@ -132,7 +132,7 @@ impl TestStore {
 
     /// Opens a connection of another program that may write.
     async fn other(&self) -> SqliteConnection {
-        database::writing(&self.path).connect().await.expect("opens")
+        database::write_options(&self.path).connect().await.expect("opens")
     }
 
     /// Returns the number that a query selects.
@@ -161,7 +161,7 @@ fn hello(host: HostDescription, process: u64) -> Work {
     }))
 }
 
-/// Makes readers with a time limit that no question of a test reaches.
+/// Makes readers with a time limit that no query of a test reaches.
 fn readers(path: &std::path::Path) -> Readers {
     let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Readers::open(
@@ -169,6 +169,6 @@ fn readers(path: &std::path::Path) -> Readers {
         2,
         std::time::Duration::from_secs(600),
         Arc::new(SystemClock::new(identity)),
-        Integrity::of(path),
+        Integrity::new(path),
     )
 }

@@ -4,7 +4,7 @@ use peernet_stream::{Gap, HostSecret, Incident, IncidentKind, RunEnded};
 
 use super::*;
 use crate::maintenance::{ClearSecretError, clear_host_secret};
-use crate::write::known_hosts;
+use crate::write::read_host_secrets;
 
 fn gap(run: RunId) -> Event {
     let (from, to, count, reason) = (NOW, NOW, 123_456, "taken".to_owned());
@@ -97,7 +97,7 @@ async fn secret_is_stored_once_and_cleared_by_another_connection() {
         test_store.commit(&[Work::Hello(greeting)]).await;
     }
     let mut connection = test_store.other().await;
-    let known = known_hosts(&mut connection).await.expect("reads");
+    let known = read_host_secrets(&mut connection).await.expect("reads");
     assert_eq!(
         known,
         [(test_store.edge, Some(first.clone()))],
@@ -130,7 +130,7 @@ async fn hosts_named_only_by_others_are_unknown() {
         assert!(test_store.commit(&[work]).await.quarantined.is_empty());
     }
     assert_eq!(test_store.count("SELECT count(*) FROM host WHERE name IS NULL").await, 5);
-    let known = known_hosts(&mut test_store.other().await).await.expect("reads");
+    let known = read_host_secrets(&mut test_store.other().await).await.expect("reads");
     let known: Vec<HostId> = known.into_iter().map(|(host, _)| host).collect();
     assert_eq!(known, [test_store.edge], "only known hosts count against max_hosts");
 }

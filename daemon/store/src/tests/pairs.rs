@@ -7,7 +7,7 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::retention::{day, short, two_runs, work_off};
 use super::{NOW, TestStore, generate};
 use crate::retention::Retention;
-use crate::types::Pairs;
+use crate::types::ValuePairs;
 
 /// Duration in milliseconds of an additional inference node.
 const SLOW: f64 = 1_000.0;
@@ -47,24 +47,24 @@ impl TestStore {
         run
     }
 
-    async fn pairs(&self, x: &str, most: u32) -> Pairs {
-        self.store.pairs(1, [x, "inference"], most).await.expect("answers")
+    async fn pairs(&self, x: &str, most: u32) -> ValuePairs {
+        self.store.value_pairs(1, [x, "inference"], most).await.expect("answers")
     }
 }
 
 #[tokio::test]
 async fn sample_is_spread_over_run_and_reports_total() {
     let mut test_store = TestStore::new().await;
-    assert_eq!(test_store.pairs("download-bytes", 10).await, Pairs::default(), "no such run");
+    assert_eq!(test_store.pairs("download-bytes", 10).await, ValuePairs::default(), "no such run");
     test_store.run_that_talks(1..=400).await;
     for (name, each) in [("download-bytes", 10.0), ("completion-tokens", 2.0)] {
         let whole = test_store.pairs(name, 400).await;
-        assert!(whole.is_whole());
+        assert!(whole.is_complete());
         let wanted: Vec<(f64, f64)> = (1..=400).map(|n| (f64::from(n) * each, f64::from(n))).collect();
-        assert_eq!((whole.points, whole.asked, whole.of), (wanted, 400, 400));
+        assert_eq!((whole.points, whole.read_iterations, whole.stored_iterations), (wanted, 400, 400));
         let some = test_store.pairs(name, 40).await;
-        assert!(!some.is_whole());
-        assert_eq!((some.points.len(), some.asked, some.of), (40, 40, 400));
+        assert!(!some.is_complete());
+        assert_eq!((some.points.len(), some.read_iterations, some.stored_iterations), (40, 40, 400));
         for (stretch, (x, y)) in some.points.iter().enumerate() {
             assert_eq!(x / each, *y);
             assert_eq!((y - 1.0) as usize / 10, stretch, "one of each ten");
@@ -89,7 +89,7 @@ async fn values_outside_statistics_are_not_sampled() {
     test_store.store_talking(all.into_iter()).await;
     let found = test_store.pairs("download-bytes", 100).await;
     assert_eq!(found.points, [(10.0, 1.0), (20.0, 2.0), (30.0, 3.0), (40.0, 4.0)]);
-    assert_eq!((found.asked, found.of), (9, 9));
+    assert_eq!((found.read_iterations, found.stored_iterations), (9, 9));
     assert_eq!(
         test_store.pairs("completion-tokens", 100).await.points.len(),
         5,
@@ -127,10 +127,14 @@ async fn deleted_iterations_are_not_sampled() {
     let mut retention = Retention::new(short());
     work_off(&mut retention, &mut connection, day(0.0)).await;
     let before = test_store.pairs("upload-bytes", 20).await;
-    assert_eq!((before.points.len(), before.of), (20, 288));
+    assert_eq!((before.points.len(), before.stored_iterations), (20, 288));
     work_off(&mut retention, &mut connection, day(4.0)).await;
     let left = test_store.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
     assert!((50..200).contains(&left), "{left}");
     let after = test_store.pairs("upload-bytes", 20).await;
-    assert_eq!((after.points.len(), after.of), (20, left as u64), "each of those asked for is there");
+    assert_eq!(
+        (after.points.len(), after.stored_iterations),
+        (20, left as u64),
+        "each of those asked for is there"
+    );
 }

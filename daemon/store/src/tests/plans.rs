@@ -1,4 +1,4 @@
-//! No question may read all nodes, nor all iterations of a run: a page over a hundred million must open at once.
+//! No query may read all nodes, nor all iterations of a run: a page over a hundred million must open at once.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -29,7 +29,7 @@ const EXCEPTIONS: [(&str, &str, &str); 4] = [
     ("LINKS", "clock_sample", "min and max of a key: one row each"),
 ];
 
-/// Questions that sort, and why that is a small thing.
+/// Queries that sort, and why that is a small thing.
 const SORTING: [(&str, &str); 11] = [
     ("SHAPES", "one row for each of a few thousand iterations"),
     ("SUMS_OVER_TIME", "at most a thousand buckets of a few names, without their sketches"),
@@ -172,7 +172,7 @@ async fn counting_the_slower_ones_and_finding_neighbours_touch_the_index_alone()
     }
 }
 
-/// Instructions of SQLite's machine that a question about a run takes.
+/// Instructions of SQLite's machine that a query about a run takes.
 async fn instructions(test_store: &TestStore, statement: &'static str, numbers: &[i64]) -> u64 {
     let mut connection = test_store.other().await;
     let counted = Arc::new(AtomicU64::new(0));

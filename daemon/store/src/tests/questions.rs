@@ -156,7 +156,7 @@ async fn slowest_iterations_come_first_with_causes() {
     let run = test_store.run_of(300).await;
     let mut totals: Vec<(f64, u64)> = values(&test_store, run, 300, "total").into_iter().zip(1..).collect();
     totals.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let slowest = test_store.store.slowest(1, 10).await.expect("answers");
+    let slowest = test_store.store.slowest_iterations(1, 10).await.expect("answers");
     let numbers: Vec<u64> = slowest.iter().map(|row| row.number).collect();
     assert_eq!(numbers, totals.iter().take(10).map(|(_, number)| *number).collect::<Vec<_>>());
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
@@ -188,8 +188,14 @@ async fn slowest_iterations_come_first_with_causes() {
         .execute(&mut other)
         .await
         .expect("changes");
-    let order: Vec<u64> =
-        test_store.store.slowest(1, 5).await.expect("answers").iter().map(|row| row.number).collect();
+    let order: Vec<u64> = test_store
+        .store
+        .slowest_iterations(1, 5)
+        .await
+        .expect("answers")
+        .iter()
+        .map(|row| row.number)
+        .collect();
     for (place, number) in order.iter().enumerate().take(4) {
         let detail = test_store.store.iteration(1, *number).await.expect("answers").expect("exists");
         let slower = place.checked_sub(1).map(|place| order[place]);
@@ -319,7 +325,7 @@ async fn listed_iterations_have_delays_or_their_sum() {
             assert_eq!(delay.value, sent.value.map(Span::seconds));
         }
     }
-    let slowest = test_store.store.slowest(1, 1).await.expect("answers").remove(0);
+    let slowest = test_store.store.slowest_iterations(1, 1).await.expect("answers").remove(0);
     assert_eq!(slowest.number, 101);
     let ways = slowest.both_ways.expect("not known apart");
     let others: f64 = slowest.stages.iter().map(|(_, seconds)| seconds).sum();
@@ -400,7 +406,8 @@ fn merged_summary_equals_summary_of_whole() {
         }
         parts.merge(&part);
     }
-    let (whole, parts) = (Figures::of(&whole).expect("some"), Figures::of(&parts).expect("some"));
+    let (whole, parts) =
+        (Figures::from_summary(&whole).expect("some"), Figures::from_summary(&parts).expect("some"));
     assert_eq!(
         (whole.count, whole.p50, whole.p95, whole.max),
         (parts.count, parts.p50, parts.p95, parts.max)

@@ -18,7 +18,7 @@ pub(super) struct Simulated {
     pub(super) truths: Vec<(Span, Span)>,
 }
 
-/// Stores a run of a simulation that `change` changes at the begin of each second of the run.
+/// Stores a run of a simulation that `change` changes at the start of each second of the run.
 async fn simulate(
     test_store: &mut TestStore,
     seconds: (i64, i64, i64),

@@ -66,7 +66,7 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     }
 }
 
-/// Makes a simulation in which both machines were restarted `after` the begin of the first one, with free-running clocks that
+/// Makes a simulation in which both machines were restarted `after` the start of the first one, with free-running clocks that
 /// show the same times.
 fn started_again(test_store: &TestStore, after: Span) -> Simulation {
     let mut again = Simulation::new(test_store.hosts(), RelatedClocks::Raw);
@@ -146,7 +146,7 @@ async fn each_delay_names_basis_of_its_bounds() {
     for (clocks, expected) in [(RelatedClocks::Raw, by_raw), (RelatedClocks::Wall, earlier)] {
         let mut test_store = TestStore::new().await;
         simulate_by(&mut test_store, clocks, (5, 20, 0), slow_begin).await;
-        let rows = test_store.store.slowest(1, 50).await.expect("answers");
+        let rows = test_store.store.slowest_iterations(1, 50).await.expect("answers");
         let delays = || rows.iter().flat_map(|row| &row.delays);
         assert_eq!(delays().count(), 100);
         assert!(delays().all(|delay| delay.assumptions == Some(expected)), "{clocks}");
@@ -160,6 +160,6 @@ async fn each_delay_names_basis_of_its_bounds() {
     }
     let mut test_store = TestStore::new().await;
     test_store.run_of(3).await;
-    let rows = test_store.store.slowest(1, 3).await.expect("answers");
+    let rows = test_store.store.slowest_iterations(1, 3).await.expect("answers");
     assert!(rows.iter().flat_map(|row| &row.delays).all(|delay| delay.assumptions.is_none()), "one clock");
 }

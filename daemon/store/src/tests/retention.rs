@@ -138,7 +138,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     work_off(&mut retention, &mut connection, day(4.0)).await;
 
     let now_s = (day(4.0) + Span::from_seconds(2)).unix_seconds();
-    let kept_s = |width_s: i64| match width_s {
+    let period_s = |width_s: i64| match width_s {
         1 => 86_400,
         10 => 2 * 86_400,
         60 => 3 * 86_400,
@@ -146,11 +146,11 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     };
     let left = table(&mut connection).await;
     let must_stay = |((run, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
-        *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - kept_s(*width_s)
+        *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - period_s(*width_s)
     };
     // An iteration arrives at most an hour after it began, and is deleted with those that arrived within the next hour.
     let may_stay = |((_, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
-        bucket_s + width_s + 2 * RESOLUTION_S + 60 > now_s - kept_s(*width_s)
+        bucket_s + width_s + 2 * RESOLUTION_S + 60 > now_s - period_s(*width_s)
     };
     let expected = before
         .iter()
@@ -402,7 +402,7 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
     .expect("stores");
     let config = RetentionConfig { clock_samples_days: 1, ..for_ever() };
     let mut retention = Retention::new(config);
-    // The pinned run may continue: all samples of its edge stay from its begin on.
+    // The pinned run may continue: all samples of its edge stay from its start on.
     work_off(&mut retention, &mut connection, day(12.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
     let ended = RunEnded { run: pinned, ended: day(4.0), reason: EndReason::Stopped };

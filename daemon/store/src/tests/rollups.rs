@@ -83,7 +83,7 @@ fn add(rollups: &mut Rollups, numbers: &[Number]) {
     for (run, name, second_s, value, half) in numbers {
         let quantity = if *half { Quantity::HalfWidth } else { Quantity::Value };
         rollups.merge(*run, *name, quantity, *second_s, &summary(*value));
-        rollups.judge(*run, *name, 1, 1);
+        rollups.add_verdicts(*run, *name, 1, 1);
     }
 }
 
@@ -120,7 +120,7 @@ async fn play(turns: Vec<Turn>) {
                 rollups.forget();
             }
             Turn::Restart => rollups = Rollups::default(),
-            Turn::Evict => rollups.keep(rollups.bytes() / 2),
+            Turn::Evict => rollups.shrink_to(rollups.bytes() / 2),
         }
     }
     assert_same(&table(&mut connection).await, &expected);
@@ -162,7 +162,7 @@ async fn memory_is_bounded_by_newest_buckets_of_each_run() {
     // Three rows in at most two buckets of four widths and in one of the whole run, a few hundred bytes each.
     assert!(rollups.bytes() < 27 * 600, "{}", rollups.bytes());
     assert!(rollups.bytes() < second_hour * 2, "{} {second_hour}", rollups.bytes());
-    rollups.keep(0);
+    rollups.shrink_to(0);
     assert_eq!(rollups.bytes(), 0);
 }
 
@@ -186,9 +186,9 @@ const LARGE: [&str; 12] = [
 async fn rollup_and_retention_queries_use_keys() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
-    let questions = crate::rollups::QUESTIONS
+    let questions = crate::rollups::QUERIES
         .into_iter()
-        .chain(crate::rebuild::QUESTIONS)
+        .chain(crate::rebuild::QUERIES)
         .chain(crate::retention::statements());
     for (name, statement) in questions {
         let explain = format!("EXPLAIN QUERY PLAN {statement}");

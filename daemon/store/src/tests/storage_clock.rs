@@ -11,7 +11,7 @@ use crate::{IncidentRow, RetentionConfig};
 
 const ELAPSED_S: &str = "SELECT elapsed_ns / 1000000000 FROM storage_clock";
 
-/// Returns the clocks' readings some seconds after the begin of the test.
+/// Returns the clocks' readings some seconds after the start of the test.
 fn after(seconds: i64) -> Stamp {
     STAMP + Span::from_seconds(seconds)
 }

@@ -43,7 +43,7 @@ async fn merged_quantiles_are_within_one_percent() {
         range.figures
     };
     assert_eq!((of(&statistics[0]).p95, of(&statistics[1]).p99), (None, None), "too few of each");
-    let together = RunStatistics::together(&statistics);
+    let together = RunStatistics::merged(&statistics);
     let figures = of(&together);
 
     let mut all = runs.concat();

@@ -33,7 +33,7 @@ async fn whole_iterations_are_read_as_sent() {
     let mut test_store = TestStore::new().await;
     let sent = stored(&mut test_store, 450).await;
     let (run, mut read, mut after, mut pages) = (run(&test_store).await, Vec::new(), 0, 0);
-    while let Some((last, some)) = test_store.store.whole(&run, after).await.expect("answers") {
+    while let Some((last, some)) = test_store.store.full_iterations(&run, after).await.expect("answers") {
         read.extend(some);
         (after, pages) = (last, pages + 1);
     }
@@ -46,10 +46,11 @@ async fn each_tree_shape_is_found_once_per_page() {
     let mut test_store = TestStore::new().await;
     let sent = stored(&mut test_store, 40).await;
     let run = run(&test_store).await;
-    let (last, firsts) = test_store.store.shapes(&run, 0).await.expect("answers").expect("there are some");
+    let (last, firsts) =
+        test_store.store.iterations_by_shape(&run, 0).await.expect("answers").expect("there are some");
     assert_eq!((last, firsts), (43, vec![sent[0].clone(), sent[41].clone()]));
-    assert_eq!(test_store.store.shapes(&run, 43).await.expect("answers"), None);
-    assert_eq!(test_store.store.whole(&run, 43).await.expect("answers"), None);
+    assert_eq!(test_store.store.iterations_by_shape(&run, 43).await.expect("answers"), None);
+    assert_eq!(test_store.store.full_iterations(&run, 43).await.expect("answers"), None);
 }
 
 /// A published server reports to no aggregator: it has the name that the edge gives it.

@@ -2,8 +2,8 @@
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    Chain, Event, Gap, Hello, Iteration, LackingBatches, Mark, MissingBatches, STREAM_VERSIONS, StreamId,
-    StreamRecord,
+    Chain, Event, Gap, Hello, Iteration, Mark, MissingBatches, MissingPreviousBatches, STREAM_VERSIONS,
+    StreamId, StreamRecord,
 };
 
 use super::rollups::{assert_same, table};
@@ -178,7 +178,7 @@ async fn commit_without_log_is_not_acknowledged() {
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
-    // SQLite has carried over the log that it had open; what was refused is not stored.
+    // SQLite has checkpointed the log that it had open; what was refused is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
     assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }
@@ -297,8 +297,8 @@ async fn replaced_spool_leaves_one_gap() {
     test_store.writer = open(&test_store.path).await;
     assert!(test_store.writer.streams().marks.is_empty(), "nothing of any is stored");
     let hello = hello_of(test_store.edge, StreamId::from_bytes([9; 16]), None);
-    let known = StreamRecord { came: true, last: Some(hello.stream), ..StreamRecord::default() };
-    assert_eq!(test_store.writer.streams().known(&hello, None), known);
+    let known = StreamRecord { was_used: true, last: Some(hello.stream), ..StreamRecord::default() };
+    assert_eq!(test_store.writer.streams().record(&hello, None), known);
 }
 
 #[tokio::test]
@@ -310,9 +310,9 @@ async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
     test_store.writer = open(&test_store.path).await;
     let hello = hello_of(test_store.edge, new, Some(old));
     let known = StreamRecord { last: Some(old), previous: Some(mark), ..StreamRecord::default() };
-    assert_eq!(test_store.writer.streams().known(&hello, None), known);
+    assert_eq!(test_store.writer.streams().record(&hello, None), known);
     let (host, lacking) =
-        (hello.host, Some(LackingBatches { stream: old, from: 2, through: 4, events: Some(17) }));
+        (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
     let came = Introduction { host, process, stream: new, previous, first, replaced, lacking, secret: None };
     for _ in 0..2 {

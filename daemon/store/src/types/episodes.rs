@@ -12,23 +12,23 @@ pub struct Episodes {
     pub count: u64,
     /// Iterations of each episode but the last; `None` if there is only one.
     pub steps: Option<u64>,
-    /// Starts of the episodes but the first. Empty if there are more than [`Episodes::MOST_BORDERS`].
+    /// Starts of the episodes but the first. Empty if there are more than [`Episodes::MAX_BORDERS`].
     pub borders: Vec<WallTime>,
     /// Start of the first iteration after the warm-up; `None` if none is stored that shows it.
     pub warm_up_until: Option<WallTime>,
     /// Starts of iterations without an answer, those of the warm-up included: all of them, or, if there are more than
-    /// [`Episodes::MOST_UNANSWERED`], the first in each of that many parts of the run.
+    /// [`Episodes::MAX_UNANSWERED`], the first in each of that many parts of the run.
     pub unanswered: Vec<WallTime>,
     /// Number of stored iterations without an answer, of which `unanswered` holds all or some. At most one more than
-    /// [`Episodes::MOST_COUNTED`].
+    /// [`Episodes::MAX_COUNTED`].
     pub without_answer: u64,
 }
 
 impl Episodes {
     /// Most episodes whose borders are shown: more would cover the chart.
-    pub const MOST_BORDERS: u32 = 30;
+    pub const MAX_BORDERS: u32 = 30;
     /// Most unanswered iterations in a chart: more could not be distinguished.
-    pub const MOST_UNANSWERED: usize = 300;
+    pub const MAX_UNANSWERED: usize = 300;
     /// Limit of the count of unanswered iterations, which bounds the time of the query in a run without any answer.
-    pub const MOST_COUNTED: u64 = 10_000;
+    pub const MAX_COUNTED: u64 = 10_000;
 }

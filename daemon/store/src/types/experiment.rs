@@ -43,7 +43,7 @@ impl From<&RunSummary> for Candidate {
 
 /// One node name over the time of a run, summed up in buckets.
 #[derive(Clone, Debug, PartialEq)]
-pub struct StageCourse {
+pub struct StageBuckets {
     /// The node's name.
     pub stage: Name,
     /// Unit of the values.

@@ -1,19 +1,19 @@
 //! Pairs of quantities of single iterations.
 
-/// Two quantities of some of a run's iterations. Successful ones only, warm-up left out.
+/// Two quantities of some iterations of a run. Only successful iterations after the warm-up have points.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Pairs {
-    /// Both quantities of each iteration that has them, in SI units, by rising number.
+pub struct ValuePairs {
+    /// Both quantities of each iteration that has them, in SI units, by ascending number.
     pub points: Vec<(f64, f64)>,
     /// Number of iterations of any kind that were read.
-    pub asked: u64,
+    pub read_iterations: u64,
     /// Number of stored iterations; deleted ones are not counted.
-    pub of: u64,
+    pub stored_iterations: u64,
 }
 
-impl Pairs {
+impl ValuePairs {
     /// Returns whether all stored iterations were read.
-    pub const fn is_whole(&self) -> bool {
-        self.asked >= self.of
+    pub const fn is_complete(&self) -> bool {
+        self.read_iterations >= self.stored_iterations
     }
 }

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::figures::{Bound, Figures, rank};
 
-/// Statistics of one node name over whole runs; successful iterations only, warm-up left out.
+/// Statistics of one node name over whole runs; successful iterations only, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageStatistics {
     /// The node's name.
@@ -42,7 +42,7 @@ pub struct RunStatistics {
 
 impl RunStatistics {
     /// Combines several runs as if they were one: counts, means and deviations are exact, quantiles within 1 %.
-    pub fn together(runs: &[Self]) -> Self {
+    pub fn merged(runs: &[Self]) -> Self {
         if let [only] = runs {
             return only.clone();
         }
@@ -82,12 +82,12 @@ pub(crate) struct NameSummary {
 }
 
 impl NameSummary {
-    pub(crate) fn of_unit(unit: &str) -> Self {
+    pub(crate) fn with_unit(unit: &str) -> Self {
         Self { unit: unit.to_owned(), summary: Summary::default() }
     }
 
     pub(crate) fn figures(&self) -> Option<Figures> {
-        Figures::of(&self.summary)
+        Figures::from_summary(&self.summary)
     }
 }
 
@@ -99,7 +99,7 @@ impl MergeableStatistics {
 
     /// Adds values of a node name. Values of a name that was used with several kinds are merged.
     pub fn add(&mut self, name: Name, unit: &str, values: &Summary) {
-        self.values.entry(name).or_insert_with(|| NameSummary::of_unit(unit)).summary.merge(values);
+        self.values.entry(name).or_insert_with(|| NameSummary::with_unit(unit)).summary.merge(values);
     }
 
     /// Adds half the widths, in seconds, of the intervals that contain the delays of one direction.
@@ -161,7 +161,7 @@ impl MergeableStatistics {
         (half_width.is_some() || verdicts.is_some()).then(|| {
             let mut verdicts = verdicts.cloned().unwrap_or_default();
             verdicts.sort_by_key(|(one, _)| Verdict::ALL.iter().position(|known| known == one));
-            Bound { stage: stage.clone(), half_width: half_width.and_then(Figures::of), verdicts }
+            Bound { stage: stage.clone(), half_width: half_width.and_then(Figures::from_summary), verdicts }
         })
     }
 }
@@ -187,7 +187,7 @@ mod tests {
         let all: Vec<f64> = (0..400).map(|n| 0.01 + f64::from(n % 13) * 1e-3).collect();
         let part = |some: &[f64], verdict| run(some.iter().copied(), verdict);
         let parts = [part(&all[..150], Verdict::Stale), part(&all[150..], Verdict::Ok)];
-        let (whole, parts) = (part(&all, Verdict::Ok), RunStatistics::together(&parts));
+        let (whole, parts) = (part(&all, Verdict::Ok), RunStatistics::merged(&parts));
         let names: Vec<&Name> = parts.stages.iter().map(|known| &known.stage).collect();
         assert_eq!(names, [&stage::UPLOAD, &stage::TOTAL]);
         let (one, other) = (whole.stages[1].figures, parts.stages[1].figures);
@@ -209,9 +209,9 @@ mod tests {
     #[test]
     fn quantiles_need_enough_samples_over_all_runs() {
         let short = run((0..40).map(|_| 0.01), Verdict::Ok);
-        let of = |runs: &[RunStatistics]| RunStatistics::together(runs).stages[1].figures;
+        let of = |runs: &[RunStatistics]| RunStatistics::merged(runs).stages[1].figures;
         assert_eq!(of(std::slice::from_ref(&short)).p95, None);
         assert!(of(&[short.clone(), short]).p95.is_some(), "eighty together");
-        assert_eq!(RunStatistics::together(&[]), RunStatistics::default());
+        assert_eq!(RunStatistics::merged(&[]), RunStatistics::default());
     }
 }

@@ -19,9 +19,9 @@ use crate::extent::Extent;
 use crate::plausible;
 
 /// Maximum number of links in memory; beyond it, all are forgotten and read again when needed.
-const MOST_LINKS: usize = 10_000;
+const MAX_CACHED_LINKS: usize = 10_000;
 
-/// A second that arrives again replaces its row, as in the live picture: each report of a second is complete up to its time.
+/// A second that arrives again replaces its row, as in the live state: each report of a second is complete up to its time.
 const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, max_drift_ppm, \
      upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
      lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
@@ -56,11 +56,11 @@ const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_
      arriving_first_ns = min(coalesce(arriving_first_ns, ?3), ?3), \
      arriving_last_ns = max(coalesce(arriving_last_ns, ?4), ?4) WHERE id = ?1";
 
-/// The writer's memory of the table `link`: the edge's row, the cloud and the network lead to the link's row and the cloud's
-/// name.
+/// The writer's cache of the table `link`.
 #[derive(Debug, Default)]
 pub(super) struct Links {
-    known: HashMap<(i64, HostId, NetworkName), (i64, Slug)>,
+    /// Row of the link and name of the cloud, by the edge's row, the cloud and the network.
+    rows: HashMap<(i64, HostId, NetworkName), (i64, Slug)>,
     /// Range of times of the samples that the transaction stores, by link.
     arrived: HashMap<i64, Extent>,
 }
@@ -91,12 +91,12 @@ impl Links {
             .bind(basis.and_then(|basis| basis.probes_authenticated))
             .execute(connection)
             .await?;
-        let at = Extent::of(at);
-        self.arrived.entry(link).and_modify(|known| *known = known.hull(at)).or_insert(at);
+        let at = Extent::single(at);
+        self.arrived.entry(link).and_modify(|extent| *extent = extent.hull(at)).or_insert(at);
         Ok(())
     }
 
-    /// Notes for retention which samples of each link arrived; `storage_s` is the storage clock.
+    /// Records for retention which samples of each link arrived; `storage_s` is the storage clock.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,
@@ -114,9 +114,9 @@ impl Links {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
-        self.known.clear();
+        self.rows.clear();
         self.arrived.clear();
     }
 
@@ -129,7 +129,7 @@ impl Links {
         now: WallTime,
     ) -> Result<i64, Refusal> {
         let key = (edge, sample.peer, sample.network.clone());
-        if let Some((link, name)) = self.known.get(&key)
+        if let Some((link, name)) = self.rows.get(&key)
             && *name == sample.peer_name
         {
             return Ok(*link);
@@ -145,10 +145,10 @@ impl Links {
         .bind(sample.peer_name.as_str())
         .fetch_one(connection)
         .await?;
-        if self.known.len() >= MOST_LINKS {
-            self.known.clear();
+        if self.rows.len() >= MAX_CACHED_LINKS {
+            self.rows.clear();
         }
-        self.known.insert(key, (link, sample.peer_name.clone()));
+        self.rows.insert(key, (link, sample.peer_name.clone()));
         Ok(link)
     }
 }

@@ -8,7 +8,7 @@ use peernet_logger::HostId;
 use peernet_stream::OutcomeCounts;
 use sqlx::{Arguments, SqliteConnection};
 
-use super::ends::LEFT;
+use super::ends::UNREPORTED_END;
 use super::prepared::RunPart;
 use crate::column::{column, count};
 use crate::extent::Extent;
@@ -17,11 +17,11 @@ use crate::stored::Stored;
 
 /// Maximum number of hosts whose counters are in memory, as many as `[aggregator] max_hosts` may allow; beyond it, all are
 /// forgotten and read again when needed.
-const MOST_HOSTS: usize = 65_536;
+const MAX_CACHED_HOSTS: usize = 65_536;
 
 /// Maximum number of skipped starts of a run: an agent may claim any number, and neither the column nor a sum of runs may
 /// overflow.
-const MOST_SKIPPED: u64 = 1 << 53;
+const MAX_SKIPPED_STARTS: u64 = 1 << 53;
 
 /// Additions of a transaction to the counters of a host.
 #[derive(Debug, Default)]
@@ -96,7 +96,8 @@ impl Counters {
         let counts = self.runs.entry(run).or_default();
         counts.outcomes.merge(&part.outcomes);
         counts.warm_up += part.warm_up;
-        counts.skipped_starts = counts.skipped_starts.saturating_add(part.skipped_starts).min(MOST_SKIPPED);
+        counts.skipped_starts =
+            counts.skipped_starts.saturating_add(part.skipped_starts).min(MAX_SKIPPED_STARTS);
         counts.last = counts.last.max(part.last);
         let (numbers, seconds) = counts.arrived.unwrap_or((part.numbers, part.seconds));
         counts.arrived = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
@@ -118,9 +119,9 @@ impl Counters {
                 to.add(column(counts.outcomes.lost))?;
                 to.add(column(counts.outcomes.timeout))?;
                 to.add(counts.last.unix_nanos())?;
-                to.add(LEFT)?;
+                to.add(UNREPORTED_END)?;
                 to.add(column(counts.skipped_starts))?;
-                to.add(column(MOST_SKIPPED))?;
+                to.add(column(MAX_SKIPPED_STARTS))?;
                 to.add(counts.arrived.map(|_| storage_s))?;
                 to.add(counts.arrived.map(|(numbers, _)| numbers.first))?;
                 to.add(counts.arrived.map(|(numbers, _)| numbers.last))?;
@@ -129,7 +130,7 @@ impl Counters {
             })
             .await?;
         self.runs.clear();
-        if self.totals.len() > MOST_HOSTS {
+        if self.totals.len() > MAX_CACHED_HOSTS {
             self.totals.clear();
         }
         let mut hosts = Vec::with_capacity(self.hosts.len());
@@ -155,7 +156,7 @@ impl Counters {
         Ok(hosts.into_iter().map(|(host, _, total, newest)| (host, (total, newest))).collect())
     }
 
-    /// Forgets what is only in memory: the transaction was rolled back.
+    /// Discards the state that is only in memory: the transaction was rolled back.
     pub(super) fn forget(&mut self) {
         self.hosts.clear();
         self.runs.clear();
@@ -171,7 +172,9 @@ impl HostCounts {
 
 impl Stored {
     /// Makes it from the columns of `host`: events, nodes, gaps, missing, quarantined.
-    pub(super) fn of_columns((events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64)) -> Self {
+    pub(super) fn from_columns(
+        (events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64),
+    ) -> Self {
         let [events, nodes, gaps, missing, quarantined] =
             [events, nodes, gaps, missing, quarantined].map(count);
         Self { events, nodes, gaps, missing, duplicates: 0, quarantined }
@@ -193,5 +196,5 @@ async fn total(connection: &mut SqliteConnection, host: i64) -> Result<Stored, s
             .bind(host)
             .fetch_one(connection)
             .await?;
-    Ok(Stored::of_columns(counts))
+    Ok(Stored::from_columns(counts))
 }

@@ -6,20 +6,21 @@ use super::Refusal;
 
 /// Reason of an end that was not reported. Iterations of the run that arrive later move this end; a real end that arrives
 /// later replaces it.
-pub(super) const LEFT: &str = "the agent ended without saying so";
+pub(super) const UNREPORTED_END: &str = "the agent ended without saying so";
 
-/// Ends that follow from what a transaction stores. They are written at its end, when the last iterations are counted.
+/// Ends of runs that follow from the events of a transaction. They are written at its end, after the last iterations are counted.
 #[derive(Debug, Default)]
-pub(super) struct Ends {
+pub(super) struct RunEnds {
     /// Hosts whose process ended, with the newest run that may belong to it.
     processes: Vec<(i64, i64)>,
     /// Pipelines with a new run, with its number.
     pipelines: Vec<(i64, i64)>,
 }
 
-impl Ends {
-    /// Notes the process with which a host introduced itself. If it is another one than before, the runs of that one have ended.
-    pub(super) async fn process(
+impl RunEnds {
+    /// Records the process with which a host introduced itself. If it differs from the host's previous process, the runs of the
+    /// previous process have ended.
+    pub(super) async fn record_process(
         &mut self,
         connection: &mut SqliteConnection,
         host: i64,
@@ -45,7 +46,7 @@ impl Ends {
         Ok(())
     }
 
-    /// Notes that the process of a host has ended, and with it the runs that are stored by now.
+    /// Records that the process of a host has ended, and with it the runs that are stored so far.
     pub(super) async fn end_process(
         &mut self,
         connection: &mut SqliteConnection,
@@ -57,8 +58,8 @@ impl Ends {
         Ok(())
     }
 
-    /// Notes that a run of a pipeline began: the runs before it have ended.
-    pub(super) fn followed(&mut self, pipeline: i64, run: i64) {
+    /// Records that a run of a pipeline began: the runs before it have ended.
+    pub(super) fn record_next_run(&mut self, pipeline: i64, run: i64) {
         self.pipelines.push((pipeline, run));
     }
 
@@ -69,7 +70,7 @@ impl Ends {
                 "UPDATE run SET ended_ns = coalesce(last_iteration_ns, started_ns), end_reason = ?1 \
                  WHERE pipeline IN (SELECT id FROM pipeline WHERE host = ?2) AND ended_ns IS NULL AND number <= ?3",
             )
-            .bind(LEFT)
+            .bind(UNREPORTED_END)
             .bind(host)
             .bind(newest)
             .execute(&mut *connection)
@@ -80,7 +81,7 @@ impl Ends {
                 "UPDATE run SET ended_ns = coalesce(last_iteration_ns, started_ns), end_reason = ?1 \
                  WHERE pipeline = ?2 AND ended_ns IS NULL AND number < ?3",
             )
-            .bind(LEFT)
+            .bind(UNREPORTED_END)
             .bind(pipeline)
             .bind(run)
             .execute(&mut *connection)
@@ -89,7 +90,7 @@ impl Ends {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.processes.clear();
         self.pipelines.clear();

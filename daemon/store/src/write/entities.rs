@@ -13,8 +13,8 @@ use super::{Refusal, RunName};
 use crate::stored::Stored;
 
 /// Maximum number of runs in memory; beyond it, all are forgotten and read again when needed.
-const MOST_RUNS: usize = 10_000;
-/// Value for what is unknown about a run whose beginning never arrived.
+const MAX_CACHED_RUNS: usize = 10_000;
+/// Pipeline and model of a run whose start never arrived.
 pub(crate) const UNKNOWN: &str = "unknown";
 
 /// The host whose batch or message is being stored.
@@ -33,10 +33,10 @@ pub(super) struct Entities {
     hosts: HashMap<HostId, i64>,
     /// By the reporting host's row and the id under which it reports the run.
     runs: HashMap<(i64, RunId), KnownRun>,
-    /// Runs that were added to `runs` since `take_met` was last called.
-    met: Vec<(HostId, RunId, i64)>,
-    /// Runs that were created without their beginning since `take_unknown` was last called.
-    unknown: Vec<(HostId, RunId)>,
+    /// Runs that were added to `runs` since `take_loaded_runs` was last called.
+    loaded_runs: Vec<(HostId, RunId, i64)>,
+    /// Runs that were created without their beginning since `take_unnamed_runs` was last called.
+    unnamed_runs: Vec<(HostId, RunId)>,
 }
 
 /// A run that exists in the store.
@@ -52,7 +52,7 @@ pub(super) struct KnownRun {
 #[derive(Clone, Copy, Debug)]
 struct Lookup {
     /// The reporter's run of this id.
-    own: Option<KnownRun>,
+    reporters_run: Option<KnownRun>,
     /// `true` if another host has a run of this id.
     is_taken: bool,
 }
@@ -122,8 +122,8 @@ impl Entities {
         seen: WallTime,
     ) -> Result<KnownRun, Refusal> {
         let found = self.look_up(connection, reporter, run).await?;
-        if let Some(own) = found.own {
-            return Ok(own);
+        if let Some(reporters_run) = found.reporters_run {
+            return Ok(reporters_run);
         }
         let (uuid, reported) = found.ids(run);
         let pipeline = pipeline(connection, reporter.row, UNKNOWN).await?;
@@ -138,7 +138,7 @@ impl Entities {
         .bind(UNKNOWN)
         .fetch_one(connection)
         .await?;
-        self.unknown.push((reporter.id, run));
+        self.unnamed_runs.push((reporter.id, run));
         Ok(self.remember(reporter, run, KnownRun { number, uuid }))
     }
 
@@ -149,7 +149,7 @@ impl Entities {
         reporter: Reporter,
         run: RunId,
     ) -> Result<Option<KnownRun>, Refusal> {
-        Ok(self.look_up(connection, reporter, run).await?.own)
+        Ok(self.look_up(connection, reporter, run).await?.reporters_run)
     }
 
     /// Returns whether a run of this id belongs to another host and none to the reporter.
@@ -160,7 +160,7 @@ impl Entities {
         run: RunId,
     ) -> Result<bool, Refusal> {
         let found = self.look_up(connection, reporter, run).await?;
-        Ok(found.own.is_none() && found.is_taken)
+        Ok(found.reporters_run.is_none() && found.is_taken)
     }
 
     async fn look_up(
@@ -170,7 +170,7 @@ impl Entities {
         run: RunId,
     ) -> Result<Lookup, Refusal> {
         if let Some(known) = self.runs.get(&(reporter.row, run)) {
-            return Ok(Lookup { own: Some(*known), is_taken: false });
+            return Ok(Lookup { reporters_run: Some(*known), is_taken: false });
         }
         let rows: Vec<(i64, String, i64)> = sqlx::query_as(
             "SELECT run.number, run.uuid, pipeline.host FROM run JOIN pipeline ON pipeline.id = run.pipeline \
@@ -180,12 +180,12 @@ impl Entities {
         .fetch_all(connection)
         .await?;
         let is_taken = !rows.is_empty();
-        let own = rows.into_iter().find(|(_, _, host)| *host == reporter.row);
-        let own = own
+        let reporters_run = rows.into_iter().find(|(_, _, host)| *host == reporter.row);
+        let reporters_run = reporters_run
             .map(|(number, uuid, _)| Ok::<_, sqlx::Error>(KnownRun { number, uuid: id(&uuid)? }))
             .transpose()?;
-        let own = own.map(|own| self.remember(reporter, run, own));
-        Ok(Lookup { own, is_taken })
+        let reporters_run = reporters_run.map(|reporters_run| self.remember(reporter, run, reporters_run));
+        Ok(Lookup { reporters_run, is_taken })
     }
 
     /// Stores a run's description, which may arrive after some of its iterations. Returns the run and its pipeline.
@@ -277,39 +277,39 @@ impl Entities {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.hosts.clear();
         self.runs.clear();
-        self.met.clear();
-        self.unknown.clear();
+        self.loaded_runs.clear();
+        self.unnamed_runs.clear();
     }
 
     fn remember(&mut self, reporter: Reporter, run: RunId, known: KnownRun) -> KnownRun {
-        if self.runs.len() >= MOST_RUNS {
+        if self.runs.len() >= MAX_CACHED_RUNS {
             self.runs.clear();
         }
         self.runs.insert((reporter.row, run), known);
-        self.met.push((reporter.id, run, known.number));
+        self.loaded_runs.push((reporter.id, run, known.number));
         known
     }
 
     /// Returns the runs that were added to memory since the last call, with their numbers.
-    pub(super) fn take_met(&mut self) -> Vec<(HostId, RunId, i64)> {
-        std::mem::take(&mut self.met)
+    pub(super) fn take_loaded_runs(&mut self) -> Vec<(HostId, RunId, i64)> {
+        std::mem::take(&mut self.loaded_runs)
     }
 
     /// Returns the runs that were created without their beginning since the last call.
-    pub(super) fn take_unknown(&mut self) -> Vec<(HostId, RunId)> {
-        std::mem::take(&mut self.unknown)
+    pub(super) fn take_unnamed_runs(&mut self) -> Vec<(HostId, RunId)> {
+        std::mem::take(&mut self.unnamed_runs)
     }
 }
 
 impl Lookup {
     /// Returns the id under which the reporter's run is stored, and the id under which it is reported if that differs.
     fn ids(&self, run: RunId) -> (RunId, Option<RunId>) {
-        let uuid = match self.own {
-            Some(own) => own.uuid,
+        let uuid = match self.reporters_run {
+            Some(reporters_run) => reporters_run.uuid,
             None if self.is_taken => RunId::random(),
             None => run,
         };
@@ -333,7 +333,7 @@ async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> R
 }
 
 /// Returns the newest runs: their hosts, the ids under which these report them, and their numbers.
-pub(crate) async fn newest_runs(
+pub(crate) async fn read_newest_runs(
     connection: &mut SqliteConnection,
     limit: u32,
 ) -> Result<Vec<(HostId, RunId, i64)>, sqlx::Error> {
@@ -349,7 +349,7 @@ pub(crate) async fn newest_runs(
 }
 
 /// Returns open runs of which only iterations are stored, with their hosts.
-pub(crate) async fn unknown_runs(
+pub(crate) async fn read_unnamed_runs(
     connection: &mut SqliteConnection,
     limit: u32,
 ) -> Result<Vec<(HostId, RunId)>, sqlx::Error> {
@@ -366,7 +366,7 @@ pub(crate) async fn unknown_runs(
 }
 
 /// Returns the counts of the hosts that were seen last.
-pub(crate) async fn stored_hosts(
+pub(crate) async fn read_host_counts(
     connection: &mut SqliteConnection,
     limit: u32,
 ) -> Result<Vec<(HostId, Stored)>, sqlx::Error> {
@@ -378,7 +378,7 @@ pub(crate) async fn stored_hosts(
     .await?;
     rows.into_iter()
         .map(|(uuid, events, nodes, gaps, missing, quarantined)| {
-            Ok((id(&uuid)?, Stored::of_columns((events, nodes, gaps, missing, quarantined))))
+            Ok((id(&uuid)?, Stored::from_columns((events, nodes, gaps, missing, quarantined))))
         })
         .collect()
 }

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 
 use crate::database_error::DatabaseError;
 
-/// The reason why a commit did not count.
+/// Reason why a commit did not count.
 #[derive(Debug, thiserror::Error)]
 pub enum CommitError {
     /// The path names another file or none: data that is written now is lost when this process ends.
-    #[error("the database file {} was deleted, moved or replaced, or its file system is not mounted; put it back, or restart to begin with what is there", .0.display())]
+    #[error("the database file {} was deleted, moved or replaced, or its file system is not mounted; put it back, or restart the aggregator to use the file that is there now", .0.display())]
     Moved(PathBuf),
     /// The path of the log names another file or none: data that is written now is lost when this process is killed.
     #[error("the log {} of the database was deleted, moved or replaced while it was in use", .0.display())]
@@ -33,7 +33,7 @@ impl CommitError {
     /// is usable again.
     pub fn leaves_connection_usable(&self) -> bool {
         match self {
-            Self::Database(error) => error.is_passing(),
+            Self::Database(error) => error.is_transient(),
             Self::Damaged(_) => true,
             Self::Moved(_) | Self::LogMoved(_) => false,
         }
@@ -50,7 +50,7 @@ pub(super) struct DatabaseFile {
     identity: Identity,
     log_path: PathBuf,
     /// Identity of the log. SQLite creates it with the first connection and removes it with the last: while the writer is
-    /// connected it stays the same, however often it is carried over and restarted.
+    /// connected it stays the same, however often it is checkpointed and restarted.
     log: Log,
 }
 
@@ -64,12 +64,12 @@ enum Log {
 
 impl DatabaseFile {
     /// Records the identities of the present files. A connection must have read from the database before.
-    pub(super) fn of(path: PathBuf) -> std::io::Result<Self> {
+    pub(super) fn open(path: PathBuf) -> std::io::Result<Self> {
         let identity = identity(&path)?;
         let mut log_path = path.clone().into_os_string();
         log_path.push("-wal");
         let mut file = Self { path, identity, log_path: log_path.into(), log: Log::Unknown };
-        file.remember_log();
+        file.record_log();
         Ok(file)
     }
 
@@ -79,7 +79,7 @@ impl DatabaseFile {
     }
 
     /// Records the identity of the log. The connection must have committed or read before.
-    pub(super) fn remember_log(&mut self) {
+    pub(super) fn record_log(&mut self) {
         if matches!(self.log, Log::Unknown) {
             self.log = Log::Found(identity(&self.log_path).ok());
         }
@@ -108,7 +108,7 @@ impl FormerFiles {
     }
 
     /// Returns the path of the log if it is unchanged and not empty although the database was replaced.
-    pub fn log_beside_another_file(&self) -> Option<PathBuf> {
+    pub fn leftover_log(&self) -> Option<PathBuf> {
         let Self(file) = self;
         let replaced = identity(&file.path).ok() != Some(file.identity);
         let Log::Found(Some(log)) = file.log else { return None };

@@ -14,7 +14,7 @@ use super::Refusal;
 use super::entities::{Entities, Reporter};
 
 /// Maximum number of runs that are remembered as reported; beyond it, all are forgotten and reported again.
-const MOST_REPORTED: usize = 10_000;
+const MAX_REMEMBERED_REPORTS: usize = 10_000;
 
 /// Reports that a transaction found, and those that earlier ones recorded as incidents.
 #[derive(Debug, Default)]
@@ -36,7 +36,7 @@ impl ForeignReports {
     ) -> Result<(), Refusal> {
         for run in claimed {
             if entities.is_foreign(connection, reporter, *run).await? {
-                if self.reported.len() >= MOST_REPORTED {
+                if self.reported.len() >= MAX_REMEMBERED_REPORTS {
                     self.reported.clear();
                 }
                 if self.reported.insert((reporter.row, *run)) {
@@ -55,10 +55,10 @@ impl ForeignReports {
     ) -> Result<(), sqlx::Error> {
         for (row, (host, run, runs)) in self.found.drain() {
             let text = format!(
-                "this host reported on {runs} runs that belong to other hosts, such as {run}: what it said is kept as its \
-                 own and changes nothing of theirs"
+                "this host reported on {runs} runs that belong to other hosts, such as {run}: its reports are stored as runs \
+                 of this host, and the runs of the other hosts are unchanged"
             );
-            tracing::warn!(%host, %run, runs, "a host reported on runs of other hosts: kept as its own");
+            tracing::warn!(%host, %run, runs, "a host reported on runs of other hosts: stored as runs of this host");
             sqlx::query("INSERT INTO incident (host, at_ns, kind, text) VALUES (?, ?, ?, ?)")
                 .bind(row)
                 .bind(now.unix_nanos())
@@ -70,7 +70,7 @@ impl ForeignReports {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.found.clear();
         self.reported.clear();

@@ -4,7 +4,6 @@
 //! is acknowledged but not stored: so each batch is stored exactly once. Below `iteration` there are no foreign keys: they would
 //! cost a check per node, and one writer owns the tables.
 
-mod again;
 mod clock;
 mod connections;
 mod counters;
@@ -16,6 +15,7 @@ mod names;
 mod prepared;
 mod quarantine;
 mod records;
+mod repeated_iterations;
 mod rows;
 mod secrets;
 mod streams;
@@ -31,18 +31,18 @@ use peernet_stream::{BatchHead, HostSecret, Mark, StreamId};
 use sqlx::{Connection, SqliteConnection};
 
 pub use self::connections::ConnectionSample;
-pub(crate) use self::entities::{UNKNOWN, newest_runs, stored_hosts, unknown_runs};
+pub(crate) use self::entities::{UNKNOWN, read_host_counts, read_newest_runs, read_unnamed_runs};
 use self::file::DatabaseFile;
 pub use self::file::{CommitError, FormerFiles};
 use self::names::Names;
-use self::prepared::Prepared;
-pub(crate) use self::secrets::known_hosts;
+use self::prepared::PreparedBatch;
+pub(crate) use self::secrets::read_host_secrets;
 pub use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::Refusal;
 pub use self::work::{Introduction, RunName, UnstorableBatch, Work};
 use super::foreign_log::mark;
-use super::limits::BUSY;
+use super::limits::BUSY_TIMEOUT;
 use super::retention::{self, Retention, Step};
 use crate::database_error::DatabaseError;
 use crate::error::StoreError;
@@ -54,7 +54,7 @@ use crate::storage_clock::StorageClock;
 use crate::stored::Stored;
 
 /// Carries the whole log over into the file and empties it, unless a reader is active.
-const CARRY_OVER_ALL: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
+const CHECKPOINT_AND_TRUNCATE: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
 
 /// Result of a transaction.
 #[derive(Debug, Default)]
@@ -66,7 +66,7 @@ pub struct Committed {
     /// Numbers of runs that were created or read since the last commit.
     pub runs: Vec<(HostId, RunId, i64)>,
     /// Runs that were created without their beginning.
-    pub unknown: Vec<(HostId, RunId)>,
+    pub unnamed_runs: Vec<(HostId, RunId)>,
     /// Number of nodes stored.
     pub nodes: u64,
     /// Secrets that were read again from the file.
@@ -91,12 +91,12 @@ pub struct Writer {
     /// State of the streams as committed.
     streams: Streams,
     /// Results of the parts of a group that were committed before another part failed. They are returned when the group is
-    /// handed in again.
+    /// committed again.
     unreported: Committed,
 }
 
 impl Writer {
-    /// Makes a writer over an open connection and reads the state of the streams.
+    /// Creates a writer over an open connection and reads the state of the streams.
     pub async fn new(
         path: PathBuf,
         mut connection: SqliteConnection,
@@ -106,7 +106,7 @@ impl Writer {
         let names = Names::load(&mut connection).await?;
         let last_wall = crate::storage_clock::last_wall(&mut connection).await?;
         Ok(Self {
-            file: DatabaseFile::of(path)?,
+            file: DatabaseFile::open(path)?,
             connection,
             staging: Staging::new(names),
             retention: Retention::new(keep),
@@ -119,12 +119,12 @@ impl Writer {
 
     /// Closes the connection. Returns which files it was connected to.
     pub async fn close(mut self) -> (FormerFiles, Result<(), DatabaseError>) {
-        self.retention.end();
+        self.retention.finish();
         if self.file.check().is_err() {
             // SQLite leaves the log of a moved file in place, and would apply it to any file that takes its place. Carried over
             // now, through the descriptors, each file is complete by itself.
-            if let Err(error) = sqlx::query(CARRY_OVER_ALL).execute(&mut self.connection).await {
-                tracing::warn!(%error, log = %self.file.log_path().display(), "cannot carry the log over into the database that was moved");
+            if let Err(error) = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await {
+                tracing::warn!(%error, log = %self.file.log_path().display(), "cannot checkpoint the write-ahead log into the database that was moved");
             }
         }
         let closed = self.connection.close().await.map_err(DatabaseError::new);
@@ -145,7 +145,7 @@ impl Writer {
     /// or its log is no longer at its path: then nothing of the work counts as stored.
     pub async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<Committed, CommitError> {
         self.check_file()?;
-        // The group, or the rest of it: it is halved around an invalid batch until that one is alone.
+        // The remaining parts of the group. A part with an invalid batch is halved until the batch is alone in its part.
         let mut parts = vec![work];
         while let Some(part) = parts.pop() {
             let committed = match self.attempt(part, now, None).await {
@@ -160,7 +160,7 @@ impl Writer {
             };
             self.unreported.merge(committed);
         }
-        self.file.remember_log();
+        self.file.record_log();
         self.check_file()?;
         Ok(std::mem::take(&mut self.unreported))
     }
@@ -171,11 +171,11 @@ impl Writer {
     /// When the database refuses, or is damaged.
     pub async fn pin(&mut self, run: i64, pinned: bool, integrity: &Integrity) -> Result<bool, StoreError> {
         if let Some(refusal) = integrity.refusal() {
-            return Err(StoreError::Damaged { what: "whether a run is kept", refusal });
+            return Err(StoreError::Damaged { what: "the pin of a run", refusal });
         }
         let result = retention::pin(&mut self.connection, run, pinned).await;
         let result = self.rolled_back(result).await.map_err(DatabaseError::new);
-        result.inspect_err(|error| integrity.note(error)).map_err(StoreError::pinning)
+        result.inspect_err(|error| integrity.note(error)).map_err(StoreError::pin_failed)
     }
 
     /// Deletes a small amount of old data, if there is any. Returns whether more remains.
@@ -203,7 +203,7 @@ impl Writer {
         self.rolled_back(result).await.map_err(DatabaseError::new)?;
         self.storage_clock.committed(now.mono);
         incidents.clear();
-        self.file.remember_log();
+        self.file.record_log();
         Ok(())
     }
 
@@ -215,7 +215,7 @@ impl Writer {
         raw_transaction::commit(connection).await
     }
 
-    /// Stores statistics of connections. Those of a link that is not stored are left out.
+    /// Stores statistics of connections. Those of a link that is not stored are omitted.
     ///
     /// # Errors
     /// When the database cannot store anything now.
@@ -227,35 +227,35 @@ impl Writer {
         };
         let result = stored.await;
         self.rolled_back(result).await.map_err(DatabaseError::new)?;
-        self.file.remember_log();
+        self.file.record_log();
         Ok(())
     }
 
-    /// Carries the log over and empties it if its file has more bytes than `most_bytes`, unless a reader is active.
+    /// Checkpoints the log and truncates it if its file has more bytes than `max_bytes`, unless a reader is active.
     ///
     /// SQLite restarts the log only if no reader uses it at the moment of a commit: one long reader, or many short ones that
     /// overlap, let it grow, and without further commits it keeps its size.
-    pub async fn bound_log(&mut self, most_bytes: u64) -> Result<(), CommitError> {
+    pub async fn bound_log(&mut self, max_bytes: u64) -> Result<(), CommitError> {
         let bytes = std::fs::metadata(self.file.log_path()).map_or(0, |log| log.len());
-        if bytes <= most_bytes {
+        if bytes <= max_bytes {
             return Ok(());
         }
-        Ok(self.carry_over().await.map_err(DatabaseError::new)?)
+        Ok(self.checkpoint().await.map_err(DatabaseError::new)?)
     }
 
-    async fn carry_over(&mut self) -> Result<(), sqlx::Error> {
+    async fn checkpoint(&mut self) -> Result<(), sqlx::Error> {
         // It is tried again soon: waiting for readers would delay the next commit.
         sqlx::query("PRAGMA busy_timeout = 0").execute(&mut self.connection).await?;
-        let carried_over = sqlx::query(CARRY_OVER_ALL).execute(&mut self.connection).await;
-        let wait = format!("PRAGMA busy_timeout = {}", BUSY.as_millis());
+        let carried_over = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await;
+        let wait = format!("PRAGMA busy_timeout = {}", BUSY_TIMEOUT.as_millis());
         sqlx::raw_sql(sqlx::AssertSqlSafe(wait)).execute(&mut self.connection).await?;
         carried_over.map(drop)
     }
 
-    /// Writes something that changes nothing, to check that writing works.
+    /// Writes without a change, to check that the database can be written.
     pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
         mark(&mut self.connection).await.map_err(DatabaseError::new)?;
-        self.file.remember_log();
+        self.file.record_log();
         Ok(())
     }
 
@@ -288,17 +288,18 @@ impl Writer {
         mut reason: String,
     ) -> Result<Committed, CommitError> {
         if let [Work::Batch(batch)] = part {
-            let stored = again::stored(&mut self.connection, batch).await.map_err(DatabaseError::new)?;
+            let stored =
+                repeated_iterations::find(&mut self.connection, batch).await.map_err(DatabaseError::new)?;
             if !stored.is_empty()
-                && let Ok(rest) = Prepared::without(batch.head, batch.body.clone(), &stored)
+                && let Ok(rest) = PreparedBatch::without(batch.head, batch.body.clone(), &stored)
             {
                 match self.attempt(&[Work::Batch(Box::new(rest))], now, None).await {
                     Ok(committed) => {
                         let (host, number, left_out) = (batch.head.host, batch.head.number, stored.len());
                         tracing::warn!(
                             %host, number, left_out,
-                            "iterations that are stored already came in another batch and were left out: perhaps two \
-                             copies of one spool are in use"
+                            "iterations that are already stored arrived in another batch and were skipped: two copies of \
+                             one spool may be in use"
                         );
                         return Ok(committed);
                     }
@@ -362,7 +363,7 @@ impl Committed {
         self.marks.extend(other.marks);
         self.hosts.extend(other.hosts);
         self.runs.extend(other.runs);
-        self.unknown.extend(other.unknown);
+        self.unnamed_runs.extend(other.unnamed_runs);
         self.nodes += other.nodes;
         self.secrets.extend(other.secrets);
         self.quarantined.extend(other.quarantined);

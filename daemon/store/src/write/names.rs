@@ -10,13 +10,13 @@ use super::prepared::NameKey;
 
 /// Maximum number of distinct names in the store; beyond it, batches with new names are quarantined. A program that puts
 /// numbers into its names would otherwise fill memory and table.
-const MOST: usize = 65_536;
+const MAX_NAMES: usize = 65_536;
 
-/// The table `name` in memory.
+/// The writer's copy of the table `name`.
 #[derive(Debug, Default)]
 pub(super) struct Names {
-    /// By name; a name rarely has more than one kind.
-    known: HashMap<Name, Vec<Entry>>,
+    /// Entries by name. A name rarely has more than one kind.
+    entries: HashMap<Name, Vec<Entry>>,
     count: usize,
 }
 
@@ -46,16 +46,16 @@ impl Names {
         connection: &mut SqliteConnection,
         key: &NameKey,
     ) -> Result<i64, Refusal> {
-        let known = self.known.get(&key.text).into_iter().flatten();
-        for entry in known {
+        let entries = self.entries.get(&key.text).into_iter().flatten();
+        for entry in entries {
             if entry.kind == key.kind && entry.custom == key.custom && entry.unit == key.unit.symbol() {
                 return Ok(entry.id);
             }
         }
         let NameKey { text, kind, custom, unit } = key;
-        if self.count >= MOST {
+        if self.count >= MAX_NAMES {
             return Err(Refusal::Batch(format!(
-                "the store knows {MOST} names already, {text:?} is one too many; put numbers into values, not names"
+                "the database has {MAX_NAMES} node names, the maximum, and cannot add {text:?}; put numbers into values, not into names"
             )));
         }
         let id = sqlx::query_scalar(
@@ -73,7 +73,7 @@ impl Names {
     }
 
     fn remember(&mut self, name: Name, entry: Entry) {
-        self.known.entry(name).or_default().push(entry);
+        self.entries.entry(name).or_default().push(entry);
         self.count += 1;
     }
 }

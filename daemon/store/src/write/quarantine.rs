@@ -9,7 +9,7 @@ use peernet_stream::{BatchHead, Event, Gap, codec};
 use sqlx::SqliteConnection;
 
 use super::entities::{Entities, Reporter};
-use super::prepared::Prepared;
+use super::prepared::PreparedBatch;
 use super::{Refusal, UnstorableBatch, records};
 use crate::stored::Stored;
 
@@ -25,15 +25,15 @@ impl<'a> RejectedBatch<'a> {
     /// Makes it of a batch that was found invalid before it reached the database.
     pub(super) fn unstorable(unstorable: &'a UnstorableBatch) -> Self {
         let events =
-            unstorable.body.as_ref().and_then(|body| codec::events(body, unstorable.head.events).ok());
+            unstorable.body.as_ref().and_then(|body| codec::decode_events(body, unstorable.head.events).ok());
         Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }
     }
 
     /// Makes it of a batch that the database refused.
-    pub(super) fn refused(batch: &Prepared, reason: &'a str) -> Self {
+    pub(super) fn refused(batch: &PreparedBatch, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
-        let frame = Bytes::from(codec::batch_frame(&head, body, false));
-        Self { head, frame, events: codec::events(body, head.events).ok(), reason }
+        let frame = Bytes::from(codec::encode_batch(&head, body, false));
+        Self { head, frame, events: codec::decode_events(body, head.events).ok(), reason }
     }
 
     /// Returns the reason why it cannot be stored.
@@ -43,7 +43,7 @@ impl<'a> RejectedBatch<'a> {
 
     /// Stores the frame and records its events as missing: by run if they can be decoded, otherwise as many as its head claims,
     /// if it is long enough for them. Returns the additions to the counters of its host.
-    pub(super) async fn put(
+    pub(super) async fn store(
         self,
         connection: &mut SqliteConnection,
         entities: &mut Entities,
@@ -51,14 +51,15 @@ impl<'a> RejectedBatch<'a> {
         now: WallTime,
     ) -> Result<Stored, Refusal> {
         let kept = (self.events.as_ref().map(Vec::len), &self.frame);
-        records::quarantine(connection, reporter.row, self.head, kept, self.reason, now).await?;
+        records::insert_quarantined_batch(connection, reporter.row, self.head, kept, self.reason, now)
+            .await?;
         let gap = |run, at, count| Gap {
             pipeline: None,
             run,
             from: at,
             to: at,
             count,
-            reason: format!("a batch was put aside: {}", self.reason),
+            reason: format!("a batch was quarantined: {}", self.reason),
         };
         let gaps = match &self.events {
             Some(events) => {
@@ -84,7 +85,7 @@ impl<'a> RejectedBatch<'a> {
             }
         };
         for gap in &gaps {
-            records::gap(connection, entities, reporter, gap).await?;
+            records::insert_gap(connection, entities, reporter, gap).await?;
         }
         let missing = gaps.iter().map(|gap| gap.count).sum();
         Ok(Stored { quarantined: 1, gaps: gaps.len() as u64, missing, ..Stored::default() })

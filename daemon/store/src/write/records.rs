@@ -12,10 +12,10 @@ use crate::column::column;
 use crate::stored::Stored;
 
 /// Number of quarantined batches that are kept.
-const QUARANTINE_KEEPS: i64 = 1_000;
+const MAX_QUARANTINED: i64 = 1_000;
 
 /// Stores an incident of a host.
-pub(super) async fn incident(
+pub(super) async fn insert_incident(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
     reporter: Reporter,
@@ -43,7 +43,7 @@ pub(super) async fn incident(
 }
 
 /// Stores a gap that an agent reported.
-pub(super) async fn gap(
+pub(super) async fn insert_gap(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
     reporter: Reporter,
@@ -78,7 +78,7 @@ async fn known_number(
 }
 
 /// Stores a gap for batches of a stream that will never arrive.
-pub(super) async fn missing(
+pub(super) async fn insert_missing_batches(
     connection: &mut SqliteConnection,
     host: i64,
     missing: &MissingBatches,
@@ -86,15 +86,15 @@ pub(super) async fn missing(
 ) -> Result<Stored, Refusal> {
     let MissingBatches { stream, from, through, events, .. } = missing;
     let reason = format!(
-        "batches {from} to {through} of stream {stream} are not in this database: another one stored them before this one was made or \
-         put back, and their agent has deleted them from its spool"
+        "batches {from} to {through} of stream {stream} are not in this database: they were stored in another database before this one was created or \
+         restored, and their agent has deleted them from its spool"
     );
-    hole(connection, host, &reason, *events, now).await
+    insert_unattributed_gap(connection, host, &reason, *events, now).await
 }
 
 /// Stores a gap of `events` events whose runs are unknown; `None` if their number is unknown, which the table holds as 0.
 /// Returns the additions to the counters of its host.
-pub(super) async fn hole(
+pub(super) async fn insert_unattributed_gap(
     connection: &mut SqliteConnection,
     host: i64,
     reason: &str,
@@ -117,7 +117,7 @@ pub(super) async fn hole(
 }
 
 /// Stores a batch that cannot be stored otherwise; `events` is their number if they can be decoded.
-pub(super) async fn quarantine(
+pub(super) async fn insert_quarantined_batch(
     connection: &mut SqliteConnection,
     host: i64,
     head: BatchHead,
@@ -138,7 +138,7 @@ pub(super) async fn quarantine(
     .execute(&mut *connection)
     .await?;
     sqlx::query("DELETE FROM quarantine WHERE id <= (SELECT max(id) FROM quarantine) - ?")
-        .bind(QUARANTINE_KEEPS)
+        .bind(MAX_QUARANTINED)
         .execute(connection)
         .await?;
     Ok(())

@@ -4,20 +4,20 @@ use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, SqliteConnection};
 
-use super::prepared::{AnchorRow, IterationRow, NodeRow, Prepared, TransitRow};
+use super::prepared::{AnchorRow, IterationRow, NodeRow, PreparedBatch, TransitRow};
 use crate::insert::Insert;
 use crate::rollups::Rollups;
 
 /// A batch with the numbers of its runs, names and hosts.
 #[derive(Debug)]
-pub(super) struct Resolved<'a> {
-    pub(super) batch: &'a Prepared,
+pub(super) struct ResolvedBatch<'a> {
+    pub(super) batch: &'a PreparedBatch,
     pub(super) runs: Vec<i64>,
     pub(super) names: Vec<i64>,
     pub(super) hosts: Vec<i64>,
 }
 
-impl Resolved<'_> {
+impl ResolvedBatch<'_> {
     /// Adds the statistics of the batch to the roll-ups.
     fn sum_up(&self, rollups: &mut Rollups) {
         for part in &self.batch.summaries {
@@ -25,7 +25,7 @@ impl Resolved<'_> {
             rollups.merge(run, name, part.quantity, part.second_s, &part.summary);
         }
         for (run, name, verdict, count) in &self.batch.verdicts {
-            rollups.judge(self.runs[*run as usize], self.names[*name as usize], *verdict, *count);
+            rollups.add_verdicts(self.runs[*run as usize], self.names[*name as usize], *verdict, *count);
         }
     }
 
@@ -74,13 +74,13 @@ impl Inserts {
     pub(super) async fn run(
         &self,
         connection: &mut SqliteConnection,
-        batches: &[Resolved<'_>],
+        batches: &[ResolvedBatch<'_>],
         rollups: &mut Rollups,
     ) -> Result<(), sqlx::Error> {
-        let iterations = Rows::of(batches, |batch| &batch.iterations);
+        let iterations = Rows::new(batches, |batch| &batch.iterations);
         self.iterations.run(connection, iterations, bind_iteration).await?;
-        let nodes = Rows::of(batches, |batch| &batch.nodes);
-        let bind = |(of, row): (&Resolved<'_>, &NodeRow), to: &mut SqliteArguments| {
+        let nodes = Rows::new(batches, |batch| &batch.nodes);
+        let bind = |(of, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments| {
             // The first node of a batch: sums are made here, because the next statement is bound while SQLite executes one.
             if (row.iteration, row.node) == (0, 0) {
                 of.sum_up(rollups);
@@ -88,15 +88,15 @@ impl Inserts {
             bind_node((of, row), to)
         };
         self.nodes.run(connection, nodes, bind).await?;
-        let anchors = Rows::of(batches, |batch| &batch.anchors);
+        let anchors = Rows::new(batches, |batch| &batch.anchors);
         self.anchors.run(connection, anchors, bind_anchor).await?;
-        let transits = Rows::of(batches, |batch| &batch.transits);
+        let transits = Rows::new(batches, |batch| &batch.transits);
         self.transits.run(connection, transits, bind_transit).await
     }
 }
 
 fn bind_iteration(
-    (of, row): (&Resolved<'_>, &IterationRow),
+    (of, row): (&ResolvedBatch<'_>, &IterationRow),
     to: &mut SqliteArguments,
 ) -> Result<(), BoxDynError> {
     to.add(of.runs[row.run as usize])?;
@@ -110,7 +110,7 @@ fn bind_iteration(
     to.add(row.total)
 }
 
-fn bind_node((of, row): (&Resolved<'_>, &NodeRow), to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+fn bind_node((of, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments) -> Result<(), BoxDynError> {
     let (run, iteration) = of.iteration(row.iteration);
     to.add(run)?;
     to.add(iteration)?;
@@ -124,7 +124,10 @@ fn bind_node((of, row): (&Resolved<'_>, &NodeRow), to: &mut SqliteArguments) -> 
     to.add(row.hi)
 }
 
-fn bind_anchor((of, row): (&Resolved<'_>, &AnchorRow), to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+fn bind_anchor(
+    (of, row): (&ResolvedBatch<'_>, &AnchorRow),
+    to: &mut SqliteArguments,
+) -> Result<(), BoxDynError> {
     let (run, iteration) = of.iteration(row.iteration);
     to.add(run)?;
     to.add(iteration)?;
@@ -134,7 +137,7 @@ fn bind_anchor((of, row): (&Resolved<'_>, &AnchorRow), to: &mut SqliteArguments)
 }
 
 fn bind_transit(
-    (of, row): (&Resolved<'_>, &TransitRow),
+    (of, row): (&ResolvedBatch<'_>, &TransitRow),
     to: &mut SqliteArguments,
 ) -> Result<(), BoxDynError> {
     let (run, iteration) = of.iteration(row.iteration);
@@ -152,28 +155,28 @@ fn bind_transit(
 
 /// The rows of one table in all batches, one batch after the other.
 struct Rows<'a, R, F> {
-    batches: std::slice::Iter<'a, Resolved<'a>>,
+    batches: std::slice::Iter<'a, ResolvedBatch<'a>>,
     rows: F,
-    now: Option<(&'a Resolved<'a>, std::slice::Iter<'a, R>)>,
-    left: usize,
+    now: Option<(&'a ResolvedBatch<'a>, std::slice::Iter<'a, R>)>,
+    remaining: usize,
 }
 
-impl<'a, R, F: Fn(&'a Prepared) -> &'a Vec<R>> Rows<'a, R, F> {
-    fn of(batches: &'a [Resolved<'a>], rows: F) -> Self {
-        let left = batches.iter().map(|batch| rows(batch.batch).len()).sum();
-        Self { batches: batches.iter(), rows, now: None, left }
+impl<'a, R, F: Fn(&'a PreparedBatch) -> &'a Vec<R>> Rows<'a, R, F> {
+    fn new(batches: &'a [ResolvedBatch<'a>], rows: F) -> Self {
+        let remaining = batches.iter().map(|batch| rows(batch.batch).len()).sum();
+        Self { batches: batches.iter(), rows, now: None, remaining }
     }
 }
 
-impl<'a, R, F: Fn(&'a Prepared) -> &'a Vec<R>> Iterator for Rows<'a, R, F> {
-    type Item = (&'a Resolved<'a>, &'a R);
+impl<'a, R, F: Fn(&'a PreparedBatch) -> &'a Vec<R>> Iterator for Rows<'a, R, F> {
+    type Item = (&'a ResolvedBatch<'a>, &'a R);
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             if let Some((batch, rows)) = &mut self.now
                 && let Some(row) = rows.next()
             {
-                self.left -= 1;
+                self.remaining -= 1;
                 return Some((*batch, row));
             }
             let batch = self.batches.next()?;
@@ -182,8 +185,8 @@ impl<'a, R, F: Fn(&'a Prepared) -> &'a Vec<R>> Iterator for Rows<'a, R, F> {
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
-        (self.left, Some(self.left))
+        (self.remaining, Some(self.remaining))
     }
 }
 
-impl<'a, R, F: Fn(&'a Prepared) -> &'a Vec<R>> ExactSizeIterator for Rows<'a, R, F> {}
+impl<'a, R, F: Fn(&'a PreparedBatch) -> &'a Vec<R>> ExactSizeIterator for Rows<'a, R, F> {}

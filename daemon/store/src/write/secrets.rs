@@ -28,7 +28,7 @@ pub(super) async fn enrol(
 }
 
 /// Reads the secret of one host again: an operator may have cleared it.
-pub(super) async fn of_host(
+pub(super) async fn read_host_secret(
     connection: &mut SqliteConnection,
     host: HostId,
 ) -> Result<Option<HostSecret>, sqlx::Error> {
@@ -42,7 +42,7 @@ pub(super) async fn of_host(
 }
 
 /// Returns all stored hosts in the order of their first contact, with their secrets.
-pub(crate) async fn known_hosts(
+pub(crate) async fn read_host_secrets(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(HostId, Option<HostSecret>)>, sqlx::Error> {
     let secrets: Vec<(i64, Vec<u8>)> =

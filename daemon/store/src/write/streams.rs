@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_stream::{BatchHead, Chain, Hello, LackingBatches, Mark, StreamId, StreamRecord};
+use peernet_stream::{BatchHead, Chain, Hello, Mark, MissingPreviousBatches, StreamId, StreamRecord};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::entities::id;
@@ -19,7 +19,7 @@ pub struct Streams {
     /// Mark of each stream of which something is stored.
     pub marks: HashMap<StreamId, Mark>,
     /// All streams with which a host ever introduced itself.
-    came: HashSet<StreamId>,
+    seen: HashSet<StreamId>,
     /// The stream with which each host introduced itself last.
     last: HashMap<HostId, StreamId>,
 }
@@ -59,11 +59,11 @@ struct Row {
 
 impl Streams {
     /// Returns the knowledge that the answer to a hello needs; `seniority` is the rank of the host among the stored ones.
-    pub fn known(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
+    pub fn record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
             mark: mark_of(hello.stream),
-            came: self.came.contains(&hello.stream),
+            was_used: self.seen.contains(&hello.stream),
             last: self.last.get(&hello.host.id).copied(),
             previous: hello.previous.and_then(mark_of),
             seniority,
@@ -71,8 +71,8 @@ impl Streams {
     }
 
     /// Records that a host introduced itself with a stream.
-    pub fn came(&mut self, host: HostId, stream: StreamId) {
-        self.came.insert(stream);
+    pub fn record_hello(&mut self, host: HostId, stream: StreamId) {
+        self.seen.insert(stream);
         self.last.insert(host, stream);
     }
 
@@ -87,11 +87,11 @@ impl Streams {
         let mut streams = Self::default();
         for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
-            streams.came(host, stream);
+            streams.record_hello(host, stream);
             // A row without a chain has nothing stored, or is of a version whose streams ended with their agents.
             let Some(chain) = chain else { continue };
-            let chain =
-                <[u8; 16]>::try_from(chain).map_err(|_| wrong("a chain that is not 16 bytes long"))?;
+            let chain = <[u8; 16]>::try_from(chain)
+                .map_err(|_| invalid_column("a chain that is not 16 bytes long"))?;
             let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
             let (chain, process) = (Chain::from_bytes(chain), process.map(i64::cast_unsigned));
             let events = events.map(count);
@@ -110,12 +110,12 @@ impl AdvancedStreams {
         &mut self,
         connection: &mut SqliteConnection,
         host: i64,
-        came: &Introduction,
+        introduction: &Introduction,
         now: WallTime,
     ) -> Result<Stored, Refusal> {
         let known = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
             .bind(now.unix_nanos())
-            .bind(came.stream.to_string())
+            .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
         if known.rows_affected() > 0 {
@@ -125,29 +125,29 @@ impl AdvancedStreams {
             "INSERT INTO stream (uuid, host, stored, previous, first_seen_ns, last_seen_ns) \
              VALUES (?1, ?2, ?3, ?4, ?5, ?5)",
         )
-        .bind(came.stream.to_string())
+        .bind(introduction.stream.to_string())
         .bind(host)
-        .bind(column(came.first.saturating_sub(1)))
-        .bind(came.previous.map(|stream| stream.to_string()))
+        .bind(column(introduction.first.saturating_sub(1)))
+        .bind(introduction.previous.map(|stream| stream.to_string()))
         .bind(now.unix_nanos())
         .execute(&mut *connection)
         .await?;
-        let replaced = came.replaced.map(|replaced| {
+        let replaced = introduction.replaced.map(|replaced| {
             let reason = format!(
-                "the spool with the stream {replaced} was deleted or replaced: what it still held is unknown and lost"
+                "the spool with the stream {replaced} was deleted or replaced: its remaining events are lost, and their number is unknown"
             );
             (reason, None)
         });
-        let lacking = came.lacking.map(|LackingBatches { stream, from, through, events }| {
+        let lacking = introduction.lacking.map(|MissingPreviousBatches { stream, from, through, events }| {
             let reason = format!(
-                "batches {from} to {through} of stream {stream} are not here: they were stored in a newer database \
-                 than this one, which is an older copy"
+                "batches {from} to {through} of stream {stream} are not in this database: they were stored in a newer \
+                 database, of which this one is an older copy"
             );
             (reason, events)
         });
         let mut added = Stored::default();
         for (reason, events) in replaced.into_iter().chain(lacking) {
-            added.add(&records::hole(&mut *connection, host, &reason, events, now).await?);
+            added.add(&records::insert_unattributed_gap(&mut *connection, host, &reason, events, now).await?);
         }
         Ok(added)
     }
@@ -183,12 +183,12 @@ impl AdvancedStreams {
         Ok(self.marks.drain().map(|(stream, (_, head))| (stream, Mark::from(head))).collect())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.marks.clear();
     }
 }
 
-fn wrong(what: &'static str) -> sqlx::Error {
+fn invalid_column(what: &'static str) -> sqlx::Error {
     sqlx::Error::Decode(what.into())
 }

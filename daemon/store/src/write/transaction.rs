@@ -8,13 +8,13 @@ use sqlx::SqliteConnection;
 
 use super::clock::Links;
 use super::counters::Counters;
-use super::ends::Ends;
+use super::ends::RunEnds;
 use super::entities::{Entities, Reporter};
 use super::foreign_reports::ForeignReports;
 use super::names::Names;
-use super::prepared::{Prepared, Step};
+use super::prepared::{PreparedBatch, Step};
 use super::quarantine::RejectedBatch;
-use super::rows::{Inserts, Resolved};
+use super::rows::{Inserts, ResolvedBatch};
 use super::streams::AdvancedStreams;
 use super::{Committed, Introduction, Refusal, Work, records, secrets};
 use crate::raw_transaction;
@@ -30,7 +30,7 @@ pub(super) struct Staging {
     rollups: Rollups,
     counters: Counters,
     advanced_streams: AdvancedStreams,
-    ends: Ends,
+    ends: RunEnds,
     links: Links,
     foreign_reports: ForeignReports,
 }
@@ -75,8 +75,8 @@ impl Staging {
                 }
                 // Greetings cannot be quarantined: the batches that follow create the host's row.
                 (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(_)) => continue,
-                (Work::Hello(came), None) => {
-                    self.introduce(connection, came, now).await?;
+                (Work::Hello(introduction), None) => {
+                    self.introduce(connection, introduction, now).await?;
                     continue;
                 }
                 (Work::Goodbye(host), None) => {
@@ -87,7 +87,7 @@ impl Staging {
                     continue;
                 }
                 (Work::Secret(host), _) => {
-                    committed.secrets.push((*host, secrets::of_host(connection, *host).await?));
+                    committed.secrets.push((*host, secrets::read_host_secret(connection, *host).await?));
                     continue;
                 }
                 (Work::Name(name), None) => {
@@ -106,7 +106,7 @@ impl Staging {
             let added = match (item, rejected) {
                 (_, Some(rejected)) => {
                     let reason = rejected.reason().to_owned();
-                    let added = rejected.put(connection, &mut self.entities, reporter, now).await?;
+                    let added = rejected.store(connection, &mut self.entities, reporter, now).await?;
                     committed.quarantined.push((head, reason));
                     added
                 }
@@ -117,7 +117,7 @@ impl Staging {
                     batch.added
                 }
                 (Work::MissingBatches(missing), None) => {
-                    records::missing(connection, host, missing, now).await?
+                    records::insert_missing_batches(connection, host, missing, now).await?
                 }
                 _ => continue,
             };
@@ -135,24 +135,24 @@ impl Staging {
         self.foreign_reports.write(connection, now).await?;
         committed.marks.extend(self.advanced_streams.write(connection, now).await?);
         raw_transaction::commit(connection).await?;
-        committed.runs = self.entities.take_met();
-        committed.unknown = self.entities.take_unknown();
+        committed.runs = self.entities.take_loaded_runs();
+        committed.unnamed_runs = self.entities.take_unnamed_runs();
         Ok(committed)
     }
 
     async fn introduce(
         &mut self,
         connection: &mut SqliteConnection,
-        came: &Introduction,
+        introduction: &Introduction,
         now: WallTime,
     ) -> Result<(), Refusal> {
-        let id = self.entities.introduce(connection, &came.host, now).await?;
-        self.ends.process(connection, id, came.process).await?;
-        if let Some(secret) = &came.secret {
+        let id = self.entities.introduce(connection, &introduction.host, now).await?;
+        self.ends.record_process(connection, id, introduction.process).await?;
+        if let Some(secret) = &introduction.secret {
             secrets::enrol(connection, id, secret, now).await?;
         }
-        let added = self.advanced_streams.introduce(connection, id, came, now).await?;
-        self.counters.host(came.host.id, id).add(&added);
+        let added = self.advanced_streams.introduce(connection, id, introduction, now).await?;
+        self.counters.host(introduction.host.id, id).add(&added);
         Ok(())
     }
 
@@ -160,10 +160,10 @@ impl Staging {
     async fn resolve<'a>(
         &mut self,
         connection: &mut SqliteConnection,
-        batch: &'a Prepared,
+        batch: &'a PreparedBatch,
         reporter: Reporter,
         now: WallTime,
-    ) -> Result<Resolved<'a>, Refusal> {
+    ) -> Result<ResolvedBatch<'a>, Refusal> {
         // Checked before anything of the batch is stored.
         self.foreign_reports.check(connection, &mut self.entities, reporter, &batch.claimed).await?;
         let mut runs = vec![0; batch.runs.len()];
@@ -187,7 +187,7 @@ impl Staging {
         for (part, run) in batch.runs.iter().zip(&runs) {
             self.counters.run(*run, part);
         }
-        Ok(Resolved { batch, runs, names, hosts })
+        Ok(ResolvedBatch { batch, runs, names, hosts })
     }
 
     async fn event(
@@ -200,14 +200,14 @@ impl Staging {
         match event {
             Event::RunStarted(run) => {
                 let (known, pipeline) = self.entities.run_started(connection, reporter, run).await?;
-                self.ends.followed(pipeline, known.number);
+                self.ends.record_next_run(pipeline, known.number);
                 Ok(())
             }
             Event::RunEnded(end) => self.entities.run_ended(connection, reporter, end).await,
             Event::Incident(incident) => {
-                records::incident(connection, &mut self.entities, reporter, incident, now).await
+                records::insert_incident(connection, &mut self.entities, reporter, incident, now).await
             }
-            Event::Gap(gap) => records::gap(connection, &mut self.entities, reporter, gap).await,
+            Event::Gap(gap) => records::insert_gap(connection, &mut self.entities, reporter, gap).await,
             Event::Clock(sample) => {
                 self.links.store(connection, &mut self.entities, reporter.row, sample, now).await
             }
@@ -216,7 +216,7 @@ impl Staging {
         }
     }
 
-    /// Forgets what is only in memory: the transaction did not end well. The names have to be read again.
+    /// Discards the state that is only in memory, because the transaction failed. The names have to be read again.
     pub(super) fn forget(&mut self) {
         self.entities.forget();
         self.rollups.forget();

@@ -3,10 +3,11 @@
 use bytes::Bytes;
 use peernet_logger::{HostId, RunId, Slug};
 use peernet_stream::{
-    BatchHead, HostDescription, HostSecret, LackingBatches, MissingBatches, Placement, StreamId, codec,
+    BatchHead, HostDescription, HostSecret, MissingBatches, MissingPreviousBatches, Placement, StreamId,
+    codec,
 };
 
-use super::prepared::Prepared;
+use super::prepared::PreparedBatch;
 
 /// Something to be stored, in the order of arrival.
 #[derive(Debug)]
@@ -18,7 +19,7 @@ pub enum Work {
     /// The live lane names a run of which the store has only iterations.
     Name(Box<RunName>),
     /// A batch of events.
-    Batch(Box<Prepared>),
+    Batch(Box<PreparedBatch>),
     /// A batch that can never be stored: quarantined as it arrived.
     UnstorableBatch(Box<UnstorableBatch>),
     /// Batches that no longer exist anywhere.
@@ -43,7 +44,7 @@ pub struct Introduction {
     /// The host's stream before, if this one does not continue it: its spool was deleted or replaced.
     pub replaced: Option<StreamId>,
     /// Batches that this database lacks of the continued stream.
-    pub lacking: Option<LackingBatches>,
+    pub lacking: Option<MissingPreviousBatches>,
     /// The secret that it proved to have; stored unless there is one.
     pub secret: Option<HostSecret>,
 }
@@ -57,7 +58,7 @@ pub struct UnstorableBatch {
     pub frame: Bytes,
     /// Its events in wire form, if they match their hash.
     pub body: Option<Bytes>,
-    /// The reason why it cannot be stored.
+    /// Reason why it cannot be stored.
     pub reason: String,
 }
 
@@ -76,11 +77,11 @@ pub struct RunName {
 
 impl Work {
     /// Prepares events that match their hash to be stored or quarantined.
-    pub fn of_batch(head: BatchHead, body: Bytes) -> Self {
-        match Prepared::new(head, body.clone()) {
+    pub fn from_batch(head: BatchHead, body: Bytes) -> Self {
+        match PreparedBatch::new(head, body.clone()) {
             Ok(batch) => Self::Batch(Box::new(batch)),
             Err(error) => {
-                let frame = Bytes::from(codec::batch_frame(&head, &body, false));
+                let frame = Bytes::from(codec::encode_batch(&head, &body, false));
                 Self::UnstorableBatch(Box::new(UnstorableBatch {
                     head,
                     frame,
@@ -97,7 +98,7 @@ impl Work {
     }
 }
 
-/// The reason why something was not stored.
+/// Reason why something was not stored.
 #[derive(Debug)]
 pub(crate) enum Refusal {
     /// The batch itself cannot be stored. It is quarantined, and the stream continues.
@@ -110,10 +111,10 @@ impl From<sqlx::Error> for Refusal {
     /// Attributes SQLite's errors about data to the batch, all others (full, locked, read-only …) to the database.
     fn from(error: sqlx::Error) -> Self {
         /// Primary result codes: TOOBIG, CONSTRAINT, MISMATCH, RANGE.
-        const OF_THE_DATA: [u32; 4] = [18, 19, 20, 25];
+        const DATA_ERRORS: [u32; 4] = [18, 19, 20, 25];
         let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
         let data = matches!(error, sqlx::Error::Encode(_))
-            || code.is_some_and(|code| OF_THE_DATA.contains(&(code & 0xff)));
+            || code.is_some_and(|code| DATA_ERRORS.contains(&(code & 0xff)));
         if data { Self::Batch(error.to_string()) } else { Self::Database(error) }
     }
 }

@@ -52,11 +52,11 @@ impl Content {
     /// Decodes a frame. Batches and parts are recognised as the receiver recognises them. The direction of other
     /// messages is known from the connection, and here from the file's name.
     fn decode(file: &str, frame: &Bytes) -> Self {
-        if let Some(head) = batch_head(frame) {
-            let body = readable(file, batch_body(frame.clone()));
-            return Self::Batch(head, readable(file, events(&body, head.events)));
+        if let Some(head) = decode_batch_head(frame) {
+            let body = readable(file, decode_batch_body(frame.clone()));
+            return Self::Batch(head, readable(file, decode_events(&body, head.events)));
         }
-        if let Some(part) = part(frame) {
+        if let Some(part) = decode_part(frame) {
             return Self::Part(part);
         }
         if file.starts_with("to-agent-") {
@@ -70,8 +70,8 @@ impl Content {
         match self {
             Self::ToAggregator(message) => encode(&**message),
             Self::ToAgent(message) => encode(message),
-            Self::Batch(head, events) => batch_frame(head, &body_of(events), false),
-            Self::Part(part) => part_frame(part),
+            Self::Batch(head, events) => encode_batch(head, &body_of(events), false),
+            Self::Part(part) => encode_part(part),
         }
     }
 
@@ -92,7 +92,7 @@ fn readable<T>(file: &str, result: Result<T, CodecError>) -> T {
 
 fn body_of(events: &[Event]) -> Vec<u8> {
     let mut body = Vec::new();
-    events.iter().for_each(|event| append(&mut body, event));
+    events.iter().for_each(|event| encode_into(&mut body, event));
     body
 }
 
@@ -101,13 +101,13 @@ fn body_of(events: &[Event]) -> Vec<u8> {
 /// Frames are compared in this form, because another version of Zstandard may compress to other bytes, which every
 /// version can read.
 fn uncompressed(file: &str, frame: &Bytes) -> Vec<u8> {
-    if let Some(packed) = frame.strip_prefix(&[BATCH, PACKED]) {
-        return readable(file, unpack(packed));
+    if let Some(compressed) = frame.strip_prefix(&[BATCH, COMPRESSED]) {
+        return readable(file, decompress_message(compressed));
     }
     if !frame.starts_with(&[BATCH, ZSTD]) {
         return frame.to_vec();
     }
-    let body = readable(file, batch_body(frame.clone()));
+    let body = readable(file, decode_batch_body(frame.clone()));
     [&[BATCH, PLAIN][..], &frame[2..BATCH_HEAD_BYTES], &body[..]].concat()
 }
 
@@ -158,5 +158,5 @@ fn compressed_fixtures_are_really_compressed() {
     let form = |file: &str| files().get(file).map(|frame| [frame[0], frame[1]]);
     assert_eq!(form("batch.filled.bin"), Some([BATCH, PLAIN]));
     assert_eq!(form("batch.compressed.bin"), Some([BATCH, ZSTD]));
-    assert_eq!(form("to-aggregator-live.compressed.bin"), Some([BATCH, PACKED]));
+    assert_eq!(form("to-aggregator-live.compressed.bin"), Some([BATCH, COMPRESSED]));
 }

@@ -29,7 +29,7 @@ pub struct Part {
 }
 
 /// Returns the frame of a part.
-pub fn part_frame(part: &Part) -> Vec<u8> {
+pub fn encode_part(part: &Part) -> Vec<u8> {
     let mut frame = Vec::with_capacity(PART_HEAD_BYTES + part.bytes.len());
     frame.extend([BATCH, PART]);
     frame.extend(part.host.as_bytes());
@@ -40,7 +40,7 @@ pub fn part_frame(part: &Part) -> Vec<u8> {
 }
 
 /// Returns the part in a frame; `None` for any other message, and for a part whose fields contradict each other.
-pub fn part(frame: &Bytes) -> Option<Part> {
+pub fn decode_part(frame: &Bytes) -> Option<Part> {
     let rest = frame.strip_prefix(&[BATCH, PART])?;
     let (&host, rest) = rest.split_first_chunk()?;
     let (&offset, rest) = rest.split_first_chunk()?;
@@ -56,21 +56,21 @@ pub fn part(frame: &Bytes) -> Option<Part> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::batch_head;
+    use super::super::decode_batch_head;
     use super::*;
 
     #[test]
     fn part_is_decoded_as_encoded_and_as_nothing_else() {
         let host = HostId::from_bytes([7; 16]);
         let written = Part { host, offset: 300, total: 303, bytes: Bytes::from_static(b"end") };
-        let frame = Bytes::from(part_frame(&written));
+        let frame = Bytes::from(encode_part(&written));
         assert_eq!(frame.len(), PART_HEAD_BYTES + 3);
-        assert_eq!(part(&frame), Some(written.clone()));
-        assert_eq!(batch_head(&[&frame[..], &[0; 200]].concat()), None);
-        assert_eq!(part(&frame.slice(..PART_HEAD_BYTES)), None, "of nothing");
+        assert_eq!(decode_part(&frame), Some(written.clone()));
+        assert_eq!(decode_batch_head(&[&frame[..], &[0; 200]].concat()), None);
+        assert_eq!(decode_part(&frame.slice(..PART_HEAD_BYTES)), None, "of nothing");
         let beyond = Part { offset: 301, ..written.clone() };
-        assert_eq!(part(&part_frame(&beyond).into()), None, "beyond the end");
+        assert_eq!(decode_part(&encode_part(&beyond).into()), None, "beyond the end");
         let huge = Part { total: MAX_MESSAGE_BYTES as u32 + 1, ..written };
-        assert_eq!(part(&part_frame(&huge).into()), None, "of more than a message");
+        assert_eq!(decode_part(&encode_part(&huge).into()), None, "of more than a message");
     }
 }

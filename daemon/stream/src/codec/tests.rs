@@ -94,14 +94,14 @@ fn some(count: usize) -> Vec<Event> {
 
 fn body_of(events: &[Event]) -> Vec<u8> {
     let mut body = Vec::new();
-    events.iter().for_each(|event| append(&mut body, event));
+    events.iter().for_each(|event| encode_into(&mut body, event));
     body
 }
 
 fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
     let before = Chain::from_bytes([3; 16]);
     let (host, stream) = (HostId::random(), StreamId::random());
-    let (chain, events_before) = (before.then(events, body), 100);
+    let (chain, events_before) = (before.next(events, body), 100);
     BatchHead { host, stream, process: 7, number, before, chain, events, events_before }
 }
 
@@ -110,7 +110,7 @@ fn frame_of(count: usize, compress: bool) -> (Bytes, BatchHead, Vec<Event>) {
     let events = some(count);
     let body = body_of(&events);
     let head = head_of(5, count as u32, &body);
-    (batch_frame(&head, &body, compress).into(), head, events)
+    (encode_batch(&head, &body, compress).into(), head, events)
 }
 
 #[test]
@@ -121,14 +121,14 @@ fn a_batch_arrives_as_it_was_sent() {
         let sent = some(count);
         let body = body_of(&sent);
         let head = head_of(number, count as u32, &body);
-        let frame = Bytes::from(batch_frame(&head, &body, compress));
-        assert_eq!(batch_head(&frame), Some(head));
+        let frame = Bytes::from(encode_batch(&head, &body, compress));
+        assert_eq!(decode_batch_head(&frame), Some(head));
         if count > 1 {
             assert_eq!(frame.len() < body.len(), compress, "a frame of {} bytes", frame.len());
         }
-        let read = batch_body(frame).expect("what was sent");
+        let read = decode_batch_body(frame).expect("what was sent");
         assert!(read == body);
-        assert_eq!(events(&read, head.events), Ok(sent));
+        assert_eq!(decode_events(&read, head.events), Ok(sent));
     }
 }
 
@@ -136,9 +136,9 @@ fn a_batch_arrives_as_it_was_sent() {
 fn incompressible_body_is_sent_uncompressed() {
     let body: Vec<u8> = (0..=255_u8).collect();
     let head = head_of(1, 1, &body);
-    let frame = batch_frame(&head, &body, true);
+    let frame = encode_batch(&head, &body, true);
     assert_eq!(frame.len(), BATCH_HEAD_BYTES + body.len());
-    assert_eq!(batch_body(frame.into()).as_deref(), Ok(&body[..]));
+    assert_eq!(decode_batch_body(frame.into()).as_deref(), Ok(&body[..]));
 }
 
 #[test]
@@ -147,18 +147,18 @@ fn a_batch_is_no_message_and_a_message_is_no_batch() {
     assert!(matches!(decode::<ToAggregator>(&frame), Err(CodecError::Malformed(_))));
     assert!(matches!(decode::<ToAgent>(&frame), Err(CodecError::Malformed(_))));
     for message in [encode(&ToAggregator::Goodbye(HostId::random())), encode(&ToAgent::Unknown), Vec::new()] {
-        assert_eq!(batch_head(&message), None);
-        assert!(matches!(batch_body(message.into()), Err(CodecError::Malformed(_))));
+        assert_eq!(decode_batch_head(&message), None);
+        assert!(matches!(decode_batch_body(message.into()), Err(CodecError::Malformed(_))));
     }
 }
 
 #[test]
 fn compressed_message_is_read_within_size_limit() {
     let refused = ToAgent::Refused { reason: "no ".repeat(1_000) };
-    let frame = encode_packed(&refused);
-    assert!(frame.len() < 200 && batch_head(&[&frame[..], &[0; 200]].concat()).is_none());
+    let frame = encode_compressed(&refused);
+    assert!(frame.len() < 200 && decode_batch_head(&[&frame[..], &[0; 200]].concat()).is_none());
     assert_eq!(decode::<ToAgent>(&frame), Ok(refused));
-    assert_eq!(encode_packed(&ToAgent::Unknown), encode(&ToAgent::Unknown), "shorter as it is");
+    assert_eq!(encode_compressed(&ToAgent::Unknown), encode(&ToAgent::Unknown), "shorter as it is");
     for length in [MAX_MESSAGE_BYTES as u32 + 1, 100] {
         let mut lies = frame.clone();
         lies[2..6].copy_from_slice(&length.to_be_bytes());
@@ -172,32 +172,32 @@ fn a_damaged_batch_can_still_be_named() {
     for compress in [false, true] {
         let (frame, head, _) = frame_of(2, compress);
         for cut in [frame.slice(..frame.len() - 1), Bytes::from([&frame[..], &[0]].concat())] {
-            assert_eq!(batch_head(&cut), Some(head));
-            assert_eq!(batch_body(cut), Err(CodecError::Damaged(5)));
+            assert_eq!(decode_batch_head(&cut), Some(head));
+            assert_eq!(decode_batch_body(cut), Err(CodecError::Damaged(5)));
         }
-        assert_eq!(batch_head(&frame[..BATCH_HEAD_BYTES - 1]), None);
+        assert_eq!(decode_batch_head(&frame[..BATCH_HEAD_BYTES - 1]), None);
     }
 }
 
 #[test]
 fn events_must_be_as_many_as_the_head_says() {
     let body = body_of(&some(3));
-    assert_eq!(events(&body, 3).map(|events| events.len()), Ok(3));
+    assert_eq!(decode_events(&body, 3).map(|events| events.len()), Ok(3));
     for count in [2, 4, body.len() as u32 + 1, u32::MAX] {
-        assert!(matches!(events(&body, count), Err(CodecError::Malformed(_))), "{count}");
+        assert!(matches!(decode_events(&body, count), Err(CodecError::Malformed(_))), "{count}");
     }
-    assert_eq!(events(&[], 0), Ok(Vec::new()));
+    assert_eq!(decode_events(&[], 0), Ok(Vec::new()));
 }
 
 #[test]
 fn a_body_that_grows_without_end_is_not_unpacked() {
     // The body compresses to almost nothing, so that only a wrong length in the head could pass the limit.
     let body = vec![0; 8 * MAX_MESSAGE_BYTES];
-    let mut frame = batch_frame(&head_of(5, 1, &body), &body, true);
+    let mut frame = encode_batch(&head_of(5, 1, &body), &body, true);
     assert!(frame.len() < MAX_MESSAGE_BYTES);
-    assert_eq!(batch_body(frame.clone().into()), Err(CodecError::TooLong(body.len())));
+    assert_eq!(decode_batch_body(frame.clone().into()), Err(CodecError::TooLong(body.len())));
     frame[BATCH_HEAD_BYTES - 4..BATCH_HEAD_BYTES].copy_from_slice(&1_000_u32.to_be_bytes());
-    assert_eq!(batch_body(frame.into()), Err(CodecError::Damaged(5)));
+    assert_eq!(decode_batch_body(frame.into()), Err(CodecError::Damaged(5)));
 }
 
 #[test]
@@ -247,9 +247,9 @@ fn limits_and_remainders_are_refused() {
 proptest! {
     #[test]
     fn no_bytes_panic(bytes: Vec<u8>, count: u32) {
-        let _ = (decode::<ToAggregator>(&bytes), decode::<ToAgent>(&bytes), events(&bytes, count));
+        let _ = (decode::<ToAggregator>(&bytes), decode::<ToAgent>(&bytes), decode_events(&bytes, count));
         let batch: Bytes = [&[BATCH], &bytes[..]].concat().into();
-        let _ = (batch_head(&batch), batch_body(batch.clone()), batch_head(&bytes), batch_body(bytes.into()));
+        let _ = (decode_batch_head(&batch), decode_batch_body(batch.clone()), decode_batch_head(&bytes), decode_batch_body(bytes.into()));
     }
 
     #[test]
@@ -261,7 +261,7 @@ proptest! {
         let mut body = body_of(&some(2));
         let at_body = at.index(body.len());
         body[at_body] = byte;
-        let _ = (events(&body, 2), events(&body[..cut.index(at_body + 1)], 2));
+        let _ = (decode_events(&body, 2), decode_events(&body[..cut.index(at_body + 1)], 2));
     }
 
     /// Checks that every changed bit is detected: the head is that of another batch, or the events are not read.
@@ -271,8 +271,8 @@ proptest! {
         let mut damaged = frame.to_vec();
         let bit = bit.index(8 * frame.len());
         damaged[bit / 8] ^= 1 << (bit % 8);
-        if batch_head(&damaged) == Some(head) {
-            prop_assert!(batch_body(damaged.into()).is_err(), "bit {bit}");
+        if decode_batch_head(&damaged) == Some(head) {
+            prop_assert!(decode_batch_body(damaged.into()).is_err(), "bit {bit}");
         } else {
             prop_assert!(bit / 8 < BATCH_HEAD_BYTES);
         }
@@ -281,6 +281,6 @@ proptest! {
     #[test]
     fn no_cut_goes_unnoticed(cut: prop::sample::Index, compress: bool) {
         let (frame, ..) = frame_of(2, compress);
-        prop_assert!(batch_body(frame.slice(..cut.index(frame.len()))).is_err());
+        prop_assert!(decode_batch_body(frame.slice(..cut.index(frame.len()))).is_err());
     }
 }

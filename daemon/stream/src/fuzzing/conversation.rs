@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, Span, Stamp};
 use super::script::{Script, beginning, host};
 use crate::codec;
 use crate::{
-    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Nonce,
+    Accounting, Action, Arrival, Chain, Event, HelloResult, HostSecret, Incident, IncidentKind, Nonce,
     Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, StreamRecord,
     ToAgent, ToAggregator, Usage,
 };
@@ -43,10 +43,11 @@ fn at_an_aggregator(script: &mut Script<'_>) {
                 let hello = script.hello();
                 let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
                 let last = (script.byte() & 1 == 0).then(|| script.stream());
-                let (came, previous) = (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
+                let (was_used, previous) =
+                    (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
                 let known =
-                    StreamRecord { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
-                if let Greeting::Welcome { reply, missing, .. } = end.hello(&hello, known, now) {
+                    StreamRecord { mark, was_used, last, previous, seniority: mark.map(|mark| mark.stored) };
+                if let HelloResult::Welcome { reply, missing, .. } = end.handle_hello(&hello, known, now) {
                     assert!(matches!(reply, ToAgent::Welcome { window: 1.., .. }));
                     // The mark may be ahead of the accepted batches. The stream is followed from here on.
                     accepted.remove(&hello.stream);
@@ -58,7 +59,7 @@ fn at_an_aggregator(script: &mut Script<'_>) {
             }
             1..=5 => {
                 let (head, intact) = (script.head(), !script.byte().is_multiple_of(4));
-                let arrival = end.batch(&head, intact, now);
+                let arrival = end.handle_batch(&head, intact, now);
                 if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged) {
                     let before = accepted.insert(head.stream, head.number);
                     assert!(before.is_none_or(|before| head.number == before + 1), "accepted out of order");
@@ -73,26 +74,26 @@ fn at_an_aggregator(script: &mut Script<'_>) {
             6 => {
                 let (stream, owner) = (script.stream(), script.host());
                 let mark = script.mark(owner);
-                end.stored(stream, mark);
+                end.handle_stored(stream, mark);
                 accepted.entry(stream).and_modify(|number| *number = mark.stored.max(*number));
             }
             7 => {
                 let stream = script.stream();
-                end.failed(stream);
+                end.handle_failed_store(stream);
                 accepted.remove(&stream);
             }
             8 => {
                 let stream = script.stream();
-                end.deferred(stream);
+                end.defer_batch(stream);
                 let most = usize::from(script.byte() % 4);
-                assert!(end.room(most).len() <= most);
+                assert!(end.request_deferred(most).len() <= most);
             }
             _ => {
                 now = now + Span::from_millis(i64::from(script.byte()) * 4);
                 end.forget_silent(Span::from_millis(400), now);
-                end.live(script.host(), now);
+                end.handle_live(script.host(), now);
                 if script.byte() & 1 == 0 {
-                    end.goodbye(script.host());
+                    end.handle_goodbye(script.host());
                 }
                 accepted.clear();
             }
@@ -132,9 +133,9 @@ fn at_an_agent(script: &mut Script<'_>) {
         agent.step(script, sent);
         while let Some(action) = agent.sending.next(agent.now.mono) {
             match action {
-                Action::Send(frame) => match codec::batch_head(&frame) {
+                Action::Send(frame) => match codec::decode_batch_head(&frame) {
                     Some(head) => sent = (head.stream, head.chain, head.number),
-                    None if codec::part(&Bytes::from(frame.clone())).is_some() => {}
+                    None if codec::decode_part(&Bytes::from(frame.clone())).is_some() => {}
                     None => match codec::decode(&frame) {
                         Ok(ToAggregator::Hello(hello)) => {
                             sent = (hello.stream, hello.before, hello.oldest - 1);
@@ -165,20 +166,20 @@ impl Agent {
                 self.sending.tick(self.now);
             }
             5 => match script.byte() % 8 {
-                2 => self.sending.shown(usize::from(script.byte()) * 64),
-                3 | 4 => drop(self.sending.received(&ToAgent::Echo { bytes: self.echo }, now)),
-                0 => self.sending.disconnected(),
+                2 => self.sending.record_live_sent(usize::from(script.byte()) * 64),
+                3 | 4 => drop(self.sending.on_message(&ToAgent::Echo { bytes: self.echo }, now)),
+                0 => self.sending.on_disconnected(),
                 1 => self.sending.flush(now.wall),
-                _ => self.sending.connected(now.mono),
+                _ => self.sending.on_connected(now.mono),
             },
             6 => {
                 if let Ok(message) = codec::decode(&script.bytes()) {
-                    self.sending.received(&message, now);
+                    self.sending.on_message(&message, now);
                 }
             }
             _ => {
                 let message = message(script, sent);
-                self.sending.received(&message, now);
+                self.sending.on_message(&message, now);
             }
         }
     }
@@ -187,24 +188,24 @@ impl Agent {
         let now = self.now;
         let reason = || "the disk fails".to_owned();
         match self.jobs.pop_front() {
-            Some(Action::Append { .. }) if fails => drop(self.sending.append_failed(reason(), now)),
+            Some(Action::Append { .. }) if fails => drop(self.sending.on_append_failed(reason(), now)),
             Some(Action::Append { batches, .. }) => {
                 self.spool.extend(batches);
-                self.sending.appended(now);
+                self.sending.on_appended(now);
             }
-            Some(Action::Load { .. }) if fails => drop(self.sending.load_failed(reason(), now)),
+            Some(Action::Load { .. }) if fails => drop(self.sending.on_load_failed(reason(), now)),
             Some(Action::Load { from, .. }) => {
                 let found = self.spool.iter().skip_while(|batch| batch.number < from).take(2);
                 let found: Vec<_> = found.filter(|batch| batch.number <= from + 1).cloned().collect();
-                self.sending.loaded(found, now);
+                self.sending.on_loaded(found, now);
             }
-            Some(Action::Delete { .. }) if fails => drop(self.sending.delete_failed(reason(), now)),
+            Some(Action::Delete { .. }) if fails => drop(self.sending.on_delete_failed(reason(), now)),
             Some(Action::Delete { through, .. }) => {
                 self.spool.retain(|batch| batch.number > through);
-                self.sending.deleted();
+                self.sending.on_deleted();
             }
-            Some(Action::Renew { .. }) if fails => drop(self.sending.renew_failed(reason(), now)),
-            Some(Action::Renew { .. }) => self.sending.renewed(now),
+            Some(Action::Renew { .. }) if fails => drop(self.sending.on_renew_failed(reason(), now)),
+            Some(Action::Renew { .. }) => self.sending.on_renewed(now),
             Some(Action::Send(_)) | None => {}
         }
     }

@@ -35,22 +35,22 @@ pub fn any_batch(data: &[u8]) {
         process: 3,
         number: u64::MAX,
         before,
-        chain: before.then(events, bytes),
+        chain: before.next(events, bytes),
         events,
         events_before: u64::MAX,
     };
-    let frame = codec::batch_frame(&head, bytes, how & COMPRESSED != 0);
+    let frame = codec::encode_batch(&head, bytes, how & COMPRESSED != 0);
     assert_eq!(take(&frame), (bytes.len() <= MAX_MESSAGE_BYTES).then_some(head), "what was framed is taken");
 }
 
 /// Handles a frame as the aggregator does. Returns the head of an intact batch.
 fn take(frame: &[u8]) -> Option<BatchHead> {
-    let head = codec::batch_head(frame)?;
+    let head = codec::decode_batch_head(frame)?;
     assert!(codec::decode::<ToAggregator>(frame).is_err(), "a batch's frame is no message");
-    let body = codec::batch_body(Bytes::copy_from_slice(frame)).ok()?;
+    let body = codec::decode_batch_body(Bytes::copy_from_slice(frame)).ok()?;
     assert!(body.len() <= MAX_MESSAGE_BYTES);
-    assert_eq!(head.before.then(head.events, &body), head.chain, "an intact body is the one of the chain");
-    if let Ok(events) = codec::events(&body, head.events) {
+    assert_eq!(head.before.next(head.events, &body), head.chain, "an intact body is the one of the chain");
+    if let Ok(events) = codec::decode_events(&body, head.events) {
         assert_eq!(events.len(), head.events as usize);
     }
     Some(head)

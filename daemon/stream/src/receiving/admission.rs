@@ -4,12 +4,12 @@ use peernet_clock::MonoTime;
 
 use super::super::codec::MAX_MESSAGE_BYTES;
 use super::super::{STREAM_VERSIONS, batch_weight};
-use super::progress::LAST_BATCH;
+use super::progress::MAX_BATCH_NUMBER;
 use super::{Hello, Receiving, StreamId, StreamRecord};
 use peernet_logger::{HostId, Slug};
 
 /// Returns the reason to refuse an agent that has no version in common with this aggregator.
-pub(super) fn wrong_version(hello: &Hello) -> Option<String> {
+pub(super) fn version_mismatch(hello: &Hello) -> Option<String> {
     let mismatch = STREAM_VERSIONS.highest_common(&hello.versions()).err()?;
     let agent = format!("the agent on {}", hello.host.name);
     Some(mismatch.describe("the event stream", "the aggregator", &agent))
@@ -30,7 +30,7 @@ pub(super) struct Session {
     seniority: Option<u64>,
     pub(super) process: u64,
     pub(super) stream: StreamId,
-    pub(super) heard: MonoTime,
+    pub(super) last_message_at: MonoTime,
     /// Weight of a batch of the usual length, as stated in the hello; at most the longest message.
     pub(super) batch_bytes: u64,
     /// Another process that claims to be this host, and the time of its first hello.
@@ -38,13 +38,13 @@ pub(super) struct Session {
 }
 
 impl Session {
-    pub(super) fn of(hello: &Hello, seniority: Option<u64>, now: MonoTime) -> Self {
+    pub(super) fn new(hello: &Hello, seniority: Option<u64>, now: MonoTime) -> Self {
         Self {
             name: hello.host.name.clone(),
             seniority,
             process: hello.process,
             stream: hello.stream,
-            heard: now,
+            last_message_at: now,
             batch_bytes: batch_weight(MAX_MESSAGE_BYTES.min(hello.batch_bytes as usize)),
             challenger: None,
         }
@@ -60,30 +60,29 @@ pub(super) enum Admission {
 }
 
 impl Receiving {
-    pub(super) fn admission(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Admission {
-        match self.objection(hello, known, now) {
+    pub(super) fn admission(&mut self, hello: &Hello, record: StreamRecord, now: MonoTime) -> Admission {
+        match self.refusal_reason(hello, record, now) {
             Some(reason) => Admission::Refused(reason),
             None => self.challenge(hello, now),
         }
     }
 
     /// Returns the reason to refuse a hello that does not depend on who is connected under its host id.
-    fn objection(&self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Option<String> {
-        if let Some(reason) = wrong_version(hello) {
+    fn refusal_reason(&self, hello: &Hello, record: StreamRecord, now: MonoTime) -> Option<String> {
+        if let Some(reason) = version_mismatch(hello) {
             return Some(reason);
         }
         let (first, oldest) = (hello.first, hello.oldest);
-        if first == 0 || oldest < first || oldest > LAST_BATCH {
+        if first == 0 || oldest < first || oldest > MAX_BATCH_NUMBER {
             return Some(format!(
-                "a stream that begins with batch {first} and of which {oldest} is the oldest cannot be: the spool of \
-                 this agent is damaged; stop the agent, move the spool's files to another folder, keep them, and start \
-                 the agent again"
+                "the spool of this agent is damaged: its stream starts with batch {first}, but its oldest batch is {oldest}; \
+                 stop the agent, move the spool's files to another folder, keep them, and start the agent again"
             ));
         }
         let named =
             // The name belongs to the host that has been stored longer: a name taken by a newcomer must not lock out
             // its owner.
-            self.namesake(hello, now).filter(|(_, session)| !is_senior(known.seniority, session.seniority));
+            self.find_namesake(hello, now).filter(|(_, session)| !is_senior(record.seniority, session.seniority));
         if let Some((other, _)) = named {
             let name = &hello.host.name;
             return Some(format!(
@@ -92,7 +91,7 @@ impl Receiving {
         }
         // Batches that wait to be stored decide as well, because their mark is not in the database yet.
         let here = self.streams.get(&hello.stream).map(|progress| progress.host);
-        let owner = here.or(known.mark.map(|mark| mark.host)).filter(|owner| *owner != hello.host.id)?;
+        let owner = here.or(record.mark.map(|mark| mark.host)).filter(|owner| *owner != hello.host.id)?;
         Some(format!(
             "the spool of this agent belongs to the host with the id {owner}: if this agent's state directory is a copy, \
              give this agent another [agent] state_dir; keep the spool for that host, it may hold events that are not \
@@ -101,10 +100,11 @@ impl Receiving {
     }
 
     /// Returns another host with the same name that was active recently.
-    fn namesake(&self, hello: &Hello, now: MonoTime) -> Option<(HostId, &Session)> {
+    fn find_namesake(&self, hello: &Hello, now: MonoTime) -> Option<(HostId, &Session)> {
         let host = &hello.host;
-        let held =
-            |session: &Session| session.name == host.name && now - session.heard <= self.config.name_held;
+        let held = |session: &Session| {
+            session.name == host.name && now - session.last_message_at <= self.config.name_timeout
+        };
         let named = self.hosts.iter().find(|(other, session)| **other != host.id && held(session));
         named.map(|(other, session)| (*other, session))
     }
@@ -112,23 +112,23 @@ impl Receiving {
     /// Ends the session of another host that uses the name of a host which has been stored for longer. Returns that
     /// host.
     pub(super) fn take_back_name(&mut self, hello: &Hello, now: MonoTime) -> Option<HostId> {
-        let (other, _) = self.namesake(hello, now)?;
-        self.goodbye(other);
+        let (other, _) = self.find_namesake(hello, now)?;
+        self.handle_goodbye(other);
         Some(other)
     }
 
-    /// Decides between two processes with one host id. The new one takes over if the old one is silent; if both are
-    /// active, one uses a copied state directory.
+    /// Decides between two processes with one host id. The new process takes over if the old one is silent. If both are
+    /// active, one of them uses a copied state directory, and the new one is refused.
     fn challenge(&mut self, hello: &Hello, now: MonoTime) -> Admission {
         let host: HostId = hello.host.id;
-        let silence = self.config.silence;
+        let process_timeout = self.config.process_timeout;
         let other = self.hosts.get_mut(&host).filter(|session| session.process != hello.process);
-        let Some(session) = other.filter(|session| now - session.heard <= silence) else {
+        let Some(session) = other.filter(|session| now - session.last_message_at <= process_timeout) else {
             return Admission::Granted;
         };
         match session.challenger {
             // The old process sent something after the new one's first hello: both are alive.
-            Some((process, since)) if process == hello.process && session.heard > since => {
+            Some((process, since)) if process == hello.process && session.last_message_at > since => {
                 session.challenger = None;
                 return Admission::Refused(format!(
                     "another agent with the host id {host} is running: one of the two uses a copy of the other's state \

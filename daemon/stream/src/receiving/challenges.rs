@@ -11,7 +11,7 @@ use super::{Hello, ToAgent};
 use peernet_logger::Slug;
 
 /// Time that a challenge waits for its proof: longer than a round trip on any link.
-const PROOF_WITHIN: Span = Span::from_seconds(15);
+const PROOF_TIMEOUT: Span = Span::from_seconds(15);
 
 /// Hellos that wait for their proof, at most one per connection. `C` identifies a connection.
 #[derive(Clone, Debug)]
@@ -33,16 +33,16 @@ struct Pending {
 #[derive(Clone, Debug, PartialEq)]
 pub enum ProofResult {
     /// The proof is valid.
-    Yes {
+    Valid {
         /// Hello that the proof confirms.
         hello: Box<Hello>,
         /// Secret of the host, if the aggregator had none before.
         enrolled: Option<HostSecret>,
     },
     /// The proof was made with another secret than the host's.
-    No(Box<Hello>),
+    Invalid(Box<Hello>),
     /// The proof answers no challenge of this connection. The agent must send a hello.
-    Unasked,
+    Unsolicited,
 }
 
 impl<C: Eq + Hash> Challenges<C> {
@@ -55,7 +55,7 @@ impl<C: Eq + Hash> Challenges<C> {
     /// none of the host is known; `nonce` is a new one.
     ///
     /// The challenge contains the highest version that both ends support. Hellos without such a version are refused
-    /// before ([`Receiving::refuses_version`](super::Receiving::refuses_version)).
+    /// before ([`Receiving::version_refusal`](super::Receiving::version_refusal)).
     ///
     /// A repeated hello gets the same challenge again, because on a slow link the proof may be in flight. Any other
     /// hello replaces the previous one of its connection.
@@ -80,29 +80,29 @@ impl<C: Eq + Hash> Challenges<C> {
     }
 
     /// Returns the hello whose proof a connection has to send.
-    pub fn awaited(&self, connection: &C) -> Option<&Hello> {
+    pub fn pending_hello(&self, connection: &C) -> Option<&Hello> {
         self.pending.get(connection).map(|pending| &*pending.hello)
     }
 
-    /// Checks the proof that came on a connection. `known` is the secret of the host that [`awaited`](Self::awaited)
+    /// Checks the proof that came on a connection. `known` is the secret of the host that [`pending_hello`](Self::pending_hello)
     /// returns, if the aggregator has one. A challenge is removed by its answer, whether that is valid or not.
-    pub fn prove(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> ProofResult {
+    pub fn check_proof(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> ProofResult {
         let answered =
             |pending: &Pending| (pending.hello.host.id, pending.nonce) == (proof.host, proof.nonce);
         if !self.pending.get(connection).is_some_and(answered) {
-            return ProofResult::Unasked;
+            return ProofResult::Unsolicited;
         }
         // Removed before the check, so that each nonce is answered at most once.
         let Some(Pending { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
-            return ProofResult::Unasked;
+            return ProofResult::Unsolicited;
         };
         // A secret that was not requested is ignored: it could replace the one that is known.
         let told = proof.secret.filter(|_| enrol);
-        let Some(secret) = known.or(told.as_ref()) else { return ProofResult::Unasked };
+        let Some(secret) = known.or(told.as_ref()) else { return ProofResult::Unsolicited };
         if secret.verify(&proof.code, &nonce, &hello, &self.aggregator) {
-            ProofResult::Yes { hello, enrolled: told.filter(|_| known.is_none()) }
+            ProofResult::Valid { hello, enrolled: told.filter(|_| known.is_none()) }
         } else {
-            ProofResult::No(hello)
+            ProofResult::Invalid(hello)
         }
     }
 
@@ -112,8 +112,8 @@ impl<C: Eq + Hash> Challenges<C> {
     }
 
     /// Removes challenges that were not answered in time.
-    pub fn age(&mut self, now: MonoTime) {
-        self.pending.retain(|_, pending| now - pending.since <= PROOF_WITHIN);
+    pub fn remove_expired(&mut self, now: MonoTime) {
+        self.pending.retain(|_, pending| now - pending.since <= PROOF_TIMEOUT);
     }
 
     /// Returns the number of challenges without an answer.

@@ -1,23 +1,23 @@
-//! Streams with a batch that found no room.
+//! Streams with a deferred batch: the queue had no capacity for it when it arrived.
 
 use std::collections::{BTreeSet, VecDeque};
 
 use super::StreamId;
 
-/// Streams in the order in which they first found no room, each once.
+/// Deferred streams in the order in which they were deferred, each once.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct DeferredStreams {
     order: VecDeque<StreamId>,
-    known: BTreeSet<StreamId>,
+    members: BTreeSet<StreamId>,
 }
 
 impl DeferredStreams {
     pub(super) const fn new() -> Self {
-        Self { order: VecDeque::new(), known: BTreeSet::new() }
+        Self { order: VecDeque::new(), members: BTreeSet::new() }
     }
 
     pub(super) fn push(&mut self, stream: StreamId) {
-        if self.known.insert(stream) {
+        if self.members.insert(stream) {
             self.order.push_back(stream);
         }
     }
@@ -25,12 +25,12 @@ impl DeferredStreams {
     /// Removes and returns the stream that waits longest.
     pub(super) fn pop(&mut self) -> Option<StreamId> {
         let stream = self.order.pop_front()?;
-        self.known.remove(&stream);
+        self.members.remove(&stream);
         Some(stream)
     }
 
     pub(super) fn remove(&mut self, stream: StreamId) {
-        if self.known.remove(&stream) {
+        if self.members.remove(&stream) {
             self.order.retain(|other| *other != stream);
         }
     }

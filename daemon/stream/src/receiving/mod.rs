@@ -13,7 +13,7 @@ use peernet_clock::{MonoTime, Span};
 
 use self::admission::{Admission, Session};
 pub use self::challenges::{Challenges, ProofResult};
-use self::deferred::DeferredStreams;
+use self::defer_batch::DeferredStreams;
 use self::parts::PartAssembler;
 use self::progress::Progress;
 use super::codec::Part;
@@ -22,22 +22,22 @@ use peernet_logger::{HostId, Slug};
 
 /// Largest number of streams of one host with batches that are accepted and not stored: the current one, and those that
 /// it left recently.
-const MOST_UNSETTLED: usize = 8;
+const MAX_UNSETTLED_STREAMS: usize = 8;
 
 /// Configuration of the receiving end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReceivingConfig {
     /// Name of the aggregator's own host.
     pub aggregator: Slug,
-    /// Silence after which an agent no longer keeps its host id from another process: three of its live updates.
-    pub silence: Span,
-    /// Silence after which an agent no longer keeps its name.
-    pub name_held: Span,
+    /// Silence of an agent after which another process may take over its host id: the time of three live updates.
+    pub process_timeout: Span,
+    /// Silence of a host after which another host may take over its name.
+    pub name_timeout: Span,
     /// Bytes of batches in flight from all agents together, which limit the aggregator's memory. Each agent is allowed
     /// at least one batch.
     pub budget_bytes: u64,
     /// Largest window of one agent, in units of its batches' usual length.
-    pub most_window: u32,
+    pub max_window: u32,
 }
 
 impl ReceivingConfig {
@@ -45,10 +45,10 @@ impl ReceivingConfig {
     pub const fn new(aggregator: Slug) -> Self {
         Self {
             aggregator,
-            silence: Span::from_millis(750),
-            name_held: Span::from_seconds(10),
+            process_timeout: Span::from_millis(750),
+            name_timeout: Span::from_seconds(10),
             budget_bytes: 64 << 20,
-            most_window: 8,
+            max_window: 8,
         }
     }
 }
@@ -96,7 +96,7 @@ pub struct StreamRecord {
     /// Mark of the hello's stream.
     pub mark: Option<Mark>,
     /// `true` if the host used that stream before.
-    pub came: bool,
+    pub was_used: bool,
     /// Stream that the host used last.
     pub last: Option<StreamId>,
     /// Mark of the stream that the hello's stream continues.
@@ -107,7 +107,7 @@ pub struct StreamRecord {
 
 /// Result of a hello.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Greeting {
+pub enum HelloResult {
     /// The host has a session now.
     Welcome {
         /// Message to be sent.
@@ -120,7 +120,7 @@ pub enum Greeting {
         /// Batches that were once stored in the stream that this one continues, but are not in this database, which is
         /// older than they are. To be stored as a gap. The mark of that stream stays, because another copy of the spool
         /// may still hold them.
-        lacking: Option<LackingBatches>,
+        lacking: Option<MissingPreviousBatches>,
         /// Another host with the name of this one, which has been stored for longer. The other host's session ended.
         displaced: Option<HostId>,
     },
@@ -131,9 +131,9 @@ pub enum Greeting {
         /// Reason in the message.
         reason: String,
     },
-    /// No decision yet; nothing is to be sent. Either another process of the same host was active recently: if it is
-    /// dead, the next hello of this one is accepted; if it lives, it will send something before. Or too many batches of
-    /// the host wait to be stored.
+    /// No decision yet; nothing is to be sent, and the next hello decides. Either another process of the same host was
+    /// active recently. If it has ended, the next hello of this process is accepted; otherwise it sends something
+    /// before that hello. Or too many batches of the host wait to be stored.
     Wait,
 }
 
@@ -160,7 +160,7 @@ pub struct MissingBatches {
 
 /// Batches of an earlier stream that this database lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LackingBatches {
+pub struct MissingPreviousBatches {
     /// Stream of the batches.
     pub stream: StreamId,
     /// Number of the first batch; 1 if nothing of the stream is known.
@@ -174,17 +174,17 @@ pub struct LackingBatches {
 /// Result of the arrival of a batch.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Arrival {
-    /// It is the next batch. Store it, and then call [`Receiving::stored`].
+    /// It is the next batch. Store it, and then call [`Receiving::handle_stored`].
     Accept,
-    /// It is the next batch, but its bytes did not match its hash in several attempts. It is to be quarantined
-    /// unchanged, like a batch that cannot be decoded, and to be marked as stored.
+    /// It is the next batch, but its bytes did not match its hash in several attempts. Quarantine it unchanged, like a
+    /// batch that cannot be decoded, and mark it as stored.
     AcceptDamaged,
     /// It is already stored. The acknowledgement was lost and is to be sent again.
     Duplicate(ToAgent),
     /// It is already accepted, and about to be stored.
     Pending,
     /// Batches before it are missing, or it was damaged in transit. The message, if any, requests them again.
-    Hole(Option<ToAgent>),
+    Rejected(Option<ToAgent>),
     /// The process has no session with that stream, or the batch contradicts accepted batches. The message requests a
     /// hello.
     Unknown(ToAgent),
@@ -196,8 +196,9 @@ pub enum Arrival {
 /// stream's mark is on disk. Accepted batches are known in memory only, until the process ends; marks come from the
 /// database.
 ///
-/// Its memory is bounded: a session for each recently active host, and for each stream the chains of batches that are
-/// accepted and not stored. These are little more than twice [`MOST_UNDER_WAY`](super::MOST_UNDER_WAY).
+/// Its memory is bounded: it holds a session for each recently active host, and for each stream the chains of the
+/// batches that are accepted and not stored. Their number is little more than twice
+/// [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Receiving {
     config: ReceivingConfig,
@@ -227,52 +228,57 @@ impl Receiving {
 
     /// Returns the reason to refuse a hello before anything is proven; `None` for an agent that may be challenged
     /// ([`Challenges`]).
-    pub fn refuses_version(hello: &Hello) -> Option<String> {
-        admission::wrong_version(hello)
+    pub fn version_refusal(hello: &Hello) -> Option<String> {
+        admission::version_mismatch(hello)
     }
 
     /// Decides about a hello whose host has been proven. Missing batches are reported only for a host's first hello
     /// with a stream.
     ///
-    /// The mark decides, not the agent's statement: batches after it that the agent does not hold are [`MissingBatches`], even
-    /// if the agent states that its stream began later than the mark. A stream whose oldest batch is before its first
-    /// is refused.
-    pub fn hello(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Greeting {
-        let StreamRecord { mark, last, seniority, .. } = known;
+    /// The mark takes precedence over the agent's statement. Batches after the mark that the agent does not hold are
+    /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A stream whose oldest
+    /// batch is before its first is refused.
+    pub fn handle_hello(&mut self, hello: &Hello, record: StreamRecord, now: MonoTime) -> HelloResult {
+        let StreamRecord { mark, last, seniority, .. } = record;
         let (host, stream) = (hello.host.id, hello.stream);
-        match self.admission(hello, known, now) {
+        match self.admission(hello, record, now) {
             Admission::Granted => {}
             Admission::Refused(reason) => {
-                return Greeting::Refused { reply: ToAgent::Refused { reason: reason.clone() }, reason };
+                return HelloResult::Refused { reply: ToAgent::Refused { reason: reason.clone() }, reason };
             }
-            Admission::Later => return Greeting::Wait,
+            Admission::Later => return HelloResult::Wait,
         }
         // Batches from an earlier process of the host are stored first, so that the welcome's statement about them
         // stays true.
-        let unsettled = |progress: &Progress| progress.awaits_other_than(hello.process);
-        if self.has_too_much_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
-            return Greeting::Wait;
+        let unsettled = |progress: &Progress| progress.has_unsettled_from_other_process(hello.process);
+        if self.has_too_many_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
+            return HelloResult::Wait;
         }
         // A stream is new only once, so that its gap is recorded once however often the agent reconnects.
-        let is_new = !known.came && mark.is_none() && !self.streams.contains_key(&stream);
+        let is_new = !record.was_used && mark.is_none() && !self.streams.contains_key(&stream);
         let replaced = last.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
         let lacking = hello.previous.filter(|_| is_new).and_then(|previous| {
-            let from = known.previous.map_or(1, |mark| mark.stored.saturating_add(1));
+            let from = record.previous.map_or(1, |mark| mark.stored.saturating_add(1));
             let through = hello.first - 1;
-            let stored = known.previous.map_or(Some(0), |mark| mark.events);
+            let stored = record.previous.map_or(Some(0), |mark| mark.events);
             let events =
                 hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
             // Batches after the last one in the spool may have been stored from the memory of a dead process.
             let lacks = from <= through || events.is_some_and(|events| events > 0);
-            lacks.then_some(LackingBatches { stream: previous, from, through: through.max(from), events })
+            lacks.then_some(MissingPreviousBatches {
+                stream: previous,
+                from,
+                through: through.max(from),
+                events,
+            })
         });
         let displaced = self.take_back_name(hello, now);
-        let left = self.hosts.insert(host, Session::of(hello, seniority, now));
+        let left = self.hosts.insert(host, Session::new(hello, seniority, now));
         // Another process may hold other batches with the same numbers, so what its predecessor sent is not confirmed
         // for it.
         let same = left.as_ref().is_some_and(|left| left.process == hello.process && left.stream == stream);
         let progress = self.streams.entry(stream).or_insert_with(|| Progress::new(hello, mark));
-        let missing = progress.greet(hello, mark, same);
+        let missing = progress.handle_hello(hello, mark, same);
         let (stored, last) = progress.stored();
         self.deferred.remove(stream);
         self.parts.forget(host);
@@ -283,20 +289,20 @@ impl Receiving {
         let (chain, process) = (last.map(|last| last.chain), last.and_then(|last| last.process));
         let window = self.window(host);
         let reply = ToAgent::Welcome { aggregator, stream, stored, chain, process, window };
-        Greeting::Welcome { reply, missing, replaced, lacking, displaced }
+        HelloResult::Welcome { reply, missing, replaced, lacking, displaced }
     }
 
     /// Returns whether the host must wait for the writer, because its stream or its earlier streams have too many
     /// batches that are not stored.
-    fn has_too_much_unsettled(&self, host: HostId, stream: StreamId) -> bool {
+    fn has_too_many_unsettled(&self, host: HostId, stream: StreamId) -> bool {
         let full = self.streams.get(&stream).is_some_and(Progress::is_full);
         let others = self.streams.iter().filter(|(id, progress)| progress.host == host && **id != stream);
-        full || others.count() >= MOST_UNSETTLED
+        full || others.count() >= MAX_UNSETTLED_STREAMS
     }
 
-    /// Decides about a batch. `intact` tells whether its bytes match its hash ([`super::codec::batch_body`]). An intact
+    /// Decides about a batch. `intact` tells whether its bytes match its hash ([`super::codec::decode_batch_body`]). An intact
     /// batch is accepted even if it cannot be decoded; it is quarantined later.
-    pub fn batch(&mut self, head: &BatchHead, intact: bool, now: MonoTime) -> Arrival {
+    pub fn handle_batch(&mut self, head: &BatchHead, intact: bool, now: MonoTime) -> Arrival {
         let window = self.window(head.host);
         let session = self.hosts.get_mut(&head.host);
         let session =
@@ -305,25 +311,25 @@ impl Receiving {
         let (Some(session), Some(progress)) = (session, self.streams.get_mut(&head.stream)) else {
             return Arrival::Unknown(ToAgent::Unknown);
         };
-        session.heard = now;
-        progress.arrive(head, intact, window)
+        session.last_message_at = now;
+        progress.handle_batch(head, intact, window)
     }
 
     /// Adds a part of a batch from a host with a session. Returns the frame of the batch when it is complete.
-    pub fn part(&mut self, part: &Part, now: MonoTime) -> Option<Bytes> {
-        self.hosts.get_mut(&part.host)?.heard = now;
+    pub fn handle_part(&mut self, part: &Part, now: MonoTime) -> Option<Bytes> {
+        self.hosts.get_mut(&part.host)?.last_message_at = now;
         self.parts.add(part)
     }
 
     /// Returns the answer to a request for an echo, which is to be sent at once.
-    pub fn echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
-        self.live(host, now).unwrap_or(ToAgent::Echo { bytes })
+    pub fn handle_echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
+        self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
 
-    /// Records that a batch of the stream found no room. It counts as not received, and [`room`](Self::room) requests
-    /// it again.
-    pub fn deferred(&mut self, stream: StreamId) {
-        if self.listener(stream).is_none() {
+    /// Records that the queue had no capacity for a batch of the stream. The batch counts as not received, and
+    /// [`request_deferred`](Self::request_deferred) requests it again.
+    pub fn defer_batch(&mut self, stream: StreamId) {
+        if self.current_sender(stream).is_none() {
             return;
         }
         if let Some(progress) = self.streams.get_mut(&stream) {
@@ -333,14 +339,14 @@ impl Receiving {
         }
     }
 
-    /// Returns the requests for deferred batches when there is room for `batches` of them: one per stream, the longest
-    /// waiting first.
-    pub fn room(&mut self, batches: usize) -> Vec<(HostId, ToAgent)> {
+    /// Returns requests for deferred batches when the queue has capacity for `batches` of them: one request per stream,
+    /// the stream that waits longest first.
+    pub fn request_deferred(&mut self, batches: usize) -> Vec<(HostId, ToAgent)> {
         let mut requested = Vec::new();
         while requested.len() < batches
             && let Some(stream) = self.deferred.pop()
         {
-            let Some(host) = self.listener(stream) else { continue };
+            let Some(host) = self.current_sender(stream) else { continue };
             let request = self.streams.get_mut(&stream).and_then(|progress| progress.request_next(stream));
             requested.extend(request.map(|request| (host, request)));
         }
@@ -348,10 +354,10 @@ impl Receiving {
     }
 
     /// Records the arrival of a live update. Returns the message to a host without a session.
-    pub fn live(&mut self, host: HostId, now: MonoTime) -> Option<ToAgent> {
+    pub fn handle_live(&mut self, host: HostId, now: MonoTime) -> Option<ToAgent> {
         match self.hosts.get_mut(&host) {
             Some(session) => {
-                session.heard = now;
+                session.last_message_at = now;
                 None
             }
             None => Some(ToAgent::Unknown),
@@ -359,7 +365,7 @@ impl Receiving {
     }
 
     /// Ends the session of an agent that stops. Its name and its host id are free at once.
-    pub fn goodbye(&mut self, host: HostId) {
+    pub fn handle_goodbye(&mut self, host: HostId) {
         self.parts.forget(host);
         if let Some(session) = self.hosts.remove(&host) {
             self.deferred.remove(session.stream);
@@ -372,10 +378,10 @@ impl Receiving {
     ///
     /// Only batches that the connected agent is known to hold are acknowledged. Those that an earlier process sent may
     /// differ from this one's batches with the same numbers, and an acknowledgement makes the agent delete these.
-    pub fn stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
+    pub fn handle_stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
         let reply = self.streams.get_mut(&stream)?.settle(stream, mark, window);
-        let listener = self.listener(stream);
+        let listener = self.current_sender(stream);
         self.forget_if_settled(stream);
         listener.zip(reply)
     }
@@ -383,43 +389,43 @@ impl Receiving {
     /// Records that storing failed: batches that are accepted and not stored count as not received. The writer must
     /// drop its batches of the stream, or a later batch would be stored before the failed one. Returns the request to
     /// send them again and its receiver.
-    pub fn failed(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
+    pub fn handle_failed_store(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
         let request = self.streams.get_mut(&stream)?.fail(stream);
-        let listener = self.listener(stream);
+        let listener = self.current_sender(stream);
         self.forget_if_settled(stream);
         listener.map(|host| (host, request))
     }
 
     /// Returns whether the host has a session and was active within the last `within`.
     pub fn is_alive(&self, host: HostId, within: Span, now: MonoTime) -> bool {
-        self.hosts.get(&host).is_some_and(|session| now - session.heard <= within)
+        self.hosts.get(&host).is_some_and(|session| now - session.last_message_at <= within)
     }
 
     /// Ends sessions of hosts that were silent for longer than `silence`. They are asked for a hello when they return.
     pub fn forget_silent(&mut self, silence: Span, now: MonoTime) {
-        let silent = self.hosts.iter().filter(|(_, session)| now - session.heard > silence);
+        let silent = self.hosts.iter().filter(|(_, session)| now - session.last_message_at > silence);
         let gone: Vec<HostId> = silent.map(|(host, _)| *host).collect();
-        gone.into_iter().for_each(|host| self.goodbye(host));
+        gone.into_iter().for_each(|host| self.handle_goodbye(host));
     }
 
     /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the host's
-    /// own batch length, so that a host with large batches, or one that claims so, does not slow down the others.
+    /// own batch length only, so that a host that has or claims large batches does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
         let batch = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
         // An equal share of the memory for each connected host, so that all of them together stay within the budget.
         let share = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch;
-        u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.most_window.max(1))
+        u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.max_window.max(1))
     }
 
     /// Returns the host that currently sends a stream.
-    fn listener(&self, stream: StreamId) -> Option<HostId> {
+    fn current_sender(&self, stream: StreamId) -> Option<HostId> {
         let host = self.streams.get(&stream)?.host;
         self.hosts.get(&host).is_some_and(|session| session.stream == stream).then_some(host)
     }
 
     /// Removes a stream from memory if no host sends it and no batch of it waits. Its mark is on disk.
     fn forget_if_settled(&mut self, stream: StreamId) {
-        if self.listener(stream).is_none() {
+        if self.current_sender(stream).is_none() {
             self.deferred.remove(stream);
             if self.streams.get(&stream).is_some_and(Progress::is_settled) {
                 self.streams.remove(&stream);

@@ -12,7 +12,7 @@ use peernet_logger::HostId;
 pub(super) struct PartAssembler {
     incomplete: BTreeMap<HostId, IncompleteBatch>,
     bytes: u64,
-    most: u64,
+    max_bytes: u64,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,8 +22,8 @@ struct IncompleteBatch {
 }
 
 impl PartAssembler {
-    pub(super) const fn new(most: u64) -> Self {
-        Self { incomplete: BTreeMap::new(), bytes: 0, most }
+    pub(super) const fn new(max_bytes: u64) -> Self {
+        Self { incomplete: BTreeMap::new(), bytes: 0, max_bytes }
     }
 
     /// Adds a part. Returns the frame of the batch that it completes. A part that does not follow the previous one
@@ -35,7 +35,7 @@ impl PartAssembler {
         }
         let incomplete = self.incomplete.get_mut(&part.host)?;
         let follows = incomplete.total == part.total && incomplete.bytes.len() == part.offset as usize;
-        if !follows || self.bytes + part.bytes.len() as u64 > self.most {
+        if !follows || self.bytes + part.bytes.len() as u64 > self.max_bytes {
             self.forget(part.host);
             return None;
         }

@@ -2,18 +2,18 @@
 
 use std::collections::VecDeque;
 
-use super::super::MOST_UNDER_WAY;
+use super::super::MAX_IN_FLIGHT_BATCHES;
 use super::{Arrival, BatchHead, Chain, Hello, Mark, MissingBatches, StreamId, ToAgent};
 use peernet_logger::HostId;
 
 /// Largest accepted batch number: the largest integer of SQLite.
-pub(super) const LAST_BATCH: u64 = i64::MAX as u64;
+pub(super) const MAX_BATCH_NUMBER: u64 = i64::MAX as u64;
 
 /// Number of times that a batch may arrive damaged before it is accepted as damaged.
-const DAMAGED_TIMES: u32 = 3;
+const MAX_DAMAGED_ARRIVALS: u32 = 3;
 
 /// Largest number of batches that are accepted and not stored. An agent that respects its window needs half of it.
-const MOST_PENDING: usize = 2 * (MOST_UNDER_WAY + 1);
+const MAX_PENDING: usize = 2 * (MAX_IN_FLIGHT_BATCHES + 1);
 
 /// A position in a stream: number and chain of a batch, and the number of events up to it, where they are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,7 +29,7 @@ impl From<Mark> for Position {
     }
 }
 
-/// Accepted and stored positions of a stream.
+/// Position up to which batches of a stream are accepted, and position up to which they are stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Progress {
     pub(super) host: HostId,
@@ -42,11 +42,12 @@ pub(super) struct Progress {
     /// Last batch that the connected agent is known to hold in the same form: the agent compared the chains when it was
     /// welcomed, or sent the batch since.
     confirmed: u64,
-    /// Batches that are accepted and not both stored and confirmed, in ascending order; of a gap only the last number.
+    /// Accepted batches that are not both stored and confirmed, in ascending order. A gap is represented by its last
+    /// number.
     pending: VecDeque<(u64, Chain)>,
     /// Number from which batches were requested again, until the first of them arrives.
     requested: Option<u64>,
-    /// A batch that arrived damaged, and how often in a row.
+    /// The last batch that arrived damaged, and the number of times in a row.
     damaged: Option<(BatchHead, u32)>,
 }
 
@@ -74,7 +75,12 @@ impl Progress {
 
     /// Updates the progress for the hello of an agent. `same` tells whether it is the process that was connected
     /// before. Returns the batches that neither end has.
-    pub(super) fn greet(&mut self, hello: &Hello, mark: Option<Mark>, same: bool) -> Option<MissingBatches> {
+    pub(super) fn handle_hello(
+        &mut self,
+        hello: &Hello,
+        mark: Option<Mark>,
+        same: bool,
+    ) -> Option<MissingBatches> {
         if let Some(mark) = mark {
             self.apply_mark(mark);
         }
@@ -104,19 +110,19 @@ impl Progress {
     }
 
     /// Decides about a batch of the stream from the connected agent.
-    pub(super) fn arrive(&mut self, head: &BatchHead, intact: bool, window: u32) -> Arrival {
+    pub(super) fn handle_batch(&mut self, head: &BatchHead, intact: bool, window: u32) -> Arrival {
         let number = head.number;
         if number <= self.settled() {
             Arrival::Duplicate(self.acknowledgement(head.stream, window))
         } else if number <= self.accepted.number {
-            self.arrive_again(head, window)
-        } else if number > LAST_BATCH || self.is_full() {
+            self.handle_repeated(head, window)
+        } else if number > MAX_BATCH_NUMBER || self.is_full() {
             // Only an agent that ignores its window sends such a batch.
-            Arrival::Hole(None)
+            Arrival::Rejected(None)
         } else if number > self.next() {
-            Arrival::Hole(self.request_next(head.stream))
+            Arrival::Rejected(self.request_next(head.stream))
         } else if !intact {
-            self.arrive_damaged(head)
+            self.handle_damaged(head)
         } else if self.follows(head) {
             self.accept(number, head.chain, head.events_through());
             Arrival::Accept
@@ -126,7 +132,7 @@ impl Progress {
     }
 
     /// Handles a batch whose number was accepted before.
-    fn arrive_again(&mut self, head: &BatchHead, window: u32) -> Arrival {
+    fn handle_repeated(&mut self, head: &BatchHead, window: u32) -> Arrival {
         let number = head.number;
         let known = self.pending.iter().find(|(pending, _)| *pending == number);
         let Some((_, chain)) = known else {
@@ -146,15 +152,15 @@ impl Progress {
     }
 
     /// Handles the next batch if it does not match its hash: it was damaged in transit or in the spool.
-    fn arrive_damaged(&mut self, head: &BatchHead) -> Arrival {
+    fn handle_damaged(&mut self, head: &BatchHead) -> Arrival {
         // Counted for the same head only: a damaged head names another batch.
         let before = self.damaged.filter(|(damaged, _)| damaged == head);
         let times = before.map_or(0, |(_, times)| times) + 1;
-        if times < DAMAGED_TIMES {
+        if times < MAX_DAMAGED_ARRIVALS {
             self.damaged = Some((*head, times));
             // The batch answered the last request, so that a new request is needed.
             self.requested = None;
-            return Arrival::Hole(self.request_next(head.stream));
+            return Arrival::Rejected(self.request_next(head.stream));
         }
         self.damaged = None;
         if self.follows(head) {
@@ -233,13 +239,13 @@ impl Progress {
     }
 
     /// Returns whether a batch from another process waits to be stored.
-    pub(super) const fn awaits_other_than(&self, process: u64) -> bool {
+    pub(super) const fn has_unsettled_from_other_process(&self, process: u64) -> bool {
         !self.is_settled() && self.process != process
     }
 
     /// Returns whether the largest number of batches waits to be stored or confirmed.
     pub(super) fn is_full(&self) -> bool {
-        self.pending.len() >= MOST_PENDING
+        self.pending.len() >= MAX_PENDING
     }
 
     const fn next(&self) -> u64 {

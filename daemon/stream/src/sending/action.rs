@@ -11,27 +11,28 @@ use peernet_logger::Slug;
 /// of the methods that its description names. Until then no second action of the same kind is returned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// Write these batches and totals to the spool in one transaction. Answer: [`Sending::appended`] or
-    /// [`Sending::append_failed`].
+    /// Write these batches and totals to the spool in one transaction. Answer: [`Sending::on_appended`] or
+    /// [`Sending::on_append_failed`].
     ///
-    /// Before batches that were written while disconnected are sent, an action without batches records so
-    /// ([`Totals::reached`]). It should be on the medium, not only in the system's memory, before it is answered.
+    /// Batches that were written while disconnected are sent only after an action without batches has recorded that
+    /// they may be sent ([`Totals::newest_sent`]). It should be on the medium, not only in the system's memory, before
+    /// it is answered.
     Append {
         /// Batches, contiguous and following the newest in the spool; empty if only the totals changed.
         batches: Vec<SpooledBatch>,
         /// Totals up to the last of the batches.
         totals: Totals,
     },
-    /// Read batches from a number on: at least one, and then until a number of bytes is exceeded. Answer:
-    /// [`Sending::loaded`] or [`Sending::load_failed`].
+    /// Read batches from a number on: at least one, and further ones until their bodies exceed a number of bytes.
+    /// Answer: [`Sending::on_loaded`] or [`Sending::on_load_failed`].
     Load {
         /// Number of the first batch.
         from: u64,
         /// Number of bytes of bodies to read.
         bytes: usize,
     },
-    /// Delete the batches up to a number and keep the chain of that batch. Answer: [`Sending::deleted`], or
-    /// [`Sending::delete_failed`], after which it is requested again later.
+    /// Delete the batches up to a number and keep the chain of that batch. Answer: [`Sending::on_deleted`], or
+    /// [`Sending::on_delete_failed`], after which it is requested again later.
     ///
     /// The number may be beyond the newest in the spool if batches were stored from memory while the spool failed. It
     /// is then the newest number used so far, and the next appended batch follows it.
@@ -42,7 +43,7 @@ pub enum Action {
         chain: Chain,
     },
     /// Replace the stream by a new one, in which the batches in the spool keep their numbers and chains. Answer:
-    /// [`Sending::renewed`] or [`Sending::renew_failed`].
+    /// [`Sending::on_renewed`] or [`Sending::on_renew_failed`].
     Renew {
         /// New stream.
         stream: StreamId,
@@ -72,16 +73,16 @@ pub enum Notice {
         /// Number of the last batch that it has stored.
         stored: u64,
         /// `true` if it lacks batches that it acknowledged earlier: its database is new or an old copy.
-        lacks: bool,
+        has_lost_batches: bool,
     },
     /// The aggregator refused the host; the agent tries again later.
     Refused(String),
-    /// The aggregator has batches of this stream that were not made here, or others with the same numbers: the spool is
-    /// a copy, or an old state of itself. Its batches continue in a new stream.
+    /// The aggregator has batches of this stream that this spool never had, or different batches with the same numbers:
+    /// the spool is a copy or was restored from an old copy. Its batches continue in a new stream.
     StreamRenewed {
         /// Number of the last batch that the aggregator has.
         stored: u64,
-        /// Number of the last batch made here.
+        /// Number of the newest batch of this spool.
         newest: u64,
     },
     /// The spool cannot be written or read. Events wait in memory and are sent from there.

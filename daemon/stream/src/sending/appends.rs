@@ -7,8 +7,8 @@ use crate::Chain;
 use crate::spool::SpooledBatch;
 use crate::totals::Totals;
 
-/// Longest time after which the number of dropped events is written while no batch is.
-const LOSSES_EVERY: Span = Span::from_seconds(1);
+/// Interval at which the number of dropped events is written while no batch is written.
+const LOSS_WRITE_INTERVAL: Span = Span::from_seconds(1);
 
 /// Last state written to the spool, and the transaction in progress.
 #[derive(Clone, Debug)]
@@ -22,7 +22,7 @@ pub(super) struct Appends {
     /// tried again.
     refused: bool,
     /// Start of the last transaction.
-    begun: MonoTime,
+    started_at: MonoTime,
 }
 
 /// A transaction in progress.
@@ -51,7 +51,7 @@ pub(super) struct Appended {
 
 impl Appends {
     pub(super) fn new(written: Totals) -> Self {
-        Self { job: Job::default(), written, fails: false, refused: false, begun: MonoTime::default() }
+        Self { job: Job::default(), written, fails: false, refused: false, started_at: MonoTime::default() }
     }
 
     /// Returns the totals that were written last.
@@ -69,46 +69,46 @@ impl Appends {
         self.refused
     }
 
-    pub(super) const fn is_under_way(&self) -> bool {
-        self.job.is_under_way()
+    pub(super) const fn is_in_progress(&self) -> bool {
+        self.job.is_in_progress()
     }
 
     /// Returns whether a transaction may begin now.
-    pub(super) fn is_free(&mut self, now: MonoTime) -> bool {
-        self.job.is_free(now)
+    pub(super) fn may_start(&mut self, now: MonoTime) -> bool {
+        self.job.may_start(now)
     }
 
     /// Returns the time of the next attempt after a failure.
-    pub(super) const fn again(&self) -> Option<MonoTime> {
-        self.job.again()
+    pub(super) const fn retry_at(&self) -> Option<MonoTime> {
+        self.job.retry_at()
     }
 
     /// Returns the number of the newest batch that is being written; 0 if none is.
-    pub(super) fn writing(&mut self) -> u64 {
-        self.job.under_way().and_then(|appending| appending.last).map_or(0, |(number, _)| number)
+    pub(super) fn newest_in_progress(&mut self) -> u64 {
+        self.job.in_progress_mut().and_then(|appending| appending.last).map_or(0, |(number, _)| number)
     }
 
     /// Records that the aggregator stored batches which are being written.
     pub(super) fn add_freed(&mut self, bytes: u64) {
-        if let Some(appending) = self.job.under_way() {
+        if let Some(appending) = self.job.in_progress_mut() {
             appending.freed += bytes;
         }
     }
 
     /// Begins a transaction.
-    pub(super) fn begin(&mut self, batches: &[SpooledBatch], totals: &Totals, resolves: bool, now: MonoTime) {
+    pub(super) fn start(&mut self, batches: &[SpooledBatch], totals: &Totals, resolves: bool, now: MonoTime) {
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
-        (self.begun, self.refused) = (now, false);
-        self.job.begin(Appending { last, bytes, freed: 0, totals: totals.clone(), resolves });
+        (self.started_at, self.refused) = (now, false);
+        self.job.start(Appending { last, bytes, freed: 0, totals: totals.clone(), resolves });
     }
 
     /// Ends the transaction successfully. Returns its result; `None` if no transaction is in progress.
-    pub(super) fn end(&mut self) -> Option<Appended> {
-        let Appending { last, bytes, freed, totals, resolves } = self.job.end()?;
+    pub(super) fn finish(&mut self) -> Option<Appended> {
+        let Appending { last, bytes, freed, totals, resolves } = self.job.finish()?;
         // A transaction without this record keeps the one that the file has.
-        let reached = totals.reached.or(self.written.reached);
-        self.written = Totals { reached, ..totals };
+        let newest_sent = totals.newest_sent.or(self.written.newest_sent);
+        self.written = Totals { newest_sent, ..totals };
         Some(Appended { last, bytes, freed, resolves })
     }
 
@@ -120,7 +120,7 @@ impl Appends {
     /// Ends the transaction as failed; `None` if no transaction is in progress.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
         // Only a transaction with batches is followed by one with the counts alone, which needs less space.
-        self.refused = self.job.end()?.last.is_some();
+        self.refused = self.job.finish()?.last.is_some();
         self.job.fail(now, pause);
         self.fails = true;
         Some(())
@@ -129,11 +129,12 @@ impl Appends {
     /// Returns the time at which the number of dropped events is written alone. A full spool accepts no batch that
     /// contains it.
     pub(super) fn losses_due(&self, dropped: u64) -> Option<MonoTime> {
-        (dropped != self.written.dropped && !self.job.is_under_way()).then(|| self.begun + LOSSES_EVERY)
+        (dropped != self.written.dropped && !self.job.is_in_progress())
+            .then(|| self.started_at + LOSS_WRITE_INTERVAL)
     }
 
     /// Returns whether the file records for all its batches, up to `spooled`, that this process may send them.
-    pub(super) fn is_marked(&self, spooled: u64) -> bool {
-        self.written.reached.is_some_and(|reached| reached.number >= spooled)
+    pub(super) fn has_sent_record(&self, spooled: u64) -> bool {
+        self.written.newest_sent.is_some_and(|newest_sent| newest_sent.number >= spooled)
     }
 }

@@ -19,11 +19,11 @@ pub enum Compression {
 /// Configuration of batching, spooling and sending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SendingConfig {
-    /// Number of nodes at which a batch is cut.
+    /// Number of nodes at which a batch is closed.
     pub batch_nodes: usize,
     /// Largest body of a batch in bytes; a single larger event forms a batch alone.
     pub batch_bytes: usize,
-    /// Age of the first event at which a batch is cut.
+    /// Age of a batch's first event at which the batch is closed.
     pub batch_age: Span,
     /// Largest window of batches in flight, in units of `batch_bytes`. The aggregator may allow less.
     pub window: u32,
@@ -31,8 +31,8 @@ pub struct SendingConfig {
     pub spool_bytes: u64,
     /// Largest number of events and bytes that wait in memory because they are not in the spool yet.
     pub memory: Usage,
-    /// Number of events in memory that are reserved for others than iterations, because an iteration is useless without
-    /// the start of its run. Must be well below `memory`, or no iteration ever fits.
+    /// Number of events in memory that are reserved for events other than iterations. It must be well below `memory`,
+    /// or no iteration ever fits.
     pub reserve_events: u64,
     /// Compression of batches.
     pub compression: Compression,
@@ -42,8 +42,8 @@ pub struct SendingConfig {
     pub longest_pause: Span,
     /// First pause after a refusal; further pauses follow the same rule.
     pub refused_pause: Span,
-    /// Time without an acknowledgement after which the connection is opened again.
-    pub patience: Span,
+    /// Time without an acknowledgement after which a hello is sent again.
+    pub ack_timeout: Span,
     /// Pause before the spool is tried again after a failure.
     pub spool_pause: Span,
 }
@@ -62,7 +62,7 @@ impl Default for SendingConfig {
             first_pause: Span::from_millis(250),
             longest_pause: Span::from_seconds(10),
             refused_pause: Span::from_seconds(1),
-            patience: Span::from_seconds(10),
+            ack_timeout: Span::from_seconds(10),
             spool_pause: Span::from_seconds(1),
         }
     }

@@ -1,19 +1,19 @@
-//! The durable lane: decides what is handed over next, and limits the bytes in flight of both lanes.
+//! The durable lane: chooses the next frame, and limits the bytes in flight of both lanes.
 
 use peernet_clock::{MonoTime, Span};
 use peernet_logger::HostId;
 
 use super::SendingConfig;
+use super::compression_control::CompressionControl;
 use super::flow::FlowControl;
 use super::in_flight_batches::InFlightBatches;
-use super::pace::Pace;
 use super::partial_batch::PartialBatch;
 use super::spooler::EventSpooler;
 use crate::{ToAggregator, batch_weight, codec};
 
-/// Largest amount of sent and not stored data, in units of the allowance. It leaves room for the time that storing
-/// takes and for the effect of compression.
-const UNSTORED: u64 = 8;
+/// Largest amount of data in flight that is not stored, in units of the allowance. It is larger than 1 because storing
+/// takes time, and because the allowance counts compressed bytes.
+const UNSTORED_PER_ALLOWANCE: u64 = 8;
 
 /// The batches in flight to the aggregator.
 #[derive(Clone, Debug)]
@@ -21,7 +21,7 @@ pub(super) struct DurableLane {
     config: SendingConfig,
     /// Window in units of batches, as stated by the aggregator.
     window: u32,
-    pace: Pace,
+    compression: CompressionControl,
     flow: FlowControl,
     in_flight: InFlightBatches,
     /// Remaining bytes of the batch that was sent last.
@@ -33,17 +33,17 @@ pub(super) struct DurableLane {
 pub(super) struct LaneOutput {
     pub(super) frame: Option<Vec<u8>>,
     /// `true` if the frame begins a batch.
-    pub(super) begins: bool,
+    pub(super) starts_batch: bool,
 }
 
 impl DurableLane {
-    /// Creates a lane with nothing in flight. At most `most` bytes will be in flight.
-    pub(super) fn new(config: SendingConfig, most: u64) -> Self {
+    /// Creates a lane with nothing in flight. At most `max_bytes` bytes will be in flight.
+    pub(super) fn new(config: SendingConfig, max_bytes: u64) -> Self {
         Self {
             config,
             window: 1,
-            pace: Pace::new(config.compression),
-            flow: FlowControl::new(most),
+            compression: CompressionControl::new(config.compression),
+            flow: FlowControl::new(max_bytes),
             in_flight: InFlightBatches::default(),
             partial: None,
         }
@@ -58,67 +58,74 @@ impl DurableLane {
         host: HostId,
         now: MonoTime,
     ) -> LaneOutput {
-        let only = |frame| LaneOutput { frame, begins: false };
-        let part = self.flow.part();
-        let fits = |bytes: usize| bytes.min(part) + PartialBatch::OVERHEAD;
+        let only = |frame| LaneOutput { frame, starts_batch: false };
+        let part = self.flow.part_bytes();
+        let frame_bytes = |bytes: usize| bytes.min(part) + PartialBatch::OVERHEAD;
         if let Some(rest) = self.partial.as_ref().map(PartialBatch::len) {
             // A batch that was begun is finished first, because the receiver assembles one batch per host at a time.
-            let echo_request = self.request_echo(host, !self.flow.has_room(fits(rest)), false, now);
-            return only(echo_request.or_else(|| self.part(host, part)));
+            let echo_request =
+                self.request_echo(host, !self.flow.has_capacity(frame_bytes(rest)), false, now);
+            return only(echo_request.or_else(|| self.next_part(host, part)));
         }
         let (through, unspooled) = spooler.sendable();
         let batch = spooler.backlog.get(next, unspooled).filter(|_| next <= through);
         let Some(body) = batch.map(|batch| batch.body.len()) else {
-            self.pace.is_idle(self.flow.is_slow(), now);
-            self.flow.yield_turn();
+            self.compression.record_idle(self.flow.is_slow(), now);
+            self.flow.clear_durable_share();
             return only(self.request_echo(host, false, false, now));
         };
         if self.in_flight.is_full(body, self.allowance()) {
-            self.pace.is_full(now);
-            self.flow.yield_turn();
+            self.compression.record_full_window(now);
+            self.flow.clear_durable_share();
             return only(self.request_echo(host, false, false, now));
         }
-        let waits = !self.flow.has_room(fits(body));
-        if waits {
-            self.pace.is_full(now);
+        let is_waiting = !self.flow.has_capacity(frame_bytes(body));
+        if is_waiting {
+            self.compression.record_full_window(now);
         }
-        if let echo_request @ Some(_) = self.request_echo(host, waits, !waits, now) {
+        if let echo_request @ Some(_) = self.request_echo(host, is_waiting, !is_waiting, now) {
             return only(echo_request);
         }
         // An echo request may go out although the batch has to wait: its answer frees the allowance.
-        let sent = if waits { None } else { spooler.send(next, unspooled, host) };
+        let sent = if is_waiting { None } else { spooler.send(next, unspooled, host) };
         let Some((head, body)) = sent else { return only(None) };
-        let frame = codec::batch_frame(&head, &body, self.pace.compresses());
+        let frame = codec::encode_batch(&head, &body, self.compression.is_compressing());
         self.in_flight.push(head.number, body.len(), frame.len());
         self.partial = Some(PartialBatch::new(head.number, frame.into()));
-        LaneOutput { frame: self.part(host, part), begins: true }
+        LaneOutput { frame: self.next_part(host, part), starts_batch: true }
     }
 
-    /// Returns the next part of a batch if the allowance has room for it.
-    fn part(&mut self, host: HostId, most: usize) -> Option<Vec<u8>> {
+    /// Returns the next part of a batch if it fits into the allowance.
+    fn next_part(&mut self, host: HostId, max_bytes: usize) -> Option<Vec<u8>> {
         let rest = self.partial.as_mut()?;
-        if !self.flow.has_room(rest.len().min(most) + PartialBatch::OVERHEAD) {
+        if !self.flow.has_capacity(rest.len().min(max_bytes) + PartialBatch::OVERHEAD) {
             return None;
         }
-        let frame = rest.next(host, most);
+        let frame = rest.next(host, max_bytes);
         let end = self.flow.hand_over(frame.len() as u64);
         if self.partial.take_if(|rest| rest.len() == 0).is_some() {
-            self.in_flight.handed_over(end);
+            self.in_flight.record_handed_over(end);
         }
         Some(frame)
     }
 
     /// Returns a request for an echo if one is due.
-    fn request_echo(&mut self, host: HostId, waits: bool, begins: bool, now: MonoTime) -> Option<Vec<u8>> {
-        let bytes = self.flow.request_echo(waits, begins, now)?;
+    fn request_echo(
+        &mut self,
+        host: HostId,
+        is_waiting: bool,
+        starts_batch: bool,
+        now: MonoTime,
+    ) -> Option<Vec<u8>> {
+        let bytes = self.flow.request_echo(is_waiting, starts_batch, now)?;
         Some(codec::encode(&ToAggregator::Echo { host, bytes }))
     }
 
-    /// Returns the largest weight of batches in flight that are not stored. On a slow link it is reduced, because
-    /// batches that are not stored in the end must cross the link again.
+    /// Returns the largest total weight of the batches in flight. On a slow link it is reduced, because batches that
+    /// could not be stored must be sent over the link again.
     fn allowance(&self) -> u64 {
         let window = u64::from(self.window) * batch_weight(self.config.batch_bytes);
-        if self.flow.is_slow() { window.min(UNSTORED * self.flow.allowance()) } else { window }
+        if self.flow.is_slow() { window.min(UNSTORED_PER_ALLOWANCE * self.flow.allowance()) } else { window }
     }
 
     /// Resets the flow control for a new connection.
@@ -127,48 +134,48 @@ impl DurableLane {
     }
 
     /// Marks everything in flight as not sent.
-    pub(super) fn take_back(&mut self) {
-        self.in_flight.lost(0);
+    pub(super) fn reset_in_flight(&mut self) {
+        self.in_flight.remove_from(0);
         self.partial = None;
-        self.pace.interrupted();
+        self.compression.record_interruption();
     }
 
     /// Marks batches from a number on as not arrived.
-    pub(super) fn lost(&mut self, from: u64) {
-        self.in_flight.lost(from);
+    pub(super) fn mark_lost(&mut self, from: u64) {
+        self.in_flight.remove_from(from);
         self.partial.take_if(|rest| rest.number() >= from);
     }
 
     /// Records that batches up to a number are stored.
-    pub(super) fn acknowledged(&mut self, through: u64, now: MonoTime) {
-        let (bytes, end) = self.in_flight.acknowledged(through);
-        self.pace.acknowledged(bytes, now);
-        self.flow.arrived(end, now);
+    pub(super) fn record_ack(&mut self, through: u64, now: MonoTime) {
+        let (bytes, end) = self.in_flight.remove_through(through);
+        self.compression.record_ack(bytes, now);
+        self.flow.record_arrival(end, now);
         self.partial.take_if(|rest| rest.number() <= through);
     }
 
     /// Sets the window that the aggregator allows.
-    pub(super) fn allowed(&mut self, window: u32) {
-        // At least one batch, or a window of 0 would end the stream for good.
+    pub(super) fn set_window(&mut self, window: u32) {
+        // At least one batch: with a window of 0 nothing would ever be sent again.
         self.window = window.clamp(1, self.config.window.max(1));
     }
 
     /// Records an echo.
-    pub(super) fn echoed(&mut self, bytes: u64, now: MonoTime) {
-        self.flow.echoed(bytes, now);
+    pub(super) fn record_echo(&mut self, bytes: u64, now: MonoTime) {
+        self.flow.record_echo(bytes, now);
         if self.flow.is_slow() {
-            self.pace.is_slow();
+            self.compression.record_slow_link();
         }
     }
 
     /// Records the round trip of a message that was answered at once.
-    pub(super) fn round_trip(&mut self, span: Span, now: MonoTime) {
-        self.flow.round_trip(span, now);
+    pub(super) fn observe_round_trip(&mut self, span: Span, now: MonoTime) {
+        self.flow.observe_round_trip(span, now);
     }
 
     /// Returns the time at which a missing echo is requested again.
-    pub(super) fn remind_at(&self) -> Option<MonoTime> {
-        self.flow.remind_at()
+    pub(super) fn echo_retry_at(&self) -> Option<MonoTime> {
+        self.flow.echo_retry_at()
     }
 
     /// Returns the time at which bytes of the lane last arrived.
@@ -177,17 +184,17 @@ impl DurableLane {
     }
 
     /// Returns whether the live lane may hand over an update.
-    pub(super) const fn may_show(&self) -> bool {
-        self.flow.may_show()
+    pub(super) const fn may_send_live(&self) -> bool {
+        self.flow.may_send_live()
     }
 
     /// Records that the live lane handed over bytes.
-    pub(super) const fn shown(&mut self, bytes: u64) {
-        self.flow.shown(bytes);
+    pub(super) const fn record_live_sent(&mut self, bytes: u64) {
+        self.flow.record_live_sent(bytes);
     }
 
     /// Returns whether messages should be compressed.
-    pub(super) const fn compresses(&self) -> bool {
-        self.pace.compresses()
+    pub(super) const fn is_compressing(&self) -> bool {
+        self.compression.is_compressing()
     }
 }

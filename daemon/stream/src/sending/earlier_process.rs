@@ -3,9 +3,9 @@
 use super::super::unresolved::ResolvedBatches;
 use super::super::{Gap, SentUnspooled, Totals, UnresolvedBatches};
 
-/// State of these batches. They are unresolved from the start until the aggregator's first welcome. The result is then
-/// written to the spool, and only after that losses are reported, so that each loss is reported once even if a process
-/// is killed in between.
+/// The last batches of an earlier process, until it is known whether they are stored. They are unresolved until the
+/// aggregator's first welcome. The result is then written to the spool. Losses are reported only after that, so that
+/// each loss is reported once even if a process is killed in between.
 #[derive(Clone, Debug)]
 pub(super) struct EarlierProcess {
     unresolved: Option<UnresolvedBatches>,
@@ -29,15 +29,15 @@ impl EarlierProcess {
         self.unwritten.as_ref()
     }
 
-    /// Returns the numbers of events that were handed in and dropped, including those of the earlier process.
-    pub(super) const fn count(&self, totals: &Totals) -> (u64, u64) {
+    /// Returns the numbers of events that were submitted and dropped, including those of the earlier process.
+    pub(super) const fn add_to(&self, totals: &Totals) -> (u64, u64) {
         let ResolvedBatches { stored, lost, .. } = self.resolved;
         (totals.produced + stored + lost, totals.dropped + lost)
     }
 
-    pub(super) const fn place(&self, sent: SentUnspooled) -> SentUnspooled {
+    pub(super) const fn adjust(&self, sent: SentUnspooled) -> SentUnspooled {
         SentUnspooled {
-            told: sent.told + self.resolved.told,
+            reported_drops: sent.reported_drops + self.resolved.reported_drops,
             events: sent.events + self.resolved.stored,
             ..sent
         }
@@ -61,7 +61,7 @@ impl EarlierProcess {
     }
 
     /// Records that the result was written to the spool.
-    pub(super) fn written(&mut self) {
+    pub(super) fn record_written(&mut self) {
         self.unwritten = None;
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::super::{MOST_UNDER_WAY, batch_weight};
+use super::super::{MAX_IN_FLIGHT_BATCHES, batch_weight};
 
 /// A batch in flight.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +25,7 @@ pub(super) struct InFlightBatches {
 impl InFlightBatches {
     /// Returns whether a batch with a body of `body` bytes must wait, if at most `window` may be in flight.
     pub(super) fn is_full(&self, body: usize, window: u64) -> bool {
-        let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MOST_UNDER_WAY;
+        let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MAX_IN_FLIGHT_BATCHES;
         // One batch may always be in flight, or a batch larger than the window would never be sent.
         too_much && !self.sent.is_empty()
     }
@@ -37,7 +37,7 @@ impl InFlightBatches {
     }
 
     /// Records that the last batch is completely handed over.
-    pub(super) fn handed_over(&mut self, end: u64) {
+    pub(super) fn record_handed_over(&mut self, end: u64) {
         if let Some(sent) = self.sent.back_mut() {
             sent.end = end;
         }
@@ -45,7 +45,7 @@ impl InFlightBatches {
 
     /// Removes the batches up to `through`. Returns the bytes of their frames, and the position in the connection after
     /// the last of them.
-    pub(super) fn acknowledged(&mut self, through: u64) -> (u64, u64) {
+    pub(super) fn remove_through(&mut self, through: u64) -> (u64, u64) {
         let (mut bytes, mut end) = (0, 0);
         while let Some(sent) = self.sent.pop_front_if(|sent| sent.number <= through) {
             self.weight -= sent.weight;
@@ -56,7 +56,7 @@ impl InFlightBatches {
     }
 
     /// Removes the batches from `from` on, because they did not arrive.
-    pub(super) fn lost(&mut self, from: u64) {
+    pub(super) fn remove_from(&mut self, from: u64) {
         while let Some(sent) = self.sent.pop_back_if(|sent| sent.number >= from) {
             self.weight -= sent.weight;
         }

@@ -7,7 +7,9 @@
 mod action;
 mod appends;
 mod backlog;
+mod compression_control;
 mod config;
+mod connection;
 mod deletions;
 mod durable_lane;
 mod earlier_process;
@@ -15,12 +17,10 @@ mod flow;
 mod in_flight_batches;
 mod intake;
 mod job;
-mod link;
-mod pace;
 mod partial_batch;
 mod session;
+mod spool_failure;
 mod spool_reader;
-mod spool_trouble;
 mod spooler;
 mod stream_renewal;
 
@@ -32,8 +32,8 @@ pub use self::action::{Action, Notice};
 pub use self::config::{Compression, SendingConfig};
 use self::durable_lane::DurableLane;
 use self::session::Session;
+use self::spool_failure::{SpoolFailure, SpoolWork};
 use self::spool_reader::SpoolReader;
-use self::spool_trouble::{SpoolTrouble, SpoolWork};
 use self::spooler::EventSpooler;
 use self::stream_renewal::StreamRenewal;
 use super::spool::{SpoolState, SpooledBatch};
@@ -45,7 +45,7 @@ use peernet_logger::{HostId, RunId};
 ///
 /// The owner calls [`next`](Self::next) after every other call until it returns `None`, and [`tick`](Self::tick) when
 /// the [`deadline`](Self::deadline) is reached. The state machine recovers from everything that the transport loses,
-/// repeats or reorders; reports of connections only make this faster.
+/// repeats or reorders; reports of opened and closed connections only make this faster.
 ///
 /// The agent's task for the spool performs the actions on the file, so that neither the queue of events nor a live
 /// update waits for a disk. A batch is sent after it was written to the spool. While the spool fails, batches are sent
@@ -59,7 +59,7 @@ pub struct Sending {
     spooler: EventSpooler,
     reader: SpoolReader,
     renewal: StreamRenewal,
-    trouble: SpoolTrouble,
+    failure: SpoolFailure,
     session: Session,
     lane: DurableLane,
     /// Notices that the agent has not received yet.
@@ -79,10 +79,10 @@ impl Sending {
         // Twice the window: one part is in flight while the next is read from the spool.
         let budget = 2 * u64::from(config.window.max(1)) * config.batch_bytes as u64;
         Self {
-            renewal: StreamRenewal::new(std::mem::take(&mut spool.reached)),
+            renewal: StreamRenewal::new(std::mem::take(&mut spool.newest_sent)),
             spooler: EventSpooler::new(config, process, budget, spool),
             reader: SpoolReader::default(),
-            trouble: SpoolTrouble::default(),
+            failure: SpoolFailure::default(),
             session: Session::new(config),
             lane: DurableLane::new(config, budget),
             notices: VecDeque::new(),
@@ -98,35 +98,35 @@ impl Sending {
         self.spooler.offer(event, now);
     }
 
-    /// Counts events that were dropped before they were handed in.
-    pub fn lost(&mut self, gap: &Gap, now: Stamp) {
-        self.spooler.lost(gap, now);
+    /// Counts events that were dropped before they were submitted.
+    pub fn record_loss(&mut self, gap: &Gap, now: Stamp) {
+        self.spooler.record_loss(gap, now);
     }
 
-    /// Handles the passage of time: cuts a batch that is old enough, reports losses, and sends a hello if no
-    /// acknowledgement came for too long.
+    /// Handles the passage of time: closes the batch under construction if it is old enough, reports losses, and sends
+    /// a hello if no acknowledgement came for too long.
     pub fn tick(&mut self, now: Stamp) {
         self.spooler.tick(now);
-        self.check_patience(now.mono);
+        self.check_ack_timeout(now.mono);
     }
 
     /// Returns the time at which [`tick`](Self::tick) or [`next`](Self::next) must be called without an event.
     pub fn deadline(&self) -> Option<MonoTime> {
-        let again = [self.reader.again(), self.renewal.again()];
-        let times = [self.spooler.deadline(), self.link_deadline()].into_iter().chain(again);
+        let retry_times = [self.reader.retry_at(), self.renewal.retry_at()];
+        let times = [self.spooler.deadline(), self.connection_deadline()].into_iter().chain(retry_times);
         times.flatten().min()
     }
 
     /// Returns the next action; `None` if nothing is to be done.
     pub fn next(&mut self, now: MonoTime) -> Option<Action> {
         self.spooler
-            .next(self.renewal.is_wanted(), now)
+            .next(self.renewal.is_requested(), now)
             .or_else(|| self.renewal.next(&self.spooler, now))
-            .or_else(|| self.reader.next(&self.session.link, &self.spooler.backlog, now))
+            .or_else(|| self.reader.next(&self.session.state, &self.spooler.backlog, now))
             .or_else(|| self.frame(now).map(Action::Send))
     }
 
-    /// Reports losses and cuts the batch under construction, before the agent stops. Everything is in the spool when
+    /// Reports losses and closes the batch under construction, before the agent stops. Everything is in the spool when
     /// [`is_spooled`](Self::is_spooled) returns `true`.
     pub fn flush(&mut self, now: WallTime) {
         self.spooler.flush(now);
@@ -137,9 +137,10 @@ impl Sending {
         self.spooler.is_appending()
     }
 
-    /// Ends a process that could not write everything to the spool: events in memory count as dropped. The returned
-    /// totals are to be written to the spool, so that the next process reports how many events are missing. Events that
-    /// were sent and not acknowledged count as dropped, too, because it is unknown whether they are stored.
+    /// Counts the events that are in memory only as dropped, because the process ends without writing them to the
+    /// spool. The returned totals are to be written to the spool, so that the next process reports how many events are
+    /// missing. Events that were sent and not acknowledged count as dropped, too, because it is unknown whether they
+    /// are stored.
     pub fn give_up(&mut self) -> Totals {
         self.spooler.give_up()
     }
@@ -159,7 +160,7 @@ impl Sending {
     pub fn goodbye(&mut self) -> Option<Vec<u8>> {
         // Determined before the connection's state is discarded.
         let known = self.is_up();
-        self.disconnected();
+        self.on_disconnected();
         known.then(|| codec::encode(&ToAggregator::Goodbye(self.host.id)))
     }
 
@@ -168,15 +169,16 @@ impl Sending {
         self.session.is_up()
     }
 
-    /// Returns whether a live update may be sent now: it would not wait for long in the connection, and the durable
-    /// lane had its share of a link that is too slow for both. A skipped update is contained in the next one.
-    pub fn may_show(&self) -> bool {
-        self.is_up() && self.lane.may_show()
+    /// Returns whether a live update may be sent now. It must not wait for long in the connection, and on a link that
+    /// is too slow for both lanes the durable lane must have had its share. The next update contains everything that a
+    /// skipped one contained.
+    pub fn may_send_live(&self) -> bool {
+        self.is_up() && self.lane.may_send_live()
     }
 
     /// Returns whether messages should be compressed.
-    pub const fn compresses(&self) -> bool {
-        self.lane.compresses()
+    pub const fn is_compressing(&self) -> bool {
+        self.lane.is_compressing()
     }
 
     /// Returns the version of the event stream that was chosen for the connection; the oldest one before that.
@@ -185,8 +187,8 @@ impl Sending {
     }
 
     /// Records that a live update was sent.
-    pub const fn shown(&mut self, bytes: usize) {
-        self.lane.shown(bytes as u64);
+    pub const fn record_live_sent(&mut self, bytes: usize) {
+        self.lane.record_live_sent(bytes as u64);
     }
 
     /// Returns whether all events are in the spool or stored.
@@ -201,7 +203,7 @@ impl Sending {
 
     /// Returns the numbers of events by state.
     pub fn accounting(&self) -> Accounting {
-        self.spooler.accounting(self.lane.compresses(), self.trouble.reason())
+        self.spooler.accounting(self.lane.is_compressing(), self.failure.reason())
     }
 
     /// Returns the ended runs whose events are all in the spool or dropped, and their numbers of events. The agent may
@@ -238,75 +240,75 @@ impl Sending {
     }
 
     /// Returns the description of the host, for changes before the next connection.
-    pub const fn describe(&mut self) -> &mut HostDescription {
+    pub const fn host_description_mut(&mut self) -> &mut HostDescription {
         &mut self.host
     }
 
     /// Records that the batches of the last [`Action::Append`] are in the spool.
-    pub fn appended(&mut self, now: Stamp) -> Option<Notice> {
-        if self.spooler.appended(now)? {
-            self.recovered(SpoolWork::Append);
+    pub fn on_appended(&mut self, now: Stamp) -> Option<Notice> {
+        if self.spooler.finish_append(now)? {
+            self.record_recovery(SpoolWork::Append);
         }
-        self.notice()
+        self.next_notice()
     }
 
-    /// Records that none of them is in the spool.
-    pub fn append_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
-        self.spooler.append_failed(now.mono)?;
-        self.failed(SpoolWork::Append, reason)
+    /// Records that none of the batches of the last [`Action::Append`] is in the spool.
+    pub fn on_append_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
+        self.spooler.fail_append(now.mono)?;
+        self.record_failure(SpoolWork::Append, reason)
     }
 
     /// Handles the batches that [`Action::Load`] requested. A missing batch ends the list.
-    pub fn loaded(&mut self, batches: Vec<SpooledBatch>, now: Stamp) -> Option<Notice> {
-        let loading = self.reader.end()?;
-        self.recovered(SpoolWork::Load);
+    pub fn on_loaded(&mut self, batches: Vec<SpooledBatch>, now: Stamp) -> Option<Notice> {
+        let loading = self.reader.finish()?;
+        self.record_recovery(SpoolWork::Load);
         self.read(loading, batches, now);
-        self.notice()
+        self.next_notice()
     }
 
-    /// Records that they could not be read.
-    pub fn load_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
+    /// Records that the batches of the last [`Action::Load`] could not be read.
+    pub fn on_load_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.reader.fail(now.mono, self.config.spool_pause)?;
-        self.failed(SpoolWork::Load, reason)
+        self.record_failure(SpoolWork::Load, reason)
     }
 
     /// Records that the batches of the last [`Action::Delete`] are deleted.
-    pub fn deleted(&mut self) {
-        if self.spooler.deleted().is_some() {
-            self.recovered(SpoolWork::Delete);
+    pub fn on_deleted(&mut self) {
+        if self.spooler.finish_delete().is_some() {
+            self.record_recovery(SpoolWork::Delete);
         }
     }
 
-    /// Records that they could not be deleted.
-    pub fn delete_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
-        self.spooler.delete_failed(now.mono)?;
-        self.failed(SpoolWork::Delete, reason)
+    /// Records that the batches of the last [`Action::Delete`] could not be deleted.
+    pub fn on_delete_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
+        self.spooler.fail_delete(now.mono)?;
+        self.record_failure(SpoolWork::Delete, reason)
     }
 
     /// Records that the spool belongs to the stream of the last [`Action::Renew`].
-    pub fn renewed(&mut self, now: Stamp) {
-        let Some(stream) = self.renewal.end() else { return };
+    pub fn on_renewed(&mut self, now: Stamp) {
+        let Some(stream) = self.renewal.finish() else { return };
         self.spooler.renew(stream);
-        self.recovered(SpoolWork::Renew);
+        self.record_recovery(SpoolWork::Renew);
         self.schedule_hello(now.mono);
     }
 
     /// Records that the spool could not be moved to the new stream.
-    pub fn renew_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
+    pub fn on_renew_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.renewal.fail(now.mono, self.config.spool_pause)?;
-        self.failed(SpoolWork::Renew, reason)
+        self.record_failure(SpoolWork::Renew, reason)
     }
 
-    fn failed(&mut self, work: SpoolWork, reason: String) -> Option<Notice> {
-        self.notices.extend(self.trouble.fail(work, reason));
-        self.notice()
+    fn record_failure(&mut self, work: SpoolWork, reason: String) -> Option<Notice> {
+        self.notices.extend(self.failure.fail(work, reason));
+        self.next_notice()
     }
 
-    fn recovered(&mut self, work: SpoolWork) {
-        self.notices.extend(self.trouble.recover(work));
+    fn record_recovery(&mut self, work: SpoolWork) {
+        self.notices.extend(self.failure.recover(work));
     }
 
-    fn notice(&mut self) -> Option<Notice> {
+    fn next_notice(&mut self) -> Option<Notice> {
         self.notices.pop_front()
     }
 }

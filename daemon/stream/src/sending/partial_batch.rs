@@ -40,7 +40,7 @@ impl PartialBatch {
         }
         // A frame is far shorter than a u32 can state.
         let length = |bytes: usize| u32::try_from(bytes).unwrap_or(u32::MAX);
-        codec::part_frame(&Part { host, offset: length(offset), total: length(total), bytes })
+        codec::encode_part(&Part { host, offset: length(offset), total: length(total), bytes })
     }
 
     /// Number of bytes by which a part is longer than its content.

@@ -7,20 +7,21 @@ use super::SendingConfig;
 use super::spool_reader::SpoolScan;
 use crate::{AGENT_STREAM_VERSIONS, Chain};
 
-/// Number of hellos without progress that are sent without a pause. Later ones wait, each longer than the one before.
-const PROMPT_GREETINGS: u32 = 3;
+/// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the one before.
+const HELLOS_WITHOUT_PAUSE: u32 = 3;
 
 /// State of the connection.
 #[derive(Clone, Debug)]
-pub(super) enum Link {
+pub(super) enum ConnectionState {
     /// No connection.
     Down,
-    /// A hello is due at `again`; the next one follows after `pause`.
-    Greeting { again: MonoTime, pause: Span },
-    /// Welcomed; the file is being read to compare both ends' batches.
+    /// Not accepted yet. The next hello is due at `retry_at`, and the one after it `pause` later.
+    Handshake { retry_at: MonoTime, pause: Span },
+    /// Welcomed. The file is being read to compare both ends' batches.
     Comparing { scan: SpoolScan, purpose: ScanPurpose },
-    /// Accepted; batch `next` is sent next. `heard` is the time of the last progress.
-    Up { next: u64, heard: MonoTime },
+    /// Accepted. Batch `next` is sent next; `last_progress` is the time of the last acknowledgement, or of the first
+    /// batch in flight.
+    Up { next: u64, last_progress: MonoTime },
 }
 
 /// Purpose of reading the file.
@@ -46,13 +47,13 @@ pub(super) struct Welcome {
 #[derive(Clone, Debug)]
 pub(super) struct Session {
     config: SendingConfig,
-    pub(super) link: Link,
+    pub(super) state: ConnectionState,
     /// Number of hellos since the last progress.
-    greetings: u32,
+    hellos_without_progress: u32,
     /// Number of hellos on this connection since the last answer.
-    unanswered: u32,
-    /// Time of the last of them.
-    greeted: MonoTime,
+    unanswered_hellos: u32,
+    /// Time of the last hello.
+    last_hello_at: MonoTime,
     /// Requested proof, to be sent at once.
     proof: Option<Vec<u8>>,
     /// Version of the event stream that the aggregator chose; the oldest one before that.
@@ -62,59 +63,70 @@ pub(super) struct Session {
 impl Session {
     /// Creates a session without a connection.
     pub(super) fn new(config: SendingConfig) -> Self {
-        let (link, greeted) = (Link::Down, MonoTime::default());
+        let (state, last_hello_at) = (ConnectionState::Down, MonoTime::default());
         let version = AGENT_STREAM_VERSIONS.oldest();
-        Self { config, link, greetings: 0, unanswered: 0, greeted, proof: None, version }
+        Self {
+            config,
+            state,
+            hellos_without_progress: 0,
+            unanswered_hellos: 0,
+            last_hello_at,
+            proof: None,
+            version,
+        }
     }
 
     /// Returns whether the aggregator has accepted this host.
     pub(super) const fn is_up(&self) -> bool {
-        matches!(self.link, Link::Up { .. })
+        matches!(self.state, ConnectionState::Up { .. })
     }
 
     /// Returns whether the file is being read to compare both ends' batches.
     pub(super) const fn is_comparing(&self) -> bool {
-        matches!(self.link, Link::Comparing { .. })
+        matches!(self.state, ConnectionState::Comparing { .. })
     }
 
     /// Starts a connection; a hello is due at once.
     pub(super) fn connect(&mut self, now: MonoTime) {
-        (self.greetings, self.unanswered) = (0, 0);
+        (self.hellos_without_progress, self.unanswered_hellos) = (0, 0);
         self.schedule_hello(now);
     }
 
     /// Ends the connection.
     pub(super) fn disconnect(&mut self) {
-        (self.link, self.proof, self.version) = (Link::Down, None, AGENT_STREAM_VERSIONS.oldest());
+        (self.state, self.proof, self.version) =
+            (ConnectionState::Down, None, AGENT_STREAM_VERSIONS.oldest());
     }
 
-    /// Schedules a hello: at once, unless several had no effect.
+    /// Schedules a hello: now, or after a pause if the last ones led to no progress.
     pub(super) fn schedule_hello(&mut self, now: MonoTime) {
         let first = self.config.first_pause;
-        if let Link::Up { heard, .. } = self.link
-            && now - heard > self.config.longest_pause
+        if let ConnectionState::Up { last_progress, .. } = self.state
+            && now - last_progress > self.config.longest_pause
         {
             // The connection worked for long enough.
-            self.greetings = 0;
+            self.hellos_without_progress = 0;
         }
         // Hellos without effect become rarer, so that agents which are refused do not load the aggregator.
-        let idle = self.greetings.saturating_sub(PROMPT_GREETINGS);
-        let wait = (0..idle.min(16)).fold(Span::ZERO, |wait, _| self.longer(wait.max(first)));
-        self.greetings = self.greetings.saturating_add(1);
+        let repeated = self.hellos_without_progress.saturating_sub(HELLOS_WITHOUT_PAUSE);
+        let wait = (0..repeated.min(16)).fold(Span::ZERO, |wait, _| self.next_pause(wait.max(first)));
+        self.hellos_without_progress = self.hellos_without_progress.saturating_add(1);
         self.proof = None;
-        self.link = Link::Greeting { again: now + wait, pause: first.max(wait) };
+        self.state = ConnectionState::Handshake { retry_at: now + wait, pause: first.max(wait) };
     }
 
-    fn longer(&self, pause: Span) -> Span {
+    fn next_pause(&self, pause: Span) -> Span {
         (pause + pause).min(self.config.longest_pause.max(self.config.refused_pause))
     }
 
     /// Returns whether a hello is due, and records it as sent.
     pub(super) fn take_hello(&mut self, now: MonoTime) -> bool {
-        match self.link {
-            Link::Greeting { again, pause } if now >= again => {
-                self.link = Link::Greeting { again: now + pause, pause: self.longer(pause) };
-                (self.unanswered, self.greeted) = (self.unanswered.saturating_add(1), now);
+        match self.state {
+            ConnectionState::Handshake { retry_at, pause } if now >= retry_at => {
+                self.state =
+                    ConnectionState::Handshake { retry_at: now + pause, pause: self.next_pause(pause) };
+                (self.unanswered_hellos, self.last_hello_at) =
+                    (self.unanswered_hellos.saturating_add(1), now);
                 true
             }
             _ => false,
@@ -123,16 +135,16 @@ impl Session {
 
     /// Returns the time at which a hello is due; `None` if none is.
     pub(super) const fn hello_at(&self) -> Option<MonoTime> {
-        match self.link {
-            Link::Greeting { again, .. } => Some(again),
+        match self.state {
+            ConnectionState::Handshake { retry_at, .. } => Some(retry_at),
             _ => None,
         }
     }
 
     /// Records an answer. Returns its round trip, if only one hello can have caused it.
-    pub(super) fn answered(&mut self, now: MonoTime) -> Option<Span> {
+    pub(super) fn record_answer(&mut self, now: MonoTime) -> Option<Span> {
         // After several hellos it is unknown which of them was answered.
-        (std::mem::take(&mut self.unanswered) == 1).then(|| now - self.greeted)
+        (std::mem::take(&mut self.unanswered_hellos) == 1).then(|| now - self.last_hello_at)
     }
 
     /// Returns the version of the event stream on the connection.
@@ -141,19 +153,19 @@ impl Session {
     }
 
     /// Sets the version that the aggregator chose.
-    pub(super) const fn choose(&mut self, version: u16) {
+    pub(super) const fn set_version(&mut self, version: u16) {
         self.version = version;
     }
 
     /// Records a challenge: its proof takes another round trip. Returns whether a hello was sent.
-    pub(super) fn challenged(&mut self, now: MonoTime) -> bool {
-        let Link::Greeting { pause, .. } = self.link else { return false };
-        self.link = Link::Greeting { again: now + pause, pause };
+    pub(super) fn record_challenge(&mut self, now: MonoTime) -> bool {
+        let ConnectionState::Handshake { pause, .. } = self.state else { return false };
+        self.state = ConnectionState::Handshake { retry_at: now + pause, pause };
         true
     }
 
     /// Sets a proof to be sent at once.
-    pub(super) fn prove(&mut self, proof: Vec<u8>) {
+    pub(super) fn queue_proof(&mut self, proof: Vec<u8>) {
         self.proof = Some(proof);
     }
 
@@ -163,26 +175,28 @@ impl Session {
     }
 
     /// Records that the aggregator refused this host, which sends another hello later.
-    pub(super) fn refused(&mut self, now: MonoTime) {
-        let pause = match self.link {
-            Link::Greeting { pause, .. } => pause.max(self.config.refused_pause),
+    pub(super) fn record_refusal(&mut self, now: MonoTime) {
+        let pause = match self.state {
+            ConnectionState::Handshake { pause, .. } => pause.max(self.config.refused_pause),
             _ => self.config.refused_pause,
         };
-        self.link = Link::Greeting { again: now + pause, pause: self.longer(pause) };
+        self.state = ConnectionState::Handshake { retry_at: now + pause, pause: self.next_pause(pause) };
     }
 
     /// Records an acknowledgement; `next` is the batch to be sent next.
-    pub(super) fn progressed(&mut self, next: u64, now: MonoTime) {
-        self.greetings = 0;
-        self.link = Link::Up { next, heard: now };
+    pub(super) fn record_progress(&mut self, next: u64, now: MonoTime) {
+        self.hellos_without_progress = 0;
+        self.state = ConnectionState::Up { next, last_progress: now };
     }
 
-    /// Returns the time at which the timeout without an acknowledgement ends. `oldest` is the oldest batch that is
-    /// held, and `arrived` the time at which bytes of the durable lane last arrived.
-    pub(super) fn patience_ends(&self, oldest: u64, arrived: MonoTime) -> Option<MonoTime> {
-        match self.link {
+    /// Returns the time until which an acknowledgement must arrive; `None` if no batch is in flight. `oldest` is the
+    /// oldest batch without an acknowledgement, and `arrived` the time at which bytes of the durable lane last arrived.
+    pub(super) fn ack_deadline(&self, oldest: u64, arrived: MonoTime) -> Option<MonoTime> {
+        match self.state {
             // Batches on a slow link are not lost while their bytes arrive.
-            Link::Up { next, heard } if next > oldest => Some(heard.max(arrived) + self.config.patience),
+            ConnectionState::Up { next, last_progress } if next > oldest => {
+                Some(last_progress.max(arrived) + self.config.ack_timeout)
+            }
             _ => None,
         }
     }

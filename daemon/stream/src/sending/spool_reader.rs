@@ -5,11 +5,11 @@ use peernet_clock::{MonoTime, Span};
 use super::Action;
 use super::backlog::Backlog;
 use super::job::Job;
-use super::session::Link;
+use super::session::ConnectionState;
 use crate::Chain;
 use crate::spool::{SpooledBatch, Usage};
 
-/// Size of the batches that were read without being kept, and the chain of the last one.
+/// Total size of the scanned batches, which are not kept in memory, and the chain of the last one.
 pub(super) type ScanResult = (Usage, Chain);
 
 /// Scan of batches in the file that are compared and counted, from the first that is not in memory.
@@ -60,7 +60,7 @@ impl SpoolScan {
     }
 }
 
-/// Batches that the file should hold and does not, because they were deleted or the medium failed.
+/// A gap in the file: batches that should be in it and are missing, because they were deleted or the medium failed.
 ///
 /// The batch after them is lost, too: its chain cannot be checked, because the chain of the batch before it is unknown.
 /// But it supplies the chain before the following batch. The stream continues from there, the hello states so, and the
@@ -93,39 +93,44 @@ pub(super) struct SpoolReader {
 
 impl SpoolReader {
     /// Returns the next read action.
-    pub(super) fn next(&mut self, link: &Link, backlog: &Backlog, now: MonoTime) -> Option<Action> {
-        if !self.job.is_free(now) {
+    pub(super) fn next(
+        &mut self,
+        state: &ConnectionState,
+        backlog: &Backlog,
+        now: MonoTime,
+    ) -> Option<Action> {
+        if !self.job.may_start(now) {
             return None;
         }
         let part = backlog.part_bytes();
-        let (loading, from, bytes) = match (link, self.gap) {
-            (Link::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.at), scan.at, part),
+        let (loading, from, bytes) = match (state, self.gap) {
+            (ConnectionState::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.at), scan.at, part),
             // One byte: the search needs the next batch only.
             (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
             (_, Some(SpoolGap::Ends(..))) => return None,
-            (Link::Down, None) => return None,
+            (ConnectionState::Down, None) => return None,
             _ => {
-                let from = backlog.unknown();
-                backlog.wants_more().then_some((LoadPurpose::Ahead(from), from, part))?
+                let from = backlog.first_unloaded();
+                backlog.should_read_ahead().then_some((LoadPurpose::Ahead(from), from, part))?
             }
         };
-        self.job.begin(loading);
+        self.job.start(loading);
         Some(Action::Load { from, bytes })
     }
 
     /// Returns the time of the next attempt after a failure.
-    pub(super) const fn again(&self) -> Option<MonoTime> {
-        self.job.again()
+    pub(super) const fn retry_at(&self) -> Option<MonoTime> {
+        self.job.retry_at()
     }
 
     /// Ends the reading successfully. Returns its purpose; `None` if none was requested.
-    pub(super) const fn end(&mut self) -> Option<LoadPurpose> {
-        self.job.end()
+    pub(super) const fn finish(&mut self) -> Option<LoadPurpose> {
+        self.job.finish()
     }
 
     /// Ends the reading as failed; `None` if none was requested.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
-        self.job.end()?;
+        self.job.finish()?;
         self.job.fail(now, pause);
         Some(())
     }
@@ -137,7 +142,7 @@ impl SpoolReader {
     }
 
     /// Handles the result of the search for the end of a gap. Returns whether there is such a search.
-    pub(super) fn probed(&mut self, from: u64, batches: &[SpooledBatch], backlog: &Backlog) -> bool {
+    pub(super) fn handle_probe(&mut self, from: u64, batches: &[SpooledBatch], backlog: &Backlog) -> bool {
         if !matches!(self.gap, Some(SpoolGap::Open(at)) if at == from) {
             return false;
         }
@@ -171,7 +176,7 @@ impl SpoolReader {
     pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, Chain)> {
         let Some(SpoolGap::Ends(resume, before)) = self.gap else { return None };
         // Batches before the gap are still in memory and can be stored.
-        if backlog.unknown() != backlog.oldest() {
+        if backlog.first_unloaded() != backlog.oldest() {
             return None;
         }
         self.gap = None;

@@ -1,4 +1,4 @@
-//! Events and their numbered batches, which stay in the spool until the aggregator stored them.
+//! Spooling of events: numbered batches stay in the spool until the aggregator has stored them.
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Stamp, WallTime};
@@ -13,12 +13,12 @@ use super::spool_reader::ScanResult;
 use super::{Action, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch};
 use crate::totals::{NewestSentBatch, Totals};
-use crate::{Accounting, BatchHead, Chain, Event, Gap, HandedInEvents, SentUnspooled, StreamId};
+use crate::{Accounting, BatchHead, Chain, Event, Gap, SentUnspooled, StreamId, SubmittedEvents};
 
 /// Largest number of batches in one transaction, so that other work on the spool does not wait for long.
-const MOST_APPENDED: usize = 256;
+const MAX_APPENDED: usize = 256;
 /// Largest number of bytes in one transaction.
-const MOST_APPENDED_BYTES: u64 = 4 << 20;
+const MAX_APPENDED_BYTES: u64 = 4 << 20;
 
 /// State machine that accepts events, numbers their batches, and decides what is written to the spool and deleted from
 /// it.
@@ -35,7 +35,7 @@ pub(super) struct EventSpooler {
     /// Result for an earlier process.
     earlier: EarlierProcess,
     /// `true` if the aggregator has accepted this process with the current stream.
-    is_met: bool,
+    is_accepted: bool,
     /// `true` if everything is to be written to the spool now.
     is_closing: bool,
 }
@@ -46,17 +46,21 @@ impl EventSpooler {
         let backlog = Backlog::new(&spool, budget);
         let Totals { produced, dropped, .. } = spool.totals;
         // Events in the spool were produced, whatever its counts state.
-        let produced = produced.max(dropped.saturating_add(backlog.held().events));
-        let totals =
-            Totals { produced, reached: None, handed_in: HandedInEvents::default(), ..spool.totals.clone() };
+        let produced = produced.max(dropped.saturating_add(backlog.waiting_usage().events));
+        let totals = Totals {
+            produced,
+            newest_sent: None,
+            submitted: SubmittedEvents::default(),
+            ..spool.totals.clone()
+        };
         Self {
             appends: Appends::new(totals.clone()),
             deletions: Deletions::new(backlog.acknowledged().0),
-            file_bytes: spool.held.bytes,
+            file_bytes: spool.waiting_usage.bytes,
             intake: Intake::new(config, totals, spool.unreported, spool.unresolved.is_some()),
             backlog,
             earlier: EarlierProcess::new(spool.unresolved),
-            is_met: false,
+            is_accepted: false,
             is_closing: false,
             config,
             process,
@@ -69,71 +73,72 @@ impl EventSpooler {
     }
 
     pub(super) fn offer(&mut self, event: &Event, now: Stamp) {
-        let room = self.room();
-        self.intake.offer(event, &room, now);
-        self.number();
+        let capacity = self.capacity();
+        self.intake.offer(event, &capacity, now);
+        self.number_batches();
     }
 
-    pub(super) fn lost(&mut self, gap: &Gap, now: Stamp) {
-        self.intake.lost(gap, now);
+    pub(super) fn record_loss(&mut self, gap: &Gap, now: Stamp) {
+        self.intake.record_loss(gap, now);
     }
 
     pub(super) fn tick(&mut self, now: Stamp) {
-        let room = self.room();
-        self.intake.tick(&room, now);
-        self.number();
+        let capacity = self.capacity();
+        self.intake.tick(&capacity, now);
+        self.number_batches();
     }
 
     pub(super) fn flush(&mut self, now: WallTime) {
-        let room = self.room();
-        self.intake.flush(&room, now);
-        self.number();
+        let capacity = self.capacity();
+        self.intake.flush(&capacity, now);
+        self.number_batches();
         self.is_closing = true;
     }
 
-    /// Returns the time of the next cut, report, write or deletion.
+    /// Returns the time at which a batch is closed, a loss is reported, or the file is written or deleted from.
     pub(super) fn deadline(&self) -> Option<MonoTime> {
         let deletion = self.may_delete().then(|| self.deletions.due_at()).flatten();
-        let writes = [self.appends.again(), self.deletions.again(), deletion, self.losses_due()];
-        writes.into_iter().chain([self.intake.deadline(&self.room())]).flatten().min()
+        let writes = [self.appends.retry_at(), self.deletions.retry_at(), deletion, self.losses_due()];
+        writes.into_iter().chain([self.intake.deadline(&self.capacity())]).flatten().min()
     }
 
     pub(super) fn give_up(&mut self) -> Totals {
         let lost = self.backlog.give_up();
-        self.intake.give_up(lost, &self.backlog.settled().handed_in.taken);
+        self.intake.give_up(lost, &self.backlog.settled_totals().submitted.batched);
         let unreported = self.earlier.unwritten().cloned();
-        Totals { unreported, ..self.safe_totals().with(self.earlier.resolved()) }
+        Totals { unreported, ..self.persistent_totals().with(self.earlier.resolved()) }
     }
 
     /// Returns whether a write to the spool is in progress.
     pub(super) const fn is_appending(&self) -> bool {
-        self.appends.is_under_way()
+        self.appends.is_in_progress()
     }
 
     /// Returns whether batches were sent that may be stored although they are neither in the spool nor acknowledged.
     pub(super) fn has_sent_unspooled(&self) -> bool {
-        self.backlog.sent() > self.backlog.spooled().max(self.backlog.oldest() - 1)
+        self.backlog.newest_sent() > self.backlog.spooled().max(self.backlog.oldest() - 1)
     }
 
     /// Returns the number of events that are in memory only.
     pub(super) fn unspooled_events(&self) -> u64 {
-        self.intake.usage().events + self.backlog.pending().events
+        self.intake.usage().events + self.backlog.pending_usage().events
     }
 
     /// Returns whether all accepted events are stored.
     pub(super) fn is_idle(&self) -> bool {
-        self.intake.usage().events == 0 && self.backlog.held().events == 0
+        self.intake.usage().events == 0 && self.backlog.waiting_usage().events == 0
     }
 
     pub(super) fn accounting(&self, compressed: bool, trouble: Option<String>) -> Accounting {
-        let (open, held, pending) = (self.intake.usage(), self.backlog.held(), self.backlog.pending());
-        let (produced, dropped) = self.earlier.count(self.intake.counted());
-        let gaps = self.intake.counted().gaps;
-        let (waiting, stored) = (open.events + held.events, self.backlog.stored());
+        let (open, waiting_usage, pending) =
+            (self.intake.usage(), self.backlog.waiting_usage(), self.backlog.pending_usage());
+        let (produced, dropped) = self.earlier.add_to(self.intake.totals());
+        let gaps = self.intake.totals().gaps;
+        let (waiting, stored) = (open.events + waiting_usage.events, self.backlog.stored_events());
         debug_assert_eq!(produced, stored + waiting + dropped, "an event is not accounted for");
         Accounting {
             produced,
-            spooled: stored + held.events.saturating_sub(pending.events),
+            spooled: stored + waiting_usage.events.saturating_sub(pending.events),
             sent: stored + self.backlog.sent_events(),
             stored,
             waiting,
@@ -142,16 +147,18 @@ impl EventSpooler {
             spool_bytes: self.file_bytes,
             spool_limit_bytes: self.config.spool_bytes,
             memory_bytes: open.bytes + pending.bytes,
-            oldest: if held.events > 0 { self.backlog.since() } else { self.intake.since() },
+            oldest: if waiting_usage.events > 0 { self.backlog.since() } else { self.intake.since() },
             compressed,
             trouble,
         }
     }
 
     pub(super) fn settled_runs(&self) -> Vec<(RunId, u64)> {
-        let events = |handed_in: &HandedInEvents, run| handed_in.taken.of(run) + handed_in.dropped.of(run);
-        let (counted, written) = (&self.intake.counted().handed_in, &self.appends.written().handed_in);
-        let ended = self.intake.ended().iter().map(|run| (*run, events(counted, *run)));
+        let events = |submitted: &SubmittedEvents, run| {
+            submitted.batched.events_of(run) + submitted.dropped.events_of(run)
+        };
+        let (counted, written) = (&self.intake.totals().submitted, &self.appends.written().submitted);
+        let ended = self.intake.ended_runs().iter().map(|run| (*run, events(counted, *run)));
         ended.filter(|(run, count)| events(written, *run) == *count).collect()
     }
 
@@ -161,45 +168,45 @@ impl EventSpooler {
     }
 
     pub(super) const fn settled_events(&self) -> u64 {
-        let handed_in = &self.appends.written().handed_in;
-        handed_in.taken.all + handed_in.dropped.all
+        let submitted = &self.appends.written().submitted;
+        submitted.batched.total + submitted.dropped.total
     }
 
     pub(super) fn sent_unspooled(&self) -> Option<SentUnspooled> {
-        self.backlog.sent_unspooled().map(|sent| self.earlier.place(sent))
+        self.backlog.sent_unspooled().map(|sent| self.earlier.adjust(sent))
     }
 
     pub(super) fn forget_run(&mut self, run: RunId) {
         self.intake.forget_run(run);
     }
 
-    /// Returns the totals without the events that are in memory only. They stay true if those events are lost.
-    fn safe_totals(&self) -> Totals {
-        let (counted, settled) = (self.intake.counted(), self.backlog.settled());
+    /// Returns the totals without the events that are in memory only. They remain correct if those events are lost.
+    fn persistent_totals(&self) -> Totals {
+        let (counted, settled) = (self.intake.totals(), self.backlog.settled_totals());
         let only_here = self.unspooled_events();
-        let handed_in =
-            HandedInEvents { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
+        let submitted =
+            SubmittedEvents { dropped: counted.submitted.dropped.clone(), ..settled.submitted.clone() };
         Totals {
             produced: counted.produced - only_here,
             dropped: counted.dropped,
             gaps: settled.gaps,
-            told: settled.told,
-            handed_in,
-            reached: self.appends.written().reached,
+            reported_drops: settled.reported_drops,
+            submitted,
+            newest_sent: self.appends.written().newest_sent,
             unreported: None,
         }
     }
 
-    /// Numbers the batches that were cut.
-    fn number(&mut self) {
-        for cut in self.intake.take_cut() {
-            self.backlog.push(cut);
+    /// Numbers the closed batches.
+    fn number_batches(&mut self) {
+        for batch in self.intake.take_unnumbered() {
+            self.backlog.push(batch);
         }
     }
 
     /// Returns the capacity for further events.
-    fn room(&self) -> EventCapacity {
-        let pending = self.backlog.pending();
+    fn capacity(&self) -> EventCapacity {
+        let pending = self.backlog.pending_usage();
         EventCapacity {
             memory: self.config.memory - pending,
             spool_bytes: self
@@ -212,14 +219,14 @@ impl EventSpooler {
     }
 
     fn report_losses(&mut self, now: Stamp) {
-        let room = self.room();
-        self.intake.report_losses(&room, now);
-        self.number();
+        let capacity = self.capacity();
+        self.intake.report_losses(&capacity, now);
+        self.number_batches();
     }
 
     /// Frees the batches up to `through`, which the aggregator stored.
     pub(super) fn acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
-        let writing = self.appends.writing();
+        let writing = self.appends.newest_in_progress();
         let freed = self.backlog.free(through, scanned, writing);
         self.appends.add_freed(freed.writing_bytes);
         self.deletions.add(freed.spooled_bytes, now.mono);
@@ -227,14 +234,14 @@ impl EventSpooler {
     }
 
     /// Records that the aggregator accepted this process with the current stream.
-    pub(super) const fn meet(&mut self) {
-        self.is_met = true;
+    pub(super) const fn record_acceptance(&mut self) {
+        self.is_accepted = true;
     }
 
     /// Continues the held batches in a new stream.
     pub(super) const fn renew(&mut self, stream: StreamId) {
         self.backlog.renew(stream);
-        self.is_met = false;
+        self.is_accepted = false;
     }
 
     /// Returns whether the spool may be moved to a new stream: stored batches are deleted, and the result for an
@@ -243,7 +250,7 @@ impl EventSpooler {
         self.backlog.acknowledged().0 <= self.deletions.through() && self.earlier.unwritten().is_none()
     }
 
-    /// Resolves the earlier process. The aggregator has stored everything up to `number`, which `process` sent.
+    /// Resolves the earlier process. The aggregator has stored everything up to `number_batches`, which `process` sent.
     pub(super) fn resolve_earlier(&mut self, number: u64, process: Option<u64>) {
         let Some((unresolved, resolved)) = self.earlier.resolve(number, process) else { return };
         self.backlog.add_stored(resolved.stored);
@@ -259,8 +266,8 @@ impl EventSpooler {
     }
 
     /// Counts the events that should be in the file and are not.
-    pub(super) fn settle(&mut self, now: Stamp) {
-        let missing = self.backlog.settle();
+    pub(super) fn drop_missing(&mut self, now: Stamp) {
+        let missing = self.backlog.remove_missing();
         if missing.events > 0 {
             self.file_bytes = self.file_bytes.saturating_sub(missing.bytes);
             let reason = "batches were missing from the agent's spool file".to_owned();
@@ -271,19 +278,20 @@ impl EventSpooler {
 
     /// Ends the last transaction successfully. Returns whether appending works again; `None` if there was no
     /// transaction.
-    pub(super) fn appended(&mut self, now: Stamp) -> Option<bool> {
-        let appended = self.appends.end()?;
+    pub(super) fn finish_append(&mut self, now: Stamp) -> Option<bool> {
+        let appended = self.appends.finish()?;
         if appended.resolves {
-            self.earlier.written();
+            self.earlier.record_written();
             self.intake.resolution_written();
         }
         if let Some((last, chain)) = appended.last {
-            self.backlog.appended(last, chain);
+            self.backlog.mark_appended(last, chain);
             self.file_bytes += appended.bytes;
             self.deletions.add_written(appended.freed);
         }
         // Success in writing a few numbers does not mean that there is space for the waiting batches.
-        let works = appended.last.is_some() || !self.appends.fails() || self.backlog.pending().events == 0;
+        let works =
+            appended.last.is_some() || !self.appends.fails() || self.backlog.pending_usage().events == 0;
         if works {
             self.appends.recover();
         }
@@ -292,33 +300,33 @@ impl EventSpooler {
     }
 
     /// Ends the last transaction as failed; `None` if there was none.
-    pub(super) fn append_failed(&mut self, now: MonoTime) -> Option<()> {
+    pub(super) fn fail_append(&mut self, now: MonoTime) -> Option<()> {
         self.appends.fail(now, self.config.spool_pause)
     }
 
     /// Ends the last deletion successfully; `None` if there was none.
-    pub(super) fn deleted(&mut self) -> Option<()> {
-        let ((through, chain), bytes) = self.deletions.end()?;
+    pub(super) fn finish_delete(&mut self) -> Option<()> {
+        let ((through, chain), bytes) = self.deletions.finish()?;
         self.file_bytes = self.file_bytes.saturating_sub(bytes);
-        self.backlog.passed(through, chain);
+        self.backlog.advance_file(through, chain);
         Some(())
     }
 
     /// Ends the last deletion as failed; `None` if there was none.
-    pub(super) fn delete_failed(&mut self, now: MonoTime) -> Option<()> {
+    pub(super) fn fail_delete(&mut self, now: MonoTime) -> Option<()> {
         self.deletions.fail(now, self.config.spool_pause)
     }
 
     /// Returns the number up to which batches may be sent, and whether they may be sent from memory.
     ///
-    /// The file records beforehand which batches may have been sent, for the case that it loses later writes. While it
-    /// cannot be written, the batches in it are sent without such a record, because a disk that is full of batches
-    /// would never have space again. Batches that are not in the file are sent only if it has the record for all
+    /// The file records which batches may be sent before they are sent, because it may lose later writes. While the
+    /// file cannot be written, its batches are sent without such a record: otherwise a disk that is full of batches
+    /// would never have space again. Batches that are not in the file are sent only if the file has the record for all
     /// batches in it.
     pub(super) fn sendable(&self) -> (u64, bool) {
         match self.appends.fails() {
-            false => (self.appends.written().reached.map_or(0, |reached| reached.number), false),
-            true if self.is_marked() => (u64::MAX, true),
+            false => (self.appends.written().newest_sent.map_or(0, |newest_sent| newest_sent.number), false),
+            true if self.has_sent_record() => (u64::MAX, true),
             true => (self.backlog.spooled(), false),
         }
     }
@@ -328,82 +336,82 @@ impl EventSpooler {
         self.backlog.send(number, unspooled, (host, self.process))
     }
 
-    /// Returns the next deletion or append. `renews` tells whether the stream is being left, for which the spool must
-    /// contain no stored batch.
-    pub(super) fn next(&mut self, renews: bool, now: MonoTime) -> Option<Action> {
-        self.deletion(renews, now).or_else(|| self.append(now))
+    /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: the spool may
+    /// then contain no stored batch.
+    pub(super) fn next(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
+        self.deletion(leaves_stream, now).or_else(|| self.append(now))
     }
 
     /// Returns whether a batch is to be deleted, now or later.
     fn may_delete(&self) -> bool {
         let (through, _) = self.backlog.acknowledged();
         // A batch that is being written may not be in the file yet.
-        let settled = through <= self.backlog.spooled() || !self.appends.is_under_way();
-        through > self.deletions.through() && settled && self.deletions.may_begin()
+        let settled = through <= self.backlog.spooled() || !self.appends.is_in_progress();
+        through > self.deletions.through() && settled && self.deletions.may_be_scheduled()
     }
 
-    fn deletion(&mut self, renews: bool, now: MonoTime) -> Option<Action> {
-        if !(self.deletions.is_free(now) && self.may_delete()) {
+    fn deletion(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
+        if !(self.deletions.may_start(now) && self.may_delete()) {
             return None;
         }
         let (through, chain) = self.backlog.acknowledged();
-        let soon = self.is_behind() || renews || self.is_closing;
+        let soon = self.has_unspooled_stored() || leaves_stream || self.is_closing;
         (soon || self.deletions.is_due(through, self.config.spool_bytes / 4, now)).then(|| {
-            self.deletions.begin((through, chain));
+            self.deletions.start((through, chain));
             Action::Delete { through, chain }
         })
     }
 
-    /// Returns whether the aggregator stored batches that were never written to the file. The batches after them are
-    /// not written before the file has recorded the deletion, or the file would have a gap.
-    fn is_behind(&self) -> bool {
+    /// Returns whether the aggregator stored batches that were never written to the file. The batches after them may be
+    /// written only after the file has recorded the deletion; otherwise the file would have a gap.
+    fn has_unspooled_stored(&self) -> bool {
         self.backlog.acknowledged().0 > self.backlog.spooled()
     }
 
     fn append(&mut self, now: MonoTime) -> Option<Action> {
-        if !self.appends.is_free(now) || self.is_behind() {
+        if !self.appends.may_start(now) || self.has_unspooled_stored() {
             return None;
         }
-        let (batches, totals) = self.to_append(now)?;
+        let (batches, totals) = self.next_append(now)?;
         let unreported = self.earlier.unwritten().cloned();
-        self.appends.begin(&batches, &totals, unreported.is_some(), now);
+        self.appends.start(&batches, &totals, unreported.is_some(), now);
         let totals = Totals { unreported, ..totals.with(self.earlier.resolved()) };
         Some(Action::Append { batches, totals })
     }
 
     /// Returns the batches and totals that are to be written now.
-    fn to_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
+    fn next_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
         let (written, spooled) = (self.appends.written(), self.backlog.spooled());
         let resolves = self.earlier.unwritten().is_some();
-        if resolves || self.is_met && !self.is_marked() {
-            let reached = self.reaches(spooled);
-            return Some((Vec::new(), Totals { reached, ..written.clone() }));
+        if resolves || self.is_accepted && !self.has_sent_record() {
+            let newest_sent = self.newest_sent_record(spooled);
+            return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));
         }
-        if self.appends.were_refused() && self.intake.counted().dropped != written.dropped {
-            return Some((Vec::new(), self.safe_totals()));
+        if self.appends.were_refused() && self.intake.totals().dropped != written.dropped {
+            return Some((Vec::new(), self.persistent_totals()));
         }
-        let Some((batches, totals)) = self.backlog.to_append(MOST_APPENDED, MOST_APPENDED_BYTES) else {
+        let Some((batches, totals)) = self.backlog.next_append(MAX_APPENDED, MAX_APPENDED_BYTES) else {
             let due = self.is_closing || self.losses_due().is_some_and(|due| now >= due);
-            let totals = due.then(|| self.safe_totals()).filter(|totals| totals != written);
+            let totals = due.then(|| self.persistent_totals()).filter(|totals| totals != written);
             return totals.map(|totals| (Vec::new(), totals));
         };
         let newest = batches.last().map_or(spooled, |batch| batch.number);
-        Some((batches, Totals { reached: self.reaches(newest), ..totals }))
+        Some((batches, Totals { newest_sent: self.newest_sent_record(newest), ..totals }))
     }
 
     /// Returns the time at which the number of dropped events is written alone.
     fn losses_due(&self) -> Option<MonoTime> {
-        self.appends.losses_due(self.intake.counted().dropped)
+        self.appends.losses_due(self.intake.totals().dropped)
     }
 
-    /// Returns the record that this process may send batches up to `number`; `None` before the aggregator has accepted
+    /// Returns the record that this process may send batches up to `number_batches`; `None` before the aggregator has accepted
     /// it.
-    fn reaches(&self, number: u64) -> Option<NewestSentBatch> {
-        self.is_met.then_some(NewestSentBatch { process: self.process, number })
+    fn newest_sent_record(&self, number: u64) -> Option<NewestSentBatch> {
+        self.is_accepted.then_some(NewestSentBatch { process: self.process, number })
     }
 
     /// Returns whether the file records for all its batches that this process may send them.
-    fn is_marked(&self) -> bool {
-        self.appends.is_marked(self.backlog.spooled())
+    fn has_sent_record(&self) -> bool {
+        self.appends.has_sent_record(self.backlog.spooled())
     }
 }

@@ -21,7 +21,7 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
 
 /// Returns the chain of a batch in the stream that all of these tests use.
 pub(super) fn chain(number: u64) -> Chain {
-    (0..number).fold(Chain::START, |chain, _| chain.then(1, b"event"))
+    (0..number).fold(Chain::START, |chain, _| chain.next(1, b"event"))
 }
 
 pub(super) fn mark(host: HostId, stored: u64) -> Mark {
@@ -30,20 +30,20 @@ pub(super) fn mark(host: HostId, stored: u64) -> Mark {
 
 /// Returns the database's state for one stream.
 pub(super) fn known(mark: Option<Mark>) -> StreamRecord {
-    StreamRecord { mark, came: mark.is_some(), ..StreamRecord::default() }
+    StreamRecord { mark, was_used: mark.is_some(), ..StreamRecord::default() }
 }
 
-pub(super) fn reason(greeting: Greeting) -> String {
+pub(super) fn reason(greeting: HelloResult) -> String {
     match greeting {
-        Greeting::Refused { reply: ToAgent::Refused { reason: said }, reason } if said == reason => reason,
+        HelloResult::Refused { reply: ToAgent::Refused { reason: said }, reason } if said == reason => reason,
         other => panic!("expected a refusal, got {other:?}"),
     }
 }
 
 /// Returns the number and the chain of the last stored batch, and the window, from a welcome that reports nothing else.
-pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
+pub(super) fn welcomed(greeting: &HelloResult) -> (u64, Option<Chain>, u32) {
     match greeting {
-        Greeting::Welcome {
+        HelloResult::Welcome {
             reply: ToAgent::Welcome { stored, chain, window, .. },
             missing: None,
             replaced: None,
@@ -57,11 +57,11 @@ pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
 #[test]
 fn message_without_session_requests_hello() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    assert_eq!(end.live(id, at(0).mono), Some(ToAgent::Unknown));
-    welcomed(&end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono));
-    assert_eq!(end.live(id, at(0).mono), None);
+    assert_eq!(end.handle_live(id, at(0).mono), Some(ToAgent::Unknown));
+    welcomed(&end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono));
+    assert_eq!(end.handle_live(id, at(0).mono), None);
     end.forget_silent(Span::from_seconds(60), at(60_001).mono);
-    assert_eq!(end.live(id, at(60_001).mono), Some(ToAgent::Unknown));
+    assert_eq!(end.handle_live(id, at(60_001).mono), Some(ToAgent::Unknown));
 }
 
 #[test]
@@ -77,47 +77,53 @@ fn numbers_that_cannot_be_are_refused() {
 #[test]
 fn second_connected_host_of_same_name_is_refused() {
     let (mut end, first, second) = (receiving(), HostId::random(), HostId::random());
-    end.hello(&hello(first, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
+    end.handle_hello(&hello(first, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
     let late = hello(second, "edge", 2, StreamId::random(), 1);
-    let reason = reason(end.hello(&late, known(None), at(9_000).mono));
+    let reason = reason(end.handle_hello(&late, known(None), at(9_000).mono));
     assert!(reason.contains("the name edge") && reason.contains(&first.to_string()), "{reason}");
-    welcomed(&end.hello(&late, known(None), at(10_001).mono));
+    welcomed(&end.handle_hello(&late, known(None), at(10_001).mono));
 }
 
 #[test]
 fn a_goodbye_frees_name_and_host_id_at_once() {
     let (mut end, id) = (receiving(), HostId::random());
-    end.hello(&hello(id, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
-    end.goodbye(id);
-    welcomed(&end.hello(&hello(id, "edge", 2, StreamId::random(), 1), known(None), at(1).mono));
-    end.goodbye(id);
-    welcomed(&end.hello(&hello(HostId::random(), "edge", 3, StreamId::random(), 1), known(None), at(2).mono));
+    end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
+    end.handle_goodbye(id);
+    welcomed(&end.handle_hello(&hello(id, "edge", 2, StreamId::random(), 1), known(None), at(1).mono));
+    end.handle_goodbye(id);
+    welcomed(&end.handle_hello(
+        &hello(HostId::random(), "edge", 3, StreamId::random(), 1),
+        known(None),
+        at(2).mono,
+    ));
 }
 
 #[test]
 fn second_process_of_host_is_refused_while_first_lives() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
+    end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
     // A cloned machine has the same stream as well.
     let copy = hello(id, "edge", 2, stream, 1);
-    assert_eq!(end.live(id, at(200).mono), None);
-    assert_eq!(end.hello(&copy, known(None), at(300).mono), Greeting::Wait);
-    assert_eq!(end.live(id, at(450).mono), None);
-    assert!(reason(end.hello(&copy, known(None), at(550).mono)).contains("another agent with the host id"));
-    assert_eq!(end.live(id, at(700).mono), None);
+    assert_eq!(end.handle_live(id, at(200).mono), None);
+    assert_eq!(end.handle_hello(&copy, known(None), at(300).mono), HelloResult::Wait);
+    assert_eq!(end.handle_live(id, at(450).mono), None);
+    assert!(
+        reason(end.handle_hello(&copy, known(None), at(550).mono)).contains("another agent with the host id")
+    );
+    assert_eq!(end.handle_live(id, at(700).mono), None);
 }
 
 #[test]
 fn crashed_agent_is_accepted_after_its_silence() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
-    end.live(id, at(200).mono);
+    end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
+    end.handle_live(id, at(200).mono);
     let again = hello(id, "edge", 2, stream, 1);
-    assert_eq!(end.hello(&again, known(None), at(300).mono), Greeting::Wait);
-    assert_eq!(end.hello(&again, known(None), at(550).mono), Greeting::Wait);
-    welcomed(&end.hello(&again, known(None), at(1_050).mono));
+    assert_eq!(end.handle_hello(&again, known(None), at(300).mono), HelloResult::Wait);
+    assert_eq!(end.handle_hello(&again, known(None), at(550).mono), HelloResult::Wait);
+    welcomed(&end.handle_hello(&again, known(None), at(1_050).mono));
     // Long after a crash there is no wait.
-    welcomed(&end.hello(&hello(id, "edge", 3, stream, 1), known(None), at(9_000).mono));
+    welcomed(&end.handle_hello(&hello(id, "edge", 3, stream, 1), known(None), at(9_000).mono));
 }
 
 #[test]
@@ -126,9 +132,9 @@ fn spool_of_another_host_is_refused() {
     let copy = hello(HostId::random(), "edge-2", 2, stream, 1);
     let words = format!("the spool of this agent belongs to the host with the id {owner}");
     let stored = Some(mark(owner, 5));
-    assert!(reason(end.hello(&copy, known(stored), at(0).mono)).contains(&words));
-    end.hello(&hello(owner, "edge", 1, stream, 1), known(None), at(0).mono);
-    assert!(reason(end.hello(&copy, known(None), at(1).mono)).contains(&words));
+    assert!(reason(end.handle_hello(&copy, known(stored), at(0).mono)).contains(&words));
+    end.handle_hello(&hello(owner, "edge", 1, stream, 1), known(None), at(0).mono);
+    assert!(reason(end.handle_hello(&copy, known(None), at(1).mono)).contains(&words));
 }
 
 #[test]
@@ -136,28 +142,28 @@ fn deleted_or_replaced_spool_is_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let replaced = |greeting| match greeting {
-        Greeting::Welcome { replaced, .. } => replaced,
+        HelloResult::Welcome { replaced, .. } => replaced,
         other => panic!("expected a welcome, got {other:?}"),
     };
     let last = |last| StreamRecord { last, ..StreamRecord::default() };
     let first = hello(id, "edge", 1, old, 1);
-    assert_eq!(replaced(end.hello(&first, known(None), at(0).mono)), None);
-    end.goodbye(id);
-    assert_eq!(replaced(end.hello(&first, last(Some(old)), at(1).mono)), None);
-    end.goodbye(id);
+    assert_eq!(replaced(end.handle_hello(&first, known(None), at(0).mono)), None);
+    end.handle_goodbye(id);
+    assert_eq!(replaced(end.handle_hello(&first, last(Some(old)), at(1).mono)), None);
+    end.handle_goodbye(id);
     let second = hello(id, "edge", 2, new, 1);
-    assert_eq!(replaced(end.hello(&second, last(Some(old)), at(2).mono)), Some(old));
-    assert_eq!(replaced(end.hello(&second, last(Some(old)), at(3).mono)), None);
-    end.goodbye(id);
+    assert_eq!(replaced(end.handle_hello(&second, last(Some(old)), at(2).mono)), Some(old));
+    assert_eq!(replaced(end.handle_hello(&second, last(Some(old)), at(3).mono)), None);
+    end.handle_goodbye(id);
     // Nothing is missing for a stream that continues the other one, nor for known streams.
     let renewed = Hello { previous: Some(old), ..second.clone() };
-    assert_eq!(replaced(end.hello(&renewed, last(Some(old)), at(4).mono)), None);
-    end.goodbye(id);
+    assert_eq!(replaced(end.handle_hello(&renewed, last(Some(old)), at(4).mono)), None);
+    end.handle_goodbye(id);
     let stored = StreamRecord { mark: Some(mark(id, 3)), ..last(Some(old)) };
-    assert_eq!(replaced(end.hello(&second, stored, at(5).mono)), None);
-    end.goodbye(id);
-    let came = StreamRecord { came: true, ..last(Some(old)) };
-    assert_eq!(replaced(end.hello(&hello(id, "edge", 3, new, 1), came, at(6).mono)), None);
+    assert_eq!(replaced(end.handle_hello(&second, stored, at(5).mono)), None);
+    end.handle_goodbye(id);
+    let was_used = StreamRecord { was_used: true, ..last(Some(old)) };
+    assert_eq!(replaced(end.handle_hello(&hello(id, "edge", 3, new, 1), was_used, at(6).mono)), None);
 }
 
 #[test]
@@ -165,42 +171,43 @@ fn batches_lacking_in_older_database_are_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let lacking = |greeting| match greeting {
-        Greeting::Welcome { lacking, .. } => lacking,
+        HelloResult::Welcome { lacking, .. } => lacking,
         other => panic!("expected a welcome, got {other:?}"),
     };
     let renewed =
         Hello { previous: Some(old), first: 8, events_before_first: Some(7), ..hello(id, "edge", 1, new, 8) };
     let previous = |previous| StreamRecord { last: Some(old), previous, ..StreamRecord::default() };
-    let expected = |from| Some(LackingBatches { stream: old, from, through: 7, events: Some(8 - from) });
+    let expected =
+        |from| Some(MissingPreviousBatches { stream: old, from, through: 7, events: Some(8 - from) });
     for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
-        assert_eq!(lacking(end.hello(&renewed, before, at(0).mono)), lacks);
-        assert_eq!(lacking(end.hello(&renewed, before, at(1).mono)), None, "said");
-        end.goodbye(id);
-        let came = StreamRecord { came: true, ..before };
-        assert_eq!(lacking(end.hello(&renewed, came, at(2).mono)), None, "recorded");
-        end.goodbye(id);
+        assert_eq!(lacking(end.handle_hello(&renewed, before, at(0).mono)), lacks);
+        assert_eq!(lacking(end.handle_hello(&renewed, before, at(1).mono)), None, "said");
+        end.handle_goodbye(id);
+        let was_used = StreamRecord { was_used: true, ..before };
+        assert_eq!(lacking(end.handle_hello(&renewed, was_used, at(2).mono)), None, "recorded");
+        end.handle_goodbye(id);
     }
     // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
     let renewed = Hello { events_before_first: Some(9), ..renewed };
     let before = previous(Some(mark(id, 7)));
-    let expected = LackingBatches { stream: old, from: 8, through: 8, events: Some(2) };
-    assert_eq!(lacking(end.hello(&renewed, before, at(3).mono)), Some(expected));
+    let expected = MissingPreviousBatches { stream: old, from: 8, through: 8, events: Some(2) };
+    assert_eq!(lacking(end.handle_hello(&renewed, before, at(3).mono)), Some(expected));
 }
 
 #[test]
 fn a_host_that_changes_its_streams_waits_for_the_writer() {
     let (mut end, id) = (receiving(), HostId::random());
     let mut streams: Vec<StreamId> = Vec::new();
-    while let Greeting::Welcome { missing, .. } =
-        end.hello(&hello(id, "edge", 1, StreamId::random(), 5), known(None), at(0).mono)
+    while let HelloResult::Welcome { missing, .. } =
+        end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 5), known(None), at(0).mono)
     {
         streams.push(missing.expect("four batches that are nowhere").stream);
         assert!(streams.len() < 100, "memory grows with what one host says");
     }
-    streams.iter().for_each(|stream| drop(end.stored(*stream, mark(id, 4))));
+    streams.iter().for_each(|stream| drop(end.handle_stored(*stream, mark(id, 4))));
     let next = hello(id, "edge", 1, StreamId::random(), 1);
-    welcomed(&end.hello(&next, known(None), at(1).mono));
+    welcomed(&end.handle_hello(&next, known(None), at(1).mono));
 }
 
 #[test]
@@ -209,7 +216,7 @@ fn windows_share_aggregators_memory() {
     let window = |end: &mut Receiving, n: u64, batch_bytes| {
         let name = format!("edge-{n}");
         let hello = Hello { batch_bytes, ..hello(HostId::random(), &name, n, StreamId::random(), 1) };
-        welcomed(&end.hello(&hello, known(None), at(0).mono)).2
+        welcomed(&end.handle_hello(&hello, known(None), at(0).mono)).2
     };
     assert_eq!(window(&mut end, 0, 512 * 1024), 8);
     assert_eq!(window(&mut end, 1, 0), 8);

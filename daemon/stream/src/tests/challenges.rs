@@ -32,8 +32,8 @@ fn some_hello() -> Hello {
 fn unknown_host_is_enrolled_with_the_secret_it_proves() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), true, nonce(1), at(0).mono);
-    let proven = end.prove(&1, proof(&secret, &hello, &challenge), None);
-    assert_eq!(proven, ProofResult::Yes { hello: Box::new(hello), enrolled: Some(secret) });
+    let proven = end.check_proof(&1, proof(&secret, &hello, &challenge), None);
+    assert_eq!(proven, ProofResult::Valid { hello: Box::new(hello), enrolled: Some(secret) });
     assert!(end.is_empty());
 }
 
@@ -44,8 +44,8 @@ fn known_host_proves_without_telling_its_secret() {
     let proof = proof(&secret, &hello, &challenge);
     assert_eq!(proof.secret, None);
     assert_eq!(
-        end.prove(&1, proof, Some(&secret)),
-        ProofResult::Yes { hello: Box::new(hello), enrolled: None }
+        end.check_proof(&1, proof, Some(&secret)),
+        ProofResult::Valid { hello: Box::new(hello), enrolled: None }
     );
 }
 
@@ -55,11 +55,11 @@ fn another_secret_is_refused_even_when_it_is_told() {
     let impostor = HostSecret::random();
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let told = Proof { secret: Some(impostor.clone()), ..proof(&impostor, &hello, &challenge) };
-    assert_eq!(end.prove(&1, told, Some(&known)), ProofResult::No(Box::new(hello.clone())));
+    assert_eq!(end.check_proof(&1, told, Some(&known)), ProofResult::Invalid(Box::new(hello.clone())));
     // The host was enrolled on another connection after this one was asked for its secret.
     let challenge = end.challenge(1, hello.clone(), true, nonce(2), at(0).mono);
     let told = proof(&impostor, &hello, &challenge);
-    assert_eq!(end.prove(&1, told, Some(&known)), ProofResult::No(Box::new(hello)));
+    assert_eq!(end.check_proof(&1, told, Some(&known)), ProofResult::Invalid(Box::new(hello)));
 }
 
 #[test]
@@ -68,18 +68,18 @@ fn proof_counts_once_and_on_its_own_connection() {
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let overheard = proof(&secret, &hello, &challenge);
     end.challenge(2, hello, false, nonce(2), at(0).mono);
-    assert_eq!(end.prove(&2, overheard.clone(), Some(&secret)), ProofResult::Unasked);
+    assert_eq!(end.check_proof(&2, overheard.clone(), Some(&secret)), ProofResult::Unsolicited);
     let replayed = Proof { nonce: nonce(2), ..overheard.clone() };
-    assert!(matches!(end.prove(&2, replayed, Some(&secret)), ProofResult::No(_)));
-    assert!(matches!(end.prove(&1, overheard.clone(), Some(&secret)), ProofResult::Yes { .. }));
-    assert_eq!(end.prove(&1, overheard, Some(&secret)), ProofResult::Unasked);
+    assert!(matches!(end.check_proof(&2, replayed, Some(&secret)), ProofResult::Invalid(_)));
+    assert!(matches!(end.check_proof(&1, overheard.clone(), Some(&secret)), ProofResult::Valid { .. }));
+    assert_eq!(end.check_proof(&1, overheard, Some(&secret)), ProofResult::Unsolicited);
 }
 
 #[test]
 fn cleared_secret_is_requested_again() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
-    assert_eq!(end.prove(&1, proof(&secret, &hello, &challenge), None), ProofResult::Unasked);
+    assert_eq!(end.check_proof(&1, proof(&secret, &hello, &challenge), None), ProofResult::Unsolicited);
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn repeated_hello_gets_the_same_challenge() {
     assert_eq!(end.challenge(1, hello.clone(), false, nonce(2), at(1_000).mono), first);
     assert_ne!(end.challenge(1, Hello { process: 9, ..hello }, false, nonce(2), at(1_000).mono), first);
     assert_eq!(end.len(), 1, "one of each connection");
-    end.age(at(16_001).mono);
+    end.remove_expired(at(16_001).mono);
     assert!(end.is_empty(), "memory of silent connections is freed");
 }
 
@@ -116,12 +116,12 @@ proptest! {
                     let ToAgent::Challenge { aggregator, nonce, .. } = &challenge else { unreachable!() };
                     let code = key.prove(nonce, &said, aggregator);
                     let mine = asked.get(&connection).cloned();
-                    if let Some((of, ToAgent::Challenge { nonce: awaited, .. })) = &mine && (*of, awaited) == (host, nonce) {
+                    if let Some((of, ToAgent::Challenge { nonce: pending_hello, .. })) = &mine && (*of, pending_hello) == (host, nonce) {
                         asked.remove(&connection);
                     }
                     let counts = honest && challenged == host && mine == Some((host, challenge.clone()));
-                    let proven = end.prove(&connection, Proof { host: said.host.id, nonce: *nonce, code, secret: None }, Some(&secret(host)));
-                    prop_assert_eq!(matches!(&proven, ProofResult::Yes { hello, .. } if hello.host.id == said.host.id), counts);
+                    let proven = end.check_proof(&connection, Proof { host: said.host.id, nonce: *nonce, code, secret: None }, Some(&secret(host)));
+                    prop_assert_eq!(matches!(&proven, ProofResult::Valid { hello, .. } if hello.host.id == said.host.id), counts);
                 }
                 _ => {
                     end.forget(&connection);

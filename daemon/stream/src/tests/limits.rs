@@ -55,7 +55,7 @@ fn drain(simulation: &mut Simulation) -> Vec<Event> {
     // Some losses are reported only when there is space again.
     simulation.settle();
     let bodies = simulation.expected_content.bodies.iter();
-    bodies.flat_map(|(count, body)| codec::events(body, *count).expect("our own events")).collect()
+    bodies.flat_map(|(count, body)| codec::decode_events(body, *count).expect("our own events")).collect()
 }
 
 #[test]

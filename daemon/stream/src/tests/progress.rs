@@ -18,7 +18,7 @@ impl End {
     fn with(stored: u64) -> Self {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let mark = (stored > 0).then(|| mark(id, stored));
-        let greeting = end.hello(&hello(id, "edge", 1, stream, stored + 1), known(mark), at(0).mono);
+        let greeting = end.handle_hello(&hello(id, "edge", 1, stream, stored + 1), known(mark), at(0).mono);
         assert_eq!(welcomed(&greeting), (stored, mark.map(|mark| mark.chain), WINDOW));
         Self { end, id, stream, process: 1 }
     }
@@ -32,11 +32,11 @@ impl End {
 
     fn batch(&mut self, number: u64) -> Arrival {
         let head = self.head(number);
-        self.end.batch(&head, true, at(1).mono)
+        self.end.handle_batch(&head, true, at(1).mono)
     }
 
     fn stored(&mut self, number: u64) -> Option<ToAgent> {
-        let (to, reply) = self.end.stored(self.stream, mark(self.id, number))?;
+        let (to, reply) = self.end.handle_stored(self.stream, mark(self.id, number))?;
         assert_eq!(to, self.id);
         Some(reply)
     }
@@ -50,10 +50,10 @@ impl End {
     }
 
     /// Sends the hello of another process with the same spool, long after the first.
-    fn restarted(&mut self, stored: u64) -> Greeting {
+    fn restarted(&mut self, stored: u64) -> HelloResult {
         self.process = 2;
         let hello = hello(self.id, "edge", self.process, self.stream, stored + 1);
-        self.end.hello(&hello, known(Some(mark(self.id, stored))), at(5_000).mono)
+        self.end.handle_hello(&hello, known(Some(mark(self.id, stored))), at(5_000).mono)
     }
 }
 
@@ -75,11 +75,11 @@ fn batches_are_accepted_in_order_and_acknowledged_when_stored() {
 fn hole_is_requested_once() {
     let mut end = End::with(0);
     let (first, second) = (end.resend(1), end.resend(2));
-    assert_eq!(end.batch(2), Arrival::Hole(Some(first)));
-    assert_eq!(end.batch(3), Arrival::Hole(None));
+    assert_eq!(end.batch(2), Arrival::Rejected(Some(first)));
+    assert_eq!(end.batch(3), Arrival::Rejected(None));
     assert_eq!(end.batch(1), Arrival::Accept);
-    assert_eq!(end.batch(3), Arrival::Hole(Some(second)));
-    assert_eq!(end.batch(9), Arrival::Hole(None));
+    assert_eq!(end.batch(3), Arrival::Rejected(Some(second)));
+    assert_eq!(end.batch(9), Arrival::Rejected(None));
 }
 
 #[test]
@@ -87,8 +87,8 @@ fn failed_batch_is_requested_again_with_later_ones() {
     let mut end = End::with(0);
     (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     end.stored(1);
-    assert_eq!(end.end.failed(end.stream), Some((end.id, end.resend(2))));
-    assert_eq!(end.batch(3), Arrival::Hole(None));
+    assert_eq!(end.end.handle_failed_store(end.stream), Some((end.id, end.resend(2))));
+    assert_eq!(end.batch(3), Arrival::Rejected(None));
     assert_eq!(end.batch(2), Arrival::Accept);
 }
 
@@ -98,8 +98,8 @@ fn lost_batches_are_reported_missing_once() {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let hello = Hello { first, events_before_first: Some(first - 1), ..hello(id, "edge", 1, stream, 8) };
         let known = known((stored > 0).then(|| mark(id, stored)));
-        let greeting = end.hello(&hello, known, at(0).mono);
-        let Greeting::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
+        let greeting = end.handle_hello(&hello, known, at(0).mono);
+        let HelloResult::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
         assert_eq!(
             missing,
             Some(MissingBatches {
@@ -113,7 +113,7 @@ fn lost_batches_are_reported_missing_once() {
                 events_through: 7
             })
         );
-        welcomed(&end.hello(&hello, known, at(1).mono));
+        welcomed(&end.handle_hello(&hello, known, at(1).mono));
         let mut end = End { end, id, stream, process: 1 };
         assert_eq!(end.batch(8), Arrival::Accept);
         let ack = end.ack(7);
@@ -125,11 +125,11 @@ fn lost_batches_are_reported_missing_once() {
 fn batch_that_does_not_follow_requests_hello() {
     let mut end = End::with(4);
     let other = BatchHead { stream: StreamId::random(), ..end.head(5) };
-    assert_eq!(end.end.batch(&other, true, at(1).mono), UNKNOWN);
+    assert_eq!(end.end.handle_batch(&other, true, at(1).mono), UNKNOWN);
     let stranger = BatchHead { host: HostId::random(), ..end.head(5) };
-    assert_eq!(end.end.batch(&stranger, true, at(1).mono), UNKNOWN);
+    assert_eq!(end.end.handle_batch(&stranger, true, at(1).mono), UNKNOWN);
     let copied = BatchHead { before: chain(9), ..end.head(5) };
-    assert_eq!(end.end.batch(&copied, true, at(1).mono), UNKNOWN);
+    assert_eq!(end.end.handle_batch(&copied, true, at(1).mono), UNKNOWN);
     assert_eq!(end.batch(5), Arrival::Accept);
 }
 
@@ -138,9 +138,9 @@ fn batches_of_dead_process_are_settled_before_next_session() {
     let mut end = End::with(0);
     (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     end.stored(1);
-    assert!(matches!(end.restarted(1), Greeting::Wait), "batches 2 and 3 may still be stored");
+    assert!(matches!(end.restarted(1), HelloResult::Wait), "batches 2 and 3 may still be stored");
     end.stored(3);
-    let Greeting::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = end.restarted(1) else {
+    let HelloResult::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = end.restarted(1) else {
         panic!("nothing waits any more")
     };
     assert_eq!(stored, 3);
@@ -148,11 +148,11 @@ fn batches_of_dead_process_are_settled_before_next_session() {
     // After storing failed, nothing contradicts the batches of the next process.
     let mut end = End::with(1);
     assert_eq!(end.batch(2), Arrival::Accept);
-    assert!(matches!(end.restarted(1), Greeting::Wait));
-    end.end.failed(end.stream);
+    assert!(matches!(end.restarted(1), HelloResult::Wait));
+    end.end.handle_failed_store(end.stream);
     welcomed(&end.restarted(1));
     let other = BatchHead { chain: chain(9), process: 2, ..end.head(2) };
-    assert_eq!(end.end.batch(&other, true, at(5_001).mono), Arrival::Accept);
+    assert_eq!(end.end.handle_batch(&other, true, at(5_001).mono), Arrival::Accept);
 }
 
 #[test]
@@ -162,32 +162,33 @@ fn two_batches_of_one_number_request_hello() {
     let other = BatchHead { chain: chain(9), ..end.head(2) };
     let next = BatchHead { before: chain(9), chain: chain(10), ..end.head(4) };
     for head in [other, next] {
-        assert_eq!(end.end.batch(&head, true, at(5_001).mono), UNKNOWN);
+        assert_eq!(end.end.handle_batch(&head, true, at(5_001).mono), UNKNOWN);
     }
 }
 
 #[test]
 fn damaged_batch_is_requested_twice_then_quarantined() {
     let mut end = End::with(0);
-    let (head, resend) = (end.head(1), Arrival::Hole(Some(end.resend(1))));
-    assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
-    assert_eq!(end.batch(2), Arrival::Hole(None));
-    assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
+    let (head, resend) = (end.head(1), Arrival::Rejected(Some(end.resend(1))));
+    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.batch(2), Arrival::Rejected(None));
+    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), resend);
     // Different damage shows that the batch was damaged in transit.
     let other = BatchHead { events: 2, ..head };
-    assert_eq!(end.end.batch(&other, false, at(1).mono), resend);
-    assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
-    assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
-    assert_eq!(end.end.batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
+    assert_eq!(end.end.handle_batch(&other, false, at(1).mono), resend);
+    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
     assert_eq!(end.batch(2), Arrival::Accept);
 }
 
 #[test]
 fn spool_with_damaged_chains_is_compared() {
     let mut end = End::with(0);
-    let (head, resend) = (BatchHead { before: chain(7), ..end.head(1) }, Arrival::Hole(Some(end.resend(1))));
+    let (head, resend) =
+        (BatchHead { before: chain(7), ..end.head(1) }, Arrival::Rejected(Some(end.resend(1))));
     for expected in [resend.clone(), resend.clone(), UNKNOWN, resend] {
-        assert_eq!(end.end.batch(&head, false, at(1).mono), expected);
+        assert_eq!(end.end.handle_batch(&head, false, at(1).mono), expected);
     }
 }
 
@@ -197,34 +198,38 @@ fn deferred_streams_are_requested_oldest_first() {
     let agents: Vec<(HostId, StreamId)> = (0..3)
         .map(|n| {
             let (id, stream) = (HostId::random(), StreamId::random());
-            welcomed(&end.hello(&hello(id, &format!("edge-{n}"), n, stream, 1), known(None), at(0).mono));
+            welcomed(&end.handle_hello(
+                &hello(id, &format!("edge-{n}"), n, stream, 1),
+                known(None),
+                at(0).mono,
+            ));
             (id, stream)
         })
         .collect();
     for agent in [2, 0, 2, 1] {
-        end.deferred(agents[agent].1);
+        end.defer_batch(agents[agent].1);
     }
-    end.deferred(StreamId::random());
+    end.defer_batch(StreamId::random());
     let request = |agent: usize| (agents[agent].0, ToAgent::Resend { stream: agents[agent].1, from: 1 });
-    assert_eq!(end.room(0), []);
-    assert_eq!(end.room(2), [request(2), request(0)]);
+    assert_eq!(end.request_deferred(0), []);
+    assert_eq!(end.request_deferred(2), [request(2), request(0)]);
     // Batches that a hello brings again are not requested.
-    end.hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), known(None), at(1).mono);
-    assert_eq!(end.room(2), []);
+    end.handle_hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), known(None), at(1).mono);
+    assert_eq!(end.request_deferred(2), []);
     // A requested batch found no room once more.
-    end.deferred(agents[2].1);
-    assert_eq!(end.room(9), [request(2)]);
-    end.deferred(agents[0].1);
-    end.goodbye(agents[0].0);
-    assert_eq!(end.room(9), []);
+    end.defer_batch(agents[2].1);
+    assert_eq!(end.request_deferred(9), [request(2)]);
+    end.defer_batch(agents[0].1);
+    end.handle_goodbye(agents[0].0);
+    assert_eq!(end.request_deferred(9), []);
 }
 
 #[test]
 fn agent_beyond_window_fills_no_memory() {
     let mut end = End::with(0);
     let accepted = (1..=10_000).take_while(|number| end.batch(*number) == Arrival::Accept).count();
-    assert!((MOST_UNDER_WAY..3_000).contains(&accepted), "{accepted}");
-    assert_eq!(end.restarted(0), Greeting::Wait);
+    assert!((MAX_IN_FLIGHT_BATCHES..3_000).contains(&accepted), "{accepted}");
+    assert_eq!(end.restarted(0), HelloResult::Wait);
 }
 
 #[test]
@@ -234,20 +239,20 @@ fn numbers_at_their_end_break_nothing() {
     let stored =
         |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
     let hello = Hello { oldest: last, before: Chain::START, ..hello(id, "edge", 1, stream, 1) };
-    let greeting = end.hello(&hello, known(None), at(0).mono);
-    assert!(matches!(greeting, Greeting::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
+    let greeting = end.handle_hello(&hello, known(None), at(0).mono);
+    assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
         let (host, before, chain) = (id, Chain::START, chain(1));
         BatchHead { host, stream, process: 1, number, before, chain, events: 1, events_before: number - 1 }
     };
-    assert_eq!(end.batch(&head(last), true, at(1).mono), Arrival::Accept);
+    assert_eq!(end.handle_batch(&head(last), true, at(1).mono), Arrival::Accept);
     assert_eq!(
-        end.batch(&BatchHead { before: chain(1), ..head(last + 1) }, true, at(1).mono),
-        Arrival::Hole(None)
+        end.handle_batch(&BatchHead { before: chain(1), ..head(last + 1) }, true, at(1).mono),
+        Arrival::Rejected(None)
     );
-    assert!(end.stored(stream, stored(u64::MAX)).is_some());
-    assert_eq!(end.failed(stream), Some((id, ToAgent::Resend { stream, from: u64::MAX })));
-    assert_eq!(end.batch(&head(u64::MAX), true, at(1).mono), UNKNOWN);
-    end.goodbye(id);
-    welcomed(&end.hello(&hello, known(Some(stored(u64::MAX))), at(2).mono));
+    assert!(end.handle_stored(stream, stored(u64::MAX)).is_some());
+    assert_eq!(end.handle_failed_store(stream), Some((id, ToAgent::Resend { stream, from: u64::MAX })));
+    assert_eq!(end.handle_batch(&head(u64::MAX), true, at(1).mono), UNKNOWN);
+    end.handle_goodbye(id);
+    welcomed(&end.handle_hello(&hello, known(Some(stored(u64::MAX))), at(2).mono));
 }

@@ -26,7 +26,7 @@ fn chosen(hello: &Hello) -> Option<u16> {
 #[test]
 fn first_version_agent_gets_known_messages_only() {
     let old = hello_of(5, None);
-    assert_eq!((chosen(&old), HelloExtension::of(&VersionRange::single(5))), (None, None));
+    assert_eq!((chosen(&old), HelloExtension::from_versions(&VersionRange::single(5))), (None, None));
     welcomed(&receiving().hello(&old, known(None), at(0).mono));
     let frame = encode(&ToAggregator::Hello(old.clone()));
     assert_eq!(decode(&frame), Ok(ToAggregator::Hello(old)));
@@ -49,12 +49,12 @@ fn unknown_names_in_hello_are_ignored() {
     // The extension is a map with two names, and the last value in the frame, so that another name is appended at the
     // end.
     let mut extension = Vec::new();
-    codec::append(&mut extension, &later.extension);
+    codec::encode_into(&mut extension, &later.extension);
     let map = frame.len() - extension.len();
     assert_eq!((&frame[map..], frame[map]), (&extension[..], 0x82));
     frame[map] += 1;
-    codec::append(&mut frame, &"colour");
-    codec::append(&mut frame, &["green"]);
+    codec::encode_into(&mut frame, &"colour");
+    codec::encode_into(&mut frame, &["green"]);
     assert_eq!(decode(&frame), Ok(ToAggregator::Hello(later)));
 }
 
@@ -62,7 +62,7 @@ fn unknown_names_in_hello_are_ignored() {
 fn agent_without_common_version_is_refused_with_release() {
     let refusal = |hello: Hello| {
         let said = reason(receiving().hello(&hello, known(None), at(0).mono));
-        assert_eq!(Receiving::refuses_version(&hello), Some(said.clone()));
+        assert_eq!(Receiving::version_refusal(&hello), Some(said.clone()));
         said
     };
     assert_eq!(

@@ -76,7 +76,7 @@ fn damaged_frames_are_refused_and_counted() {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
     let damaged = counter(&fleet, "peernet_aggregator_damaged_batches_total");
-    let told = fleet.aggregator.process().wait_for("messages were not taken");
+    let told = fleet.aggregator.process().wait_for("messages were rejected");
     assert!(told.contains("unreadable="), "{told}");
     misbehaving_peer.say(&ToAggregator::Goodbye(host.hello.host.id));
     let spooled = assert_nobody_was_harmed(fleet);

@@ -249,7 +249,7 @@ impl From<&HostSnapshot> for Host {
                 catching_up: host.catching_up.map(|found| CatchingUp {
                     rate: found.rate,
                     events_per_second: found.events_per_second,
-                    left_s: found.left.seconds(),
+                    left_s: found.remaining.seconds(),
                 }),
                 cpu,
                 memory_used_bytes,

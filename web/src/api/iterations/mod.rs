@@ -69,7 +69,7 @@ async fn list(
             let text = "query parameter order: slowest cannot be combined with after or unsuccessful";
             return Err(WebError::BadRequest(text.to_owned()));
         }
-        let rows = app.store().slowest(number, limit).await?;
+        let rows = app.store().slowest_iterations(number, limit).await?;
         return Ok(Json(IterationList {
             iterations: rows.iter().map(IterationSummary::from).collect(),
             next: None,

@@ -11,7 +11,7 @@ async fn what_became_of_events_is_shown_whatever_it_was() {
     told.catching_up = Some(peernet_aggregator::CatchingUp {
         rate: 48.0,
         events_per_second: 20_100.0,
-        left: Span::from_seconds(240),
+        remaining: Span::from_seconds(240),
     });
     told.newest_stored = Some(samples::NOW);
     told.arrivals = peernet_aggregator::Arrivals { deferred: 7, damaged: 2 };

@@ -30,7 +30,7 @@ fn compared() -> Vec<Name> {
 pub(crate) async fn run_means(store: &Store, comparison: &Comparison) -> Result<RunMeans, WebError> {
     let names = &compared();
     let runs: Vec<i64> = comparison.runs().map(|run| run.number).collect();
-    let read = |run| async move { Ok((run, store.means(run, names, BUCKETS).await?)) };
+    let read = |run| async move { Ok((run, store.stage_means(run, names, BUCKETS).await?)) };
     futures::stream::iter(runs).map(read).buffered(READ_AT_ONCE).try_collect().await
 }
 

@@ -133,7 +133,7 @@ pub(crate) async fn gather(store: &Store, which: &CompareSelection) -> Result<Co
     let settings = settings.iter().enumerate().map(setting).collect();
     let named = names(&axes, groups.iter().map(|group| (group.values.as_slice(), group.runs.as_slice())));
     let configurations = groups.into_iter().zip(named).map(|(group, name)| {
-        let RunStatistics { stages, bounds, kept } = RunStatistics::together(&group.statistics);
+        let RunStatistics { stages, bounds, kept } = RunStatistics::merged(&group.statistics);
         let computes = group.runs.iter().all(|run| computing.is_true_of(run));
         Configuration { name, values: group.values, runs: group.runs, stages, bounds, kept, computes }
     });

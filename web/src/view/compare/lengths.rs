@@ -99,8 +99,8 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
         for run in &it.one.runs {
             // Warm-up and iterations without an answer are read as well, so that a run with room for all of them is read whole.
             let share = if whole <= most { MOST_READ } else { (most * answered(run)).div_ceil(whole) };
-            let pairs = store.pairs(run.number, [it.length, LATENCY], share as u32).await?;
-            known.is_whole &= pairs.is_whole();
+            let pairs = store.value_pairs(run.number, [it.length, LATENCY], share as u32).await?;
+            known.is_whole &= pairs.is_complete();
             known.points.extend(pairs.points.into_iter().filter(|(x, y)| counts(*x) && counts(*y)));
         }
         all.push(known);

@@ -79,7 +79,7 @@ pub(crate) async fn run_courses(store: &Store, comparison: &Comparison) -> Resul
         let names: Vec<Name> = [stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
         let (series, means, episodes) = tokio::try_join!(
             store.series(run.number, &main, points),
-            store.means(run.number, &names, points),
+            store.stage_means(run.number, &names, points),
             store.episodes(run.number),
         )?;
         all.insert(run.number, RunCourse { series, means, episodes });

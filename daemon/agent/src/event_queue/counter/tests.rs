@@ -28,20 +28,20 @@ fn another_process_reads_what_was_counted() {
     }
     counter.count(None, None, at(6));
     counter.count(line.as_ref(), Some(second), at(7));
-    let sent = |number| SentUnspooled { process: 7, number, taken: 4, told: 1, events: 5 };
-    let slots = MOST_SENT_UNSPOOLED as u64;
+    let sent = |number| SentUnspooled { process: 7, number, batched: 4, reported_drops: 1, events: 5 };
+    let slots = MAX_SENT_UNSPOOLED as u64;
     (1..=slots + 1).for_each(|number| counter.record_sent_unspooled(sent(number)));
     let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();
     let run = |run, events, last| CountedRun { run, pipeline: line.clone(), events, last: at(last) };
     let mut counted = read(&name, &owner).expect("readable");
     counted.runs.sort_by_key(|run| run.last);
     let runs = vec![run(first, 5, 5), run(second, 1, 7)];
-    assert_eq!(counted, CountedEvents { all: 7, last: at(7), sent, runs });
+    assert_eq!(counted, CountedEvents { total: 7, last: at(7), sent, runs });
 
     assert!(!counter.release(second, 0), "it has an event that the spool does not have");
     assert!(counter.release(first, 5) && counter.release(second, 1));
     let counted = read(&name, &owner).expect("readable");
-    assert_eq!((counted.all, counted.runs.len()), (7, 0));
+    assert_eq!((counted.total, counted.runs.len()), (7, 0));
     counter.remove();
     assert_eq!(read(&name, &owner), None);
 }
@@ -56,7 +56,7 @@ fn deleted_file_is_made_again() {
     counter.recreate_if_deleted();
     counter.count(None, Some(run), at(2));
     let counted = read(&name, &owner).expect("is there");
-    assert_eq!((counted.all, counted.runs[0].events), (2, 2));
+    assert_eq!((counted.total, counted.runs[0].events), (2, 2));
     counter.remove();
 }
 
@@ -74,14 +74,14 @@ fn other_files_of_the_name_are_not_read() {
 fn runs_beyond_capacity_are_counted_in_total() {
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
-    let runs: Vec<RunId> = (0..=MOST_COUNTED_RUNS).map(|_| RunId::random()).collect();
+    let runs: Vec<RunId> = (0..=MAX_COUNTED_RUNS).map(|_| RunId::random()).collect();
     runs.iter().for_each(|run| counter.count(None, Some(*run), at(1)));
     let counted = read(&counter.name().expect("a file"), &owner).expect("readable");
-    assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 1, MOST_COUNTED_RUNS));
+    assert_eq!((counted.total, counted.runs.len()), (MAX_COUNTED_RUNS as u64 + 1, MAX_COUNTED_RUNS));
     assert!(counter.release(runs[0], 1));
     counter.count(None, Some(RunId::random()), at(2));
     let counted = read(&counter.name().expect("a file"), &owner).expect("readable");
-    assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 2, MOST_COUNTED_RUNS));
+    assert_eq!((counted.total, counted.runs.len()), (MAX_COUNTED_RUNS as u64 + 2, MAX_COUNTED_RUNS));
     counter.remove();
 }
 

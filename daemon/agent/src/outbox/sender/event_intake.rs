@@ -45,7 +45,7 @@ impl EventIntake {
             self.offer(machine, &event, now);
         }
         for gap in self.receiver.overflow.take_gaps() {
-            machine.lost(&gap, now);
+            machine.record_loss(&gap, now);
         }
         machine.tick(now);
     }

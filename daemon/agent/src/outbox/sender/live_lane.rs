@@ -70,7 +70,7 @@ impl LiveLane {
             return;
         }
         self.is_blocked = false;
-        if !machine.may_show() {
+        if !machine.may_send_live() {
             return;
         }
         // Read before the update is composed: a session that ends in between is not in the update.
@@ -80,7 +80,7 @@ impl LiveLane {
         self.is_blocked = connection.send(frame).is_err();
         if !self.is_blocked {
             (self.is_due, self.told_ends) = (false, ends);
-            machine.shown(bytes);
+            machine.record_live_sent(bytes);
             self.sources.live_statistics.delivered(&receipt);
         }
     }
@@ -94,8 +94,11 @@ impl LiveLane {
     ) -> (Vec<u8>, Receipt) {
         let (update, receipt) = self.sources.update(machine.host(), sent, account);
         let message = ToAggregator::Live(update);
-        let frame =
-            if machine.compresses() { codec::encode_packed(&message) } else { codec::encode(&message) };
+        let frame = if machine.is_compressing() {
+            codec::encode_compressed(&message)
+        } else {
+            codec::encode(&message)
+        };
         (frame, receipt)
     }
 }

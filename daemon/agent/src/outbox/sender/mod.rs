@@ -116,7 +116,7 @@ impl Sender {
                         unanswered = true;
                         welcome.as_mut().reset(Instant::now() + WELCOME_TIMEOUT);
                         self.away = false;
-                        self.machine.connected(self.clock.mono());
+                        self.machine.on_connected(self.clock.mono());
                         connection_state = ConnectionState::Open(connection);
                     }
                     ConnectionEvent::Failed(reason) => {
@@ -179,7 +179,7 @@ impl Sender {
 
     /// Handles the loss of the connection, or a failed attempt.
     fn lost(&mut self) {
-        self.machine.disconnected();
+        self.machine.on_disconnected();
         self.held.clear();
         self.live.reset();
         self.away = true;

@@ -52,28 +52,28 @@ impl Sender {
         let now = self.clock.stamp();
         let notice = match done {
             Done::Appended(Ok(())) => {
-                let notice = self.machine.appended(now);
+                let notice = self.machine.on_appended(now);
                 self.intake.release_runs(&mut self.machine);
                 notice
             }
-            Done::Appended(Err(reason)) => self.machine.append_failed(reason.to_string(), now),
+            Done::Appended(Err(reason)) => self.machine.on_append_failed(reason.to_string(), now),
             Done::Loaded(Ok(loaded)) => {
                 if let Some(what) = loaded.damage {
                     self.reports.damage(what);
                 }
-                self.machine.loaded(loaded.batches, now)
+                self.machine.on_loaded(loaded.batches, now)
             }
-            Done::Loaded(Err(reason)) => self.machine.load_failed(reason.to_string(), now),
+            Done::Loaded(Err(reason)) => self.machine.on_load_failed(reason.to_string(), now),
             Done::Deleted(Ok(())) => {
-                self.machine.deleted();
+                self.machine.on_deleted();
                 None
             }
-            Done::Deleted(Err(reason)) => self.machine.delete_failed(reason.to_string(), now),
+            Done::Deleted(Err(reason)) => self.machine.on_delete_failed(reason.to_string(), now),
             Done::Renewed(Ok(())) => {
-                self.machine.renewed(now);
+                self.machine.on_renewed(now);
                 None
             }
-            Done::Renewed(Err(reason)) => self.machine.renew_failed(reason.to_string(), now),
+            Done::Renewed(Err(reason)) => self.machine.on_renew_failed(reason.to_string(), now),
         };
         if let Some(notice) = notice {
             self.noticed(notice);
@@ -89,7 +89,7 @@ impl Sender {
                 return false;
             }
         };
-        if let Some(notice) = self.machine.received(&message, self.clock.stamp()) {
+        if let Some(notice) = self.machine.on_message(&message, self.clock.stamp()) {
             self.noticed(notice);
         }
         true
@@ -97,7 +97,7 @@ impl Sender {
 
     fn noticed(&mut self, notice: Notice) {
         match notice {
-            Notice::Welcomed { aggregator, stored, lacks } => {
+            Notice::Welcomed { aggregator, stored, has_lost_batches: lacks } => {
                 let welcome = Welcome {
                     stored,
                     lacks,

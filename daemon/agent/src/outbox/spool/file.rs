@@ -282,7 +282,7 @@ impl SpoolFile {
         let since = WallTime::from_unix_nanos(since);
         Ok(match chain(&kept) {
             // A batch after a gap cannot be checked here; the one after it can.
-            Ok(chain) if before.is_none_or(|before| before.then(events, &body) == chain) => {
+            Ok(chain) if before.is_none_or(|before| before.next(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }
             _ => Err(BatchDamage::Changed),

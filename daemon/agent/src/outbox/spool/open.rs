@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::{Chain, HandedInEvents, NewestSentBatch, SpoolState, StreamId, Totals, Usage};
+use peernet_stream::{Chain, NewestSentBatch, SpoolState, StreamId, SubmittedEvents, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
@@ -316,17 +316,17 @@ impl StreamRow {
             before,
             newest,
             since: held.since_ns.map(WallTime::from_unix_nanos),
-            held: Usage { events: held.events.cast_unsigned(), bytes: held.bytes.cast_unsigned() },
+            waiting_usage: Usage { events: held.events.cast_unsigned(), bytes: held.bytes.cast_unsigned() },
             totals: Totals {
                 produced: self.produced.cast_unsigned(),
                 dropped: self.dropped.cast_unsigned(),
                 gaps: self.gaps.cast_unsigned(),
-                told: self.told.cast_unsigned(),
-                handed_in: HandedInEvents::default(),
-                reached: None,
+                reported_drops: self.told.cast_unsigned(),
+                submitted: SubmittedEvents::default(),
+                newest_sent: None,
                 unreported: None,
             },
-            reached,
+            newest_sent: reached,
             unreported: Vec::new(),
             unresolved: None,
         })

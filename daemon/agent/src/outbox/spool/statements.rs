@@ -33,7 +33,7 @@ pub(super) async fn insert(
         .execute(&mut *connection)
         .await?;
     }
-    let settled = counts.then(|| totals.handed_in.settled());
+    let settled = counts.then(|| totals.submitted.settled());
     sqlx::query(
         "UPDATE stream SET produced = ?, dropped = ?, gaps = ?, told = ?, counted = coalesce(?, counted), \
          taken = coalesce(?, taken), counted_ns = coalesce(?, counted_ns) WHERE id = 1",
@@ -41,20 +41,20 @@ pub(super) async fn insert(
     .bind(totals.produced.cast_signed())
     .bind(totals.dropped.cast_signed())
     .bind(totals.gaps.cast_signed())
-    .bind(totals.told.cast_signed())
+    .bind(totals.reported_drops.cast_signed())
     .bind(settled.as_ref().map(|settled| tail::encoded(&settled.events)))
-    .bind(settled.as_ref().map(|settled| settled.taken.cast_signed()))
+    .bind(settled.as_ref().map(|settled| settled.batched.cast_signed()))
     .bind(settled.and_then(|settled| settled.last).map(WallTime::unix_nanos))
     .execute(&mut *connection)
     .await?;
     sqlx::query("DELETE FROM unreported WHERE told_through <= ?")
-        .bind(totals.told.cast_signed())
+        .bind(totals.reported_drops.cast_signed())
         .execute(&mut *connection)
         .await?;
     if let Some(unreported) = &totals.unreported {
-        tail::resolve(connection, totals.told, unreported).await?;
+        tail::resolve(connection, totals.reported_drops, unreported).await?;
     }
-    let Some(reached) = totals.reached else { return Ok(()) };
+    let Some(reached) = totals.newest_sent else { return Ok(()) };
     sqlx::query("INSERT OR REPLACE INTO reached (process, number) VALUES (?, ?)")
         .bind(reached.process.cast_signed())
         .bind(reached.number.cast_signed())

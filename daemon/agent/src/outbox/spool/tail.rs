@@ -2,7 +2,7 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_stream::{Gap, KILLED, RunCounts, SettledEvents, SpoolState, UnresolvedBatches};
+use peernet_stream::{Gap, KILLED_REASON, RunCounts, SettledEvents, SpoolState, UnresolvedBatches};
 use sqlx::{FromRow, SqliteConnection};
 
 use crate::event_queue::counter::{self, CountOwner, EventCounter};
@@ -39,7 +39,7 @@ struct Unreported {
 
 /// Encodes counts for a column.
 pub(super) fn encoded(counts: &RunCounts) -> Vec<u8> {
-    let mut bytes = counts.all.to_be_bytes().to_vec();
+    let mut bytes = counts.total.to_be_bytes().to_vec();
     for (run, events) in &counts.runs {
         bytes.extend(run.as_bytes());
         bytes.extend(events.to_be_bytes());
@@ -49,7 +49,7 @@ pub(super) fn encoded(counts: &RunCounts) -> Vec<u8> {
 
 fn decoded(bytes: &[u8]) -> Option<RunCounts> {
     let (all, runs) = bytes.split_first_chunk()?;
-    let mut counts = RunCounts { all: u64::from_be_bytes(*all), ..RunCounts::default() };
+    let mut counts = RunCounts { total: u64::from_be_bytes(*all), ..RunCounts::default() };
     for entry in runs.chunks_exact(24) {
         let (run, events) = entry.split_first_chunk::<16>()?;
         counts.runs.insert(RunId::from_bytes(*run), u64::from_be_bytes(*events.first_chunk()?));
@@ -90,10 +90,10 @@ pub(super) async fn unresolved(
             counted: counter::read(&row.counter, own)?,
             settled: SettledEvents {
                 events: decoded(&row.counted).unwrap_or_default(),
-                taken: row.taken.cast_unsigned(),
+                batched: row.taken.cast_unsigned(),
                 last: row.counted_ns.map(WallTime::from_unix_nanos),
             },
-            told: row.told.cast_unsigned(),
+            reported_drops: row.told.cast_unsigned(),
             events: row.events.cast_unsigned(),
         })
     }))
@@ -131,7 +131,7 @@ pub(super) async fn begin(
         let events = before.counted.as_deref().and_then(decoded).unwrap_or_default();
         let taken = before.taken.unwrap_or_default().cast_unsigned();
         let last = before.counted_ns.map(WallTime::from_unix_nanos);
-        lost = state.lose_tail(counted, SettledEvents { events, taken, last });
+        lost = state.lose_tail(counted, SettledEvents { events, batched: taken, last });
     }
     let counter = EventCounter::create(own).unwrap_or_else(|error| {
         tracing::warn!(%error, "there is no shared memory to count events in: what is lost when the agent is killed is not reported");
@@ -188,7 +188,7 @@ async fn write(
                  SELECT id, counter, coalesce(counted, ?), coalesce(taken, 0), counted_ns, ?, ? FROM stream",
             )
             .bind(encoded(&RunCounts::default()))
-            .bind(unresolved.told.cast_signed())
+            .bind(unresolved.reported_drops.cast_signed())
             .bind(unresolved.events.cast_signed())
             .execute(&mut *connection)
             .await?;
@@ -201,11 +201,11 @@ async fn write(
     )
     .bind(state.totals.produced.cast_signed())
     .bind(state.totals.dropped.cast_signed())
-    .bind(state.totals.told.cast_signed())
+    .bind(state.totals.reported_drops.cast_signed())
     .bind(counter.name())
     .execute(&mut *connection)
     .await?;
-    write_unreported(connection, state.totals.told, &state.unreported).await
+    write_unreported(connection, state.totals.reported_drops, &state.unreported).await
 }
 
 async fn write_unreported(
@@ -214,13 +214,13 @@ async fn write_unreported(
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
     // Losses that are in the table already were added when they were written.
-    let killed: u64 = unreported.iter().filter(|gap| gap.reason == KILLED).map(|gap| gap.count).sum();
+    let killed: u64 = unreported.iter().filter(|gap| gap.reason == KILLED_REASON).map(|gap| gap.count).sum();
     sqlx::query(
         "UPDATE stream SET lost_when_killed = lost_when_killed + ? - \
          (SELECT coalesce(sum(count), 0) FROM unreported WHERE reason = ?) WHERE id = 1",
     )
     .bind(killed.cast_signed())
-    .bind(KILLED)
+    .bind(KILLED_REASON)
     .execute(&mut *connection)
     .await?;
     sqlx::query("DELETE FROM unreported").execute(&mut *connection).await?;

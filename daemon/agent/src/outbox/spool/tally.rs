@@ -24,7 +24,7 @@ pub(super) fn log_ranges(batches: &[SpooledBatch]) {
 
 /// Returns the iterations of a batch as ranges by run.
 pub(super) fn ranges(batch: &SpooledBatch) -> Vec<(RunId, u64, u64)> {
-    let events = match codec::events(&batch.body, batch.events) {
+    let events = match codec::decode_events(&batch.body, batch.events) {
         Ok(events) => events,
         Err(error) => {
             tracing::debug!(target: TARGET, batch = batch.number, %error, "spooled what cannot be read");

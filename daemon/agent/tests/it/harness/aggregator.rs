@@ -8,7 +8,7 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::HostId;
 use peernet_stream::{
-    Arrival, BatchHead, ClockSample, Event, Gap, Greeting, Hello, Incident, IncidentKind, Iteration,
+    Arrival, BatchHead, ClockSample, Event, Gap, Hello, HelloResult, Incident, IncidentKind, Iteration,
     LiveUpdate, Mark, MissingBatches, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId,
     StreamRecord, ToAgent, ToAggregator, codec,
 };
@@ -178,13 +178,14 @@ async fn serve(
     loop {
         let Ok((peer, message)) = socket.recv_from().await else { return };
         let mut frame = message.part_bytes(0).expect("one frame");
-        if let Some(part) = codec::part(&frame) {
-            let Some(whole) = aggregator_state.receiving.part(&part, aggregator_state.clock.mono()) else {
+        if let Some(part) = codec::decode_part(&frame) {
+            let Some(whole) = aggregator_state.receiving.handle_part(&part, aggregator_state.clock.mono())
+            else {
                 continue;
             };
             frame = whole;
         }
-        let head = codec::batch_head(&frame);
+        let head = codec::decode_batch_head(&frame);
         if let (Some(pause), Some(_)) = (aggregator_state.behaviour.slow, head) {
             tokio::time::sleep(pause).await;
         }
@@ -223,13 +224,13 @@ impl AggregatorState {
                 ToAggregator::Hello(hello) => self.hello(seen, &hello, now),
                 ToAggregator::Proof(proof) => panic!("nobody asked for {proof:?}"),
                 ToAggregator::Live(update) => {
-                    let reply = self.receiving.live(update.host, now);
+                    let reply = self.receiving.handle_live(update.host, now);
                     seen.lives.push(update);
                     reply.into_iter().collect()
                 }
-                ToAggregator::Echo { host, bytes } => vec![self.receiving.echo(host, bytes, now)],
+                ToAggregator::Echo { host, bytes } => vec![self.receiving.handle_echo(host, bytes, now)],
                 ToAggregator::Goodbye(host) => {
-                    self.receiving.goodbye(host);
+                    self.receiving.handle_goodbye(host);
                     seen.goodbyes.push(host);
                     Vec::new()
                 }
@@ -250,8 +251,8 @@ impl AggregatorState {
             previous: hello.previous.and_then(mark_of),
             seniority: None,
         };
-        match self.receiving.hello(hello, known, now) {
-            Greeting::Welcome { reply, missing, replaced, .. } => {
+        match self.receiving.handle_hello(hello, known, now) {
+            HelloResult::Welcome { reply, missing, replaced, .. } => {
                 seen.streams.push(hello.stream);
                 seen.replaced.extend(replaced);
                 let stored = missing.and_then(|missing| {
@@ -260,8 +261,8 @@ impl AggregatorState {
                 });
                 std::iter::once(reply).chain(stored).collect()
             }
-            Greeting::Refused { reply, .. } => vec![reply],
-            Greeting::Wait => Vec::new(),
+            HelloResult::Refused { reply, .. } => vec![reply],
+            HelloResult::Wait => Vec::new(),
         }
     }
 
@@ -272,17 +273,17 @@ impl AggregatorState {
         frame: &Bytes,
         now: MonoTime,
     ) -> Vec<ToAgent> {
-        let body = codec::batch_body(Bytes::clone(frame)).expect("whole");
-        match self.receiving.batch(&head, true, now) {
+        let body = codec::decode_batch_body(Bytes::clone(frame)).expect("whole");
+        match self.receiving.handle_batch(&head, true, now) {
             Arrival::Accept => {
-                seen.events.extend(codec::events(&body, head.events).expect("events"));
+                seen.events.extend(codec::decode_events(&body, head.events).expect("events"));
                 self.store(seen, head.stream, head.into()).into_iter().collect()
             }
             Arrival::Duplicate(reply) => {
                 seen.repeated += 1;
                 vec![reply]
             }
-            Arrival::Hole(reply) => reply.into_iter().collect(),
+            Arrival::Rejected(reply) => reply.into_iter().collect(),
             Arrival::Unknown(reply) => vec![reply],
             Arrival::Pending | Arrival::AcceptDamaged => panic!("all is whole and stored at once"),
         }
@@ -290,6 +291,6 @@ impl AggregatorState {
 
     fn store(&mut self, seen: &mut ReceivedEvents, stream: StreamId, mark: Mark) -> Option<ToAgent> {
         seen.marks.insert(stream, mark);
-        self.receiving.stored(stream, mark).map(|(_, reply)| reply)
+        self.receiving.handle_stored(stream, mark).map(|(_, reply)| reply)
     }
 }

@@ -42,7 +42,7 @@ async fn spooled(file: &Path) -> Vec<Event> {
         .await
         .expect("reads");
     connection.close().await.expect("closes");
-    let events = |(events, body): &(u32, Vec<u8>)| codec::events(body, *events).expect("events");
+    let events = |(events, body): &(u32, Vec<u8>)| codec::decode_events(body, *events).expect("events");
     rows.iter().flat_map(events).collect()
 }
 

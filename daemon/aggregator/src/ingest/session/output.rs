@@ -1,4 +1,4 @@
-//! The outputs of the session: replies to connections, events for the live picture, and counts of rejected messages.
+//! The outputs of the session: replies to connections, events for the live state, and counts of rejected messages.
 
 use peernet_logger::HostId;
 use peernet_networks::ConnectionId;
@@ -9,7 +9,7 @@ use crate::live::LiveEvent;
 /// Numbers of rejected messages since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct RejectedCounts {
-    /// Batches and greetings without room. Batches are requested again; agents repeat greetings.
+    /// Batches and hellos that did not fit into the queue. Batches are requested again; agents repeat hellos.
     pub(crate) deferred: u64,
     /// Batches that do not match their hash; they are requested again.
     pub(crate) damaged: u64,
@@ -33,17 +33,17 @@ impl SessionOutput {
         self.replies.push((to, message));
     }
 
-    /// Adds an event for the live picture.
+    /// Adds an event for the live state.
     pub(super) fn announce(&mut self, event: LiveEvent) {
         self.live_events.push(event);
     }
 
-    /// Counts a greeting without room.
+    /// Counts a hello that did not fit into the queue.
     pub(super) const fn defer_greeting(&mut self) {
         self.rejected.deferred += 1;
     }
 
-    /// Counts a batch without room.
+    /// Counts a batch that did not fit into the queue.
     pub(super) fn defer_batch(&mut self, host: HostId) {
         self.rejected.deferred += 1;
         self.announce(LiveEvent::Deferred(host));
@@ -73,7 +73,7 @@ impl SessionOutput {
         std::mem::take(&mut self.replies)
     }
 
-    /// Returns and clears the events for the live picture.
+    /// Returns and clears the events for the live state.
     pub(super) fn take_live_events(&mut self) -> Vec<LiveEvent> {
         std::mem::take(&mut self.live_events)
     }

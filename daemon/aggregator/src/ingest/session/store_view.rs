@@ -6,7 +6,7 @@ use peernet_logger::{HostId, RunId};
 use peernet_store::writing::Streams;
 
 /// Largest number of runs that wait for their names from the live lane.
-const MOST_UNNAMED: usize = 1_024;
+const MAX_UNNAMED_RUNS: usize = 1_024;
 
 /// The streams and unnamed runs of the database.
 #[derive(Debug)]
@@ -45,13 +45,13 @@ impl StoreView {
     }
 
     /// Records that the run was named.
-    pub(super) fn named(&mut self, host: HostId, run: RunId) {
+    pub(super) fn record_name(&mut self, host: HostId, run: RunId) {
         self.unnamed.remove(&(host, run));
     }
 
-    /// Adds runs of which the database has iterations only; those beyond `MOST_UNNAMED` are ignored.
+    /// Adds runs of which the database has iterations only; those beyond `MAX_UNNAMED_RUNS` are ignored.
     pub(super) fn add_unnamed(&mut self, runs: impl IntoIterator<Item = (HostId, RunId)>) {
-        let room = MOST_UNNAMED.saturating_sub(self.unnamed.len());
-        self.unnamed.extend(runs.into_iter().take(room));
+        let free = MAX_UNNAMED_RUNS.saturating_sub(self.unnamed.len());
+        self.unnamed.extend(runs.into_iter().take(free));
     }
 }

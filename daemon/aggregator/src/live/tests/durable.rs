@@ -1,4 +1,4 @@
-//! Tests of the durable lane's effect on the picture: it changes counts only.
+//! Tests of the durable lane's effect on the live state: it changes counts only.
 
 use super::*;
 use crate::live_state::{Arrivals, Totals};
@@ -32,7 +32,7 @@ fn figures(testbed: &mut Testbed, backlog: bool) -> LiveState {
         let event = update(testbed.host, wall(at), vec![pipeline("line", vec![second])]);
         testbed.live.apply(with(event, accounting), now(at));
     }
-    testbed.picture(9.8)
+    testbed.snapshot(9.8)
 }
 
 #[test]
@@ -42,8 +42,8 @@ fn backlog_changes_no_figure_of_picture() {
     busy.live = LiveTracker::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
     busy.live.apply(LiveEvent::Hello(Box::new(description(busy.host, "edge")), 1), now(0.0));
     let (calm, busy) = (figures(&mut calm, false), figures(&mut busy, true));
-    let text = |picture: &LiveState| {
-        serde_json::to_string(&(&picture.pipelines, &picture.links)).expect("plain data")
+    let text = |snapshot: &LiveState| {
+        serde_json::to_string(&(&snapshot.pipelines, &snapshot.links)).expect("plain data")
     };
     assert_eq!(text(&calm), text(&busy));
     assert_eq!((calm.hosts[0].behind, calm.hosts[0].catching_up), (None, None));
@@ -63,38 +63,38 @@ fn totals_hold_hosts_that_left_and_never_fall() {
     let stored =
         |events| Stored { events, nodes: 10 * events, quarantined: events / 100, ..Stored::default() };
     testbed.live.apply(LiveEvent::Stored(gone, stored(100), None), now(0.0));
-    assert_eq!(testbed.live.picture(now(0.0)).absent, 1, "it is known, and nothing was heard of it");
+    assert_eq!(testbed.live.snapshot(now(0.0)).absent, 1, "it is known, and nothing was heard of it");
     testbed.live.apply(LiveEvent::Hello(Box::new(description(gone, "gone")), 1), now(0.0));
-    assert_eq!(testbed.live.picture(now(0.0)).absent, 0);
+    assert_eq!(testbed.live.snapshot(now(0.0)).absent, 0);
     testbed.live.apply(LiveEvent::Hello(Box::new(description(stranger, "stranger")), 1), now(0.0));
     testbed.live.apply(LiveEvent::Stored(gone, stored(150), None), now(1.0));
     testbed.live.apply(LiveEvent::Damaged(testbed.host), now(1.0));
     testbed.send(3_500.0, vec![]);
-    testbed.live.age(now(3_601.0));
-    let picture = testbed.picture(3_601.0);
-    assert_eq!((picture.hosts.len(), picture.absent), (1, 1), "the others left the picture, one is known");
+    testbed.live.expire(now(3_601.0));
+    let snapshot = testbed.snapshot(3_601.0);
+    assert_eq!((snapshot.hosts.len(), snapshot.absent), (1, 1), "the others left the picture, one is known");
     let expected = |events, damaged| Totals {
         stored: Stored { quarantined: 1, ..stored(events) },
         arrivals: Arrivals { deferred: 0, damaged },
         ..Totals::default()
     };
-    assert_eq!(picture.totals, expected(150, 1));
-    assert_eq!(picture.hosts[0].arrivals.damaged, 1);
+    assert_eq!(snapshot.totals, expected(150, 1));
+    assert_eq!(snapshot.hosts[0].arrivals.damaged, 1);
     // The host returns; the counts stored before are not added again.
     testbed.live.apply(LiveEvent::Hello(Box::new(description(gone, "gone")), 1), now(3_602.0));
     testbed.live.apply(LiveEvent::Stored(gone, stored(160), None), now(3_602.0));
-    let picture = testbed.picture(3_602.0);
-    assert_eq!(picture.totals, expected(160, 1));
-    assert_eq!(picture.hosts.iter().map(|host| host.stored.events).max(), Some(160));
+    let snapshot = testbed.snapshot(3_602.0);
+    assert_eq!(snapshot.totals, expected(160, 1));
+    assert_eq!(snapshot.hosts.iter().map(|host| host.stored.events).max(), Some(160));
 }
 
 #[test]
 fn disconnected_host_has_no_catching_up_rate() {
     let mut testbed = Testbed::new();
     figures(&mut testbed, true);
-    assert!(testbed.picture(9.8).hosts[0].catching_up.is_some());
+    assert!(testbed.snapshot(9.8).hosts[0].catching_up.is_some());
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(9.9));
-    let picture = testbed.picture(9.9);
-    assert_eq!(picture.hosts[0].catching_up, None);
-    assert!(picture.hosts[0].behind.is_some(), "what it last told stays");
+    let snapshot = testbed.snapshot(9.9);
+    assert_eq!(snapshot.hosts[0].catching_up, None);
+    assert!(snapshot.hosts[0].behind.is_some(), "what it last told stays");
 }

@@ -1,4 +1,4 @@
-//! Tests of a stopping host: the picture is the same in whatever order the last events arrive.
+//! Tests of a stopping host: the live state is the same in whatever order the last events arrive.
 
 use super::*;
 
@@ -11,8 +11,8 @@ fn update_in_state(testbed: &Testbed, at: f64, state: PipelineState, waiting: u6
 
 /// Returns whether the host is connected, whether it left in order, and the state of its only pipeline.
 fn standing(testbed: &mut Testbed, at: f64) -> (bool, bool, PipelineState) {
-    let picture = testbed.picture(at);
-    (picture.hosts[0].connected, picture.hosts[0].left, picture.pipelines[0].state.clone())
+    let snapshot = testbed.snapshot(at);
+    (snapshot.hosts[0].connected, snapshot.hosts[0].has_left, snapshot.pipelines[0].state.clone())
 }
 
 /// [`standing`] of a host that stopped in order.
@@ -34,9 +34,9 @@ fn host_after_goodbye_is_not_away_before_last_commit() {
             assert!(testbed.live.apply(event, now(1.2)));
         }
         assert_eq!(standing(&mut testbed, 1.2), GONE_WELL);
-        testbed.live.age(now(60.0));
+        testbed.live.expire(now(60.0));
         assert_eq!(standing(&mut testbed, 60.0), GONE_WELL, "time does not make it away");
-        let host = &testbed.picture(60.0).hosts[0];
+        let host = &testbed.snapshot(60.0).hosts[0];
         assert_eq!((host.accounting.waiting, host.behind), (0, None));
     }
 }
@@ -47,13 +47,13 @@ fn goodbye_finishes_pipelines_also_after_silence() {
         let mut testbed = Testbed::new();
         testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Running, 0), now(1.0));
         if silent {
-            testbed.live.age(now(9.0));
+            testbed.live.expire(now(9.0));
             assert_eq!(standing(&mut testbed, 9.0), AWAY);
         }
         testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(10.0));
         assert_eq!(standing(&mut testbed, 10.0), GONE_WELL);
         if !silent {
-            testbed.live.age(now(19.0));
+            testbed.live.expire(now(19.0));
             assert_eq!(standing(&mut testbed, 19.0), GONE_WELL);
         }
     }

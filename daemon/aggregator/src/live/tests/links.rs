@@ -1,10 +1,10 @@
-//! Tests of links in the picture: bounded, with the edge's clock, kept while the edge is disconnected.
+//! Tests of links in the live state: bounded, with the edge's clock, kept while the edge is disconnected.
 
 use peernet_clock::{ClockFaultStep, ClockFaults, DelaySource, ExchangeCounts, Interval, Offset, Verdict};
 use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, NetworkName, ProbeCounts, Probing};
 
 use super::*;
-use crate::live::MOST_LINKS;
+use crate::live::MAX_HOST_LINKS;
 use crate::live_state::LinkSnapshot;
 
 /// Returns a report of the second that ends `ends` seconds after the start.
@@ -60,13 +60,13 @@ fn repeated_report_replaces_point_and_history_is_bounded() {
             report(&mut testbed, at, vec![link(cloud, "cloud", f64::from(second) + 1.0, lost)]);
         }
     }
-    let picture = testbed.picture(699.9);
-    let [shown] = &picture.links[..] else { panic!("one link") };
+    let snapshot = testbed.snapshot(699.9);
+    let [shown] = &snapshot.links[..] else { panic!("one link") };
     assert_eq!((shown.edge, shown.edge_name.as_str(), shown.connected), (testbed.host, "edge", true));
     assert_eq!((shown.last_seen, shown.live.now.at), (wall(699.9), wall(700.0)));
     let history = seconds(shown);
     assert_eq!((history.len(), history[0], history[599]), (600, (101, 1), (700, 1)));
-    assert_eq!(picture.hosts[0].live_left_out, 0);
+    assert_eq!(snapshot.hosts[0].live_left_out, 0);
 }
 
 #[test]
@@ -74,22 +74,22 @@ fn links_are_disconnected_with_edge_or_when_unreported() {
     let mut testbed = Testbed::new();
     let (one, two) = (HostId::random(), HostId::random());
     report(&mut testbed, 0.5, vec![link(two, "b", 1.0, 0), link(one, "a", 1.0, 0)]);
-    let names = |picture: &LiveState| {
+    let names = |snapshot: &LiveState| {
         let name = |link: &Arc<LinkSnapshot>| (link.live.peer_name.to_string(), link.connected);
-        picture.links.iter().map(name).collect::<Vec<_>>()
+        snapshot.links.iter().map(name).collect::<Vec<_>>()
     };
-    assert_eq!(names(&testbed.picture(0.6)), [("a".to_owned(), true), ("b".to_owned(), true)]);
+    assert_eq!(names(&testbed.snapshot(0.6)), [("a".to_owned(), true), ("b".to_owned(), true)]);
     report(&mut testbed, 1.5, vec![link(one, "a", 2.0, 0)]);
-    assert_eq!(names(&testbed.picture(1.6)), [("a".to_owned(), true), ("b".to_owned(), false)]);
-    assert!(testbed.live.age(now(6.0)));
-    assert_eq!(names(&testbed.picture(6.0)), [("a".to_owned(), false), ("b".to_owned(), false)]);
+    assert_eq!(names(&testbed.snapshot(1.6)), [("a".to_owned(), true), ("b".to_owned(), false)]);
+    assert!(testbed.live.expire(now(6.0)));
+    assert_eq!(names(&testbed.snapshot(6.0)), [("a".to_owned(), false), ("b".to_owned(), false)]);
     report(&mut testbed, 7.5, vec![link(one, "c", 8.0, 0), link(two, "b", 8.0, 0)]);
-    assert_eq!(names(&testbed.picture(7.6)), [("b".to_owned(), true), ("c".to_owned(), true)]);
-    assert_eq!(seconds(&testbed.picture(7.6).links[1]), [(1, 0), (2, 0), (8, 0)]);
+    assert_eq!(names(&testbed.snapshot(7.6)), [("b".to_owned(), true), ("c".to_owned(), true)]);
+    assert_eq!(seconds(&testbed.snapshot(7.6).links[1]), [(1, 0), (2, 0), (8, 0)]);
     assert!(testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(8.0)));
-    assert!(testbed.picture(8.0).links.iter().all(|link| !link.connected));
-    testbed.live.age(now(3_700.0));
-    assert!(testbed.picture(3_700.0).links.is_empty(), "forgotten after a long absence");
+    assert!(testbed.snapshot(8.0).links.iter().all(|link| !link.connected));
+    testbed.live.expire(now(3_700.0));
+    assert!(testbed.snapshot(3_700.0).links.is_empty(), "forgotten after a long absence");
 }
 
 #[test]
@@ -103,7 +103,7 @@ fn clock_set_back_keeps_earlier_link_history() {
     let LiveEvent::Update(mut event) = update(testbed.host, wall(5.5), vec![]) else { panic!("an update") };
     event.links = vec![link(cloud, "cloud", 6.0, 9)];
     testbed.live.apply(LiveEvent::Update(event), now(10.5));
-    let history = seconds(&testbed.picture(10.5).links[0]);
+    let history = seconds(&testbed.snapshot(10.5).links[0]);
     assert_eq!(history, [(1, 0), (2, 0), (3, 0), (4, 0), (5, 0), (6, 9)]);
 }
 
@@ -118,8 +118,8 @@ fn two_networks_of_one_pair_are_two_links() {
     };
     report(&mut testbed, 0.5, vec![over("zmq-udp", 3), over("zmq-tcp", 1)]);
     report(&mut testbed, 0.6, vec![over("zmq-udp", 4)]);
-    let picture = testbed.picture(0.6);
-    let shown = picture.links.iter().map(|link| {
+    let snapshot = testbed.snapshot(0.6);
+    let shown = snapshot.links.iter().map(|link| {
         (link.live.network().to_string(), link.live.peer, link.live.now.probes.lost, link.connected)
     });
     let expected = [("zmq-tcp".to_owned(), cloud, 1, false), ("zmq-udp".to_owned(), cloud, 4, true)];
@@ -147,14 +147,14 @@ fn excess_links_and_texts_are_cut_and_counted() {
     let LiveEvent::Update(mut event) = update(testbed.host, wall(0.5), vec![]) else { panic!("an update") };
     (event.links, event.clock) = (links, clock);
     testbed.live.apply(LiveEvent::Update(event), now(0.5));
-    let picture = testbed.picture(0.5);
-    assert_eq!(picture.links.len(), MOST_LINKS);
-    let shown = picture.links.iter().find(|link| link.live.peer == peer).expect("the first");
+    let snapshot = testbed.snapshot(0.5);
+    assert_eq!(snapshot.links.len(), MAX_HOST_LINKS);
+    let shown = snapshot.links.iter().find(|link| link.live.peer == peer).expect("the first");
     assert!(serde_json::to_string(&**shown).expect("serialises").len() < 64 * 1024);
     assert_eq!((shown.live.networks.len(), shown.live.pipelines.len()), (32, 32));
-    assert!(picture.hosts[0].clock.text.len() <= 512 && picture.hosts[0].clock.text.starts_with('ä'));
-    let left_out = 1_000 - MOST_LINKS as u64 + 5 * (1_000 - 32);
-    assert_eq!(picture.hosts[0].live_left_out, left_out);
+    assert!(snapshot.hosts[0].clock.text.len() <= 512 && snapshot.hosts[0].clock.text.starts_with('ä'));
+    let left_out = 1_000 - MAX_HOST_LINKS as u64 + 5 * (1_000 - 32);
+    assert_eq!(snapshot.hosts[0].live_left_out, left_out);
 }
 
 #[test]
@@ -189,14 +189,14 @@ fn impossible_clock_values_are_not_shown() {
     });
     links.extend([turned, crowded]);
     report(&mut testbed, 0.5, links);
-    let picture = testbed.picture(0.5);
+    let snapshot = testbed.snapshot(0.5);
     let shown = |name: &str| {
-        picture.links.iter().filter(|link| link.live.peer_name.as_str() == name).cloned().collect::<Vec<_>>()
+        snapshot.links.iter().filter(|link| link.live.peer_name.as_str() == name).cloned().collect::<Vec<_>>()
     };
     assert!(shown("cloud").iter().all(|link| link.history.is_empty()) && shown("cloud").len() == 3);
     let point = &shown("turned")[0].history[0];
     assert_eq!((&point.offset, point.up.expect("judged").median), (&None, None));
     let offset = shown("crowded")[0].live.now.offset.clone().expect("known");
     assert_eq!((offset.sources.len(), offset.skew_ppm), (1, None));
-    assert_eq!(picture.hosts[0].live_left_out, 5);
+    assert_eq!(snapshot.hosts[0].live_left_out, 5);
 }

@@ -1,4 +1,4 @@
-//! Tests of the picture: its figures compared with exact values, under clocks that jump and agents that send invalid
+//! Tests of the live state: its figures compared with exact values, under clocks that jump and agents that send invalid
 //! data.
 
 mod durable;
@@ -17,7 +17,7 @@ use peernet_stream::{
 };
 use proptest::prelude::*;
 
-use super::{LiveEvent, LiveTracker, MOST_NAMES, MOST_PIPELINES, MOST_RUNS};
+use super::{LiveEvent, LiveTracker, MAX_HOST_PIPELINES, MAX_NAMES, MAX_RUN_NUMBERS};
 use crate::live_state::{LiveState, RefusedFrames, RefusedHost};
 use peernet_store::Stored;
 
@@ -124,8 +124,8 @@ impl Testbed {
         assert!(self.live.apply(event, now(at)));
     }
 
-    fn picture(&mut self, at: f64) -> LiveState {
-        self.live.picture(now(at))
+    fn snapshot(&mut self, at: f64) -> LiveState {
+        self.live.snapshot(now(at))
     }
 }
 
@@ -143,8 +143,8 @@ proptest! {
             testbed.send(at as f64 + under_way, vec![second(at as i64, totals, 1)]);
         }
         let end = totals.len() - 1;
-        let picture = testbed.picture(end as f64 + under_way);
-        for (window, seconds) in picture.pipelines[0].windows.iter().zip([1, 10, 60]) {
+        let snapshot = testbed.snapshot(end as f64 + under_way);
+        for (window, seconds) in snapshot.pipelines[0].windows.iter().zip([1, 10, 60]) {
             let within = &totals[end.saturating_sub(seconds)..];
             let mut exact: Vec<f64> = within.iter().flatten().copied().collect();
             exact.sort_by(f64::total_cmp);
@@ -180,11 +180,11 @@ fn late_and_unanswered_iterations_miss_their_deadline() {
         second
     };
     testbed.send(0.9, vec![second(0, &[0.1; 4], 1)]);
-    assert_eq!(testbed.picture(0.9).pipelines[0].windows[0].miss_rate, None, "without a deadline");
+    assert_eq!(testbed.snapshot(0.9).pipelines[0].windows[0].miss_rate, None, "without a deadline");
     testbed.send(9.9, vec![missed(9, &[0.1; 3], 0, &[0.0, 1.0, 0.0])]);
     testbed.send(10.5, vec![missed(10, &[], 3, &[])]);
     let rates = |testbed: &mut Testbed, at| {
-        testbed.picture(at).pipelines[0].windows.each_ref().map(|window| window.miss_rate)
+        testbed.snapshot(at).pipelines[0].windows.each_ref().map(|window| window.miss_rate)
     };
     assert_eq!(rates(&mut testbed, 10.5)[0], Some(4.0 / 6.0));
     testbed.send(12.5, vec![missed(12, &[], 2, &[])]);
@@ -197,32 +197,32 @@ fn series_covers_ten_minutes() {
     for at in 0..700 {
         testbed.send(at as f64 + 0.9, vec![second(at, &[0.25, 0.75], 0)]);
     }
-    let picture = testbed.picture(699.9);
-    let series = &picture.pipelines[0].series;
+    let snapshot = testbed.snapshot(699.9);
+    let series = &snapshot.pipelines[0].series;
     assert_eq!((series.len(), series[0].at, series[599].at), (600, START + 100, START + 699));
     assert_eq!(series[0].means, [(stage::UPLOAD, 0.5), (stage::TOTAL, 0.5)]);
-    assert_eq!(picture.hosts[0].history.len(), 120);
+    assert_eq!(snapshot.hosts[0].history.len(), 120);
 }
 
 #[test]
 fn silent_pipeline_empties_windows_and_disconnects_host() {
     let mut testbed = Testbed::new();
     testbed.send(0.5, vec![second(0, &[0.010; 100], 0)]);
-    assert_eq!(testbed.picture(0.6).pipelines[0].windows[0].counts.ok, 100);
-    assert!(testbed.live.age(now(5.0)));
-    let picture = testbed.picture(5.0);
-    let windows = &picture.pipelines[0].windows;
+    assert_eq!(testbed.snapshot(0.6).pipelines[0].windows[0].counts.ok, 100);
+    assert!(testbed.live.expire(now(5.0)));
+    let snapshot = testbed.snapshot(5.0);
+    let windows = &snapshot.pipelines[0].windows;
     assert_eq!(windows.each_ref().map(|window| window.counts.ok), [0, 100, 100]);
     assert!(windows[0].lost_fraction.is_none() && windows[0].rate_hz == 0.0);
-    assert!(!picture.hosts[0].connected);
-    assert_eq!(picture.pipelines[0].state, PipelineState::Away, "not claimed to be running");
-    assert_eq!(picture.hosts[0].last_seen, wall(0.5));
-    assert!(testbed.live.age(now(100.0)));
-    assert_eq!(testbed.picture(100.0).pipelines[0].windows[2].counts.ok, 0);
-    assert!(!testbed.live.age(now(101.0)), "nothing changes any more");
-    assert_eq!((testbed.picture(101.0).hosts.len(), testbed.picture(101.0).pipelines.len()), (1, 1));
-    assert!(testbed.live.age(now(3_700.0)));
-    assert!(testbed.picture(3_700.0).hosts.is_empty(), "forgotten after a long absence");
+    assert!(!snapshot.hosts[0].connected);
+    assert_eq!(snapshot.pipelines[0].state, PipelineState::Away, "not claimed to be running");
+    assert_eq!(snapshot.hosts[0].last_seen, wall(0.5));
+    assert!(testbed.live.expire(now(100.0)));
+    assert_eq!(testbed.snapshot(100.0).pipelines[0].windows[2].counts.ok, 0);
+    assert!(!testbed.live.expire(now(101.0)), "nothing changes any more");
+    assert_eq!((testbed.snapshot(101.0).hosts.len(), testbed.snapshot(101.0).pipelines.len()), (1, 1));
+    assert!(testbed.live.expire(now(3_700.0)));
+    assert!(testbed.snapshot(3_700.0).hosts.is_empty(), "forgotten after a long absence");
 }
 
 #[test]
@@ -236,14 +236,14 @@ fn windows_follow_wrong_and_stepped_agent_clock() {
     for at in 0..5 {
         testbed.live.apply(update(host, sent(at as f64 + 0.5), line(ahead + at)), now(at as f64 + 0.5));
     }
-    let picture = testbed.picture(4.6);
-    assert_eq!(picture.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
-    assert_eq!(picture.hosts[0].clock_ahead, Span::from_seconds(ahead));
+    let snapshot = testbed.snapshot(4.6);
+    assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
+    assert_eq!(snapshot.hosts[0].clock_ahead, Span::from_seconds(ahead));
     // The clock is set back to the right time: later seconds are discarded, and new ones are shown at once.
     testbed.live.apply(update(host, wall(6.5), line(6)), now(6.5));
-    let picture = testbed.picture(6.5);
-    assert_eq!(picture.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [5, 5, 5]);
-    assert_eq!(picture.pipelines[0].series.len(), 1);
+    let snapshot = testbed.snapshot(6.5);
+    assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [5, 5, 5]);
+    assert_eq!(snapshot.pipelines[0].series.len(), 1);
 }
 
 #[test]
@@ -258,8 +258,8 @@ fn clock_set_back_does_not_count_seconds_twice() {
         let line = vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
         testbed.live.apply(update(host, wall(at as f64 + 0.5), line), now(at as f64 + 5.5));
     }
-    let picture = testbed.picture(21.6);
-    let pipeline = &picture.pipelines[0];
+    let snapshot = testbed.snapshot(21.6);
+    let pipeline = &snapshot.pipelines[0];
     assert_eq!(pipeline.series.iter().map(|second| second.at).max(), Some(START + 16));
     assert_eq!(pipeline.windows.each_ref().map(|window| window.counts.ok), [10, 55, 85]);
     assert_eq!(pipeline.series.len(), 17, "what was before that time stays");
@@ -275,9 +275,9 @@ fn impossible_seconds_are_discarded_and_counted() {
             .map(|at| second(at, &[0.5], 0))
             .into(),
     );
-    let picture = testbed.picture(1_000.6);
-    assert_eq!(picture.pipelines[0].windows[2].counts.ok, 5);
-    assert_eq!((picture.pipelines[0].series.len(), picture.hosts[0].live_left_out), (1, 4));
+    let snapshot = testbed.snapshot(1_000.6);
+    assert_eq!(snapshot.pipelines[0].windows[2].counts.ok, 5);
+    assert_eq!((snapshot.pipelines[0].series.len(), snapshot.hosts[0].live_left_out), (1, 4));
 }
 
 #[test]
@@ -288,11 +288,11 @@ fn excess_pipelines_and_names_are_cut_and_counted() {
     let mut pipelines = vec![pipeline("wide", vec![wide])];
     pipelines.extend((0..1_000).map(|n| pipeline(&format!("p{n}"), vec![])));
     testbed.live.apply(update(testbed.host, wall(0.5), pipelines), now(0.5));
-    let picture = testbed.picture(0.5);
-    assert_eq!(picture.pipelines.len(), MOST_PIPELINES);
-    let wide = picture.pipelines.iter().find(|known| known.pipeline.as_str() == "wide").expect("first");
-    assert_eq!(wide.windows[0].values.len(), MOST_NAMES);
-    assert_eq!(picture.hosts[0].live_left_out, 1_000 - MOST_NAMES as u64 + 1_001 - MOST_PIPELINES as u64);
+    let snapshot = testbed.snapshot(0.5);
+    assert_eq!(snapshot.pipelines.len(), MAX_HOST_PIPELINES);
+    let wide = snapshot.pipelines.iter().find(|known| known.pipeline.as_str() == "wide").expect("first");
+    assert_eq!(wide.windows[0].values.len(), MAX_NAMES);
+    assert_eq!(snapshot.hosts[0].live_left_out, 1_000 - MAX_NAMES as u64 + 1_001 - MAX_HOST_PIPELINES as u64);
 }
 
 #[test]
@@ -302,9 +302,9 @@ fn unchanged_snapshots_are_shared() {
     testbed.live.apply(LiveEvent::Hello(Box::new(description(other, "other")), 1), now(0.0));
     testbed.live.apply(update(other, wall(0.1), vec![pipeline("quiet", vec![])]), now(0.1));
     testbed.send(0.2, vec![second(0, &[0.010], 0)]);
-    let first = testbed.picture(0.3);
+    let first = testbed.snapshot(0.3);
     testbed.send(0.4, vec![second(0, &[0.010, 0.020], 0)]);
-    let second = testbed.picture(0.5);
+    let second = testbed.snapshot(0.5);
     assert!(
         Arc::ptr_eq(&first.pipelines[1], &second.pipelines[1])
             && Arc::ptr_eq(&first.hosts[1], &second.hosts[1])
@@ -319,16 +319,16 @@ fn a_run_gets_its_number_when_the_store_knows_it() {
     let mut line = pipeline("line", vec![]);
     line.run = Some(run);
     testbed.live.apply(update(testbed.host, wall(0.1), vec![line.clone()]), now(0.1));
-    assert_eq!(testbed.picture(0.1).pipelines[0].run_number, None);
+    assert_eq!(testbed.snapshot(0.1).pipelines[0].run_number, None);
     testbed.live.apply(LiveEvent::Run(testbed.host, run, 412), now(0.2));
-    assert_eq!(testbed.picture(0.2).pipelines[0].run_number, Some(412));
+    assert_eq!(testbed.snapshot(0.2).pipelines[0].run_number, Some(412));
     // Run numbers beyond the limit are discarded; the number of a shown run is kept.
-    for number in 0..MOST_RUNS as i64 {
+    for number in 0..MAX_RUN_NUMBERS as i64 {
         testbed.live.apply(LiveEvent::Run(testbed.host, RunId::random(), number), now(0.3));
     }
     testbed.live.apply(update(testbed.host, wall(0.4), vec![line]), now(0.4));
-    assert_eq!(testbed.picture(0.4).pipelines[0].run_number, Some(412));
-    assert!(testbed.live.numbers.len() <= MOST_RUNS);
+    assert_eq!(testbed.snapshot(0.4).pipelines[0].run_number, Some(412));
+    assert!(testbed.live.numbers.len() <= MAX_RUN_NUMBERS);
 }
 
 #[test]
@@ -346,17 +346,17 @@ fn counts_of_host_and_database_are_shown() {
     let stored = Stored { events: 4, nodes: 80, ..Stored::default() };
     testbed.live.apply(LiveEvent::Stored(testbed.host, stored, Some(wall(12.0))), now(30.1));
     testbed.live.apply(LiveEvent::Duplicate(testbed.host), now(30.2));
-    let picture = testbed.picture(30.2);
-    assert_eq!(picture.hosts[0].behind, Some(Span::from_seconds(18)));
-    assert_eq!(picture.hosts[0].newest_stored, Some(wall(12.0)));
-    assert_eq!(picture.hosts[0].stored, Stored { duplicates: 1, ..stored });
+    let snapshot = testbed.snapshot(30.2);
+    assert_eq!(snapshot.hosts[0].behind, Some(Span::from_seconds(18)));
+    assert_eq!(snapshot.hosts[0].newest_stored, Some(wall(12.0)));
+    assert_eq!(snapshot.hosts[0].stored, Stored { duplicates: 1, ..stored });
     let cut = Some("é".repeat(256));
-    assert_eq!(picture.hosts[0].accounting, Accounting { trouble: cut, ..accounting });
+    assert_eq!(snapshot.hosts[0].accounting, Accounting { trouble: cut, ..accounting });
     let idle = Accounting { waiting: 0, ..accounting };
     testbed.live.apply(with(update(testbed.host, wall(30.5), vec![]), idle), now(30.5));
-    assert_eq!(testbed.picture(30.5).hosts[0].behind, None, "nothing waits");
+    assert_eq!(testbed.snapshot(30.5).hosts[0].behind, None, "nothing waits");
     assert!(testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(31.0)));
-    assert!(!testbed.picture(31.0).hosts[0].connected);
+    assert!(!testbed.snapshot(31.0).hosts[0].connected);
 }
 
 #[test]
@@ -367,14 +367,18 @@ fn restarted_host_is_connected_from_first_update() {
     testbed.live.apply(with(first, account(10)), now(1.0));
     let mut hello = |process, at| {
         testbed.live.apply(LiveEvent::Hello(Box::new(description(testbed.host, "edge")), process), now(at));
-        let picture = testbed.live.picture(now(at));
-        (picture.hosts[0].connected, picture.hosts[0].accounting.produced, picture.pipelines[0].state.clone())
+        let snapshot = testbed.live.snapshot(now(at));
+        (
+            snapshot.hosts[0].connected,
+            snapshot.hosts[0].accounting.produced,
+            snapshot.pipelines[0].state.clone(),
+        )
     };
     // The same process on a new connection, then another process.
     assert_eq!(hello(1, 1.1), (true, 10, PipelineState::Running));
     assert_eq!(hello(2, 1.2), (false, 10, PipelineState::Away));
     testbed.live.apply(with(update(testbed.host, wall(1.3), vec![]), account(12)), now(1.3));
-    let host = &testbed.picture(1.3).hosts[0];
+    let host = &testbed.snapshot(1.3).hosts[0];
     assert_eq!((host.connected, host.accounting.produced), (true, 12));
 }
 
@@ -386,7 +390,7 @@ fn frames_of_unknown_hosts_are_counted() {
         testbed.live.apply(LiveEvent::Stranger, now(0.1))
             && testbed.live.apply(LiveEvent::Stranger, now(0.2))
     );
-    assert_eq!(testbed.picture(0.2).totals.refused, RefusedFrames { unreadable: 1, strangers: 2 });
+    assert_eq!(testbed.snapshot(0.2).totals.refused, RefusedFrames { unreadable: 1, strangers: 2 });
 }
 
 #[test]
@@ -402,11 +406,11 @@ fn refused_host_is_shown_once_for_ten_minutes() {
         testbed.live.apply(LiveEvent::Refused(refused("twin", wall(f64::from(at)))), now(f64::from(at)));
     }
     testbed.live.apply(LiveEvent::Refused(refused("other", wall(60.0))), now(60.0));
-    let picture = testbed.picture(60.0);
-    let shown: Vec<_> = picture.refused.iter().map(|refused| (refused.name.as_str(), refused.at)).collect();
+    let snapshot = testbed.snapshot(60.0);
+    let shown: Vec<_> = snapshot.refused.iter().map(|refused| (refused.name.as_str(), refused.at)).collect();
     assert_eq!(shown, [("other", wall(60.0)), ("twin", wall(49.0))]);
-    assert!(testbed.live.age(now(655.0)));
-    assert_eq!(testbed.picture(655.0).refused.len(), 1);
+    assert!(testbed.live.expire(now(655.0)));
+    assert_eq!(testbed.snapshot(655.0).refused.len(), 1);
 }
 
 #[test]
@@ -417,11 +421,11 @@ fn host_without_stored_events_is_removed_early() {
     assert!(!live.apply(LiveEvent::Stored(known, stored, None), now(0.0)));
     live.apply(LiveEvent::Hello(Box::new(description(known, "known")), 1), now(1.0));
     live.apply(LiveEvent::Hello(Box::new(description(stranger, "stranger")), 1), now(1.0));
-    let picture = live.picture(now(1.0));
-    assert_eq!(picture.hosts.iter().map(|host| host.stored.events).collect::<Vec<_>>(), [7, 0]);
-    live.age(now(600.0));
-    assert_eq!(live.picture(now(600.0)).hosts.len(), 2);
-    assert!(live.age(now(602.0)));
-    let picture = live.picture(now(602.0));
-    assert_eq!(picture.hosts.iter().map(|host| host.id).collect::<Vec<_>>(), [known]);
+    let snapshot = live.snapshot(now(1.0));
+    assert_eq!(snapshot.hosts.iter().map(|host| host.stored.events).collect::<Vec<_>>(), [7, 0]);
+    live.expire(now(600.0));
+    assert_eq!(live.snapshot(now(600.0)).hosts.len(), 2);
+    assert!(live.expire(now(602.0)));
+    let snapshot = live.snapshot(now(602.0));
+    assert_eq!(snapshot.hosts.iter().map(|host| host.id).collect::<Vec<_>>(), [known]);
 }

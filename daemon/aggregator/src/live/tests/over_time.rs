@@ -12,7 +12,7 @@ fn series(seconds: &[Vec<f64>]) -> PercentileSeries {
     for (at, totals) in seconds.iter().enumerate() {
         testbed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
     }
-    testbed.picture(seconds.len() as f64).pipelines[0].total_p95.clone()
+    testbed.snapshot(seconds.len() as f64).pipelines[0].total_p95.clone()
 }
 
 /// Returns the exact 95th percentile.
@@ -65,7 +65,7 @@ fn bucket_under_way_has_a_percentile_from_sixty_iterations_on() {
         testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
     }
     let newest =
-        |testbed: &mut Testbed, at| testbed.picture(at).pipelines[0].total_p95.points.last().copied();
+        |testbed: &mut Testbed, at| testbed.snapshot(at).pipelines[0].total_p95.points.last().copied();
     assert_eq!(
         newest(&mut testbed, 25.0).map(|point| point.at),
         Some(START + 10),
@@ -78,7 +78,7 @@ fn bucket_under_way_has_a_percentile_from_sixty_iterations_on() {
     assert_eq!((point.at, point.count), (START + 20, 64));
     // A repeated report of a second replaces it, also in a bucket that was drawn already.
     testbed.send(28.2, vec![second(12, &[0.050; 8], 0)]);
-    let points = testbed.picture(28.2).pipelines[0].total_p95.points.clone();
+    let points = testbed.snapshot(28.2).pipelines[0].total_p95.points.clone();
     assert_eq!(points[1].count, 80);
     assert!((points[1].p95 - 0.050).abs() < 0.001, "{points:?}");
 }
@@ -92,7 +92,7 @@ fn percentiles_follow_a_clock_that_is_set_back() {
     let host = testbed.host;
     let line = vec![super::pipeline("line", vec![second(15, &[0.010; 8], 0)])];
     testbed.live.apply(super::update(host, super::wall(15.9), line), super::now(40.9));
-    let points = testbed.picture(40.9).pipelines[0].total_p95.points.clone();
+    let points = testbed.snapshot(40.9).pipelines[0].total_p95.points.clone();
     assert_eq!(
         points.iter().map(|point| point.at - START).collect::<Vec<_>>(),
         [0],
@@ -109,7 +109,7 @@ fn pause_of_a_pipeline_does_not_lengthen_its_buckets() {
         let at = if at < 100 { at } else { at + 300 };
         testbed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
     }
-    let found = testbed.picture(500.0).pipelines[0].total_p95.clone();
+    let found = testbed.snapshot(500.0).pipelines[0].total_p95.clone();
     assert_eq!((found.bucket_s, found.points.len()), (Some(10), 20));
 }
 
@@ -131,7 +131,7 @@ fn speed_while_sending_adds_up_bytes_and_times() {
     ];
     let mut testbed = Testbed::new();
     testbed.send(0.99, vec![sent]);
-    let pipeline = &testbed.picture(1.0).pipelines[0];
+    let pipeline = &testbed.snapshot(1.0).pipelines[0];
     let exact = 8.0 * 212_000.0 / 3.76e-3;
     for transfers in [pipeline.windows[1].transfers, pipeline.series[0].transfers] {
         let up = transfers.up.expect("something was sent");
@@ -148,7 +148,7 @@ fn rate_of_a_young_pipeline_is_over_the_time_since_its_begin() {
     for at in 0..5 {
         testbed.send(at as f64 + 0.5, vec![second(at, &[0.010; 8][..if at == 4 { 4 } else { 8 }], 0)]);
     }
-    let windows = &testbed.picture(4.5).pipelines[0].windows;
+    let windows = &testbed.snapshot(4.5).pipelines[0].windows;
     assert_eq!(windows.each_ref().map(|window| window.covered_s), [1.5, 4.5, 4.5]);
     assert_eq!(windows.each_ref().map(|window| window.rate_hz), [8.0; 3]);
 }

@@ -7,9 +7,10 @@ use super::report::{OpenRun, Report, TableRows};
 use crate::column::count;
 
 /// Time of silence after which a host is considered to be no longer measuring.
-const SILENT: Span = Span::from_seconds(3_600);
+const SILENCE_LIMIT: Span = Span::from_seconds(3_600);
 /// Tables that are small enough to be counted.
-const SMALL: [&str; 8] = ["host", "pipeline", "stream", "run", "name", "incident", "gap", "quarantine"];
+const COUNTED_TABLES: [&str; 8] =
+    ["host", "pipeline", "stream", "run", "name", "incident", "gap", "quarantine"];
 
 const STREAMS: &str = "SELECT host.name AS host, stream.uuid AS stream, stream.stored, stream.previous, stream.last_seen_ns \
      FROM stream JOIN host ON host.id = stream.host ORDER BY stream.last_seen_ns DESC LIMIT 1000";
@@ -57,7 +58,7 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
     let answer = sqlx::query_as(ROLLUPS).fetch_all(&mut *connection).await;
     report.rollups = report.value_or_problem("the roll-ups", answer);
     let answer =
-        sqlx::query_as(OPEN_RUNS).bind((now - SILENT).unix_nanos()).fetch_all(&mut *connection).await;
+        sqlx::query_as(OPEN_RUNS).bind((now - SILENCE_LIMIT).unix_nanos()).fetch_all(&mut *connection).await;
     let open: Vec<OpenRun> = report.value_or_problem("the open runs", answer);
     report.open_runs = open;
     let answer = sqlx::query_as(TRIMMED).fetch_all(&mut *connection).await;
@@ -67,7 +68,7 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
     if let Some((at, text)) = deleted {
         report.notice(
             format!("retention {text}, within an hour from {at} UTC"),
-            "nothing, if [aggregator.retention] keeps what is wanted; pin runs that must stay",
+            "no action is needed if this is intended; otherwise change [aggregator.retention], or pin runs that must stay",
         );
     }
     let answer = sqlx::query_scalar(DEBTS).fetch_one(connection).await;
@@ -76,7 +77,7 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
 }
 
 async fn tables(report: &mut Report, connection: &mut SqliteConnection) {
-    for table in SMALL {
+    for table in COUNTED_TABLES {
         let statement = format!("SELECT count(*) FROM {table}");
         let answer = sqlx::query_scalar(AssertSqlSafe(statement)).fetch_one(&mut *connection).await;
         let rows: i64 = report.value_or_problem(&format!("the table {table}"), answer);
@@ -96,36 +97,35 @@ fn judge(report: &mut Report, trimmed: &[(String, i64)], debts: i64) {
     let events = report.gaps.iter().fold(0_i64, |events, group| events.saturating_add(group.events));
     if gaps > 0 {
         report.notice(
-            format!("{gaps} gaps: {events} events or more never arrived"),
-            "the table of gaps says when and why; figures of those times rest on what did arrive",
+            format!("{gaps} gaps: at least {events} events never arrived"),
+            "see the table of gaps for times and reasons; statistics of those times include only events that arrived",
         );
     }
     let quarantined: i64 = report.quarantine.iter().map(|group| group.batches).sum();
     if quarantined > 0 {
         report.notice(
-            format!("{quarantined} batches could not be stored and were put aside (table quarantine)"),
-            "the table of reasons tells whether an agent is of another version or its disk or memory is failing",
+            format!("{quarantined} batches could not be stored and were quarantined (table quarantine)"),
+            "see the reasons in the table: an agent of another version, or a failing disk or memory",
         );
     }
     if let [first, ..] = report.open_runs.as_slice() {
         let what = format!(
-            "{} runs have no end and hosts that have been silent for an hour, the first is #{}",
+            "{} runs have no end, and their hosts have been silent for an hour; the first is #{}",
             report.open_runs.len(),
             first.number
         );
-        report
-            .notice(what, "start the agents again: they end their runs, and send what waits in their spools");
+        report.notice(what, "restart the agents: they end their runs and send the events in their spools");
     }
     for (what, rows) in trimmed {
         report.notice(
-            format!("retention deleted {rows} rows before their time ({what})"),
+            format!("retention deleted {rows} rows before the end of their period ({what})"),
             "raise [aggregator.retention] size_limit_bytes, or shorten the periods",
         );
     }
     if debts > 0 {
         report.notice(
-            format!("{debts} runs of an older version have roll-ups of 10 s alone"),
-            "the aggregator makes the others at its next start",
+            format!("{debts} runs of an older version have only roll-ups of 10 s"),
+            "the aggregator computes the others at its next start",
         );
     }
 }

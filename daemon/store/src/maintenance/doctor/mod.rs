@@ -14,25 +14,25 @@ pub use self::report::{
     FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report, RollupExtent, Schema,
     Severity, StreamState, TableRows,
 };
-use super::{Contents, free_bytes, reading};
+use super::{FileKind, free_bytes, read_only_options};
 use crate::column::count;
 use crate::database::MIGRATIONS;
 use crate::database_error::{DatabaseError, is_damage};
-use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
-use crate::integrity::{PageCheck, has_table_list, log_path, remembered};
+use crate::foreign_log::{ForeignLog, refuse_foreign_log_at};
+use crate::integrity::{PageCheck, has_table_list, log_path, recorded_damage};
 
 /// Free bytes of the disk below which the report names a problem.
 const MIN_FREE_BYTES: u64 = 512 << 20;
-/// Bytes of the write-ahead log above which SQLite is probably kept from carrying it over into the database.
+/// Bytes of the write-ahead log above which SQLite is probably kept from checkpointing it into the database.
 const LARGE_WAL_BYTES: u64 = 512 << 20;
 /// Advice for a damaged file.
-const REPAIR: &str = "stop the aggregator and run this again with --repair, which salvages what can be read and keeps the \
-                      damaged file; or restore the newest backup. Agents send what they still have in their spools";
+const REPAIR: &str = "stop the aggregator and run this again with --repair, which salvages all readable rows and keeps the \
+                      damaged file; or restore the newest backup. Agents send the events in their spools again";
 /// Advice for a damaged file in which no row can be found.
-const RESTORE: &str = "stop the aggregator and put the newest backup in its place: without the file's header and its list of tables no \
-                       row can be found. Agents send what they still have in their spools";
+const RESTORE: &str = "stop the aggregator and replace the file by the newest backup: without the file's header and its list of tables \
+                       no row can be found. Agents send the events in their spools again";
 
-/// The reason why a database cannot be examined at all.
+/// Reason why a database cannot be examined at all.
 #[derive(Debug, thiserror::Error)]
 pub enum DoctorError {
     /// The file does not exist.
@@ -77,15 +77,15 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
     report.integrity.has_table_list =
         File::open(database).map_or(true, |file| has_table_list(Arc::new(file)));
     // This has to come before SQLite opens the file: see `PageFile`.
-    refuse_foreign_log_of(database)?;
+    refuse_foreign_log_at(database)?;
     report.find_malformed_pages(database);
     let opened = async {
-        let mut connection = reading(database).connect().await?;
-        let contents = Contents::of(&mut connection).await?;
+        let mut connection = read_only_options(database).connect().await?;
+        let contents = FileKind::detect(&mut connection).await?;
         Ok((connection, contents))
     };
     match opened.await {
-        Ok((mut connection, Contents::Database)) => {
+        Ok((mut connection, FileKind::Database)) => {
             report.check_sizes(&mut connection, database).await;
             report.check_integrity(&mut connection, how.full || !report.malformed_pages.is_empty()).await;
             report.report_recorded_damage(database);
@@ -96,8 +96,8 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
         }
         Ok((mut connection, contents)) => {
             report.check_sizes(&mut connection, database).await;
-            let what = contents.instead_of_database().unwrap_or_default();
-            let advice = if contents == Contents::Spool {
+            let what = contents.other_kind().unwrap_or_default();
+            let advice = if contents == FileKind::Spool {
                 "look at it with `peernetd doctor --spool FILE`"
             } else {
                 "name the file of [aggregator] database"
@@ -107,7 +107,7 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
         }
         Err(error) if is_damage(&error) => {
             report.read_lengths(database);
-            report.problem(format!("it is damaged, or no database: {error}"), report.remedy());
+            report.problem(format!("it is damaged, or not a database: {error}"), report.remedy());
         }
         Err(error) => return Err(cannot_open(error)),
     }
@@ -141,7 +141,7 @@ impl Report {
             } else {
                 self.problem(
                     format!("cannot read {what}: {error}"),
-                    "run this again; if it stays, restore a backup",
+                    "run this again; if the error persists, restore a backup",
                 );
             }
             T::default()
@@ -160,16 +160,16 @@ impl Report {
         if self.file.disk_free_bytes < MIN_FREE_BYTES {
             let megabytes = self.file.disk_free_bytes >> 20;
             self.problem(
-                format!("its disk has only {megabytes} MiB of room"),
-                "make room: nothing is stored when it is full; agents keep their events meanwhile. Retention \
-                 ([aggregator.retention]) keeps the file small",
+                format!("its disk has only {megabytes} MiB free"),
+                "free some space: nothing is stored while the disk is full, and agents keep their events. Shorter \
+                 periods in [aggregator.retention] keep the file small",
             );
         }
         if self.file.wal_bytes > LARGE_WAL_BYTES {
             let megabytes = self.file.wal_bytes >> 20;
             self.notice(
-                format!("the log beside it has {megabytes} MiB"),
-                "some program reads the file for very long, a backup or a shell: end it, and the log is reused",
+                format!("its write-ahead log has {megabytes} MiB"),
+                "a program has been reading the file for a long time, such as a backup or a shell: stop it, and the log is reused",
             );
         }
     }
@@ -180,13 +180,16 @@ impl Report {
         (self.file.bytes, self.file.wal_bytes) = (length(database), length(&log_path(database)));
         match free_bytes(database) {
             Ok(bytes) => self.file.disk_free_bytes = bytes,
-            Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
+            Err(error) => self.problem(
+                format!("cannot read the free space of its disk: {error}"),
+                "check the disk with `df`",
+            ),
         }
     }
 
     /// Looks for malformed pages without SQLite, which alone knows whether such a page is in use.
     fn find_malformed_pages(&mut self, database: &Path) {
-        match PageCheck::of(database) {
+        match PageCheck::find_malformed(database) {
             Ok(pages) => self.malformed_pages = pages,
             Err(error) => self.problem(format!("its pages cannot be read: {error}"), self.remedy()),
         }
@@ -194,10 +197,10 @@ impl Report {
 
     /// Reports damage that an aggregator has recorded beside the file.
     fn report_recorded_damage(&mut self, database: &Path) {
-        match remembered(database) {
+        match recorded_damage(database) {
             Ok(Some(what)) if self.is_healthy() => self.notice(
-                format!("the aggregator found it damaged ({what}), and it is not, or no longer"),
-                "start the aggregator: it checks the whole file and goes on storing",
+                format!("the aggregator recorded that it is damaged ({what}), but it is not damaged now"),
+                "start the aggregator: it checks the whole file and then continues to store",
             ),
             Ok(_) => {}
             Err(error) => {
@@ -227,7 +230,7 @@ impl Report {
             let answer: Result<Vec<(String, String, i64)>, _> = answer.fetch_all(connection).await;
             let lost = self.value_or_problem("references between tables", answer);
             let lines = lost.into_iter().map(|(table, parent, rows)| {
-                format!("{rows} rows of {table} refer to rows of {parent} that are not there")
+                format!("{rows} rows of {table} refer to rows of {parent} that do not exist")
             });
             self.integrity.problems.extend(lines);
         }
@@ -272,11 +275,13 @@ impl Report {
             let what = format!("bringing its schema up to {found} was interrupted");
             self.problem(what, "restore the backup from before the update");
         } else if found > known {
-            let what = format!("a newer version wrote it (its schema is {found}, known here is {known})");
+            let what =
+                format!("a newer version wrote it (its schema is {found}, this program supports {known})");
             self.problem(what, "update this program");
         } else if found < known {
-            let what = format!("an older version wrote it (its schema is {found}, known here is {known})");
-            self.notice(what, "make a backup; its content is looked at after the aggregator has brought it up to date at its next start");
+            let what =
+                format!("an older version wrote it (its schema is {found}, this program's is {known})");
+            self.notice(what, "make a backup; the aggregator updates the schema at its next start, and the content can be examined after that");
         }
         whole && found == known
     }

@@ -152,9 +152,9 @@ pub struct QuarantineGroup {
 pub struct RollupExtent {
     /// Width of the buckets, seconds.
     pub resolution_s: i64,
-    /// Begin of the oldest bucket, on the clocks of the edges; `None` if there are none.
+    /// Start of the oldest bucket, on the clocks of the edges; `None` if there are none.
     pub oldest_s: Option<i64>,
-    /// Begin of the newest bucket.
+    /// Start of the newest bucket.
     pub newest_s: Option<i64>,
 }
 

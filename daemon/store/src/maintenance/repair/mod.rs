@@ -1,8 +1,8 @@
 //! Repair of a damaged database: everything that can be read is written to a new file, which takes its place.
 //!
-//! The trees are walked with the parser of the check, because SQLite's recovery extension is not in the bundled library. Rows
-//! are decoded and checked against the types of the columns; unreadable ones are left out. [`reconcile`] then makes the tables
-//! agree and records the gaps.
+//! The trees are walked with the parser of the check, because SQLite's recovery extension is not in the bundled library. Rows are
+//! decoded and checked against the types of the columns; unreadable ones are omitted. [`reconcile`] then makes the tables agree
+//! and records the gaps.
 
 mod reconcile;
 mod rows;
@@ -24,19 +24,19 @@ use tokio_util::sync::CancellationToken;
 use self::reconcile::Reconciliation;
 use self::rows::{CopiedTable, Table, Value, values};
 use self::tree::{Item, Walk};
-use super::{BUSY, free_bytes};
+use super::{BUSY_TIMEOUT, free_bytes};
 use crate::database::MIGRATIONS;
 use crate::database_error::{DatabaseError, is_damage};
-use crate::foreign_log::{ForeignLog, mark, refuse_foreign_log};
+use crate::foreign_log::{ForeignLog, assign_id, refuse_foreign_log};
 use crate::integrity::pages::PageFile;
-use crate::integrity::{forget, remembered, sqlite_finds};
+use crate::integrity::{delete_record, find_damage_with_sqlite, recorded_damage};
 use crate::lock::{DatabaseLock, LockError};
 use crate::rebuild::rebuild;
 
 /// Table in which the migrations of a database are noted.
 const MIGRATIONS_TABLE: &str = "_sqlx_migrations";
 
-/// The reason why a database was not repaired. The database is unchanged.
+/// Reason why a database was not repaired. The database is unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
     /// The database does not exist.
@@ -49,7 +49,7 @@ pub enum RepairError {
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The header or the list of tables cannot be read.
-    #[error("cannot repair {}: {what} cannot be read, and without it no row can be found; restore the newest backup: agents send again what they still have in their spools", path.display())]
+    #[error("cannot repair {}: {what} cannot be read, and without it no row can be found; restore the newest backup, and agents send the events in their spools again", path.display())]
     Unreadable {
         /// The database.
         path: PathBuf,
@@ -57,17 +57,17 @@ pub enum RepairError {
         what: &'static str,
     },
     /// The database was written by a newer version.
-    #[error("cannot repair {}: a newer version wrote it (its schema is {found}, known here is {known}); update this program", path.display())]
+    #[error("cannot repair {}: a newer version wrote it (its schema is {found}, this program supports {supported}); update this program", path.display())]
     NewerSchema {
         /// The database.
         path: PathBuf,
         /// Schema in the file.
         found: i64,
-        /// Newest schema that this version knows.
-        known: i64,
+        /// Newest schema that this program supports.
+        supported: i64,
     },
     /// The disk has not enough room for the new file.
-    #[error("{} has {free} bytes of room and the new file needs up to {needed}; make room", folder.display())]
+    #[error("{} has {free} bytes free, but the new file needs up to {needed}; free some space", folder.display())]
     NoRoom {
         /// The folder of the new file.
         folder: PathBuf,
@@ -93,7 +93,7 @@ pub enum RepairError {
         source: DatabaseError,
     },
     /// The new file is damaged as well.
-    #[error("{} is damaged, too: {what}; the disk or the memory of this machine fails", path.display())]
+    #[error("the new file {} is damaged as well: {what}; the disk or the memory of this machine is probably failing", path.display())]
     Failing {
         /// The new file.
         path: PathBuf,
@@ -145,14 +145,14 @@ pub async fn repair(
     refuse_foreign_log(database, &lock.file())?;
     // A link is resolved: the other files lie beside the database itself.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
-    let remembered = remembered(&path).map_err(|source| file_error(&path, source))?;
-    let without_log = !take_over_log(&path).await?;
-    let found = sqlite_finds(&path, &CancellationToken::new())
+    let recorded_damage = recorded_damage(&path).map_err(|source| file_error(&path, source))?;
+    let without_log = !checkpoint_log(&path).await?;
+    let found = find_damage_with_sqlite(&path, &CancellationToken::new())
         .await
         .map_err(|error| RepairError::Write { path: path.clone(), source: DatabaseError::new(error) })?;
     if found.is_none() && !without_log {
-        if remembered.is_some() {
-            forget(&path).map_err(|source| file_error(&path, source))?;
+        if recorded_damage.is_some() {
+            delete_record(&path).map_err(|source| file_error(&path, source))?;
         }
         return Ok(None);
     }
@@ -167,8 +167,8 @@ pub async fn repair(
             return Err(error);
         }
     };
-    let damaged = put_in_place(&path, &new, stamp).map_err(|source| file_error(&path, source))?;
-    forget(&path).map_err(|source| file_error(&path, source))?;
+    let damaged = replace_database(&path, &new, stamp).map_err(|source| file_error(&path, source))?;
+    delete_record(&path).map_err(|source| file_error(&path, source))?;
     Ok(Some(Repaired { damaged, tables, lost_iterations: u64::try_from(lost).unwrap_or(0), without_log }))
 }
 
@@ -210,24 +210,25 @@ impl OldFile {
             Item::Unreadable => None,
         });
         let version = versions.max();
-        let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
-        if let Some(found) = version.filter(|found| *found > known) {
-            return Err(RepairError::NewerSchema { path: path.to_owned(), found, known });
+        let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+        if let Some(found) = version.filter(|found| *found > supported) {
+            return Err(RepairError::NewerSchema { path: path.to_owned(), found, supported });
         }
         Ok(Self { file, roots, version })
     }
 
-    /// Returns the root page of a table. An unknown one is taken from the new file if all known ones agree with it: the same
-    /// migrations made both files.
+    /// Returns the root page of a table. If it is unknown, the root page in the new file is used, provided that all known root
+    /// pages are the same in both files: the same migrations created both.
     fn root(&self, table: &str, new: &BTreeMap<String, u32>) -> Option<u32> {
         let alike = || self.roots.iter().all(|(table, root)| new.get(table).is_none_or(|new| new == root));
         self.roots.get(table).copied().or_else(|| new.get(table).copied().filter(|_| alike()))
     }
 }
 
-/// Carries the log over into the file, as the next start of the aggregator would. Returns whether nothing of it is left.
-async fn take_over_log(path: &Path) -> Result<bool, RepairError> {
-    let options = SqliteConnectOptions::new().filename(path).busy_timeout(BUSY).disable_statement_logging();
+/// Checkpoints the log into the file, as the next start of the aggregator would. Returns whether nothing of it is left.
+async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
+    let options =
+        SqliteConnectOptions::new().filename(path).busy_timeout(BUSY_TIMEOUT).disable_statement_logging();
     let taken = async {
         let mut connection = options.connect().await?;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
@@ -268,9 +269,9 @@ async fn salvage(
         .disable_statement_logging();
     let mut connection = options.connect().await.map_err(failed)?;
     let written = fill(&mut connection, old, now, progress).await.map_err(failed)?;
-    mark(&mut connection).await.map_err(failed)?;
+    assign_id(&mut connection).await.map_err(failed)?;
     connection.close().await.map_err(failed)?;
-    if let Some(what) = sqlite_finds(new, &CancellationToken::new()).await.map_err(failed)? {
+    if let Some(what) = find_damage_with_sqlite(new, &CancellationToken::new()).await.map_err(failed)? {
         return Err(RepairError::Failing { path: new.to_owned(), what });
     }
     Ok(written)
@@ -309,15 +310,15 @@ async fn fill(
     let mut tables = BTreeMap::new();
     for name in roots.keys() {
         progress(name);
-        let table = Table::of(connection, name.clone()).await?;
+        let table = Table::describe(connection, name.clone()).await?;
         let copied = table.copy(connection, &old.file, old.root(name, &roots)).await?;
         tables.insert(table.name, copied);
     }
-    numbers_go_on(connection, old).await?;
+    continue_numbering(connection, old).await?;
     for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "index") {
         sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
     }
-    progress("what refers to each other");
+    progress("references between tables");
     let now_ns = now.unix_nanos();
     let lost = Reconciliation { connection: &mut *connection, tables: &tables, now_ns }.run().await?;
     for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "trigger") {
@@ -340,8 +341,8 @@ async fn fill(
     Ok((salvaged, lost))
 }
 
-/// Prevents that numbers of lost rows are given to new ones.
-async fn numbers_go_on(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
+/// Ensures that the numbers of lost rows are not used again for new rows.
+async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
     let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
     for item in Walk::from(&old.file, *root, true) {
         let Item::Row(_, record) = item else { continue };
@@ -364,8 +365,9 @@ async fn numbers_go_on(connection: &mut SqliteConnection, old: &OldFile) -> Resu
     Ok(())
 }
 
-/// Renames the damaged file and gives the new file its name, which exists at any time. Returns the path of the damaged file.
-fn put_in_place(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
+/// Renames the damaged file and gives the new file its name. A file of this name exists at all times. Returns the path of the
+/// damaged file.
+fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
     let of = fs::metadata(path)?;
     fs::set_permissions(new, of.permissions())?;
     let made = fs::metadata(new)?;
@@ -375,13 +377,13 @@ fn put_in_place(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
     File::open(new)?.sync_all()?;
     let damaged = sibling_path(path, &format!(".damaged-{stamp}"));
     fs::hard_link(path, &damaged)?;
-    // A log that stays beside the new file would be carried over into it.
+    // A log that stays beside the new file would be checkpointed into it.
     let log = sibling_path(path, "-wal");
     match fs::metadata(&log).map(|log| log.len()) {
-        Ok(0) | Err(_) => remove_if_there(&log)?,
+        Ok(0) | Err(_) => remove_if_exists(&log)?,
         Ok(_) => fs::rename(&log, sibling_path(&damaged, "-wal"))?,
     }
-    remove_if_there(&sibling_path(path, "-shm"))?;
+    remove_if_exists(&sibling_path(path, "-shm"))?;
     fs::rename(new, path)?;
     File::open(path.parent().unwrap_or(path))?.sync_all()?;
     Ok(damaged)
@@ -398,12 +400,12 @@ fn remove(new: &Path) -> Result<(), RepairError> {
     for path in
         [new.to_owned(), sibling_path(new, "-wal"), sibling_path(new, "-shm"), sibling_path(new, "-journal")]
     {
-        remove_if_there(&path).map_err(|source| file_error(&path, source))?;
+        remove_if_exists(&path).map_err(|source| file_error(&path, source))?;
     }
     Ok(())
 }
 
-fn remove_if_there(path: &Path) -> io::Result<()> {
+fn remove_if_exists(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),

@@ -8,10 +8,10 @@ use super::tree::{Item, Walk};
 use crate::integrity::pages::{PageFile, column_bytes, varint};
 
 /// Maximum number of values in one statement; SQLite's limit is 32,766.
-const MOST_VALUES: usize = 16_384;
+const MAX_VALUES: usize = 16_384;
 
 /// Number of rows whose writing is delayed: the next row may show that they cannot be trusted.
-const KEPT_BACK: usize = 8;
+const DELAYED_ROWS: usize = 8;
 
 /// One value, in SQLite's order of types.
 #[derive(Clone, Debug, PartialEq, PartialOrd)]
@@ -81,7 +81,10 @@ struct ColumnDescription {
 
 impl Table {
     /// Reads the description of a table of the new database.
-    pub(super) async fn of(connection: &mut SqliteConnection, name: String) -> Result<Self, sqlx::Error> {
+    pub(super) async fn describe(
+        connection: &mut SqliteConnection,
+        name: String,
+    ) -> Result<Self, sqlx::Error> {
         let clustered: bool =
             sqlx::query_scalar("SELECT wr FROM pragma_table_list(?1) WHERE schema = 'main'")
                 .bind(&name)
@@ -130,7 +133,7 @@ impl Table {
             copied.unreadable.push(UnreadableRange { before: None, after: None });
             return Ok(copied);
         };
-        let most = MOST_VALUES / self.columns.len() - KEPT_BACK;
+        let most = MAX_VALUES / self.columns.len() - DELAYED_ROWS;
         let mut rows: Vec<Row> = Vec::new();
         // The last row that was written.
         let mut written = None;
@@ -161,7 +164,7 @@ impl Table {
                 range.after = Some(self.key(&row));
             }
             rows.push(row);
-            if rows.len() == most + KEPT_BACK {
+            if rows.len() == most + DELAYED_ROWS {
                 self.insert(connection, &rows[..most]).await?;
                 written = rows.drain(..most).next_back();
             }

@@ -1,4 +1,4 @@
-//! Several seconds as one point.
+//! Summary of several seconds as one point.
 
 use peernet_analysis::delays::{DelaySum, round_trip};
 use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
@@ -46,10 +46,10 @@ impl Bucket {
     pub(super) fn add(&mut self, row: &Row) -> Result<(), StoreError> {
         let window = row.window.cast_unsigned();
         if self.newest.is_some_and(|(_, before)| before != window) {
-            // What held before a step is not what holds after it.
+            // Values from before a step of a clock do not apply after it.
             self.widest = None;
         }
-        // Made of a row only when it counts: that is what takes time.
+        // The offset is built only for rows that are used, because building it takes most of the time.
         if let Some(bounds) = row.bounds()
             && self.widest.as_ref().is_none_or(|widest| widest.bounds.width() <= bounds.width())
             && let Some(offset) = row.offset()?
@@ -70,12 +70,12 @@ impl Bucket {
         Ok(())
     }
 
-    /// The bucket as a point; `None` when it is empty.
+    /// Returns the bucket as a point; `None` if it is empty.
     pub(super) fn point(self, width: u32) -> Option<ClockPoint> {
         let (newest, window) = self.newest?;
         let end = self.index.saturating_add(1).saturating_mul(i64::from(width) * 1_000_000_000);
         Some(ClockPoint {
-            // As stored where a second is a point.
+            // If a point is one second, the offset is the stored one.
             at: if width == 1 { newest } else { wall(end) },
             window,
             offset: self.widest,

@@ -25,7 +25,7 @@ use crate::write::UNKNOWN;
 
 const WHAT: &str = "clock samples";
 /// Maximum number of points in one answer.
-const MOST_POINTS: u32 = 10_000;
+const MAX_POINTS: u32 = 10_000;
 /// Possible widths of a bucket, seconds. Beyond the last one, each width is twice the one before.
 const WIDTHS_S: [u32; 12] = [1, 2, 5, 10, 30, 60, 300, 600, 1_800, 3_600, 21_600, 86_400];
 
@@ -102,7 +102,7 @@ pub(crate) async fn series(
     readers: &Readers,
     LinkKey { edge, cloud, network }: &LinkKey,
     (from, to): (WallTime, WallTime),
-    most_points: u32,
+    max_points: u32,
 ) -> Result<ClockSeries, StoreError> {
     let nothing = ClockSeries { bucket_s: WIDTHS_S[0], points: Vec::new() };
     let link: Option<i64> = sqlx::query_scalar(sql::LINK)
@@ -121,7 +121,7 @@ pub(crate) async fn series(
         .await
         .map_err(readers.failed(WHAT))?;
     let (Some(first), Some(last)) = extent else { return Ok(nothing) };
-    let width = width(first, last, most_points.clamp(1, MOST_POINTS));
+    let width = width(first, last, max_points.clamp(1, MAX_POINTS));
     let repeats = RepeatedTimes::read(readers, link, (first, last)).await?;
     let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
     let pool = readers.pool();
@@ -142,7 +142,7 @@ pub(crate) async fn series(
             rows.iter().try_for_each(|row| points.add(row))?;
         }
     }
-    Ok(ClockSeries { bucket_s: width, points: points.done() })
+    Ok(ClockSeries { bucket_s: width, points: points.into_points() })
 }
 
 /// Returns the first and the last time of each bucket, as JSON. One row of SQLite's for each bucket costs far less than one for
@@ -169,7 +169,7 @@ struct Points {
 impl Points {
     /// Adds the next second.
     fn add(&mut self, row: &Row) -> Result<(), StoreError> {
-        if self.repeats.supersede(row.window, row.at_ns) {
+        if self.repeats.is_superseded(row.window, row.at_ns) {
             return Ok(());
         }
         let index = index(row.at_ns, self.width);
@@ -184,19 +184,19 @@ impl Points {
         self.points.extend(point);
     }
 
-    fn done(mut self) -> Vec<ClockPoint> {
+    fn into_points(mut self) -> Vec<ClockPoint> {
         self.finish();
         self.points
     }
 }
 
-/// Returns the smallest width with at most `most_points` buckets.
-fn width(first: i64, last: i64, most_points: u32) -> u32 {
+/// Returns the smallest width with at most `max_points` buckets.
+fn width(first: i64, last: i64, max_points: u32) -> u32 {
     let [.., day] = WIDTHS_S;
     let wider = successors(day.checked_mul(2), |width| width.checked_mul(2));
     let fits = |width: &u32| {
         u64::try_from(index(last, *width) - index(first, *width))
-            .is_ok_and(|more| more < u64::from(most_points))
+            .is_ok_and(|more| more < u64::from(max_points))
     };
     WIDTHS_S.into_iter().chain(wider.clone()).find(fits).or_else(|| wider.last()).unwrap_or(day)
 }

@@ -53,7 +53,7 @@ impl RepeatedTimes {
     }
 
     /// Returns whether a later window has this time.
-    pub(super) fn supersede(&self, window: i64, at_ns: i64) -> bool {
+    pub(super) fn is_superseded(&self, window: i64, at_ns: i64) -> bool {
         let Some(place) = self.places.get(&window) else { return false };
         let covers =
             |(later, first, last): &(usize, i64, i64)| later > place && *first <= at_ns && at_ns <= *last;

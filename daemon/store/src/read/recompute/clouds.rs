@@ -16,14 +16,14 @@ use crate::readers::Readers;
 
 const WHAT: &str = "clock samples";
 /// Upper limit of an iteration's duration.
-const LONGEST_ITERATION: Span = Span::from_seconds(600);
+const MAX_ITERATION: Span = Span::from_seconds(600);
 /// Maximum number of windows of one link within a run; later ones are ignored.
-const MOST_WINDOWS: u32 = 10_000;
+const MAX_WINDOWS: u32 = 10_000;
 /// Maximum number of clouds of one run, and of relations of one cloud, in memory; beyond it, all are read again when needed.
-const MOST: usize = 16;
+const MAX_CACHED: usize = 16;
 /// Tolerance of the difference between the edge's wall clock and its raw one, compared with that in a window's samples: the wall
 /// clock may be slewed between two samples.
-const SLEWED: Span = Span::from_seconds(1);
+const MAX_SLEW: Span = Span::from_seconds(1);
 
 /// A time of the edge as a stamp of a transit shows it.
 #[derive(Clone, Copy, Debug)]
@@ -55,9 +55,9 @@ struct Window {
 impl Window {
     /// Returns whether the difference of the edge's two clocks is that of the window. After another start of the machine it differs,
     /// although the raw clock shows the same times again.
-    fn agrees(&self, time: EdgeTime) -> bool {
+    fn matches_clocks(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
-        let reach = SLEWED.nanos();
+        let reach = MAX_SLEW.nanos();
         self.ahead_min_ns.is_none_or(|min| min.saturating_sub(reach) <= ahead)
             && self.ahead_max_ns.is_none_or(|max| ahead <= max.saturating_add(reach))
     }
@@ -69,7 +69,8 @@ pub(super) struct Clouds<'a> {
     edge: i64,
     network: &'a str,
     run: (WallTime, WallTime),
-    known: HashMap<i64, Option<Cloud>>,
+    /// Clouds that were read, by row; `None` for a host without a link to the edge.
+    cache: HashMap<i64, Option<Cloud>>,
     /// Link, window and number of samples of the windows that were used.
     used: BTreeSet<(i64, i64, i64)>,
 }
@@ -89,7 +90,7 @@ struct Windows {
 }
 
 impl Windows {
-    fn of(windows: Vec<Window>) -> Self {
+    fn new(windows: Vec<Window>) -> Self {
         let at = RawTime::from_nanos;
         let extents: Vec<Extent> = windows
             .iter()
@@ -100,23 +101,23 @@ impl Windows {
                 returned: at(it.returned_ns),
             })
             .collect();
-        Self { timeline: Timeline::of(&extents), windows }
+        Self { timeline: Timeline::new(&extents), windows }
     }
 
     /// Returns the window of a time, or `None` if it is not certain.
     fn at(&self, time: EdgeTime) -> Option<&Window> {
-        self.windows.get(self.timeline.window(time.at)?).filter(|window| window.agrees(time))
+        self.windows.get(self.timeline.window(time.at)?).filter(|window| window.matches_clocks(time))
     }
 }
 
 impl<'a> Clouds<'a> {
-    /// Makes it for a run of an edge over a network; `run` holds the begins of its first and last iterations.
+    /// Makes it for a run of an edge over a network; `run` holds the starts of its first and last iterations.
     pub(super) fn new(
         readers: &'a Readers,
         (edge, network): (i64, &'a str),
         run: (WallTime, WallTime),
     ) -> Self {
-        Self { readers, edge, network, run, known: HashMap::new(), used: BTreeSet::new() }
+        Self { readers, edge, network, run, cache: HashMap::new(), used: BTreeSet::new() }
     }
 
     /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's, or `None` if no sample covers it.
@@ -125,19 +126,19 @@ impl<'a> Clouds<'a> {
         cloud: i64,
         time: EdgeTime,
     ) -> Result<Option<&Relation>, StoreError> {
-        if !self.known.contains_key(&cloud) {
-            if self.known.len() >= MOST {
-                self.known.clear();
+        if !self.cache.contains_key(&cloud) {
+            if self.cache.len() >= MAX_CACHED {
+                self.cache.clear();
             }
             let found = self.find(cloud).await?;
-            self.known.insert(cloud, found);
+            self.cache.insert(cloud, found);
         }
-        let Some(Some(cloud)) = self.known.get_mut(&cloud) else { return Ok(None) };
+        let Some(Some(cloud)) = self.cache.get_mut(&cloud) else { return Ok(None) };
         let window = cloud.windows.get(&time.clocks).and_then(|windows| windows.at(time));
         let Some(Window { window, samples, .. }) = window else { return Ok(None) };
         self.used.insert((cloud.link, *window, *samples));
         let key = (time.clocks, *window);
-        if cloud.rolling.len() >= MOST && !cloud.rolling.contains_key(&key) {
+        if cloud.rolling.len() >= MAX_CACHED && !cloud.rolling.contains_key(&key) {
             cloud.rolling.clear();
         }
         let begin = || RollingWindow::new((cloud.link, *window), time.clocks, time.at);
@@ -164,8 +165,8 @@ impl<'a> Clouds<'a> {
         let windows: Vec<Window> = sqlx::query_as(sql::CLOCK_WINDOWS)
             .bind(link)
             .bind((first - SPAN).unix_nanos())
-            .bind((last + LONGEST_ITERATION + SPAN).unix_nanos())
-            .bind(MOST_WINDOWS)
+            .bind((last + MAX_ITERATION + SPAN).unix_nanos())
+            .bind(MAX_WINDOWS)
             .fetch_all(&self.readers.pool())
             .await
             .map_err(self.readers.failed(WHAT))?;
@@ -173,7 +174,8 @@ impl<'a> Clouds<'a> {
         for window in windows {
             by_clocks.entry(known(WHAT, RelatedClocks::ALL, window.clocks)?).or_default().push(window);
         }
-        let windows = by_clocks.into_iter().map(|(clocks, windows)| (clocks, Windows::of(windows))).collect();
+        let windows =
+            by_clocks.into_iter().map(|(clocks, windows)| (clocks, Windows::new(windows))).collect();
         Ok(Some(Cloud { link, windows, rolling: HashMap::new() }))
     }
 }

@@ -5,8 +5,8 @@
 //! clock, near a step, or no samples of that time.
 
 mod clouds;
+mod delay_sums;
 mod rolling;
-mod tally;
 mod windows;
 
 use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, RelatedClocks, Span, Verdict, WallTime};
@@ -14,7 +14,7 @@ use peernet_logger::{RawStamps, Slug, stage};
 use sqlx::FromRow;
 
 use self::clouds::{Clouds, EdgeTime};
-use self::tally::Tally;
+use self::delay_sums::DelaySums;
 use super::{StoredDelay, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -59,8 +59,8 @@ struct Extent {
 }
 
 impl Extent {
-    /// Returns the begins of the earliest and of the latest iteration on the edge's wall clock. They are exact to the minute if the
-    /// clock was set back in between.
+    /// Returns the starts of the earliest and of the latest iteration on the edge's wall clock. They are exact to the minute if
+    /// the clock was set back in between.
     fn times(&self) -> (WallTime, WallTime) {
         let nanos = |seconds: i64| seconds.saturating_mul(1_000_000_000);
         let (first, last) = (self.first_ns.unwrap_or(0), self.last_ns.unwrap_or(0));
@@ -87,8 +87,8 @@ pub(crate) struct RejudgedDelay {
 
 pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Recomputed>, StoreError> {
     let mut stages = [
-        (Direction::Up, stage::UPLOAD, Tally::default(), Tally::default()),
-        (Direction::Down, stage::DOWNLOAD, Tally::default(), Tally::default()),
+        (Direction::Up, stage::UPLOAD, DelaySums::default(), DelaySums::default()),
+        (Direction::Down, stage::DOWNLOAD, DelaySums::default(), DelaySums::default()),
     ];
     let mut clocks = [false; RelatedClocks::ALL.len()];
     let samples = rejudge_delays(readers, run, |delay| {
@@ -159,13 +159,13 @@ async fn rejudge(
     (direction, is_observed): (Direction, bool),
     before: Option<OneWayDelay>,
 ) -> Result<RejudgedDelay, StoreError> {
-    let as_it_was = RejudgedDelay { direction, before, after: before, clocks: None };
+    let unchanged = RejudgedDelay { direction, before, after: before, clocks: None };
     let (Some(cloud), Some(received)) = (row.cloud, row.received_ns.map(WallTime::from_unix_nanos)) else {
-        return Ok(as_it_was);
+        return Ok(unchanged);
     };
     // A stepped delay keeps its verdict: no sample shows that its own exchange was refused.
     if before.is_some_and(|it| it.source == DelaySource::SameClock || it.verdict == Verdict::Stepped) {
-        return Ok(as_it_was);
+        return Ok(unchanged);
     }
     let sent = wall(row.sent_ns);
     let (clocks, stamps) = row.stamps(direction, sent, received);
@@ -173,16 +173,16 @@ async fn rejudge(
         Direction::Up => EdgeTime { clocks, at: stamps.sent, wall: sent },
         Direction::Down => EdgeTime { clocks, at: stamps.received, wall: received },
     };
-    let Some(relation) = clouds.relation(cloud, time).await? else { return Ok(as_it_was) };
+    let Some(relation) = clouds.relation(cloud, time).await? else { return Ok(unchanged) };
     let now = match is_observed {
         true => relation.difference(direction, stamps.sent, stamps.received),
         false => relation.delay(direction, stamps.sent, stamps.received),
     };
-    Ok(RejudgedDelay { after: Some(joined(before, now)), clocks: Some(clocks), ..as_it_was })
+    Ok(RejudgedDelay { after: Some(combine(before, now)), clocks: Some(clocks), ..unchanged })
 }
 
 /// Combines the earlier and the new judgement.
-fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
+fn combine(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
     let Some(before) = before else { return now };
     let of_then = before.bounds.filter(|_| before.verdict != Verdict::Inconsistent);
     let (then, of_now) = match (of_then, now.bounds.filter(|_| now.verdict != Verdict::Inconsistent)) {

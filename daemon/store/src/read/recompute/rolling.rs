@@ -17,7 +17,7 @@ const WHAT: &str = "clock samples";
 /// Reach of exchanges on both sides of a time. The agent itself looks back as far, unless configured otherwise.
 pub(super) const SPAN: Span = Span::from_seconds(10);
 /// Tolerance of the order of judged delays: an iteration may take as long.
-const DISORDER: Span = Span::from_seconds(60);
+const MAX_DISORDER: Span = Span::from_seconds(60);
 /// Number of samples that are read at once.
 const PAGE: u32 = 1_000;
 
@@ -50,7 +50,7 @@ type Claim = Option<(DelaySource, Interval)>;
 /// The exchanges of one window around the current time.
 pub(super) struct RollingWindow {
     /// The link and its window.
-    of: (i64, i64),
+    key: (i64, i64),
     clocks: RelatedClocks,
     /// Made with the first sample, whose drift limit is that of all.
     relation: Option<Relation>,
@@ -65,13 +65,13 @@ pub(super) struct RollingWindow {
 
 impl RollingWindow {
     /// Makes it for times from shortly before `at` on.
-    pub(super) fn new(of: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
+    pub(super) fn new(key: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {
-            of,
+            key,
             clocks,
             relation: None,
             ahead: VecDeque::new(),
-            read: (at - SPAN - DISORDER).nanos(),
+            read: (at - SPAN - MAX_DISORDER).nanos(),
             complete: false,
             claims: VecDeque::new(),
             claim: None,
@@ -112,8 +112,8 @@ impl RollingWindow {
         let by_wall_clocks = self.clocks == RelatedClocks::Wall;
         let statement = if by_wall_clocks { sql::CLOCK_EXCHANGES } else { sql::CLOCK_EXCHANGES_BY_RAW };
         let rows: Vec<Row> = sqlx::query_as(statement)
-            .bind(self.of.0)
-            .bind(self.of.1)
+            .bind(self.key.0)
+            .bind(self.key.1)
             .bind(self.read)
             .bind(PAGE)
             .fetch_all(&readers.pool())
@@ -132,7 +132,7 @@ impl RollingWindow {
                 max_drift_ppm: row.max_drift_ppm,
                 max_drift_change_ppm_per_s: row.max_drift_change_ppm_per_s.unwrap_or(f64::INFINITY),
                 window: SPAN,
-                retention: SPAN + SPAN + DISORDER,
+                retention: SPAN + SPAN + MAX_DISORDER,
                 // The sources of a stored offset contain only claims that were used.
                 trust_time_daemons: true,
                 ..RelationSettings::default()

@@ -7,10 +7,11 @@ use peernet_clock::{RawTime, Span};
 const REACH: Span = Span::from_seconds(10);
 /// A sample is for the second that ends with it.
 const SECOND: Span = Span::from_seconds(1);
-/// The second of a step has a sample of the later window only, which may come late.
-const UNTOLD: Span = Span::from_seconds(2);
+/// Time after a window's last sample for which the window is still possible. The second of a step has a sample of the later
+/// window only, and that sample may arrive late.
+const MAX_UNSAMPLED: Span = Span::from_seconds(2);
 /// Upper limit of an exchange's duration; earlier stamps are invalid.
-const LONGEST: Span = Span::from_seconds(60);
+const MAX_EXCHANGE: Span = Span::from_seconds(60);
 
 /// Range of the stored exchanges of one window, by the edge's clock that stamped them.
 #[derive(Clone, Copy, Debug)]
@@ -25,15 +26,16 @@ pub(super) struct Extent {
     pub(super) returned: RawTime,
 }
 
-/// The time of a clock of the edge, cut into pieces with the only window that is possible in each, if there is just one.
+/// The time of a clock of the edge, divided into intervals. Each interval has the window that is possible in it, if there is
+/// exactly one.
 ///
-/// Free-running clocks count from the start of their machine: a time that occurs in two starts belongs to neither.
-/// Near a step two windows may overlap, if the edge's clock was set back, or leave a hole in which the step happened: a time
-/// there belongs to neither. A window is certain from its first exchange to its last one. It is possible for the whole seconds
-/// of its samples, where no other window is certain.
+/// Free-running clocks count from the start of their machine: a time that occurs after two starts of the machine belongs to
+/// neither window. Near a step two windows may overlap, if the edge's clock was set back, or leave a gap in which the step
+/// happened: a time there belongs to neither window. A window is certain from its first exchange to its last one. It is possible
+/// for the whole seconds of its samples, where no other window is certain.
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
-    /// Begins of the pieces with the only possible window.
+    /// Starts of the pieces with the only possible window.
     pieces: Vec<(RawTime, Option<usize>)>,
     /// Range in which each window is certain.
     certain: Vec<(RawTime, RawTime)>,
@@ -41,18 +43,21 @@ pub(super) struct Timeline {
 
 impl Timeline {
     /// Makes the timeline of windows in any order; their indexes are their names.
-    pub(super) fn of(windows: &[Extent]) -> Self {
+    pub(super) fn new(windows: &[Extent]) -> Self {
         let mut certain: Vec<(RawTime, RawTime)> = windows
             .iter()
             .map(|window| {
-                (window.sent.max(window.first - LONGEST), window.returned.min(window.last + LONGEST))
+                (
+                    window.sent.max(window.first - MAX_EXCHANGE),
+                    window.returned.min(window.last + MAX_EXCHANGE),
+                )
             })
             .collect();
         let mut possible: Vec<(RawTime, RawTime)> = windows
             .iter()
             .zip(&certain)
             .map(|(window, (sent, returned))| {
-                ((window.first - SECOND).min(*sent), (window.last + UNTOLD).max(*returned))
+                ((window.first - SECOND).min(*sent), (window.last + MAX_UNSAMPLED).max(*returned))
             })
             .collect();
         for spans in [&mut certain, &mut possible] {
@@ -108,17 +113,17 @@ mod tests {
 
     #[test]
     fn window_extends_little_beyond_its_exchanges() {
-        let timeline = Timeline::of(&[window(100, 200)]);
+        let timeline = Timeline::new(&[window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[89, 90, 100, 150, 200, 210, 211]),
             [None, Some(0), Some(0), Some(0), Some(0), Some(0), None]
         );
-        assert_eq!(Timeline::of(&[]).window(raw(0)), None);
+        assert_eq!(Timeline::new(&[]).window(raw(0)), None);
     }
 
     #[test]
     fn hole_between_windows_belongs_to_none() {
-        let timeline = Timeline::of(&[window(300, 400), window(100, 200)]);
+        let timeline = Timeline::new(&[window(300, 400), window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[95, 200, 201, 299, 300, 405]),
             [Some(1), Some(1), None, None, Some(0), Some(0)]
@@ -128,7 +133,7 @@ mod tests {
     #[test]
     fn repeated_time_of_edge_belongs_to_no_window() {
         // The clock was set back by 50 s after 200.
-        let timeline = Timeline::of(&[window(100, 200), window(151, 300)]);
+        let timeline = Timeline::new(&[window(100, 200), window(151, 300)]);
         assert_eq!(windows(&timeline, &[149, 150, 202, 203]), [Some(0), None, None, Some(1)]);
     }
 
@@ -140,7 +145,7 @@ mod tests {
             sent: RawTime::from_nanos(i64::MIN),
             returned: RawTime::from_nanos(i64::MAX),
         };
-        let timeline = Timeline::of(&[window(100, 200), wild]);
+        let timeline = Timeline::new(&[window(100, 200), wild]);
         assert_eq!(windows(&timeline, &[150, 239, 372]), [Some(0), None, None]);
     }
 
@@ -160,7 +165,7 @@ mod tests {
                     returned: at_nanos(returned),
                 })
                 .collect();
-            let window = Timeline::of(&extents).window(at_nanos(at));
+            let window = Timeline::new(&extents).window(at_nanos(at));
             prop_assert!(window.is_none_or(|window| window < extents.len()));
         }
     }

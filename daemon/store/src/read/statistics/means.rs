@@ -12,14 +12,14 @@ use crate::types::{MeanBucket, StageMeans};
 /// Row of the statement: name, point, number of samples and their sum.
 type Row = (i64, i64, i64, f64);
 
-pub(crate) async fn means(
+pub(crate) async fn stage_means(
     readers: &Readers,
     run: i64,
     stages: &[Name],
-    most_buckets: usize,
+    max_buckets: usize,
 ) -> Result<Vec<StageMeans>, StoreError> {
-    let (width_s, stored_s) = Stored::of(readers, run).await?.choose(most_buckets);
-    let known = NameIds::of(readers, stages).await?;
+    let (width_s, stored_s) = Stored::read(readers, run).await?.choose(max_buckets);
+    let known = NameIds::read(readers, stages).await?;
     let rows: Vec<Row> = sqlx::query_as(sql::SUMS_OVER_TIME)
         .bind(run)
         .bind(stored_s)

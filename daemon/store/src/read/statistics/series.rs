@@ -13,7 +13,7 @@ use crate::error::StoreError;
 use crate::figures::Figures;
 use crate::readers::Readers;
 use crate::rollups::{RollupRow, WIDTHS_S, bucket};
-use crate::types::{Series, SeriesPoint, StageCourse, StageSeries};
+use crate::types::{Series, SeriesPoint, StageBuckets, StageSeries};
 
 /// Possible widths of a point: multiples of a stored width, with at most fifteen buckets per point.
 const POINTS_S: [i64; 15] = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
@@ -25,7 +25,7 @@ pub(crate) async fn series(
     stages: &[Name],
     max_points: usize,
 ) -> Result<Series, StoreError> {
-    let stored = Stored::of(readers, run).await?;
+    let stored = Stored::read(readers, run).await?;
     let (width_s, stored_s) = stored.choose(max_points);
     let bucket_s = u32::try_from(width_s).unwrap_or(u32::MAX);
     let stages = points(readers, run, stages, (width_s, stored_s)).await?;
@@ -46,7 +46,7 @@ struct Width {
 pub(super) struct Stored([Width; WIDTHS_S.len()]);
 
 impl Stored {
-    pub(super) async fn of(readers: &Readers, run: i64) -> Result<Self, StoreError> {
+    pub(super) async fn read(readers: &Readers, run: i64) -> Result<Self, StoreError> {
         let trimmed: Vec<(i64, i64)> = sqlx::query_as(sql::TRIMMED)
             .bind(run)
             .fetch_all(&readers.pool())
@@ -109,15 +109,15 @@ async fn points(
 }
 
 /// Returns the summaries of all buckets; otherwise as [`series`].
-pub(crate) async fn course(
+pub(crate) async fn stage_buckets(
     readers: &Readers,
     run: i64,
     stages: &[Name],
-    most_buckets: usize,
-) -> Result<Vec<StageCourse>, StoreError> {
-    let widths = Stored::of(readers, run).await?.choose(most_buckets);
+    max_buckets: usize,
+) -> Result<Vec<StageBuckets>, StoreError> {
+    let widths = Stored::read(readers, run).await?.choose(max_buckets);
     let lines = lines(readers, run, stages, widths).await?;
-    let courses = lines.into_iter().map(|line| StageCourse {
+    let courses = lines.into_iter().map(|line| StageBuckets {
         buckets: line.points.into_iter().map(|(_, summary)| summary).collect(),
         stage: line.stage,
         unit: line.unit,
@@ -132,7 +132,7 @@ async fn lines(
     stages: &[Name],
     (width_s, stored_s): (i64, i64),
 ) -> Result<Vec<SeriesBuilder>, StoreError> {
-    let known = NameIds::of(readers, stages).await?;
+    let known = NameIds::read(readers, stages).await?;
     let line = |(at, stage): (usize, &Name)| SeriesBuilder {
         stage: stage.clone(),
         unit: known.units[at].clone(),
@@ -164,7 +164,7 @@ pub(super) struct NameIds {
 }
 
 impl NameIds {
-    pub(super) async fn of(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
+    pub(super) async fn read(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
         let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
         let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
             .bind(serde_json::to_string(&texts).map_err(|error| corrupt(WHAT, error))?)
@@ -190,7 +190,7 @@ impl NameIds {
 
 /// Converts a bucket for pages; `None` without samples.
 fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
-    Figures::of(summary).map(|figures| SeriesPoint {
+    Figures::from_summary(summary).map(|figures| SeriesPoint {
         at: wall(begin.saturating_mul(1_000_000_000)),
         count: figures.count,
         mean: figures.mean,
@@ -199,7 +199,7 @@ fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
     })
 }
 
-/// Buckets of one name, made from rows by rising time.
+/// Buckets of one name, made from rows by ascending time.
 struct SeriesBuilder {
     stage: Name,
     unit: String,
@@ -226,7 +226,7 @@ mod tests {
 
     const WEEK_S: i64 = 7 * DAY_S;
 
-    /// Makes a run from the begin of an hour, of which only these widths were deleted.
+    /// Makes a run from the start of an hour, of which only these widths were deleted.
     fn stored(length_s: i64, deleted: &[i64]) -> Stored {
         Stored(WIDTHS_S.map(|width_s| Width {
             width_s,

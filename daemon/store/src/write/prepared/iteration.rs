@@ -4,14 +4,14 @@ use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
 use peernet_stream::{Iteration, Outcome, OutcomeCounts};
 
-use super::{AnchorRow, BatchError, IterationRow, NodeRow, Preparing, RunPart, Step, TransitRow};
+use super::{AnchorRow, BatchBuilder, BatchError, IterationRow, NodeRow, RunPart, Step, TransitRow};
 use crate::extent::Extent;
 use crate::rollups::Quantity;
 
 /// Node of the agent: number of starts of an open loop that were skipped before an iteration.
 const SKIPPED_STARTS: &str = "skipped-starts";
 
-impl Preparing {
+impl BatchBuilder {
     /// Adds an iteration; returns the time of its start.
     pub(super) fn iteration(&mut self, iteration: &Iteration) -> Result<WallTime, BatchError> {
         let number =
@@ -73,8 +73,8 @@ impl Preparing {
 
     /// Returns the position of the iteration's run, and counts the iteration in it.
     fn run(&mut self, iteration: &Iteration, started: WallTime) -> u32 {
-        let numbers = Extent::of(iteration.number.cast_signed());
-        let seconds = Extent::of(started.unix_seconds());
+        let numbers = Extent::single(iteration.number.cast_signed());
+        let seconds = Extent::single(started.unix_seconds());
         let batch = &mut self.batch;
         let run = *self.runs.entry(iteration.run).or_insert_with(|| {
             let run = batch.runs.len() as u32;

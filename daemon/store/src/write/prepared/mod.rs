@@ -1,4 +1,4 @@
-//! Preparation of batches: all work that needs no database is done beside SQLite's thread instead of by the writer.
+//! Preparation of batches: all work that needs no database is done in parallel with SQLite's thread and not by the writer.
 //!
 //! Runs, names and hosts are positions in lists of the batch; the writer looks up their numbers. A batch that can never be
 //! stored is found here.
@@ -27,11 +27,11 @@ use crate::stored::Stored;
 pub(super) use self::iteration::position;
 
 /// Maximum number of missing events in a gap: a host may claim any number, and no sum in the database may overflow.
-const MOST_MISSING: u64 = 1 << 40;
+const MAX_MISSING_EVENTS: u64 = 1 << 40;
 
 /// A batch that is ready to be inserted.
 #[derive(Debug)]
-pub struct Prepared {
+pub struct PreparedBatch {
     pub(super) head: BatchHead,
     /// The events in wire form, for the quarantine.
     pub(super) body: Bytes,
@@ -80,7 +80,7 @@ pub(super) struct RunPart {
     pub(super) seconds: Extent,
 }
 
-/// The reason why a batch can never be stored, whatever the database holds.
+/// Reason why a batch can never be stored, whatever the database holds.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum BatchError {
     /// Its events cannot be decoded.
@@ -97,7 +97,7 @@ pub(crate) enum BatchError {
     OtherHost(HostId),
 }
 
-impl Prepared {
+impl PreparedBatch {
     /// Makes rows and statistics of the events of a batch.
     ///
     /// # Errors
@@ -106,14 +106,14 @@ impl Prepared {
         Self::without(head, body, &HashSet::new())
     }
 
-    /// Does the same without some iterations, which are already stored.
+    /// Does the same as [`Self::new`] without some iterations, which are already stored.
     pub(super) fn without(
         head: BatchHead,
         body: Bytes,
         stored: &HashSet<(RunId, i64)>,
     ) -> Result<Self, BatchError> {
-        let events = codec::events(&body, head.events)?;
-        let mut preparing = Preparing::of(Self::empty(head, body));
+        let events = codec::decode_events(&body, head.events)?;
+        let mut preparing = BatchBuilder::new(Self::empty(head, body));
         for event in events {
             if let (false, Event::Iteration(it)) = (stored.is_empty(), &event)
                 && stored.contains(&(it.run, it.number.cast_signed()))
@@ -123,7 +123,7 @@ impl Prepared {
             }
             preparing.add(event)?;
         }
-        Ok(preparing.done())
+        Ok(preparing.finish())
     }
 
     /// Returns its weight in nodes, by which commits are divided.
@@ -154,8 +154,8 @@ impl Prepared {
 
 /// A batch under preparation, with indexes of its lists.
 #[derive(Debug)]
-struct Preparing {
-    batch: Prepared,
+struct BatchBuilder {
+    batch: PreparedBatch,
     names: LocalNames,
     summaries: Summaries,
     runs: HashMap<RunId, u32>,
@@ -163,8 +163,8 @@ struct Preparing {
     verdicts: HashMap<(u32, u32, u8), u64>,
 }
 
-impl Preparing {
-    fn of(batch: Prepared) -> Self {
+impl BatchBuilder {
+    fn new(batch: PreparedBatch) -> Self {
         Self {
             batch,
             names: LocalNames::default(),
@@ -177,7 +177,7 @@ impl Preparing {
 
     fn add(&mut self, mut event: Event) -> Result<(), BatchError> {
         if let Event::Gap(gap) = &mut event {
-            gap.count = gap.count.min(MOST_MISSING);
+            gap.count = gap.count.min(MAX_MISSING_EVENTS);
         }
         let Claim { run, reporter } = event.claim();
         if let Some(other) = reporter.filter(|reporter| *reporter != self.batch.head.host) {
@@ -205,7 +205,7 @@ impl Preparing {
         Ok(())
     }
 
-    fn done(self) -> Prepared {
+    fn finish(self) -> PreparedBatch {
         let Self { mut batch, names, summaries, verdicts, .. } = self;
         batch.names = names.list;
         batch.summaries = summaries.list;

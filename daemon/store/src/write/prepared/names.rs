@@ -15,7 +15,7 @@ pub(in crate::write) struct NameKey {
 }
 
 impl NameKey {
-    fn of(name: &Name, measure: &Measure) -> Self {
+    fn new(name: &Name, measure: &Measure) -> Self {
         let custom = matches!(measure, Measure::Custom(..));
         Self { text: name.clone(), kind: measure.kind(), custom, unit: measure.unit() }
     }
@@ -36,7 +36,8 @@ impl NameKey {
 #[derive(Debug, Default)]
 pub(super) struct LocalNames {
     pub(super) list: Vec<NameKey>,
-    known: HashMap<NameKey, u32>,
+    /// Position in `list`.
+    positions: HashMap<NameKey, u32>,
     /// Names of the tree before: the next tree mostly has the same shape.
     shape: Vec<u32>,
 }
@@ -44,13 +45,13 @@ pub(super) struct LocalNames {
 impl LocalNames {
     /// Returns the position of a name, for the node at `at` of its tree.
     pub(super) fn position(&mut self, at: usize, name: &Name, measure: &Measure) -> u32 {
-        if let Some(known) = self.shape.get(at)
-            && self.list[*known as usize].is(name, measure)
+        if let Some(position) = self.shape.get(at)
+            && self.list[*position as usize].is(name, measure)
         {
-            return *known;
+            return *position;
         }
-        let key = NameKey::of(name, measure);
-        let position = *self.known.entry(key).or_insert_with_key(|key| {
+        let key = NameKey::new(name, measure);
+        let position = *self.positions.entry(key).or_insert_with_key(|key| {
             self.list.push(key.clone());
             self.list.len() as u32 - 1
         });

@@ -23,13 +23,14 @@ pub(in crate::write) struct SummaryPart {
 #[derive(Debug, Default)]
 pub(super) struct Summaries {
     pub(super) list: Vec<SummaryPart>,
-    known: HashMap<(u32, u32, Quantity, i64), usize>,
+    /// Position in `list`, by run, name, quantity and second.
+    positions: HashMap<(u32, u32, Quantity, i64), usize>,
     /// Position in `list` of each name's last number, by quantity: iterations mostly arrive in the order of run and second.
     last: Vec<[usize; 2]>,
 }
 
 impl Summaries {
-    /// Adds a number of an iteration that began in `second_s`. Numbers that a summary does not accept are left out.
+    /// Adds a number of an iteration that began in `second_s`. Numbers that a summary does not accept are omitted.
     pub(super) fn record(&mut self, run: u32, name: u32, quantity: Quantity, second_s: i64, value: f64) {
         if !Summary::accepts(value) {
             return;
@@ -44,7 +45,7 @@ impl Summaries {
             part.summary.record(value);
             return;
         }
-        *last = *self.known.entry((run, name, quantity, second_s)).or_insert_with(|| {
+        *last = *self.positions.entry((run, name, quantity, second_s)).or_insert_with(|| {
             self.list.push(SummaryPart { run, name, quantity, second_s, summary: Summary::default() });
             self.list.len() - 1
         });

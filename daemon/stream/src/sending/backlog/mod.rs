@@ -12,11 +12,11 @@ use self::pending_batches::PendingBatches;
 use self::ready_batches::ReadyBatches;
 use self::sent_batches::SentBatches;
 use self::stream_origin::StreamOrigin;
-use super::intake::CutBatch;
+use super::intake::UnnumberedBatch;
 use super::spool_reader::{ScanResult, SpoolScan};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
 use crate::totals::Totals;
-use crate::{BatchHead, Chain, HandedInEvents, SentUnspooled, StreamId};
+use crate::{BatchHead, Chain, SentUnspooled, StreamId, SubmittedEvents};
 use peernet_logger::HostId;
 
 /// Batches from the oldest without an acknowledgement to the newest.
@@ -39,7 +39,7 @@ pub(super) struct Backlog {
     /// Totals up to the newest batch that is in the file or stored by the aggregator.
     settled: Totals,
     newest: (u64, Chain),
-    held: Usage,
+    waiting_usage: Usage,
     sent: SentBatches,
     /// Number of events that the aggregator stored.
     stored: u64,
@@ -70,7 +70,7 @@ impl Backlog {
         let oldest = spool.oldest.max(1);
         let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.before) };
         // Without batches nothing is held, whatever the counts state.
-        let held = if newest.0 < oldest { Usage::default() } else { spool.held };
+        let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
             origin: StreamOrigin::new(spool),
@@ -78,21 +78,21 @@ impl Backlog {
             ready: ReadyBatches::new(budget),
             spooled: newest,
             pending: PendingBatches::default(),
-            settled: Totals { handed_in: HandedInEvents::default(), ..spool.totals.clone() },
+            settled: Totals { submitted: SubmittedEvents::default(), ..spool.totals.clone() },
             newest,
-            held,
+            waiting_usage,
             sent: SentBatches::default(),
-            stored: produced.saturating_sub(dropped.saturating_add(held.events)),
+            stored: produced.saturating_sub(dropped.saturating_add(waiting_usage.events)),
         }
     }
 
     /// Adds a batch with the next number.
-    pub(super) fn push(&mut self, cut: CutBatch) {
-        let CutBatch { since, events, body, totals } = cut;
-        let chain = self.newest.1.then(events, &body);
+    pub(super) fn push(&mut self, batch: UnnumberedBatch) {
+        let UnnumberedBatch { since, events, body, totals } = batch;
+        let chain = self.newest.1.next(events, &body);
         self.newest = (self.newest.0 + 1, chain);
         let batch = SpooledBatch { number: self.newest.0, since, events, chain, body };
-        self.held = self.held + batch.usage();
+        self.waiting_usage = self.waiting_usage + batch.usage();
         self.pending.push(batch, totals);
     }
 
@@ -114,7 +114,7 @@ impl Backlog {
     }
 
     /// Returns the number of the newest batch that this process has sent.
-    pub(super) const fn sent(&self) -> u64 {
+    pub(super) const fn newest_sent(&self) -> u64 {
         self.sent.newest()
     }
 
@@ -127,7 +127,7 @@ impl Backlog {
     }
 
     /// Returns the number of events that the aggregator stored.
-    pub(super) const fn stored(&self) -> u64 {
+    pub(super) const fn stored_events(&self) -> u64 {
         self.stored
     }
 
@@ -136,16 +136,16 @@ impl Backlog {
         self.stored += events;
     }
 
-    pub(super) const fn held(&self) -> Usage {
-        self.held
+    pub(super) const fn waiting_usage(&self) -> Usage {
+        self.waiting_usage
     }
 
-    pub(super) const fn pending(&self) -> Usage {
+    pub(super) const fn pending_usage(&self) -> Usage {
         self.pending.usage()
     }
 
     /// Returns the totals up to the newest batch that is in the file or stored by the aggregator.
-    pub(super) const fn settled(&self) -> &Totals {
+    pub(super) const fn settled_totals(&self) -> &Totals {
         &self.settled
     }
 
@@ -155,13 +155,13 @@ impl Backlog {
         while let Some(pending) = self.pending.pop_through(u64::MAX) {
             self.sent.forget(&pending.batch);
         }
-        self.held = self.held - lost;
+        self.waiting_usage = self.waiting_usage - lost;
         lost.events
     }
 
     /// Returns the size of the batches that are in the file only.
-    pub(super) fn filed(&self) -> Usage {
-        self.held - self.ready.usage() - self.pending.usage()
+    pub(super) fn file_only_usage(&self) -> Usage {
+        self.waiting_usage - self.ready.usage() - self.pending.usage()
     }
 
     /// Returns the time of the oldest batch's first event.
@@ -173,7 +173,7 @@ impl Backlog {
     }
 
     /// Returns the number of the first batch that is not in memory; beyond `spooled` if the file holds no such batch.
-    pub(super) fn unknown(&self) -> u64 {
+    pub(super) fn first_unloaded(&self) -> u64 {
         self.oldest.number + self.ready.len() as u64
     }
 
@@ -182,30 +182,34 @@ impl Backlog {
         usize::try_from(self.ready.part_bytes()).unwrap_or(usize::MAX)
     }
 
-    /// Returns whether the next batches should be read from the file, from [`unknown`](Self::unknown) on.
-    pub(super) fn wants_more(&self) -> bool {
-        self.unknown() <= self.spooled.0 && self.ready.has_room(self.ready.part_bytes())
+    /// Returns whether the next batches should be read from the file, from [`first_unloaded`](Self::first_unloaded) on.
+    pub(super) fn should_read_ahead(&self) -> bool {
+        self.first_unloaded() <= self.spooled.0 && self.ready.has_capacity(self.ready.part_bytes())
     }
 
     /// Returns the batches for the spool's next transaction, with a limit on their number and bytes, and the totals up
     /// to the last of them.
-    pub(super) fn to_append(&self, most: usize, most_bytes: u64) -> Option<(Vec<SpooledBatch>, Totals)> {
-        self.pending.to_append(most, most_bytes)
+    pub(super) fn next_append(
+        &self,
+        max_batches: usize,
+        max_bytes: u64,
+    ) -> Option<(Vec<SpooledBatch>, Totals)> {
+        self.pending.next_append(max_batches, max_bytes)
     }
 
     /// Records that batches up to `through`, which has the chain `chain`, are in the file. Returns the bytes of those
     /// that are held.
-    pub(super) fn appended(&mut self, through: u64, chain: Chain) -> u64 {
+    pub(super) fn mark_appended(&mut self, through: u64, chain: Chain) -> u64 {
         let mut bytes = 0;
-        self.passed(through, chain);
+        self.advance_file(through, chain);
         while let Some(pending) = self.pending.pop_through(through) {
             let (usage, batch) = (pending.batch.usage(), pending.batch);
             self.settled = pending.totals;
             bytes += usage.bytes;
             // Batches in flight stay in memory, because they may have to be sent again at once.
-            let is_wanted = self.ready.has_room(usage.bytes) || batch.number <= self.sent.newest();
+            let is_wanted = self.ready.has_capacity(usage.bytes) || batch.number <= self.sent.newest();
             // Ready batches are contiguous; a batch after one that is in the file only is read from there later.
-            if batch.number == self.unknown() && is_wanted {
+            if batch.number == self.first_unloaded() && is_wanted {
                 self.ready.push(batch);
             }
         }
@@ -213,7 +217,7 @@ impl Backlog {
     }
 
     /// Records that the file advanced to a batch, which it contains or not.
-    pub(super) fn passed(&mut self, through: u64, chain: Chain) {
+    pub(super) fn advance_file(&mut self, through: u64, chain: Chain) {
         if through > self.spooled.0 {
             self.spooled = (through, chain);
         }
@@ -221,10 +225,10 @@ impl Backlog {
 
     /// Adds batches read from the file. Batches that do not follow the known ones are ignored. Returns how many were
     /// added.
-    pub(super) fn loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
+    pub(super) fn add_loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
         let known = self.ready.len();
         for batch in batches {
-            if batch.number == self.unknown() && batch.number <= self.spooled.0 {
+            if batch.number == self.first_unloaded() && batch.number <= self.spooled.0 {
                 self.ready.push(batch);
             }
         }
@@ -258,9 +262,9 @@ impl Backlog {
         let batch = self.get(number, unspooled)?;
         let (chain, events, body) = (batch.chain, batch.events, batch.body.clone());
         let unspooled = self.pending.get(number).filter(|_| number > self.spooled.0).map(|pending| {
-            let Totals { produced, dropped, told, handed_in, .. } = &pending.totals;
-            let (taken, events) = (handed_in.taken.all, produced - dropped);
-            SentUnspooled { process, number, taken, told: *told, events }
+            let Totals { produced, dropped, reported_drops, submitted, .. } = &pending.totals;
+            let (batched, events) = (submitted.batched.total, produced - dropped);
+            SentUnspooled { process, number, batched, reported_drops: *reported_drops, events }
         });
         self.sent.record(number, events, unspooled);
         let head = BatchHead {
@@ -290,18 +294,18 @@ impl Backlog {
     pub(super) fn free(&mut self, through: u64, scanned: Option<ScanResult>, writing: u64) -> FreedBatches {
         let mut freed = FreedBatches::default();
         while let Some(batch) = self.ready.pop_through(through) {
-            self.held = self.held - batch.usage();
+            self.waiting_usage = self.waiting_usage - batch.usage();
             freed.spooled_bytes += batch.usage().bytes;
             self.forget(&batch, &mut freed);
         }
         if let Some((usage, chain)) = scanned {
-            self.held = self.held - usage;
+            self.waiting_usage = self.waiting_usage - usage;
             freed.events += usage.events;
             freed.spooled_bytes += usage.bytes;
             self.oldest = OldestBatch { number: through.min(self.spooled.0) + 1, before: chain, since: None };
         }
         while let Some(pending) = self.pending.pop_through(through) {
-            self.held = self.held - pending.batch.usage();
+            self.waiting_usage = self.waiting_usage - pending.batch.usage();
             self.settled = pending.totals;
             if pending.batch.number <= writing {
                 freed.writing_bytes += pending.batch.usage().bytes;
@@ -320,19 +324,19 @@ impl Backlog {
 
     /// Returns the chain of a batch, and the size of the batches up to it that are in the file only; `None` if the file
     /// must be read first.
-    pub(super) fn known(&self, number: u64) -> Option<(Chain, Option<ScanResult>)> {
+    pub(super) fn find_in_memory(&self, number: u64) -> Option<(Chain, Option<ScanResult>)> {
         let chain = self.chain(number)?;
-        if number < self.unknown() || self.unknown() > self.spooled.0 {
+        if number < self.first_unloaded() || self.first_unloaded() > self.spooled.0 {
             return Some((chain, None));
         }
-        let all = (number >= self.spooled.0).then(|| self.filed());
+        let all = (number >= self.spooled.0).then(|| self.file_only_usage());
         let last = self.chain(self.spooled.0)?;
         Some((chain, Some((all?, last))))
     }
 
-    /// Returns the scan of the file that [`known`](Self::known) needs; an empty one if it needs none.
+    /// Returns the scan of the file that [`find_in_memory`](Self::find_in_memory) needs; an empty one if it needs none.
     pub(super) fn scan_to(&self, number: u64) -> SpoolScan {
-        SpoolScan::new(self.unknown(), number.min(self.spooled.0))
+        SpoolScan::new(self.first_unloaded(), number.min(self.spooled.0))
     }
 
     /// Skips the oldest batches up to the one before `resume`, which no longer exist. None of them is in memory.
@@ -343,12 +347,12 @@ impl Backlog {
 
     /// Removes batches from the held ones that should be in the file and are not. This is known when no other batch is
     /// in the file only. Returns their size.
-    pub(super) fn settle(&mut self) -> Usage {
-        if self.unknown() <= self.spooled.0 {
+    pub(super) fn remove_missing(&mut self) -> Usage {
+        if self.first_unloaded() <= self.spooled.0 {
             return Usage::default();
         }
-        let missing = self.filed();
-        self.held = self.held - missing;
+        let missing = self.file_only_usage();
+        self.waiting_usage = self.waiting_usage - missing;
         missing
     }
 

@@ -53,13 +53,17 @@ impl PendingBatches {
 
     /// Returns the batches for the spool's next transaction, with a limit on their number and bytes, and the totals up
     /// to the last of them.
-    pub(super) fn to_append(&self, most: usize, most_bytes: u64) -> Option<(Vec<SpooledBatch>, Totals)> {
+    pub(super) fn next_append(
+        &self,
+        max_batches: usize,
+        max_bytes: u64,
+    ) -> Option<(Vec<SpooledBatch>, Totals)> {
         let mut bytes = 0;
-        let chosen = self.batches.iter().take(most).take_while(|pending| {
+        let chosen = self.batches.iter().take(max_batches).take_while(|pending| {
             let first = bytes == 0;
             bytes += pending.batch.body.len() as u64;
             // At least one batch, even if it alone exceeds the limit.
-            first || bytes <= most_bytes
+            first || bytes <= max_bytes
         });
         let mut totals = None;
         let batches: Vec<_> =

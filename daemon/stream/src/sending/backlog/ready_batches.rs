@@ -34,7 +34,7 @@ impl ReadyBatches {
     }
 
     /// Returns whether `bytes` more may be kept.
-    pub(super) const fn has_room(&self, bytes: u64) -> bool {
+    pub(super) const fn has_capacity(&self, bytes: u64) -> bool {
         self.usage.bytes + bytes <= self.budget
     }
 

@@ -3,55 +3,62 @@
 use peernet_clock::{MonoTime, Span};
 
 /// Allowance of a new connection, whose path is unknown.
-const FIRST: u64 = 4 << 10;
+const INITIAL_BYTES: u64 = 4 << 10;
 
 /// Smallest allowance: one or two packets.
-const LEAST: u64 = 2 << 10;
+const MIN_BYTES: u64 = 2 << 10;
 
-/// Shortest part of a batch. In shorter parts the headers of all layers would be a large share.
-const LEAST_PART: u64 = 1 << 10;
+/// Shortest part of a batch. In shorter parts, the headers of all layers would be a large share of the bytes.
+const MIN_PART_BYTES: u64 = 1 << 10;
 
-/// Intended queueing delay. It keeps the link busy at all times, and is most of the age of live figures on a slow link.
-const QUEUE: Span = Span::from_millis(100);
+/// Target queueing delay. A queue of this length keeps the link busy; on a slow link it is most of the age of live
+/// figures.
+const TARGET_QUEUEING: Span = Span::from_millis(100);
 
-/// Longest queueing delay. `QUEUE` grows up to it if the queue would be shorter than [`LEAST_QUEUED`].
-const LONGEST_QUEUE: Span = Span::from_millis(400);
+/// Longest queueing delay. `TARGET_QUEUEING` grows up to it if the queue would be shorter than [`MIN_QUEUED_BYTES`].
+const MAX_QUEUEING: Span = Span::from_millis(400);
 
 /// Minimum number of queued bytes, so that several parts of a batch fit.
-const LEAST_QUEUED: f64 = (4 << 10) as f64;
+const MIN_QUEUED_BYTES: f64 = (4 << 10) as f64;
 
 /// Longest queueing delay that indicates a path with much more capacity. The allowance then grows faster.
-const NO_QUEUE: Span = Span::from_millis(10);
+const NEGLIGIBLE_QUEUEING: Span = Span::from_millis(10);
 
-/// Shortest time for which a rate of delivery counts; it counts for at most twice that time.
-const REMEMBERED: Span = Span::from_seconds(5);
+/// Minimum time for which a rate of delivery is used; it is used for at most twice that time.
+const RATE_LIFETIME: Span = Span::from_seconds(5);
 
 /// Number of late echoes in a row after which the link counts as slow. A single one may be due to a lost packet.
-const LATE: u32 = 2;
+const LATE_ECHOES_OF_SLOW_LINK: u32 = 2;
 
 /// Allowance from which on the link no longer counts as slow.
-const FAST: u64 = 64 << 10;
+const FAST_LINK_BYTES: u64 = 64 << 10;
 
 /// Number of bytes that may be in flight.
 #[derive(Clone, Debug)]
 pub(super) struct Allowance {
     bytes: u64,
-    most: u64,
+    max_bytes: u64,
     rates: DeliveryRates,
     /// Number of late echoes in a row.
-    late: u32,
+    late_echoes: u32,
     is_slow: bool,
 }
 
 impl Allowance {
-    /// Creates the allowance of a connection over an unknown path. It never exceeds `most`.
-    pub(super) fn new(most: u64, is_slow: bool) -> Self {
-        Self { bytes: FIRST, most: most.max(FIRST), rates: DeliveryRates::default(), late: 0, is_slow }
+    /// Creates the allowance of a connection over an unknown path. It never exceeds `max_bytes`.
+    pub(super) fn new(max_bytes: u64, is_slow: bool) -> Self {
+        Self {
+            bytes: INITIAL_BYTES,
+            max_bytes: max_bytes.max(INITIAL_BYTES),
+            rates: DeliveryRates::default(),
+            late_echoes: 0,
+            is_slow,
+        }
     }
 
     /// Returns the allowance of the next connection.
     pub(super) fn restarted(&self) -> Self {
-        Self::new(self.most, self.is_slow)
+        Self::new(self.max_bytes, self.is_slow)
     }
 
     pub(super) const fn bytes(&self) -> u64 {
@@ -64,36 +71,37 @@ impl Allowance {
     }
 
     /// Returns the largest number of bytes of a batch that are handed over at once.
-    pub(super) fn part(&self) -> u64 {
-        (self.bytes / 4).max(LEAST_PART)
+    pub(super) fn part_bytes(&self) -> u64 {
+        (self.bytes / 4).max(MIN_PART_BYTES)
     }
 
     /// Updates the allowance after `bytes` and the answer to them took `took`; `shortest` is the shortest round trip.
     pub(super) fn observe(&mut self, bytes: u64, took: Span, shortest: Span, now: MonoTime) {
-        // The queue alone explains a delay up to this.
-        let is_late = took > shortest + LONGEST_QUEUE;
-        self.late = if is_late { self.late.saturating_add(1) } else { 0 };
+        // The queue alone can cause a delay up to this limit.
+        let is_late = took > shortest + MAX_QUEUEING;
+        self.late_echoes = if is_late { self.late_echoes.saturating_add(1) } else { 0 };
         let rate = bytes as f64 / took.seconds();
-        self.rates.add(rate, now, took > shortest + LONGEST_QUEUE + LONGEST_QUEUE);
+        self.rates.add(rate, now, took > shortest + MAX_QUEUEING + MAX_QUEUEING);
         let best = self.rates.best();
         // A long path needs a longer queue, or bursts leave it empty.
-        let least = QUEUE.max(Span::from_nanos(shortest.nanos() / 2));
-        let queue = Span::from_seconds_f64(LEAST_QUEUED / best).max(least).min(LONGEST_QUEUE);
+        let least = TARGET_QUEUEING.max(Span::from_nanos(shortest.nanos() / 2));
+        let queue = Span::from_seconds_f64(MIN_QUEUED_BYTES / best).max(least).min(MAX_QUEUEING);
         let aim = shortest + queue;
         let fair = |rate: f64| (rate * aim.seconds()) as u64;
         if took > aim {
-            let less = fair(best).max(self.bytes / 2).max(LEAST);
+            let less = fair(best).max(self.bytes / 2).max(MIN_BYTES);
             // At most halved at once: a single late echo may be due to a lost packet.
             self.bytes = self.bytes.min(less);
         } else {
             // An allowance that was used up to one part counts as fully used.
-            let full = bytes + self.part();
-            let doubled = if took <= shortest + NO_QUEUE { 2 * full } else { 2 * bytes };
-            let more = fair(full as f64 / took.seconds()).min(doubled).min(self.most);
+            let full = bytes + self.part_bytes();
+            let doubled = if took <= shortest + NEGLIGIBLE_QUEUEING { 2 * full } else { 2 * bytes };
+            let more = fair(full as f64 / took.seconds()).min(doubled).min(self.max_bytes);
             self.bytes = self.bytes.max(more);
         }
         // Hysteresis: a link at the limit does not change between both states.
-        self.is_slow = self.late >= LATE || self.is_slow && self.bytes < FAST;
+        self.is_slow =
+            self.late_echoes >= LATE_ECHOES_OF_SLOW_LINK || self.is_slow && self.bytes < FAST_LINK_BYTES;
     }
 }
 
@@ -107,11 +115,11 @@ struct DeliveryRates {
 }
 
 impl DeliveryRates {
-    /// Adds a rate; `alone` discards the earlier ones.
-    fn add(&mut self, rate: f64, now: MonoTime, alone: bool) {
-        if alone {
+    /// Adds a rate; `discard_earlier` discards the earlier ones.
+    fn add(&mut self, rate: f64, now: MonoTime, discard_earlier: bool) {
+        if discard_earlier {
             *self = Self { since: now, current: rate, previous: 0.0 };
-        } else if now - self.since > REMEMBERED {
+        } else if now - self.since > RATE_LIFETIME {
             *self = Self { since: now, current: rate, previous: self.current };
         } else {
             self.current = self.current.max(rate);

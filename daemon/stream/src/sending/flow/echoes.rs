@@ -5,10 +5,10 @@ use std::collections::VecDeque;
 use peernet_clock::{MonoTime, Span};
 
 /// Time after which a missing echo is requested again.
-const REMIND: Span = Span::from_seconds(2);
+const RETRY_AFTER: Span = Span::from_seconds(2);
 
 /// Largest number of pending requests.
-const MOST_PENDING: usize = 64;
+const MAX_PENDING: usize = 64;
 
 /// A request for an echo.
 #[derive(Clone, Copy, Debug)]
@@ -40,13 +40,13 @@ impl PendingEchoes {
     }
 
     /// Returns the time at which the last echo is requested again.
-    pub(super) fn remind_at(&self) -> Option<MonoTime> {
-        self.requests.back().map(|request| request.at + REMIND)
+    pub(super) fn echo_retry_at(&self) -> Option<MonoTime> {
+        self.requests.back().map(|request| request.at + RETRY_AFTER)
     }
 
     /// Adds a request. The oldest one is dropped if there are too many.
     pub(super) fn push(&mut self, request: EchoRequest) {
-        if self.requests.len() == MOST_PENDING {
+        if self.requests.len() == MAX_PENDING {
             self.requests.pop_front();
         }
         self.last = request.bytes;

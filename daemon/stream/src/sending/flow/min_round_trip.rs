@@ -2,9 +2,9 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Time for which the shortest round trip is valid. A standing queue would otherwise be mistaken for a longer path, so
-/// that the path is drained for a moment at this interval.
-const BELIEVED: Span = Span::from_seconds(30);
+/// Time for which the shortest round trip is valid. At this interval the path is drained for a moment: otherwise a
+/// standing queue would be mistaken for a longer path.
+const LIFETIME: Span = Span::from_seconds(30);
 
 /// The shortest observed round trip. A probe on a drained path renews it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -19,7 +19,7 @@ pub(super) struct MinRoundTrip {
 
 impl MinRoundTrip {
     /// Returns the shortest round trip; `None` before the first measurement.
-    pub(super) fn get(&self) -> Option<Span> {
+    pub(super) fn shortest(&self) -> Option<Span> {
         self.shortest.map(|(shortest, _)| shortest)
     }
 
@@ -36,11 +36,11 @@ impl MinRoundTrip {
     }
 
     /// Adds the round trip of an echo. The echo of the probe replaces a shortest round trip that is too old.
-    pub(super) fn observe_echo(&mut self, bytes: u64, took: Span, now: MonoTime) {
+    pub(super) fn observe_echo(&mut self, bytes: u64, round_trip: Span, now: MonoTime) {
         if self.probe.take_if(|probe| *probe <= bytes) == Some(bytes) && self.is_old(now) {
-            self.shortest = Some((took, now));
+            self.shortest = Some((round_trip, now));
         }
-        self.observe(took, now);
+        self.observe(round_trip, now);
     }
 
     /// Returns whether a probe is due and none is in flight.
@@ -60,6 +60,6 @@ impl MinRoundTrip {
     }
 
     fn is_old(&self, now: MonoTime) -> bool {
-        self.shortest.is_some_and(|(_, at)| now - at > BELIEVED)
+        self.shortest.is_some_and(|(_, at)| now - at > LIFETIME)
     }
 }

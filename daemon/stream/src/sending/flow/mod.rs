@@ -2,17 +2,17 @@
 //!
 //! Data that was handed to the connection cannot be overtaken: on a slow link, a window of batches in the socket's
 //! buffer would delay every later live update by a minute. Both lanes therefore hand over no more than an *allowance*.
-//! It begins with a few kilobytes and follows the capacity of the path: the aggregator is asked for an echo now and
-//! then, whose delay tells how long the bytes before it took. This is delay-based congestion control as in LEDBAT (RFC
-//! 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr): the allowance is the amount that crosses in the
-//! shortest round trip plus a short queue.
+//! It starts with a few kilobytes and follows the capacity of the path. The agent requests an echo from the aggregator
+//! from time to time; its delay shows how long the bytes before it took. This is delay-based congestion control as in
+//! LEDBAT (RFC 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr): the allowance is the amount that
+//! crosses in the shortest round trip plus a short queue.
 //!
 //! Two connections with small socket buffers would be simpler but are not sufficient (`docs/measurements.md`). With
 //! `SO_SNDBUF` or `TCP_NOTSENT_LOWAT` alone, live figures become up to 15 s or 82 s old on 50 kbit/s, and the small
-//! buffer loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are as good only with
-//! `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's acknowledgement. The ZeroMQ
-//! library gives access to none of the three. This module can go when the library gives access to the socket; the
-//! protocol then needs a second connection that the same proof covers.
+//! buffer loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are equivalent only
+//! with `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's acknowledgement. The ZeroMQ
+//! library supports none of the three. This module can go when the library gives access to the socket; the protocol
+//! then needs a second connection that the same proof covers.
 
 mod allowance;
 mod echoes;
@@ -36,34 +36,34 @@ pub(super) struct FlowControl {
     echoes: PendingEchoes,
     round_trip: MinRoundTrip,
     allowance: Allowance,
-    /// Number of bytes that the durable lane may hand over before the next live update: the lanes take turns, byte for
-    /// byte, on a link that is too slow for both.
-    owed: u64,
+    /// Number of bytes that the durable lane may hand over before the next live update. On a link that is too slow for
+    /// both lanes, they alternate and get equal numbers of bytes.
+    durable_share: u64,
 }
 
 impl FlowControl {
-    /// Creates a flow control with nothing in flight. At most `most` bytes will be in flight.
-    pub(super) fn new(most: u64) -> Self {
-        Self::with(Allowance::new(most, false))
+    /// Creates a flow control with nothing in flight. At most `max_bytes` bytes will be in flight.
+    pub(super) fn new(max_bytes: u64) -> Self {
+        Self::from_allowance(Allowance::new(max_bytes, false))
     }
 
     /// Resets the state for a new connection, whose path is unknown.
     pub(super) fn restart(&mut self) {
-        *self = Self::with(self.allowance.restarted());
+        *self = Self::from_allowance(self.allowance.restarted());
     }
 
-    fn with(allowance: Allowance) -> Self {
+    fn from_allowance(allowance: Allowance) -> Self {
         Self {
             in_flight: InFlightBytes::default(),
             echoes: PendingEchoes::default(),
             round_trip: MinRoundTrip::default(),
             allowance,
-            owed: 0,
+            durable_share: 0,
         }
     }
 
     /// Records the round trip of a message that was answered at once.
-    pub(super) fn round_trip(&mut self, span: Span, now: MonoTime) {
+    pub(super) fn observe_round_trip(&mut self, span: Span, now: MonoTime) {
         self.round_trip.observe(span, now);
     }
 
@@ -83,12 +83,12 @@ impl FlowControl {
     }
 
     /// Returns the largest number of bytes of a batch that are handed over at once.
-    pub(super) fn part(&self) -> usize {
-        usize::try_from(self.allowance.part()).unwrap_or(usize::MAX)
+    pub(super) fn part_bytes(&self) -> usize {
+        usize::try_from(self.allowance.part_bytes()).unwrap_or(usize::MAX)
     }
 
     /// Returns whether the durable lane may hand over `bytes`.
-    pub(super) const fn has_room(&self, bytes: usize) -> bool {
+    pub(super) const fn has_capacity(&self, bytes: usize) -> bool {
         let bytes_in_flight = self.in_flight.len();
         // With nothing in flight one message is always allowed, however large.
         bytes_in_flight == 0
@@ -96,50 +96,55 @@ impl FlowControl {
     }
 
     /// Returns whether the live lane may hand over an update.
-    pub(super) const fn may_show(&self) -> bool {
-        self.owed == 0 && self.in_flight.len() < self.allowance.bytes()
+    pub(super) const fn may_send_live(&self) -> bool {
+        self.durable_share == 0 && self.in_flight.len() < self.allowance.bytes()
     }
 
     /// Records that the live lane handed over bytes.
-    pub(super) const fn shown(&mut self, bytes: u64) {
+    pub(super) const fn record_live_sent(&mut self, bytes: u64) {
         self.in_flight.add(bytes);
         // The durable lane may now send as much before the next update.
-        self.owed = bytes;
+        self.durable_share = bytes;
     }
 
     /// Records that the durable lane handed over bytes. Returns the position after them.
     pub(super) const fn hand_over(&mut self, bytes: u64) -> u64 {
-        self.owed = self.owed.saturating_sub(bytes);
+        self.durable_share = self.durable_share.saturating_sub(bytes);
         self.in_flight.add_durable(bytes)
     }
 
     /// Records that the durable lane has nothing to hand over, so that the live lane need not wait for it.
-    pub(super) const fn yield_turn(&mut self) {
-        self.owed = 0;
+    pub(super) const fn clear_durable_share(&mut self) {
+        self.durable_share = 0;
     }
 
-    /// Returns the position of an echo that is to be requested now. `waits` tells whether a frame waits for room in the
-    /// allowance, and `begins` whether a batch is about to be handed over.
-    pub(super) fn request_echo(&mut self, waits: bool, begins: bool, now: MonoTime) -> Option<u64> {
+    /// Returns the position of an echo that is to be requested now. `is_waiting` is `true` if a frame does not fit into
+    /// the allowance yet, `starts_batch` if a batch is about to be handed over.
+    pub(super) fn request_echo(
+        &mut self,
+        is_waiting: bool,
+        starts_batch: bool,
+        now: MonoTime,
+    ) -> Option<u64> {
         let bytes_in_flight = self.in_flight.len();
-        let unasked = self.in_flight.handed() - self.echoes.last().max(self.in_flight.arrived());
+        let unrequested = self.in_flight.handed() - self.echoes.last().max(self.in_flight.arrived());
         let is_old = self.round_trip.is_due(now);
-        if is_old && waits && !self.round_trip.is_draining() {
+        if is_old && is_waiting && !self.round_trip.is_draining() {
             // A live update must not wait until the path is drained.
-            self.owed = 0;
+            self.durable_share = 0;
         }
-        self.round_trip.set_draining(is_old && (waits || self.round_trip.is_draining()));
-        let is_wanted = self.round_trip.is_draining() || begins && is_old;
-        let probes = is_wanted && bytes_in_flight <= self.allowance() / 3;
-        let due = probes
-            || unasked >= self.allowance() / 4
-            || waits && self.echoes.is_empty() && bytes_in_flight > 0
-            || self.remind_at().is_some_and(|at| now >= at);
+        self.round_trip.set_draining(is_old && (is_waiting || self.round_trip.is_draining()));
+        let needs_probe = self.round_trip.is_draining() || starts_batch && is_old;
+        let is_probe = needs_probe && bytes_in_flight <= self.allowance() / 3;
+        let due = is_probe
+            || unrequested >= self.allowance() / 4
+            || is_waiting && self.echoes.is_empty() && bytes_in_flight > 0
+            || self.echo_retry_at().is_some_and(|at| now >= at);
         if !due {
             return None;
         }
         let bytes = self.in_flight.add(REQUEST_BYTES);
-        if probes {
+        if is_probe {
             self.round_trip.begin_probe(bytes);
         }
         self.echoes.push(EchoRequest { bytes, at: now, ahead: bytes_in_flight });
@@ -147,25 +152,25 @@ impl FlowControl {
     }
 
     /// Returns the time at which a missing echo is requested again.
-    pub(super) fn remind_at(&self) -> Option<MonoTime> {
-        self.echoes.remind_at()
+    pub(super) fn echo_retry_at(&self) -> Option<MonoTime> {
+        self.echoes.echo_retry_at()
     }
 
     /// Records that everything up to a position has arrived.
-    pub(super) const fn arrived(&mut self, bytes: u64, now: MonoTime) {
+    pub(super) const fn record_arrival(&mut self, bytes: u64, now: MonoTime) {
         self.in_flight.acknowledge(bytes, now);
     }
 
     /// Records an echo, and updates the allowance.
-    pub(super) fn echoed(&mut self, bytes: u64, now: MonoTime) {
+    pub(super) fn record_echo(&mut self, bytes: u64, now: MonoTime) {
         let answered = self.echoes.answer(bytes);
-        self.arrived(bytes, now);
+        self.record_arrival(bytes, now);
         let Some(EchoRequest { at, ahead, .. }) = answered else { return };
         let took = (now - at).max(Span::from_millis(1));
         self.round_trip.observe_echo(bytes, took, now);
         // An echo with nothing before it measures the path, but no rate.
         if ahead > 0 {
-            let shortest = self.round_trip.get().unwrap_or(took);
+            let shortest = self.round_trip.shortest().unwrap_or(took);
             self.allowance.observe(ahead, took, shortest, now);
         }
     }

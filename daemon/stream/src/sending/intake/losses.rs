@@ -7,16 +7,16 @@ use peernet_logger::{RunId, Slug};
 
 /// Largest number of losses that are counted separately. Further losses are counted together; an agent has few
 /// pipelines and few reasons.
-const MOST: usize = 64;
+const MAX_LOSSES: usize = 64;
 
 /// Interval between the reports of a continuing loss, which is also reported at its end. Losses in between form one
 /// gap.
-const REPORT_EVERY: Span = Span::from_seconds(1);
+const REPORT_INTERVAL: Span = Span::from_seconds(1);
 
 /// Dropped events by pipeline, run and reason.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Losses {
-    known: Vec<Loss>,
+    entries: Vec<Loss>,
 }
 
 /// A loss that may continue.
@@ -42,20 +42,21 @@ impl Losses {
             let gap = &loss.gap;
             gap.pipeline == pipeline && gap.run == run && gap.reason == reason
         };
-        if let Some(loss) = self.known.iter_mut().find(same) {
+        if let Some(loss) = self.entries.iter_mut().find(same) {
             loss.extend(now, count);
             return;
         }
-        if self.known.len() >= MOST {
-            // Losses that are reported completely make room.
-            self.known.retain(|loss| loss.gap.count > 0);
+        if self.entries.len() >= MAX_LOSSES {
+            // Losses that are completely reported are removed first.
+            self.entries.retain(|loss| loss.gap.count > 0);
         }
-        if self.known.len() < MOST {
+        if self.entries.len() < MAX_LOSSES {
             let gap = Gap { pipeline, run, from: now.wall, to: now.wall, count, reason };
-            self.known.push(Loss { gap, reported: None });
+            self.entries.push(Loss { gap, reported: None });
         } else {
-            let loss = &mut self.known[MOST - 1];
-            (loss.gap.pipeline, loss.gap.run, loss.gap.reason) = (None, None, "many different losses".into());
+            let loss = &mut self.entries[MAX_LOSSES - 1];
+            (loss.gap.pipeline, loss.gap.run, loss.gap.reason) =
+                (None, None, "several reasons, too many to list".into());
             loss.extend(now, count);
         }
     }
@@ -65,36 +66,36 @@ impl Losses {
         let Gap { pipeline, run, from, count, reason, .. } = gap;
         self.add(pipeline.clone(), run, now, count, reason.clone());
         let same = |loss: &&mut Loss| {
-            let known = &loss.gap;
-            known.pipeline == pipeline && known.run == run && known.reason == reason
+            let entries = &loss.gap;
+            entries.pipeline == pipeline && entries.run == run && entries.reason == reason
         };
-        if let Some(loss) = self.known.iter_mut().find(same) {
+        if let Some(loss) = self.entries.iter_mut().find(same) {
             loss.gap.from = loss.gap.from.min(from);
         }
     }
 
     /// Returns the number of gaps to be reported, now or later.
     pub(super) fn len(&self) -> usize {
-        self.known.iter().filter(|loss| loss.gap.count > 0).count()
+        self.entries.iter().filter(|loss| loss.gap.count > 0).count()
     }
 
     /// Returns the time of the next report. A loss without a recent report is due at once.
-    pub(super) fn due(&self) -> Option<MonoTime> {
-        let open = self.known.iter().filter(|loss| loss.gap.count > 0);
-        open.map(|loss| loss.reported.map_or(MonoTime::default(), |at| at + REPORT_EVERY)).min()
+    pub(super) fn next_report_at(&self) -> Option<MonoTime> {
+        let open = self.entries.iter().filter(|loss| loss.gap.count > 0);
+        open.map(|loss| loss.reported.map_or(MonoTime::default(), |at| at + REPORT_INTERVAL)).min()
     }
 
     /// Returns the next due gap, and records it as reported.
     pub(super) fn take_due(&mut self, now: MonoTime) -> Option<Gap> {
-        self.known.retain(|loss| loss.gap.count > 0 || !loss.is_due(now));
-        let due = self.known.iter_mut().find(|loss| loss.gap.count > 0 && loss.is_due(now));
-        due.map(|loss| loss.take(now))
+        self.entries.retain(|loss| loss.gap.count > 0 || !loss.is_due(now));
+        let due = self.entries.iter_mut().find(|loss| loss.gap.count > 0 && loss.is_due(now));
+        due.map(|loss| loss.take_gap(now))
     }
 
     /// Returns the next gap of the losses that end now: those of a run, or all. Records it as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         let ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
-        self.known.iter_mut().find(ended).map(|loss| loss.take(now))
+        self.entries.iter_mut().find(ended).map(|loss| loss.take_gap(now))
     }
 }
 
@@ -108,10 +109,10 @@ impl Loss {
     }
 
     fn is_due(&self, now: MonoTime) -> bool {
-        self.reported.is_none_or(|at| now - at >= REPORT_EVERY)
+        self.reported.is_none_or(|at| now - at >= REPORT_INTERVAL)
     }
 
-    fn take(&mut self, now: MonoTime) -> Gap {
+    fn take_gap(&mut self, now: MonoTime) -> Gap {
         self.reported = Some(now);
         let left = Gap { count: 0, ..self.gap.clone() };
         std::mem::replace(&mut self.gap, left)
@@ -132,11 +133,11 @@ mod tests {
         for n in 0..200 {
             losses.add(None, Some(RunId::random()), at(n), 2, "full".into());
         }
-        assert_eq!(losses.len(), MOST);
+        assert_eq!(losses.len(), MAX_LOSSES);
         let gaps: Vec<_> = std::iter::from_fn(|| losses.take_due(at(200).mono)).collect();
         assert_eq!(gaps.iter().map(|gap| gap.count).sum::<u64>(), 400);
-        assert_eq!(gaps[MOST - 1].to, at(199).wall);
-        assert_eq!((losses.len(), losses.due()), (0, None));
+        assert_eq!(gaps[MAX_LOSSES - 1].to, at(199).wall);
+        assert_eq!((losses.len(), losses.next_report_at()), (0, None));
         // Reported losses make room for others.
         losses.add(None, None, at(300), 1, "another".into());
         assert_eq!(losses.take_ended(None, at(300).mono).expect("a gap").reason, "another");
@@ -151,7 +152,7 @@ mod tests {
             losses.add(None, run, at(2 * n), 1, "full".into());
             gaps.extend(losses.take_due(at(2 * n + 1).mono));
         }
-        assert_eq!(losses.due(), Some(at(3_001).mono));
+        assert_eq!(losses.next_report_at(), Some(at(3_001).mono));
         assert!(losses.take_ended(Some(RunId::random()), at(3_000).mono).is_none());
         gaps.extend(losses.take_ended(run, at(3_000).mono));
         assert_eq!(gaps.iter().map(|gap| gap.count).collect::<Vec<_>>(), [1, 500, 500, 499]);

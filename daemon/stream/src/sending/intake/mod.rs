@@ -1,13 +1,13 @@
-//! Encoding of events and cutting of batches, before batches are numbered.
+//! Encoding of events into batches, before the batches are numbered.
 
-mod known_runs;
 mod losses;
+mod run_tracker;
 mod unreported;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Stamp, WallTime};
 
-use self::known_runs::KnownRuns;
+use self::run_tracker::RunTracker;
 use self::unreported::UnreportedLosses;
 use super::SendingConfig;
 use crate::spool::Usage;
@@ -18,27 +18,27 @@ use peernet_logger::limits::MAX_BYTES;
 use peernet_logger::{RunId, Slug};
 
 /// Size reserved for the report of a loss.
-const GAP: Usage = Usage { events: 1, bytes: 512 };
+const GAP_REPORT: Usage = Usage { events: 1, bytes: 512 };
 
 /// Longest event: the largest tree and the fields around it.
 const MAX_EVENT_BYTES: usize = MAX_BYTES + 16 * 1024;
 
 /// Longest batch, whatever is configured, because the aggregator must be able to read its frame.
-const MOST_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
+const MAX_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
 
-/// State machine that accepts events, counts them, and cuts them into batches without numbers.
+/// State machine that accepts events, counts them, and groups them into batches without numbers.
 #[derive(Clone, Debug)]
 pub(super) struct Intake {
     config: SendingConfig,
     totals: Totals,
     open: OpenBatch,
-    /// Batches that were cut and not collected yet.
-    cut: Vec<CutBatch>,
-    cut_usage: Usage,
+    /// Closed batches that were not collected yet.
+    unnumbered: Vec<UnnumberedBatch>,
+    unnumbered_usage: Usage,
     /// Encoded form of the current event; kept to reuse its memory.
     encoded: Vec<u8>,
     losses: UnreportedLosses,
-    runs: KnownRuns,
+    runs: RunTracker,
 }
 
 /// A batch under construction.
@@ -52,7 +52,7 @@ struct OpenBatch {
 
 /// A batch without a number.
 #[derive(Clone, Debug)]
-pub(super) struct CutBatch {
+pub(super) struct UnnumberedBatch {
     pub(super) since: WallTime,
     pub(super) events: u32,
     pub(super) body: Bytes,
@@ -76,53 +76,66 @@ impl EventCapacity {
         usage.fits(self.memory) && usage.bytes <= self.spool_bytes
     }
 
-    fn lacks(&self, usage: Usage) -> &'static str {
+    fn shortage(&self, usage: Usage) -> &'static str {
         match () {
             () if usage.bytes > self.spool_bytes => "the agent's spool was full",
             () if self.spool_fails => "the agent's spool could not be written and its memory was full",
-            () => "the agent's memory was full: events came faster than the spool takes them",
+            () => {
+                "the agent's memory was full: events arrived faster than they could be written to the spool"
+            }
         }
     }
 }
 
 impl Intake {
     /// Creates an intake that continues the counts of the spool.
-    pub(super) fn new(config: SendingConfig, totals: Totals, owed: Vec<Gap>, is_unresolved: bool) -> Self {
-        let told = owed.iter().fold(totals.told, |told, gap| told.saturating_add(gap.count));
+    pub(super) fn new(
+        config: SendingConfig,
+        totals: Totals,
+        earlier_gaps: Vec<Gap>,
+        is_unresolved: bool,
+    ) -> Self {
+        let reported_drops = earlier_gaps
+            .iter()
+            .fold(totals.reported_drops, |reported_drops, gap| reported_drops.saturating_add(gap.count));
         Self {
-            losses: UnreportedLosses::new(owed, totals.dropped.saturating_sub(told), is_unresolved),
+            losses: UnreportedLosses::new(
+                earlier_gaps,
+                totals.dropped.saturating_sub(reported_drops),
+                is_unresolved,
+            ),
             config,
             totals,
             open: OpenBatch::default(),
-            cut: Vec::new(),
-            cut_usage: Usage::default(),
+            unnumbered: Vec::new(),
+            unnumbered_usage: Usage::default(),
             encoded: Vec::new(),
-            runs: KnownRuns::default(),
+            runs: RunTracker::default(),
         }
     }
 
-    pub(super) fn offer(&mut self, event: &Event, room: &EventCapacity, now: Stamp) {
+    pub(super) fn offer(&mut self, event: &Event, capacity: &EventCapacity, now: Stamp) {
         self.losses.add_earlier_drops(now);
         self.encoded.clear();
-        codec::append(&mut self.encoded, event);
+        codec::encode_into(&mut self.encoded, event);
         let run = event.run();
-        match self.refusal(event, room) {
+        match self.refusal(event, capacity) {
             None => {
-                self.report_losses(room, now);
+                self.report_losses(capacity, now);
                 // The run's losses are reported before its end, so that they belong to the run.
                 if let Event::RunEnded(ended) = event {
-                    self.report_ended(Some(ended.run), room, now);
+                    self.report_ended(Some(ended.run), capacity, now);
                 }
-                self.take(weight(event), now);
-                self.totals.handed_in.taken.add(run, 1);
+                self.append_event(weight(event), now);
+                self.totals.submitted.batched.add(run, 1);
             }
             Some(reason) => {
                 self.totals.produced += 1;
-                self.totals.handed_in.dropped.add(run, 1);
+                self.totals.submitted.dropped.add(run, 1);
                 self.lose(self.runs.scope(event), 1, reason, now);
             }
         }
-        self.totals.handed_in.last = Some(now.wall);
+        self.totals.submitted.last = Some(now.wall);
         self.runs.observe(event);
     }
 
@@ -138,17 +151,17 @@ impl Intake {
         self.losses.add(scope, count, reason, now);
     }
 
-    /// Counts events that were dropped before they were handed in.
-    pub(super) fn lost(&mut self, gap: &Gap, now: Stamp) {
+    /// Counts events that were dropped before they were submitted.
+    pub(super) fn record_loss(&mut self, gap: &Gap, now: Stamp) {
         self.totals.produced += gap.count;
         self.totals.dropped += gap.count;
-        self.totals.handed_in.dropped.add(gap.run, gap.count);
-        self.totals.handed_in.last = Some(now.wall);
+        self.totals.submitted.dropped.add(gap.run, gap.count);
+        self.totals.submitted.last = Some(now.wall);
         self.losses.add_gap(gap.clone(), now);
     }
 
     /// Returns the reason to refuse the current event; `None` if it is accepted.
-    fn refusal(&self, event: &Event, room: &EventCapacity) -> Option<String> {
+    fn refusal(&self, event: &Event, capacity: &EventCapacity) -> Option<String> {
         let mut more = Usage { events: 1, bytes: self.encoded.len() as u64 };
         if let Event::Iteration(iteration) = event {
             // An iteration that the aggregator would refuse must not block everything after it.
@@ -160,11 +173,11 @@ impl Intake {
         if self.encoded.len() > MAX_EVENT_BYTES {
             return Some(format!("the event is longer than {MAX_EVENT_BYTES} bytes"));
         }
-        let wanted = self.usage() + more + self.reports();
-        (!room.fits(wanted)).then(|| room.lacks(wanted).to_owned())
+        let wanted = self.usage() + more + self.report_usage();
+        (!capacity.fits(wanted)).then(|| capacity.shortage(wanted).to_owned())
     }
 
-    /// Returns the capacity that iterations leave to other events.
+    /// Returns the capacity that is reserved for events other than iterations.
     fn reserve(&self) -> Usage {
         let events = self.config.reserve_events;
         // The same share of bytes and of events, so that neither is exhausted before the other.
@@ -174,8 +187,8 @@ impl Intake {
     }
 
     /// Reports the due gaps in place of the lost events, as far as there is capacity.
-    pub(super) fn report_losses(&mut self, room: &EventCapacity, now: Stamp) {
-        while self.has_room_for_report(room)
+    pub(super) fn report_losses(&mut self, capacity: &EventCapacity, now: Stamp) {
+        while self.has_capacity_for_report(capacity)
             && let Some(gap) = self.losses.take_due(now.mono)
         {
             self.report(gap, now);
@@ -183,8 +196,8 @@ impl Intake {
     }
 
     /// Reports all losses of a run that ends, or of all runs.
-    fn report_ended(&mut self, run: Option<RunId>, room: &EventCapacity, now: Stamp) {
-        while self.has_room_for_report(room)
+    fn report_ended(&mut self, run: Option<RunId>, capacity: &EventCapacity, now: Stamp) {
+        while self.has_capacity_for_report(capacity)
             && let Some(gap) = self.losses.take_ended(run, now.mono)
         {
             self.report(gap, now);
@@ -197,8 +210,8 @@ impl Intake {
         self.losses.is_empty()
     }
 
-    fn has_room_for_report(&self, room: &EventCapacity) -> bool {
-        self.losses.may_report() && room.fits(self.usage() + GAP)
+    fn has_capacity_for_report(&self, capacity: &EventCapacity) -> bool {
+        self.losses.may_report() && capacity.fits(self.usage() + GAP_REPORT)
     }
 
     /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports. They
@@ -214,22 +227,22 @@ impl Intake {
     fn report(&mut self, gap: Gap, now: Stamp) {
         let event = std::mem::take(&mut self.encoded);
         let count = gap.count;
-        codec::append(&mut self.encoded, &Event::Gap(gap));
-        self.take(1, now);
+        codec::encode_into(&mut self.encoded, &Event::Gap(gap));
+        self.append_event(1, now);
         self.totals.gaps += 1;
-        self.totals.told += count;
+        self.totals.reported_drops += count;
         self.encoded = event;
     }
 
     /// Adds the current event to the batch.
-    fn take(&mut self, nodes: usize, now: Stamp) {
-        let most = self.config.batch_bytes.min(MOST_BATCH_BYTES);
+    fn append_event(&mut self, nodes: usize, now: Stamp) {
+        let most = self.config.batch_bytes.min(MAX_BATCH_BYTES);
         let full = self.open.body.len() + self.encoded.len() > most
             || self.open.nodes + nodes > self.config.batch_nodes;
         if full {
-            self.cut();
+            self.close_batch();
         }
-        // Counted after the cut, because the totals of a batch include only its own events.
+        // Counted after the previous batch was closed, because a batch's totals must not include later events.
         self.totals.produced += 1;
         self.open.since.get_or_insert(now);
         self.open.body.extend_from_slice(&self.encoded);
@@ -237,20 +250,20 @@ impl Intake {
         self.open.nodes += nodes;
     }
 
-    /// Reports all losses and cuts the batch under construction, before the agent stops.
-    pub(super) fn flush(&mut self, room: &EventCapacity, now: WallTime) {
+    /// Reports all losses and closes the batch under construction, before the agent stops.
+    pub(super) fn flush(&mut self, capacity: &EventCapacity, now: WallTime) {
         // The time of a loss does not matter here, because all losses are reported.
         let since = self.open.since.unwrap_or_default();
         let now = Stamp { wall: now, ..since };
-        self.report_ended(None, room, now);
-        self.cut();
+        self.report_ended(None, capacity, now);
+        self.close_batch();
     }
 
-    fn cut(&mut self) {
+    fn close_batch(&mut self) {
         let Some(since) = self.open.since else { return };
-        self.cut_usage = self.cut_usage + self.open_usage();
+        self.unnumbered_usage = self.unnumbered_usage + self.open_usage();
         let OpenBatch { body, events, .. } = std::mem::take(&mut self.open);
-        self.cut.push(CutBatch {
+        self.unnumbered.push(UnnumberedBatch {
             since: since.wall,
             events,
             body: Bytes::from(body.into_boxed_slice()),
@@ -258,24 +271,24 @@ impl Intake {
         });
     }
 
-    /// Returns the batches that were cut since the last call.
-    pub(super) fn take_cut(&mut self) -> Vec<CutBatch> {
-        self.cut_usage = Usage::default();
-        std::mem::take(&mut self.cut)
+    /// Returns the batches that were closed since the last call.
+    pub(super) fn take_unnumbered(&mut self) -> Vec<UnnumberedBatch> {
+        self.unnumbered_usage = Usage::default();
+        std::mem::take(&mut self.unnumbered)
     }
 
-    pub(super) fn tick(&mut self, room: &EventCapacity, now: Stamp) {
+    pub(super) fn tick(&mut self, capacity: &EventCapacity, now: Stamp) {
         self.losses.add_earlier_drops(now);
         if self.batch_deadline().is_some_and(|deadline| now.mono >= deadline) {
-            self.cut();
+            self.close_batch();
         }
-        self.report_losses(room, now);
+        self.report_losses(capacity, now);
     }
 
-    /// Returns the time at which the batch under construction is cut or a loss is reported.
-    pub(super) fn deadline(&self, room: &EventCapacity) -> Option<MonoTime> {
+    /// Returns the time at which the batch under construction is closed or a loss is reported.
+    pub(super) fn deadline(&self, capacity: &EventCapacity) -> Option<MonoTime> {
         // Without capacity nothing can be done until an acknowledgement.
-        let report = self.has_room_for_report(room).then(|| self.losses.due()).flatten();
+        let report = self.has_capacity_for_report(capacity).then(|| self.losses.next_report_at()).flatten();
         self.batch_deadline().into_iter().chain(report).min()
     }
 
@@ -286,24 +299,24 @@ impl Intake {
     /// Counts the batch under construction and `more` events as dropped; `kept` are the accepted events that remain.
     pub(super) fn give_up(&mut self, more: u64, kept: &RunCounts) {
         self.totals.dropped += u64::from(self.open.events) + more;
-        self.totals.handed_in.give_up(kept);
+        self.totals.submitted.give_up(kept);
         self.open = OpenBatch::default();
     }
 
     /// Returns all counts.
-    pub(super) const fn counted(&self) -> &Totals {
+    pub(super) const fn totals(&self) -> &Totals {
         &self.totals
     }
 
     /// Returns the ended runs that are still counted separately.
-    pub(super) fn ended(&self) -> &[RunId] {
-        self.runs.ended()
+    pub(super) fn ended_runs(&self) -> &[RunId] {
+        self.runs.ended_runs()
     }
 
     /// Ends the separate count of an ended run.
     pub(super) fn forget_run(&mut self, run: RunId) {
         self.runs.forget(run);
-        self.totals.handed_in.forget(run);
+        self.totals.submitted.forget(run);
     }
 
     /// Returns the time of the first event without a number.
@@ -313,7 +326,7 @@ impl Intake {
 
     /// Returns the events and bytes held here.
     pub(super) fn usage(&self) -> Usage {
-        self.open_usage() + self.cut_usage
+        self.open_usage() + self.unnumbered_usage
     }
 
     fn open_usage(&self) -> Usage {
@@ -321,9 +334,9 @@ impl Intake {
     }
 
     /// Returns the size of the pending reports.
-    fn reports(&self) -> Usage {
+    fn report_usage(&self) -> Usage {
         let gaps = self.losses.len() as u64;
-        Usage { events: gaps * GAP.events, bytes: gaps * GAP.bytes }
+        Usage { events: gaps * GAP_REPORT.events, bytes: gaps * GAP_REPORT.bytes }
     }
 }
 

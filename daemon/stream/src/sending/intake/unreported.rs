@@ -14,7 +14,7 @@ use crate::{Gap, UnresolvedBatches};
 pub(super) struct UnreportedLosses {
     losses: Losses,
     /// Losses of earlier processes, to be reported before all others.
-    owed: VecDeque<Gap>,
+    earlier_gaps: VecDeque<Gap>,
     /// Number of events that an earlier process dropped and did not report.
     earlier_drops: u64,
     /// `true` until the result for an earlier process is known. No loss is reported before.
@@ -22,8 +22,8 @@ pub(super) struct UnreportedLosses {
 }
 
 impl UnreportedLosses {
-    pub(super) fn new(owed: Vec<Gap>, earlier_drops: u64, is_unresolved: bool) -> Self {
-        Self { losses: Losses::default(), owed: owed.into(), earlier_drops, is_unresolved }
+    pub(super) fn new(earlier_gaps: Vec<Gap>, earlier_drops: u64, is_unresolved: bool) -> Self {
+        Self { losses: Losses::default(), earlier_gaps: earlier_gaps.into(), earlier_drops, is_unresolved }
     }
 
     /// Adds events that are lost now.
@@ -49,7 +49,7 @@ impl UnreportedLosses {
         }
         let count = std::mem::take(&mut self.earlier_drops);
         if count > 0 {
-            let reason = "dropped before the agent last ended, for want of room in its spool";
+            let reason = "dropped before the agent last stopped, because its spool had no space left";
             self.losses.add(None, None, now, count, reason.to_owned());
         }
     }
@@ -61,33 +61,33 @@ impl UnreportedLosses {
 
     /// Returns the number of gaps to be reported, now or later.
     pub(super) fn len(&self) -> usize {
-        self.losses.len() + self.owed.len()
+        self.losses.len() + self.earlier_gaps.len()
     }
 
     /// Returns the time of the next report.
-    pub(super) fn due(&self) -> Option<MonoTime> {
-        match self.owed.is_empty() {
-            true => self.losses.due(),
+    pub(super) fn next_report_at(&self) -> Option<MonoTime> {
+        match self.earlier_gaps.is_empty() {
+            true => self.losses.next_report_at(),
             false => Some(MonoTime::default()),
         }
     }
 
     /// Returns the next due gap, and records it as reported.
     pub(super) fn take_due(&mut self, now: MonoTime) -> Option<Gap> {
-        self.owed.pop_front().or_else(|| self.losses.take_due(now))
+        self.earlier_gaps.pop_front().or_else(|| self.losses.take_due(now))
     }
 
     /// Returns the next gap of the losses that end now: those of a run, or all. Records it as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         // Losses of earlier processes come first: from the number of reported events the spool knows which of them are
         // reported.
-        self.owed.pop_front().or_else(|| self.losses.take_ended(run, now))
+        self.earlier_gaps.pop_front().or_else(|| self.losses.take_ended(run, now))
     }
 
     /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports.
     pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
-        unresolved.unreported(resolved, &mut self.owed, &mut self.earlier_drops);
-        self.owed.iter().cloned().collect()
+        unresolved.unreported(resolved, &mut self.earlier_gaps, &mut self.earlier_drops);
+        self.earlier_gaps.iter().cloned().collect()
     }
 
     /// Records that the spool contains the gaps that [`resolve`](Self::resolve) returned.

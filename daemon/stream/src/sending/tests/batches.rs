@@ -35,7 +35,7 @@ fn batches_follow_one_another_and_are_in_the_file_when_they_are_sent() {
     assert_eq!(agent.numbers(), [1, 2, 3]);
     assert_eq!(agent.file.newest.0, 3);
     let state = agent.file.state();
-    assert_eq!((state.held.events, state.totals.produced), (3, 3));
+    assert_eq!((state.waiting_usage.events, state.totals.produced), (3, 3));
     agent.sending.offer(&incident("a"), agent.now());
     agent.sending.offer(&incident("b"), agent.now());
     let Some(Action::Append { batches, totals }) = agent.sending.next(agent.now().mono) else {
@@ -48,13 +48,13 @@ fn batches_follow_one_another_and_are_in_the_file_when_they_are_sent() {
             produced: 4,
             dropped: 0,
             gaps: 0,
-            told: 0,
-            handed_in: totals.handed_in.clone(),
-            reached: Some(NewestSentBatch { process: 1, number: 4 }),
+            reported_drops: 0,
+            submitted: totals.submitted.clone(),
+            newest_sent: Some(NewestSentBatch { process: 1, number: 4 }),
             unreported: None,
         }
     );
-    assert_eq!(totals.handed_in.settled().events.all, 4);
+    assert_eq!(totals.submitted.settled().events.total, 4);
     agent.ack(3);
     assert_eq!(agent.numbers(), [0; 0], "it is not known to be written");
     agent.perform(Action::Append { batches, totals });
@@ -87,7 +87,7 @@ fn a_stop_leaves_nothing_in_memory() {
     agent.sending.flush(agent.now().wall);
     agent.settle();
     assert!(agent.sending.is_spooled());
-    assert_eq!(agent.file.state().held.events, 5);
+    assert_eq!(agent.file.state().waiting_usage.events, 5);
     assert_eq!(agent.sending.goodbye(), None, "nobody knows it");
     let mut agent = agent.restart();
     agent.connect();

@@ -17,7 +17,8 @@ fn backlog(batches: usize) -> Agent {
 
 /// Returns the bytes of bodies in memory.
 fn in_memory(agent: &Agent) -> u64 {
-    agent.sending.spooler.backlog.held().bytes - agent.sending.spooler.backlog.filed().bytes
+    agent.sending.spooler.backlog.waiting_usage().bytes
+        - agent.sending.spooler.backlog.file_only_usage().bytes
 }
 
 #[test]
@@ -61,7 +62,7 @@ fn the_file_is_read_while_batches_are_under_way() {
         let Some(last) = agent.numbers().last().copied() else { panic!("nothing is sent") };
         // The answers of the disk come one round later than those of the aggregator.
         let (stream, now) = (agent.stream(), agent.now());
-        agent.sending.received(&ToAgent::Ack { stream, through: last, window: 3 }, now);
+        agent.sending.on_message(&ToAgent::Ack { stream, through: last, window: 3 }, now);
         let mut jobs = Vec::new();
         while let Some(action) = agent.sending.next(now.mono) {
             match action {

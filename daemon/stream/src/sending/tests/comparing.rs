@@ -26,7 +26,8 @@ fn stored_batches_are_deleted_when_chains_match() {
         agent.connect();
         let chain = agent.chain(stored);
         agent.welcome(stored, chain);
-        let welcomed = Notice::Welcomed { aggregator: "base".parse().expect("a name"), stored, lacks: false };
+        let welcomed =
+            Notice::Welcomed { aggregator: "base".parse().expect("a name"), stored, has_lost_batches: false };
         assert_eq!(agent.notices, [welcomed]);
         assert_eq!(agent.deliver(), (stored + 1..=10).collect::<Vec<_>>());
         assert_eq!(agent.accounting().stored, 10);
@@ -45,11 +46,11 @@ fn nothing_is_deleted_and_nothing_sent_before_the_comparison() {
     let (stream, chain) = (agent.file.stream, agent.chain(9));
     let aggregator = "base".parse().expect("a name");
     let welcome = ToAgent::Welcome { aggregator, stream, stored: 9, chain, process: None, window: 8 };
-    assert_eq!(agent.sending.received(&welcome, at(0)), None);
+    assert_eq!(agent.sending.on_message(&welcome, at(0)), None);
     let Some(load @ Action::Load { .. }) = agent.sending.next(at(0).mono) else { panic!("nothing is read") };
     assert_eq!(agent.sending.next(at(0).mono), None);
     // The connection ends meanwhile, so that the answer of the disk must have no effect.
-    agent.sending.disconnected();
+    agent.sending.on_disconnected();
     agent.perform(load);
     agent.pass(5_000);
     assert_eq!((agent.file.batches.len(), agent.sent.len()), (10, 0));
@@ -138,7 +139,10 @@ fn aggregator_lacking_acknowledged_batches_is_reported() {
         let mut agent = lacked();
         agent.welcome_after(stored, chain, process);
         let aggregator = "base".parse().expect("a name");
-        assert_eq!(agent.notices.last(), Some(&Notice::Welcomed { aggregator, stored, lacks: true }));
+        assert_eq!(
+            agent.notices.last(),
+            Some(&Notice::Welcomed { aggregator, stored, has_lost_batches: true })
+        );
         assert_eq!(agent.hellos.last().map(|hello| (hello.first, hello.oldest)), Some((1, 7)));
         agent.ack(8);
         assert!(agent.sending.is_idle());

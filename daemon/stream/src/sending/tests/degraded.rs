@@ -37,7 +37,10 @@ fn batches_are_sent_from_memory_while_disk_is_full() {
     else {
         panic!("{:?}", agent.actions)
     };
-    assert_eq!((none.len(), totals.reached.map(|reached| reached.number), batches.len()), (0, Some(6), 4));
+    assert_eq!(
+        (none.len(), totals.newest_sent.map(|newest_sent| newest_sent.number), batches.len()),
+        (0, Some(6), 4)
+    );
     assert_eq!(agent.file.batches.keys().copied().collect::<Vec<_>>(), [7, 8, 9, 10]);
     agent.ack(9);
     assert_eq!(agent.deliver(), [10]);
@@ -119,7 +122,7 @@ fn unspooled_batches_wait_until_file_records_sending() {
     assert_eq!(agent.numbers(), [0; 0], "the file cannot be read either");
     agent.broken = false;
     agent.pass(1_000);
-    assert_eq!(agent.file.reached, [NewestSentBatch { process: 2, number: 4 }]);
+    assert_eq!(agent.file.newest_sent, [NewestSentBatch { process: 2, number: 4 }]);
     assert_eq!(agent.deliver(), [1, 2, 3, 4]);
 }
 
@@ -149,7 +152,10 @@ fn told(file: &File) -> u64 {
         _ => 0,
     };
     let batches = file.batches.values();
-    batches.flat_map(|one| codec::events(&one.body, one.events).expect("readable")).map(|one| gap(&one)).sum()
+    batches
+        .flat_map(|one| codec::decode_events(&one.body, one.events).expect("readable"))
+        .map(|one| gap(&one))
+        .sum()
 }
 
 #[test]
@@ -194,7 +200,11 @@ fn events_lost_with_memory_are_reported_after_restart() {
     agent.perform(Action::Append { batches: Vec::new(), totals });
     assert!(agent.sending.is_spooled());
     let is = agent.accounting();
-    assert_eq!((is.produced, is.waiting), (before.produced, agent.file.state().held.events), "{is:?}");
+    assert_eq!(
+        (is.produced, is.waiting),
+        (before.produced, agent.file.state().waiting_usage.events),
+        "{is:?}"
+    );
     assert_eq!(is.dropped, before.produced - is.waiting, "{is:?}");
     let mut agent = agent.restart();
     agent.cut(1);

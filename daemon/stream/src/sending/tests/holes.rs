@@ -11,10 +11,11 @@ fn without(numbers: &[u64]) -> Agent {
     let mut agent = agent.restart();
     // The file states that it holds them, because they were deleted after it was opened.
     let lost = numbers.len() as u64;
-    let held = Usage { events: state.held.events + lost, bytes: state.held.bytes + lost * 10 };
+    let waiting_usage =
+        Usage { events: state.waiting_usage.events + lost, bytes: state.waiting_usage.bytes + lost * 10 };
     let described = agent.sending.host.clone();
     agent.sending =
-        Sending::new(agent.config, described, HostSecret::random(), 1, SpoolState { held, ..state });
+        Sending::new(agent.config, described, HostSecret::random(), 1, SpoolState { waiting_usage, ..state });
     agent
 }
 
@@ -28,7 +29,7 @@ fn hole_is_skipped_counted_and_reported() {
     let hello = agent.hellos.last().expect("a hello").clone();
     assert_eq!((agent.hellos.len(), hello.oldest, hello.first), (2, 7, 1));
     agent.welcome(3, None);
-    assert!(matches!(agent.notices.last(), Some(Notice::Welcomed { lacks: true, .. })));
+    assert!(matches!(agent.notices.last(), Some(Notice::Welcomed { has_lost_batches: true, .. })));
     agent.pass(1_000);
     assert_eq!(agent.deliver(), [7, 8, 9, 10, 11], "the last says what is missing");
     let is = agent.accounting();

@@ -45,7 +45,7 @@ proptest! {
             match kind {
                 7 => agent.cut(1),
                 8 => agent.pass(1_000),
-                9 => { agent.sending.disconnected(); agent.settle(); agent.connect(); }
+                9 => { agent.sending.on_disconnected(); agent.settle(); agent.connect(); }
                 10 => { agent.broken = false; agent = agent.restart(); agent.connect(); }
                 _ => {
                     let stream = if flags == 0 { StreamId::random() } else { agent.stream() };
@@ -56,7 +56,7 @@ proptest! {
         }
         // An aggregator that behaves correctly then receives all remaining batches.
         agent.broken = false;
-        agent.sending.disconnected();
+        agent.sending.on_disconnected();
         for _ in 0..10 {
             agent.pass(20_000);
             agent.connect();

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::super::super::{Arrival, Greeting, Mark, Receiving, ReceivingConfig, StreamRecord};
+use super::super::super::{Arrival, HelloResult, Mark, Receiving, ReceivingConfig, StreamRecord};
 use super::*;
 
 /// Length of a live update of one pipeline without compression.
@@ -89,7 +89,7 @@ impl Link {
             setting,
             up: OneWayPath::new(setting.bytes_per_s, setting.one_way),
             receiving: Receiving::new(ReceivingConfig {
-                most_window: config.window,
+                max_window: config.window,
                 ..ReceivingConfig::new("base".parse().expect("a name"))
             }),
             down: OneWayPath::new(10_000_000, setting.one_way),
@@ -119,11 +119,11 @@ impl Link {
         let now = self.agent.millis;
         self.offer();
         while let Some(message) = self.down.arrived(now) {
-            self.agent.sending.received(&message, self.agent.now());
+            self.agent.sending.on_message(&message, self.agent.now());
         }
         self.due |= now % LIVE_EVERY_MS == 0;
-        if self.due && self.agent.sending.may_show() {
-            self.agent.sending.shown(LIVE_BYTES);
+        if self.due && self.agent.sending.may_send_live() {
+            self.agent.sending.record_live_sent(LIVE_BYTES);
             self.up.send(LIVE_BYTES, SentMessage::Live(now), now);
             self.due = false;
         }
@@ -154,7 +154,7 @@ impl Link {
                 }
             }
             let Some(bytes) = asked else { return };
-            self.agent.sending.received(&ToAgent::Echo { bytes }, self.agent.now());
+            self.agent.sending.on_message(&ToAgent::Echo { bytes }, self.agent.now());
         }
     }
 
@@ -165,7 +165,7 @@ impl Link {
         }
         for head in std::mem::take(&mut self.committing.0) {
             self.stored += u64::from(head.events);
-            let (_, reply) = self.receiving.stored(head.stream, Mark::from(head)).expect("it listens");
+            let (_, reply) = self.receiving.handle_stored(head.stream, Mark::from(head)).expect("it listens");
             self.reply(reply);
         }
         if !self.waiting.is_empty() {
@@ -175,16 +175,16 @@ impl Link {
 
     fn take(&mut self, frame: Bytes) {
         let now = self.agent.now().mono;
-        let frame = match codec::part(&frame) {
-            Some(part) => match self.receiving.part(&part, now) {
+        let frame = match codec::decode_part(&frame) {
+            Some(part) => match self.receiving.handle_part(&part, now) {
                 Some(whole) => whole,
                 None => return,
             },
             None => frame,
         };
-        if let Some(head) = codec::batch_head(&frame) {
-            codec::batch_body(frame).expect("intact");
-            match self.receiving.batch(&head, true, now) {
+        if let Some(head) = codec::decode_batch_head(&frame) {
+            codec::decode_batch_body(frame).expect("intact");
+            match self.receiving.handle_batch(&head, true, now) {
                 Arrival::Accept => self.waiting.push(head),
                 _ => self.repeated += 1,
             }
@@ -194,12 +194,12 @@ impl Link {
             ToAggregator::Hello(hello) => {
                 self.hellos += 1;
                 self.agent.hellos.push(hello.clone());
-                let greeting = self.receiving.hello(&hello, StreamRecord::default(), now);
-                let Greeting::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
+                let greeting = self.receiving.handle_hello(&hello, StreamRecord::default(), now);
+                let HelloResult::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
                 self.reply(reply);
             }
             ToAggregator::Echo { host, bytes } => {
-                let echo = self.receiving.echo(host, bytes, now);
+                let echo = self.receiving.handle_echo(host, bytes, now);
                 self.reply(echo);
             }
             other => panic!("{other:?} was sent"),
@@ -215,6 +215,6 @@ impl Link {
     }
 
     pub(super) fn connect(&mut self) {
-        self.agent.sending.connected(self.agent.now().mono);
+        self.agent.sending.on_connected(self.agent.now().mono);
     }
 }

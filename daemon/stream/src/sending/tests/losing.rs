@@ -44,7 +44,7 @@ fn events_wait_in_memory_for_slow_disk() {
 #[test]
 fn totals_go_on_after_a_restart() {
     let mut agent = Agent::up(SendingConfig { spool_bytes: 4_000, ..config() });
-    agent.sending.disconnected();
+    agent.sending.on_disconnected();
     agent.offer(200);
     agent.sending.flush(agent.now().wall);
     agent.settle();
@@ -77,6 +77,6 @@ fn the_end_of_a_run_reports_what_it_lost() {
     let is = agent.accounting();
     assert_eq!((is.gaps, is.waiting), (1, 6));
     let batch = agent.file.batches.values().next_back().expect("a batch");
-    let events = codec::events(&batch.body, batch.events).expect("readable");
+    let events = codec::decode_events(&batch.body, batch.events).expect("readable");
     assert!(matches!(&events[0], Event::Gap(gap) if gap.count == 4), "{events:?}");
 }

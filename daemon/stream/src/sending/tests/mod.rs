@@ -64,7 +64,7 @@ struct File {
     before: Chain,
     newest: (u64, Chain),
     totals: Totals,
-    reached: Vec<NewestSentBatch>,
+    newest_sent: Vec<NewestSentBatch>,
     /// Number of processes that opened it.
     processes: u64,
     batches: BTreeMap<u64, SpooledBatch>,
@@ -80,7 +80,7 @@ impl File {
             before: Chain::START,
             newest: (0, Chain::START),
             totals: Totals::default(),
-            reached: Vec::new(),
+            newest_sent: Vec::new(),
             processes: 0,
             batches: BTreeMap::new(),
         }
@@ -97,9 +97,9 @@ impl File {
             before: if oldest.is_some() { self.before } else { self.newest.1 },
             newest: self.newest,
             since: oldest.map(|batch| batch.since),
-            held: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
+            waiting_usage: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
             totals: self.totals.clone(),
-            reached: self.reached.clone(),
+            newest_sent: self.newest_sent.clone(),
             unreported: Vec::new(),
             unresolved: None,
         }
@@ -108,12 +108,13 @@ impl File {
     fn append(&mut self, batches: Vec<SpooledBatch>, totals: Totals) {
         for batch in batches {
             assert_eq!(batch.number, self.newest.0 + 1, "contiguous");
-            assert_eq!(batch.chain, self.newest.1.then(batch.events, &batch.body));
+            assert_eq!(batch.chain, self.newest.1.next(batch.events, &batch.body));
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch);
         }
-        self.reached.retain(|reached| totals.reached.is_none_or(|now| now.process != reached.process));
-        self.reached.extend(totals.reached);
+        self.newest_sent
+            .retain(|newest_sent| totals.newest_sent.is_none_or(|now| now.process != newest_sent.process));
+        self.newest_sent.extend(totals.newest_sent);
         self.totals = totals;
     }
 
@@ -230,7 +231,7 @@ impl Agent {
     }
 
     fn sent(&mut self, frame: Bytes) {
-        if let Some(part) = codec::part(&frame) {
+        if let Some(part) = codec::decode_part(&frame) {
             if part.offset == 0 {
                 self.parts.clear();
             }
@@ -242,9 +243,9 @@ impl Agent {
             }
             return;
         }
-        match codec::batch_head(&frame) {
+        match codec::decode_batch_head(&frame) {
             Some(head) => {
-                codec::batch_body(frame).expect("intact");
+                codec::decode_batch_body(frame).expect("intact");
                 self.sent.push(head);
             }
             None => match codec::decode(&frame) {
@@ -252,7 +253,7 @@ impl Agent {
                 Ok(ToAggregator::Proof(proof)) => self.proofs.push(proof),
                 // The simulated path has no delay.
                 Ok(ToAggregator::Echo { bytes, .. }) => {
-                    self.sending.received(&ToAgent::Echo { bytes }, self.now());
+                    self.sending.on_message(&ToAgent::Echo { bytes }, self.now());
                 }
                 other => panic!("{other:?} was sent"),
             },
@@ -263,26 +264,26 @@ impl Agent {
         let (now, why) = (self.now(), "the disk is full".to_owned());
         let notice = match action {
             Action::Append { batches, .. } if self.broken || self.full && !batches.is_empty() => {
-                self.sending.append_failed(why, now)
+                self.sending.on_append_failed(why, now)
             }
-            Action::Load { .. } if self.broken => self.sending.load_failed(why, now),
-            Action::Delete { .. } if self.broken => self.sending.delete_failed(why, now),
-            Action::Renew { .. } if self.broken => self.sending.renew_failed(why, now),
+            Action::Load { .. } if self.broken => self.sending.on_load_failed(why, now),
+            Action::Delete { .. } if self.broken => self.sending.on_delete_failed(why, now),
+            Action::Renew { .. } if self.broken => self.sending.on_renew_failed(why, now),
             Action::Append { batches, totals } => {
                 self.file.append(batches, totals);
-                self.sending.appended(now)
+                self.sending.on_appended(now)
             }
-            Action::Load { from, bytes } => self.sending.loaded(self.file.load(from, bytes), now),
+            Action::Load { from, bytes } => self.sending.on_loaded(self.file.load(from, bytes), now),
             Action::Delete { through, chain } => {
                 self.file.delete(through, chain);
-                self.sending.deleted();
+                self.sending.on_deleted();
                 None
             }
             Action::Renew { stream, previous, first, events_before_first } => {
                 self.file.events_before_first = Some(events_before_first);
                 assert_eq!((previous, first), (self.file.stream, self.file.state().oldest));
                 (self.file.stream, self.file.previous, self.file.first) = (stream, Some(previous), first);
-                self.sending.renewed(now);
+                self.sending.on_renewed(now);
                 None
             }
             Action::Send(_) => unreachable!("not the spool's"),
@@ -310,12 +311,12 @@ impl Agent {
     }
 
     fn connect(&mut self) {
-        self.sending.connected(self.now().mono);
+        self.sending.on_connected(self.now().mono);
         self.settle();
     }
 
     fn receive(&mut self, message: &ToAgent) {
-        let notice = self.sending.received(message, self.now());
+        let notice = self.sending.on_message(message, self.now());
         self.notices.extend(notice);
         self.settle();
     }

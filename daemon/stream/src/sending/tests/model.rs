@@ -17,7 +17,7 @@ struct Store {
 
 impl Store {
     fn take(&mut self, frame: Bytes) -> Option<ToAgent> {
-        let Some(head) = codec::batch_head(&frame) else {
+        let Some(head) = codec::decode_batch_head(&frame) else {
             let hello = match codec::decode(&frame) {
                 Ok(ToAggregator::Hello(hello)) => hello,
                 Ok(ToAggregator::Echo { bytes, .. }) => return Some(ToAgent::Echo { bytes }),
@@ -53,7 +53,7 @@ impl Store {
                 return Some(ToAgent::Unknown);
             }
             (*stored, *chain, *process) = (head.number, head.chain, Some(head.process));
-            let body = codec::batch_body(frame).expect("intact");
+            let body = codec::decode_batch_body(frame).expect("intact");
             self.names.extend(names(&body, head.events));
         } else if head.number > *stored {
             return Some(ToAgent::Resend { stream: head.stream, from: *stored + 1 });
@@ -67,7 +67,7 @@ fn names(body: &[u8], count: u32) -> Vec<u64> {
         Event::Incident(incident) => incident.text.parse().ok(),
         _ => None,
     };
-    codec::events(body, count).expect("readable").into_iter().filter_map(name).collect()
+    codec::decode_events(body, count).expect("readable").into_iter().filter_map(name).collect()
 }
 
 struct Simulation {
@@ -139,17 +139,17 @@ impl Simulation {
 
     fn answer(&mut self) {
         if let Some(message) = self.down.pop_front() {
-            let _ = self.agent.sending.received(&message, self.agent.now());
+            let _ = self.agent.sending.on_message(&message, self.agent.now());
             self.run();
         }
     }
 
     fn reconnect(&mut self) {
-        self.agent.sending.disconnected();
+        self.agent.sending.on_disconnected();
         self.up.clear();
         self.down.clear();
         self.store.greeted = None;
-        self.agent.sending.connected(self.agent.now().mono);
+        self.agent.sending.on_connected(self.agent.now().mono);
         self.run();
     }
 

@@ -9,7 +9,7 @@ fn usual() -> SendingConfig {
 
 /// Returns a text that hardly compresses, because it is different for each event.
 fn news(n: i64) -> String {
-    (0..8).map(|part| Chain::START.then(part, &n.to_be_bytes()).to_string()).collect()
+    (0..8).map(|part| Chain::START.next(part, &n.to_be_bytes()).to_string()).collect()
 }
 
 /// Runs for some seconds. Returns the largest delay of the live figures, and the used share of the link.

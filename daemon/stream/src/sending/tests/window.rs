@@ -1,6 +1,6 @@
 //! Batches in flight, and the behaviour without answers.
 
-use super::super::super::MOST_UNDER_WAY;
+use super::super::super::MAX_IN_FLIGHT_BATCHES;
 use super::*;
 
 fn allow(agent: &mut Agent, through: u64, window: u32) {
@@ -39,7 +39,7 @@ fn small_batches_are_under_way_in_greater_number() {
     // Their number is limited however small they are.
     let mut agent = Agent::up(SendingConfig { batch_bytes: 1 << 20, ..config });
     agent.cut(1_100);
-    assert_eq!(agent.numbers().len(), MOST_UNDER_WAY);
+    assert_eq!(agent.numbers().len(), MAX_IN_FLIGHT_BATCHES);
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn without_an_answer_the_greeting_is_repeated() {
     assert_eq!(agent.hellos.len(), 1);
     assert_eq!(agent.sending.deadline(), Some(at(10_000).mono));
     agent.pass(1_000);
-    assert_eq!(agent.hellos.len(), 2, "patience ended");
+    assert_eq!(agent.hellos.len(), 2, "the timeout ended");
     agent.pass(250);
     agent.pass(499);
     assert_eq!(agent.hellos.len(), 3);

@@ -11,7 +11,7 @@ use super::{SECRET, names, told};
 #[derive(Clone, Debug)]
 enum Work {
     /// A host sent a hello with this stream and left another one: one transaction.
-    Hello(StreamId, Option<StreamId>, Option<LackingBatches>),
+    Hello(StreamId, Option<StreamId>, Option<MissingPreviousBatches>),
     Batch {
         head: BatchHead,
         body: Bytes,
@@ -36,7 +36,7 @@ pub(in super::super) struct Database {
     pub(in super::super) marks: BTreeMap<StreamId, Mark>,
     pub(in super::super) entries: BTreeMap<StreamId, Vec<Entry>>,
     pub(in super::super) replaced: Vec<StreamId>,
-    came: BTreeSet<StreamId>,
+    seen: BTreeSet<StreamId>,
     last: Option<StreamId>,
 }
 
@@ -55,7 +55,7 @@ pub(in super::super) struct Aggregator {
     /// Connection with the host's session.
     route: Option<u64>,
     /// Streams that the host used, including those in the queue, and the last one.
-    came: BTreeSet<StreamId>,
+    seen: BTreeSet<StreamId>,
     last: Option<StreamId>,
     /// Number of welcomes that reported missing batches.
     pub(in super::super) missing: u32,
@@ -73,7 +73,7 @@ impl Aggregator {
             queue: Vec::new(),
             capacity,
             route: None,
-            came: BTreeSet::new(),
+            seen: BTreeSet::new(),
             last: None,
             missing: 0,
         }
@@ -87,28 +87,28 @@ impl Aggregator {
         if self.route != Some(connection) {
             return Some(ToAgent::Unknown);
         }
-        self.receiving.live(host, now)
+        self.receiving.handle_live(host, now)
     }
 
     /// Handles a frame. Returns the answer for its connection.
     pub(super) fn frame(&mut self, connection: u64, frame: &Bytes, now: MonoTime) -> Option<ToAgent> {
-        if let Some(part) = codec::part(frame) {
+        if let Some(part) = codec::decode_part(frame) {
             if self.route != Some(connection) {
                 return Some(ToAgent::Unknown);
             }
-            let whole = self.receiving.part(&part, now)?;
+            let whole = self.receiving.handle_part(&part, now)?;
             return self.frame(connection, &whole, now);
         }
-        if let Some(head) = codec::batch_head(frame) {
+        if let Some(head) = codec::decode_batch_head(frame) {
             if self.route != Some(connection) {
                 return Some(ToAgent::Unknown);
             }
             if self.queue.len() >= self.capacity {
-                self.receiving.deferred(head.stream);
+                self.receiving.defer_batch(head.stream);
                 return None;
             }
-            let body = codec::batch_body(frame.clone());
-            return match self.receiving.batch(&head, body.is_ok(), now) {
+            let body = codec::decode_batch_body(frame.clone());
+            return match self.receiving.handle_batch(&head, body.is_ok(), now) {
                 Arrival::Accept => {
                     let body = body.expect("only what is intact is accepted");
                     self.queue.push(Work::Batch { head, body });
@@ -119,7 +119,7 @@ impl Aggregator {
                     None
                 }
                 Arrival::Duplicate(reply) | Arrival::Unknown(reply) => Some(reply),
-                Arrival::Hole(reply) => reply,
+                Arrival::Rejected(reply) => reply,
                 Arrival::Pending => None,
             };
         }
@@ -131,13 +131,15 @@ impl Aggregator {
                 nonce[..8].copy_from_slice(&self.challenged.to_be_bytes());
                 Some(self.challenges.challenge(connection, hello, false, Nonce::from_bytes(nonce), now))
             }
-            ToAggregator::Proof(proof) => match self.challenges.prove(&connection, proof, Some(&SECRET)) {
-                ProofResult::Yes { hello, .. } => self.hello(connection, &hello, now),
-                ProofResult::Unasked => Some(ToAgent::Unknown),
-                ProofResult::No(hello) => panic!("the proof of {hello:?} is wrong"),
-            },
+            ToAggregator::Proof(proof) => {
+                match self.challenges.check_proof(&connection, proof, Some(&SECRET)) {
+                    ProofResult::Valid { hello, .. } => self.hello(connection, &hello, now),
+                    ProofResult::Unsolicited => Some(ToAgent::Unknown),
+                    ProofResult::Invalid(hello) => panic!("the proof of {hello:?} is wrong"),
+                }
+            }
             ToAggregator::Echo { host, bytes } if self.route == Some(connection) => {
-                Some(self.receiving.echo(host, bytes, now))
+                Some(self.receiving.handle_echo(host, bytes, now))
             }
             ToAggregator::Echo { .. } => Some(ToAgent::Unknown),
             ToAggregator::Live(_) | ToAggregator::Goodbye(_) => unreachable!("never sent here"),
@@ -148,23 +150,23 @@ impl Aggregator {
         let mark_of = |stream| self.database.marks.get(&stream).copied();
         let known = StreamRecord {
             mark: mark_of(hello.stream),
-            came: self.came.contains(&hello.stream),
+            was_used: self.seen.contains(&hello.stream),
             last: self.last,
             previous: hello.previous.and_then(mark_of),
             seniority: None,
         };
-        match self.receiving.hello(hello, known, now) {
-            Greeting::Welcome { reply, missing, replaced, lacking, .. } => {
+        match self.receiving.handle_hello(hello, known, now) {
+            HelloResult::Welcome { reply, missing, replaced, lacking, .. } => {
                 self.route = Some(connection);
                 self.missing += u32::from(missing.is_some());
                 self.queue.push(Work::Hello(hello.stream, replaced, lacking));
                 self.queue.extend(missing.map(Work::MissingBatches));
                 self.last = Some(hello.stream);
-                self.came.insert(hello.stream);
+                self.seen.insert(hello.stream);
                 Some(reply)
             }
-            Greeting::Refused { reply, .. } => Some(reply),
-            Greeting::Wait => None,
+            HelloResult::Refused { reply, .. } => Some(reply),
+            HelloResult::Wait => None,
         }
     }
 
@@ -179,9 +181,11 @@ impl Aggregator {
     pub(super) fn committed(&mut self, mut streams: Vec<StreamId>) -> Vec<(u64, ToAgent)> {
         streams.dedup();
         let marks = &self.database.marks;
-        let mut replies: Vec<_> =
-            streams.into_iter().filter_map(|stream| self.receiving.stored(stream, marks[&stream])).collect();
-        replies.extend(self.receiving.room(self.capacity.saturating_sub(self.queue.len())));
+        let mut replies: Vec<_> = streams
+            .into_iter()
+            .filter_map(|stream| self.receiving.handle_stored(stream, marks[&stream]))
+            .collect();
+        replies.extend(self.receiving.request_deferred(self.capacity.saturating_sub(self.queue.len())));
         self.routed(replies)
     }
 
@@ -191,9 +195,11 @@ impl Aggregator {
         for work in std::mem::take(&mut self.queue) {
             match work {
                 Work::Batch { head, .. } | Work::Damaged(head) => {
-                    replies.extend(self.receiving.failed(head.stream));
+                    replies.extend(self.receiving.handle_failed_store(head.stream));
                 }
-                Work::MissingBatches(missing) => replies.extend(self.receiving.failed(missing.stream)),
+                Work::MissingBatches(missing) => {
+                    replies.extend(self.receiving.handle_failed_store(missing.stream))
+                }
                 kept @ Work::Hello(..) => self.queue.push(kept),
             }
         }
@@ -205,7 +211,7 @@ impl Aggregator {
         (self.receiving, self.challenges) = (receiving(), challenges());
         self.route = None;
         self.last = self.database.last;
-        self.came = self.database.came.clone();
+        self.seen = self.database.seen.clone();
     }
 
     fn routed(&self, replies: Vec<(HostId, ToAgent)>) -> Vec<(u64, ToAgent)> {
@@ -223,9 +229,9 @@ impl Database {
         let (stream, mark, entry) = match work {
             Work::Hello(stream, replaced, lacking) => {
                 self.last = Some(stream);
-                if self.came.insert(stream) {
+                if self.seen.insert(stream) {
                     self.replaced.extend(replaced);
-                    if let Some(LackingBatches { stream, from, through, events }) = lacking {
+                    if let Some(MissingPreviousBatches { stream, from, through, events }) = lacking {
                         let gap = Entry::Gap { from, through, events };
                         self.entries.entry(stream).or_default().push(gap);
                     }
@@ -238,7 +244,7 @@ impl Database {
                     assert_eq!(head.number, before.stored + 1, "stored out of order");
                     assert_eq!(head.before, before.chain, "stored behind another batch than its own");
                 }
-                assert_eq!(head.chain, head.before.then(head.events, &body));
+                assert_eq!(head.chain, head.before.next(head.events, &body));
                 let (names, told) = (names(head.events, &body), told(head.events, &body));
                 let entry = Entry::Batch { number: head.number, names, told };
                 (head.stream, Mark::from(head), entry)

@@ -32,7 +32,7 @@ pub(in super::super) struct ExpectedContent {
 
 impl ExpectedContent {
     pub(super) fn sent(&mut self, frame: &Bytes) {
-        if let Some(part) = codec::part(frame) {
+        if let Some(part) = codec::decode_part(frame) {
             self.parts.truncate(part.offset as usize);
             self.parts.extend_from_slice(&part.bytes);
             if self.parts.len() == part.total as usize {
@@ -41,8 +41,8 @@ impl ExpectedContent {
             }
             return;
         }
-        let Some(head) = codec::batch_head(frame) else { return };
-        let body = codec::batch_body(frame.clone()).expect("a batch is intact when it is sent");
+        let Some(head) = codec::decode_batch_head(frame) else { return };
+        let body = codec::decode_batch_body(frame.clone()).expect("a batch is intact when it is sent");
         self.sizes.insert((head.stream, head.number), head.events.into());
         if self.contents.insert(head.chain, (names(head.events, &body), told(head.events, &body))).is_none() {
             self.bodies.push((head.events, body));
@@ -50,7 +50,7 @@ impl ExpectedContent {
     }
 
     pub(super) fn is_damaged(&self, frame: &Bytes) -> bool {
-        codec::batch_head(frame).is_some() && codec::batch_body(frame.clone()).is_err()
+        codec::decode_batch_head(frame).is_some() && codec::decode_batch_body(frame.clone()).is_err()
     }
 
     pub(super) fn appended(&mut self, batch: &SpooledBatch) {
@@ -113,7 +113,7 @@ impl ExpectedContent {
         self.check_gaps(database);
     }
 
-    /// Checks that every event that was handed in is stored or reported in a gap, whenever processes were killed.
+    /// Checks that every event that was submitted is stored or reported in a gap, whenever processes were killed.
     pub(super) fn check_sum(&self, offered: u64, aggregator: &Aggregator) {
         if self.restored || self.copied || !self.deleted.is_empty() {
             return;

@@ -14,7 +14,7 @@ pub(in super::super) struct SpoolFile {
     before: Chain,
     newest: (u64, Chain),
     totals: Totals,
-    reached: Vec<NewestSentBatch>,
+    newest_sent: Vec<NewestSentBatch>,
     /// Losses that no gap reports yet, each with the number of reported events after its report.
     unreported: Vec<(u64, Gap)>,
     unresolved: Option<UnresolvedBatches>,
@@ -33,7 +33,7 @@ impl SpoolFile {
             before: Chain::START,
             newest: (0, Chain::START),
             totals: Totals::default(),
-            reached: Vec::new(),
+            newest_sent: Vec::new(),
             unreported: Vec::new(),
             unresolved: None,
             counted: CountedEvents::default(),
@@ -52,9 +52,9 @@ impl SpoolFile {
             before: self.before,
             newest: self.newest,
             since: oldest.map(|batch| batch.since),
-            held: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
+            waiting_usage: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
             totals: self.totals.clone(),
-            reached: self.reached.clone(),
+            newest_sent: self.newest_sent.clone(),
             unreported: self.unreported.iter().map(|(_, gap)| gap.clone()).collect(),
             unresolved: self.unresolved.clone(),
         }
@@ -63,8 +63,8 @@ impl SpoolFile {
     /// Opens the file for a new process: records the losses of the process before, and starts counting again.
     pub(super) fn start(&mut self) -> SpoolState {
         let mut state = self.open();
-        state.lose_tail(std::mem::take(&mut self.counted), self.totals.handed_in.settled());
-        state.totals.handed_in = HandedInEvents::default();
+        state.lose_tail(std::mem::take(&mut self.counted), self.totals.submitted.settled());
+        state.totals.submitted = SubmittedEvents::default();
         self.totals = state.totals.clone();
         self.unresolved = state.unresolved.clone();
         self.tell(&state.unreported);
@@ -73,7 +73,7 @@ impl SpoolFile {
 
     /// Sets the losses to be reported.
     fn tell(&mut self, unreported: &[Gap]) {
-        let mut told = self.totals.told;
+        let mut told = self.totals.reported_drops;
         let told_through = |gap: &Gap| (told += gap.count, (told, gap.clone())).1;
         self.unreported = unreported.iter().map(told_through).collect();
     }
@@ -82,23 +82,23 @@ impl SpoolFile {
     pub(super) fn sends(&mut self, sent: SentUnspooled) {
         let all = &mut self.counted.sent;
         all.retain(|other| {
-            other.number % MOST_SENT_UNSPOOLED as u64 != sent.number % MOST_SENT_UNSPOOLED as u64
+            other.number % MAX_SENT_UNSPOOLED as u64 != sent.number % MAX_SENT_UNSPOOLED as u64
         });
         all.push(sent);
     }
 
     pub(super) fn append(&mut self, batches: &[SpooledBatch], mut totals: Totals) {
-        self.unreported.retain(|(told_through, _)| *told_through > totals.told);
+        self.unreported.retain(|(told_through, _)| *told_through > totals.reported_drops);
         for batch in batches {
             let (newest, chain) = self.newest;
             assert_eq!(batch.number, newest + 1, "numbers in the spool are contiguous");
-            assert_eq!(batch.chain, chain.then(batch.events, &batch.body), "and so are chains");
+            assert_eq!(batch.chain, chain.next(batch.events, &batch.body), "and so are chains");
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch.clone());
         }
-        if let Some(reached) = totals.reached {
-            self.reached.retain(|other| other.process != reached.process);
-            self.reached.push(reached);
+        if let Some(newest_sent) = totals.newest_sent {
+            self.newest_sent.retain(|other| other.process != newest_sent.process);
+            self.newest_sent.push(newest_sent);
         }
         let unreported = totals.unreported.take();
         self.totals = totals;

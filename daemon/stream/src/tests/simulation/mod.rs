@@ -65,7 +65,7 @@ impl Simulation {
             down: Vec::new(),
             expected_content: ExpectedContent::default(),
         };
-        simulation.agent(|sending, now| sending.connected(now.mono));
+        simulation.agent(|sending, now| sending.on_connected(now.mono));
         simulation
     }
 
@@ -95,7 +95,7 @@ impl Simulation {
     pub(super) fn offer(&mut self) {
         self.offered += 1;
         let event = incident(&self.offered.to_string());
-        self.sites[self.site].counted.all += 1;
+        self.sites[self.site].counted.total += 1;
         self.agent(|sending, now| sending.offer(&event, now));
     }
 
@@ -126,20 +126,20 @@ impl Simulation {
         if self.broken {
             let reason = "the disk fails".to_owned();
             self.agent(|sending, now| match job {
-                Action::Append { .. } => sending.append_failed(reason, now),
-                Action::Load { .. } => sending.load_failed(reason, now),
-                Action::Delete { .. } => sending.delete_failed(reason, now),
-                Action::Renew { .. } => sending.renew_failed(reason, now),
+                Action::Append { .. } => sending.on_append_failed(reason, now),
+                Action::Load { .. } => sending.on_load_failed(reason, now),
+                Action::Delete { .. } => sending.on_delete_failed(reason, now),
+                Action::Renew { .. } => sending.on_renew_failed(reason, now),
                 Action::Send(_) => unreachable!("not a job"),
             });
             return;
         }
         let loaded = self.apply(&job);
         self.agent(|sending, now| match job {
-            Action::Append { .. } => drop(sending.appended(now)),
-            Action::Load { .. } => drop(sending.loaded(loaded, now)),
-            Action::Delete { .. } => sending.deleted(),
-            Action::Renew { .. } => sending.renewed(now),
+            Action::Append { .. } => drop(sending.on_appended(now)),
+            Action::Load { .. } => drop(sending.on_loaded(loaded, now)),
+            Action::Delete { .. } => sending.on_deleted(),
+            Action::Renew { .. } => sending.on_renewed(now),
             Action::Send(_) => unreachable!("not a job"),
         });
     }
@@ -190,7 +190,7 @@ impl Simulation {
         if connection == self.connection {
             let frame = codec::encode(&message);
             let message = codec::decode(&frame).expect("our own frame");
-            self.agent(|sending, now| drop(sending.received(&message, now)));
+            self.agent(|sending, now| drop(sending.on_message(&message, now)));
         }
     }
 
@@ -209,7 +209,7 @@ impl Simulation {
     /// Flips a bit of a batch in flight. Hellos are excluded, because they are not protected by a hash and not
     /// repeated.
     pub(super) fn damage(&mut self, index: usize, bit: usize) {
-        let batches = self.up.iter_mut().filter(|(_, frame)| codec::batch_head(frame).is_some());
+        let batches = self.up.iter_mut().filter(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let mut batches: Vec<_> = batches.collect();
         if batches.is_empty() {
             return;
@@ -242,8 +242,8 @@ impl Simulation {
     pub(super) fn disconnect(&mut self) {
         self.connection += 1;
         self.agent(|sending, now| {
-            sending.disconnected();
-            sending.connected(now.mono);
+            sending.on_disconnected();
+            sending.on_connected(now.mono);
         });
     }
 
@@ -258,7 +258,7 @@ impl Simulation {
         let spool = self.sites[self.site].start();
         self.sending =
             Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
-        self.agent(|sending, now| sending.connected(now.mono));
+        self.agent(|sending, now| sending.on_connected(now.mono));
     }
 
     /// Copies the spool to another machine.
@@ -279,7 +279,7 @@ impl Simulation {
     pub(super) fn delete_spool(&mut self) {
         self.jobs.clear();
         // Late hellos of a dead process would count its stream as another one that was left.
-        self.up.retain(|(_, frame)| codec::batch_head(frame).is_some());
+        self.up.retain(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let file = SpoolFile::new(StreamId::random());
         let old = std::mem::replace(&mut self.sites[self.site], file);
         self.expected_content.lost(&old);
@@ -359,7 +359,7 @@ impl Simulation {
 
 /// Returns the number of missing events that the gaps in a body report.
 fn told(events: u32, body: &[u8]) -> u64 {
-    let events = codec::events(body, events).expect("our own events");
+    let events = codec::decode_events(body, events).expect("our own events");
     let count = |event| match event {
         Event::Gap(gap) => gap.count,
         _ => 0,
@@ -369,7 +369,7 @@ fn told(events: u32, body: &[u8]) -> u64 {
 
 /// Returns the numbers of the events in a body in order, without gaps.
 fn names(events: u32, body: &[u8]) -> Vec<u64> {
-    let events = codec::events(body, events).expect("our own events");
+    let events = codec::decode_events(body, events).expect("our own events");
     let name = |event| match event {
         Event::Incident(incident) => Some(incident.text.parse().expect("a number")),
         _ => None,

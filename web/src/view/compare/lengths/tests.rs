@@ -18,7 +18,7 @@ pub(crate) fn talking(at: usize, name: &str, points: &[(f64, f64)]) -> Configura
     });
     let mut length = one.stages[0].clone();
     (length.stage, length.unit) = (Name::from(name), String::new());
-    length.figures = Figures::of(&x).expect("lengths");
+    length.figures = Figures::from_summary(&x).expect("lengths");
     one.stages.push(length);
     let mut kept = MergeableStatistics::default();
     kept.add(Name::from(name), "", &x);

@@ -121,7 +121,7 @@ async fn missing_batch_ends_list() {
     assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what is behind it");
     drop(file.close().await);
     let (_, state) = place.sound().await;
-    assert_eq!((state.oldest, state.newest.0, state.held.events), (1, 5, 12));
+    assert_eq!((state.oldest, state.newest.0, state.waiting_usage.events), (1, 5, 12));
 }
 
 #[tokio::test]

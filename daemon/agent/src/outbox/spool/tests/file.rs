@@ -13,7 +13,7 @@ async fn new_spool_is_empty_and_keeps_its_stream() {
         (1, 1, Chain::START, (0, Chain::START))
     );
     assert_eq!(
-        (fresh.previous, fresh.since, fresh.held, fresh.totals.clone()),
+        (fresh.previous, fresh.since, fresh.waiting_usage, fresh.totals.clone()),
         (None, None, Usage::default(), Totals::default())
     );
     file.close().await.expect("closes");
@@ -39,7 +39,7 @@ async fn batches_totals_and_deletions_survive_reopening() {
         (fresh.stream, 1, 4, written[2].chain)
     );
     assert_eq!((state.newest, state.since), ((9, written[8].chain), Some(written[3].since)));
-    assert_eq!((state.held, state.totals), (Usage { events: 18, bytes: 600 }, totals(29)));
+    assert_eq!((state.waiting_usage, state.totals), (Usage { events: 18, bytes: 600 }, totals(29)));
 
     let all = file.load(4, usize::MAX).await.expect("loads");
     assert_eq!((all.batches.as_slice(), all.damage), (&written[3..], None));
@@ -59,7 +59,10 @@ async fn emptied_spool_keeps_its_position() {
     drop(file.close().await);
     let (_, state) = place.sound().await;
     assert_eq!((state.oldest, state.before), (3, written[1].chain));
-    assert_eq!((state.newest, state.since, state.held), ((2, written[1].chain), None, Usage::default()));
+    assert_eq!(
+        (state.newest, state.since, state.waiting_usage),
+        ((2, written[1].chain), None, Usage::default())
+    );
     assert_eq!(state.totals, totals(6));
 }
 
@@ -97,11 +100,11 @@ async fn renewed_spool_keeps_its_batches_in_another_stream() {
 async fn senders_from_file_are_remembered() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
-    assert_eq!(fresh.reached, []);
+    assert_eq!(fresh.newest_sent, []);
     let written = batches(Chain::START, 1..=6, 10);
     let by = |process, number| {
         let reached = NewestSentBatch { process, number };
-        (reached, Totals { reached: Some(reached), ..totals(9) })
+        (reached, Totals { newest_sent: Some(reached), ..totals(9) })
     };
     let ((first, as_first), (second, as_second)) = (by(u64::MAX, 2), by(5, 4));
     file.append(&written[..2], &as_first).await.expect("appends");
@@ -110,13 +113,13 @@ async fn senders_from_file_are_remembered() {
     file.append(&written[4..], &totals(18)).await.expect("appends out of contact");
     file.close().await.expect("closes");
     let (mut file, state) = place.sound().await;
-    assert_eq!(state.reached, [second, first]);
+    assert_eq!(state.newest_sent, [second, first]);
     for process in 100..200 {
         file.append(&[], &by(process, 6).1).await.expect("appends");
     }
     file.delete_through(6, written[5].chain).await.expect("deletes");
     file.close().await.expect("closes");
-    let reached = place.sound().await.1.reached;
+    let reached = place.sound().await.1.newest_sent;
     assert!(reached.len() == 64 && reached.iter().all(|reached| reached.number == 6), "{reached:?}");
 }
 

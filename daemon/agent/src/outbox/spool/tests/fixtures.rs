@@ -97,12 +97,14 @@ async fn spool_of_each_migration_is_readable() {
         connection.close().await.expect("closes");
 
         let (mut file, state) = place.sound().await;
-        assert_eq!((state.oldest, state.newest.0, state.held.events), (1, 1, 4));
+        assert_eq!((state.oldest, state.newest.0, state.waiting_usage.events), (1, 1, 4));
         assert_eq!(state.totals.produced, 4);
         let loaded = file.load(1, usize::MAX).await.expect("reads");
         assert_eq!(loaded.damage, None);
-        let events =
-            loaded.batches.iter().flat_map(|batch| codec::events(&batch.body, batch.events).expect("events"));
+        let events = loaded
+            .batches
+            .iter()
+            .flat_map(|batch| codec::decode_events(&batch.body, batch.events).expect("events"));
         let expected: Vec<Event> = WAITING.into_iter().map(event).collect();
         assert_eq!(events.collect::<Vec<_>>(), expected, "migration {}", migration.version);
     }

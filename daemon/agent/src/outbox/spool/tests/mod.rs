@@ -66,7 +66,7 @@ fn clock() -> SharedClock {
 fn batches(mut before: Chain, numbers: impl IntoIterator<Item = u64>, bytes: usize) -> Vec<SpooledBatch> {
     let batch = |number: u64| {
         let body = Bytes::from(vec![number as u8; bytes]);
-        before = before.then(3, &body);
+        before = before.next(3, &body);
         SpooledBatch {
             number,
             since: WallTime::from_unix_nanos(number as i64),
@@ -79,7 +79,7 @@ fn batches(mut before: Chain, numbers: impl IntoIterator<Item = u64>, bytes: usi
 }
 
 fn totals(produced: u64) -> Totals {
-    Totals { produced, dropped: 2, gaps: 1, told: 2, ..Totals::default() }
+    Totals { produced, dropped: 2, gaps: 1, reported_drops: 2, ..Totals::default() }
 }
 
 /// Returns the names of the files in a folder, without those that SQLite and the agent keep beside an open spool.

@@ -1,7 +1,7 @@
 //! Tests of the losses of a killed process.
 
 use peernet_logger::{RunId, Slug};
-use peernet_stream::{HandedInEvents, KILLED, SentUnspooled};
+use peernet_stream::{KILLED_REASON, SentUnspooled, SubmittedEvents};
 
 use super::*;
 use crate::event_queue::EventCounter;
@@ -18,9 +18,9 @@ fn hand_in(counter: &EventCounter, run: RunId, events: u64) {
 
 /// Returns totals after `events` more events of a run are in batches and `reported` lost events are in gaps.
 fn settled(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
-    let mut handed_in = HandedInEvents { last: Some(at(1)), ..HandedInEvents::default() };
-    handed_in.taken.add(Some(run), events);
-    Totals { produced: before.produced + events, told: reported, handed_in, ..before.clone() }
+    let mut submitted = SubmittedEvents { last: Some(at(1)), ..SubmittedEvents::default() };
+    submitted.batched.add(Some(run), events);
+    Totals { produced: before.produced + events, reported_drops: reported, submitted, ..before.clone() }
 }
 
 #[tokio::test]
@@ -38,15 +38,15 @@ async fn losses_of_killed_process_stay_until_reported() {
     let lost = |state: &SpoolState| -> Vec<_> {
         state.unreported.iter().map(|gap| (gap.run, gap.count, gap.reason.clone())).collect()
     };
-    assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (10, 4, 0));
-    assert_eq!(lost(&state), [(Some(run), 4, KILLED.to_owned())]);
+    assert_eq!((state.totals.produced, state.totals.dropped, state.totals.reported_drops), (10, 4, 0));
+    assert_eq!(lost(&state), [(Some(run), 4, KILLED_REASON.to_owned())]);
     assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
     // Killed again before it could report that, with an event of its own.
     hand_in(&counter, second, 1);
     drop((file, counter));
 
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
-    let both = [(Some(run), 4, KILLED.to_owned()), (Some(second), 1, KILLED.to_owned())];
+    let both = [(Some(run), 4, KILLED_REASON.to_owned()), (Some(second), 1, KILLED_REASON.to_owned())];
     assert_eq!((lost(&state), state.totals.dropped), (both.to_vec(), 5));
     assert_eq!(place.lost_when_killed().await, Some(5));
     let third = RunId::random();
@@ -69,13 +69,19 @@ async fn unspooled_sends_stay_open_until_resolved() {
     file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
         .await
         .expect("appends");
-    counter.record_sent_unspooled(SentUnspooled { process: 7, number: 3, taken: 8, told: 0, events: 8 });
+    counter.record_sent_unspooled(SentUnspooled {
+        process: 7,
+        number: 3,
+        batched: 8,
+        reported_drops: 0,
+        events: 8,
+    });
     drop((file, counter));
 
     let OpenSpool { file, state, counter, .. } = place.open().await.expect("opens");
     let unresolved = state.unresolved.expect("batch 3 may be stored");
-    assert_eq!((unresolved.counted.all, unresolved.settled.events.of(run)), (10, 6));
-    assert_eq!((unresolved.settled.taken, unresolved.events), (6, 6));
+    assert_eq!((unresolved.counted.total, unresolved.settled.events.events_of(run)), (10, 6));
+    assert_eq!((unresolved.settled.batched, unresolved.events), (6, 6));
     assert_eq!((state.totals.dropped, state.unreported.len()), (0, 0));
     // Killed before the aggregator answered.
     hand_in(&counter, run, 1);

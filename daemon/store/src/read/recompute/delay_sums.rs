@@ -8,13 +8,13 @@ use crate::types::Judgement;
 
 /// Sums over the delays of one direction.
 #[derive(Debug, Default)]
-pub(super) struct Tally {
+pub(super) struct DelaySums {
     delay: Summary,
     half_width: Summary,
     verdicts: [u64; Verdict::ALL.len()],
 }
 
-impl Tally {
+impl DelaySums {
     /// Adds a delay; a delay that was never judged is ignored.
     pub(super) fn add(&mut self, delay: Option<&OneWayDelay>) {
         let Some(delay) = delay else { return };
@@ -35,8 +35,8 @@ impl Tally {
     pub(super) fn judgement(&self) -> Judgement {
         let verdicts = Verdict::ALL.iter().copied().zip(self.verdicts);
         Judgement {
-            delay: Figures::of(&self.delay),
-            half_width: Figures::of(&self.half_width),
+            delay: Figures::from_summary(&self.delay),
+            half_width: Figures::from_summary(&self.half_width),
             verdicts: verdicts.filter(|(_, times)| *times > 0).collect(),
         }
     }

@@ -6,7 +6,7 @@ use super::super::{
     AGENT_STREAM_VERSIONS, Chain, Hello, HelloExtension, Nonce, Proof, ToAgent, ToAggregator, VersionRange,
     codec,
 };
-use super::session::{Link, ScanPurpose, Welcome};
+use super::session::{ConnectionState, ScanPurpose, Welcome};
 use super::spool_reader::{LoadPurpose, ScanResult};
 use super::{Notice, Sending};
 use crate::spool::SpooledBatch;
@@ -14,7 +14,7 @@ use crate::totals::NewestSentBatch;
 use peernet_logger::Slug;
 
 /// Returns the reason to refuse an aggregator that chose a version which this agent does not support.
-fn wrong_version(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
+fn version_mismatch(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
     let chosen = VersionRange::single(chosen.unwrap_or(AGENT_STREAM_VERSIONS.oldest()));
     let mismatch = AGENT_STREAM_VERSIONS.highest_common(&chosen).err()?;
     Some(mismatch.describe("the event stream", "this agent", &format!("the aggregator on {aggregator}")))
@@ -22,54 +22,54 @@ fn wrong_version(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
 
 impl Sending {
     /// Records that the transport has a connection.
-    pub fn connected(&mut self, now: MonoTime) {
+    pub fn on_connected(&mut self, now: MonoTime) {
         // The new connection may use another path.
         self.lane.restart();
-        self.lane.take_back();
+        self.lane.reset_in_flight();
         self.session.connect(now);
     }
 
     /// Records that the connection ended. Batches in flight count as not sent.
-    pub fn disconnected(&mut self) {
+    pub fn on_disconnected(&mut self) {
         self.session.disconnect();
-        self.lane.take_back();
+        self.lane.reset_in_flight();
     }
 
     /// Handles a message from the aggregator.
-    pub fn received(&mut self, message: &ToAgent, now: Stamp) -> Option<Notice> {
+    pub fn on_message(&mut self, message: &ToAgent, now: Stamp) -> Option<Notice> {
         match message {
-            _ if matches!(self.session.link, Link::Down) => {}
+            _ if matches!(self.session.state, ConnectionState::Down) => {}
             // Answers to messages of a stream that has been left, or is being left.
             ToAgent::Challenge { stream, .. }
             | ToAgent::Welcome { stream, .. }
             | ToAgent::Ack { stream, .. }
             | ToAgent::Resend { stream, .. }
-                if *stream != self.spooler.backlog.origin.stream || self.renewal.is_wanted() => {}
+                if *stream != self.spooler.backlog.origin.stream || self.renewal.is_requested() => {}
             ToAgent::Challenge { aggregator, nonce, enrol, version, .. } => {
-                match wrong_version(aggregator, *version) {
-                    Some(reason) => self.refused(&reason, now.mono),
-                    None => self.challenged(aggregator, nonce, *enrol, *version, now.mono),
+                match version_mismatch(aggregator, *version) {
+                    Some(reason) => self.handle_refusal(&reason, now.mono),
+                    None => self.handle_challenge(aggregator, nonce, *enrol, *version, now.mono),
                 }
             }
             ToAgent::Welcome { aggregator, stored, chain, process, window, .. } => {
-                self.answered(now.mono);
+                self.record_answer(now.mono);
                 let (aggregator, chain, process) = (aggregator.clone(), *chain, *process);
-                self.lane.allowed(*window);
-                self.welcomed(Welcome { aggregator, stored: *stored, chain, process }, now);
+                self.lane.set_window(*window);
+                self.handle_welcome(Welcome { aggregator, stored: *stored, chain, process }, now);
             }
             ToAgent::Ack { through, window, .. } => {
-                self.lane.allowed(*window);
-                self.acknowledged_through(*through, now);
+                self.lane.set_window(*window);
+                self.handle_ack(*through, now);
             }
-            ToAgent::Resend { from, .. } => self.resend_from(*from, now.mono),
+            ToAgent::Resend { from, .. } => self.handle_resend(*from, now.mono),
             ToAgent::Echo { bytes } => {
-                self.lane.echoed(*bytes, now.mono);
+                self.lane.record_echo(*bytes, now.mono);
             }
-            ToAgent::Refused { reason } => self.refused(reason, now.mono),
+            ToAgent::Refused { reason } => self.handle_refusal(reason, now.mono),
             ToAgent::Unknown if self.is_up() => self.schedule_hello(now.mono),
             ToAgent::Unknown => {}
         }
-        self.notice()
+        self.next_notice()
     }
 
     /// Returns the frame to be sent now, if any.
@@ -77,49 +77,50 @@ impl Sending {
         if let Some(proof) = self.session.take_proof() {
             return Some(proof);
         }
-        if !self.renewal.is_wanted() && self.session.take_hello(now) {
+        if !self.renewal.is_requested() && self.session.take_hello(now) {
             return Some(codec::encode(&ToAggregator::Hello(self.hello())));
         }
-        let Link::Up { next, heard } = self.session.link else { return None };
+        let ConnectionState::Up { next, last_progress } = self.session.state else { return None };
         let output = self.lane.next(next, &mut self.spooler, self.host.id, now);
-        if output.begins {
+        if output.starts_batch {
             // The timeout begins when there is something to wait for.
             let idle = next == self.spooler.backlog.oldest();
-            self.session.link = Link::Up { next: next + 1, heard: if idle { now } else { heard } };
+            self.session.state =
+                ConnectionState::Up { next: next + 1, last_progress: if idle { now } else { last_progress } };
         }
         output.frame
     }
 
     /// Records an answer to a hello or a proof, and its round trip.
-    fn answered(&mut self, now: MonoTime) {
-        if let Some(took) = self.session.answered(now) {
-            self.lane.round_trip(took, now);
+    fn record_answer(&mut self, now: MonoTime) {
+        if let Some(took) = self.session.record_answer(now) {
+            self.lane.observe_round_trip(took, now);
         }
     }
 
     /// Returns the time at which the connection needs attention without an event.
-    pub(super) fn link_deadline(&self) -> Option<MonoTime> {
-        if let Some(again) = self.session.hello_at() {
-            return (!self.renewal.is_wanted()).then_some(again);
+    pub(super) fn connection_deadline(&self) -> Option<MonoTime> {
+        if let Some(retry_at) = self.session.hello_at() {
+            return (!self.renewal.is_requested()).then_some(retry_at);
         }
-        let reminder = self.lane.remind_at().filter(|_| self.is_up());
-        self.patience_ends().into_iter().chain(reminder).min()
+        let echo_retry = self.lane.echo_retry_at().filter(|_| self.is_up());
+        self.ack_deadline().into_iter().chain(echo_retry).min()
     }
 
     /// Sends a hello again if nothing was acknowledged for too long.
-    pub(super) fn check_patience(&mut self, now: MonoTime) {
-        if self.patience_ends().is_some_and(|limit| now >= limit) {
+    pub(super) fn check_ack_timeout(&mut self, now: MonoTime) {
+        if self.ack_deadline().is_some_and(|limit| now >= limit) {
             self.schedule_hello(now);
         }
     }
 
-    fn patience_ends(&self) -> Option<MonoTime> {
-        self.session.patience_ends(self.spooler.backlog.oldest(), self.lane.progress())
+    fn ack_deadline(&self) -> Option<MonoTime> {
+        self.session.ack_deadline(self.spooler.backlog.oldest(), self.lane.progress())
     }
 
-    /// Schedules a hello: at once, unless several had no effect.
+    /// Schedules a hello: now, or after a pause if the last ones led to no progress.
     pub(super) fn schedule_hello(&mut self, now: MonoTime) {
-        self.lane.take_back();
+        self.lane.reset_in_flight();
         self.session.schedule_hello(now);
     }
 
@@ -133,16 +134,16 @@ impl Sending {
             first: self.spooler.backlog.origin.first,
             oldest: self.spooler.backlog.oldest(),
             before,
-            events_before_oldest: self.spooler.backlog.stored(),
+            events_before_oldest: self.spooler.backlog.stored_events(),
             events_before_first: self.spooler.backlog.origin.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
             process: self.spooler.process(),
-            extension: HelloExtension::of(&AGENT_STREAM_VERSIONS),
+            extension: HelloExtension::from_versions(&AGENT_STREAM_VERSIONS),
         }
     }
 
     /// Answers the challenge of the aggregator with a proof.
-    fn challenged(
+    fn handle_challenge(
         &mut self,
         aggregator: &Slug,
         nonce: &Nonce,
@@ -150,14 +151,14 @@ impl Sending {
         version: Option<u16>,
         now: MonoTime,
     ) {
-        if !self.session.challenged(now) {
+        if !self.session.record_challenge(now) {
             return;
         }
-        self.session.choose(version.unwrap_or(AGENT_STREAM_VERSIONS.oldest()));
-        self.answered(now);
+        self.session.set_version(version.unwrap_or(AGENT_STREAM_VERSIONS.oldest()));
+        self.record_answer(now);
         let code = self.secret.prove(nonce, &self.hello(), aggregator);
         let secret = enrol.then(|| self.secret.clone());
-        self.session.prove(codec::encode(&ToAggregator::Proof(Proof {
+        self.session.queue_proof(codec::encode(&ToAggregator::Proof(Proof {
             host: self.host.id,
             nonce: *nonce,
             code,
@@ -168,46 +169,46 @@ impl Sending {
         }
     }
 
-    fn refused(&mut self, reason: &str, now: MonoTime) {
-        self.session.refused(now);
+    fn handle_refusal(&mut self, reason: &str, now: MonoTime) {
+        self.session.record_refusal(now);
         self.notices.push_back(Notice::Refused(reason.to_owned()));
     }
 
-    fn resend_from(&mut self, from: u64, now: MonoTime) {
-        let Link::Up { next, heard } = self.session.link else { return };
+    fn handle_resend(&mut self, from: u64, now: MonoTime) {
+        let ConnectionState::Up { next, last_progress } = self.session.state else { return };
         if from < self.spooler.backlog.oldest() {
             // The aggregator lacks batches that are no longer here. The hello states so, and the aggregator records the
             // gap.
             self.schedule_hello(now);
         } else {
-            self.session.link = Link::Up { next: next.min(from), heard };
-            self.lane.lost(from);
+            self.session.state = ConnectionState::Up { next: next.min(from), last_progress };
+            self.lane.mark_lost(from);
         }
     }
 
-    fn acknowledged_through(&mut self, through: u64, now: Stamp) {
-        let Link::Up { next, .. } = self.session.link else { return };
-        if through > self.spooler.backlog.sent() {
+    fn handle_ack(&mut self, through: u64, now: Stamp) {
+        let ConnectionState::Up { next, .. } = self.session.state else { return };
+        if through > self.spooler.backlog.newest_sent() {
             // Batches that were not sent cannot be stored. The hello finds out what the aggregator has.
             self.schedule_hello(now.mono);
         } else if through >= self.spooler.backlog.oldest() {
-            self.session.progressed(next.max(through + 1), now.mono);
-            self.acknowledged(through, None, now);
+            self.session.record_progress(next.max(through + 1), now.mono);
+            self.free_acknowledged(through, None, now);
             self.pass_gap(now);
         }
     }
 
     /// Handles a welcome: the aggregator has batches up to a number, and this end's batch with that number must be the
     /// same.
-    fn welcomed(&mut self, mut welcome: Welcome, now: Stamp) {
+    fn handle_welcome(&mut self, mut welcome: Welcome, now: Stamp) {
         welcome.stored = welcome.stored.max(self.spooler.backlog.origin.first - 1);
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
-        match self.session.link {
-            Link::Greeting { .. } => {}
+        match self.session.state {
+            ConnectionState::Handshake { .. } => {}
             // This is the answer to a second hello that was in flight.
-            Link::Up { .. } if welcome.stored > acknowledged => {
+            ConnectionState::Up { .. } if welcome.stored > acknowledged => {
                 return match self.spooler.backlog.chain(welcome.stored) {
-                    ours if ours == welcome.chain => self.acknowledged_through(welcome.stored, now),
+                    ours if ours == welcome.chain => self.handle_ack(welcome.stored, now),
                     _ => self.schedule_hello(now.mono),
                 };
             }
@@ -224,17 +225,24 @@ impl Sending {
                 false => self.leave_stream(&welcome, now),
             };
         }
-        match self.spooler.backlog.known(welcome.stored) {
+        match self.spooler.backlog.find_in_memory(welcome.stored) {
             Some((chain, scanned)) => self.compare_chains(welcome, Some(chain), scanned, now),
             None => {
                 let scan = self.spooler.backlog.scan_to(welcome.stored);
-                self.session.link = Link::Comparing { scan, purpose: ScanPurpose::Compare(welcome) };
+                self.session.state =
+                    ConnectionState::Comparing { scan, purpose: ScanPurpose::Compare(welcome) };
             }
         }
     }
 
-    /// Continues after the file was read up to `through`. `scanned` is `None` if that batch was not in it.
-    fn compared(&mut self, through: u64, scanned: Option<ScanResult>, purpose: ScanPurpose, now: Stamp) {
+    /// Continues after the file was read up to `through`. `handle_scan` is `None` if that batch was not in it.
+    fn finish_comparison(
+        &mut self,
+        through: u64,
+        scanned: Option<ScanResult>,
+        purpose: ScanPurpose,
+        now: Stamp,
+    ) {
         match purpose {
             ScanPurpose::Compare(welcome) => {
                 let chain = match scanned {
@@ -246,7 +254,7 @@ impl Sending {
             }
             ScanPurpose::Leave => {
                 if scanned.is_some() {
-                    self.acknowledged(through, scanned, now);
+                    self.free_acknowledged(through, scanned, now);
                 }
                 self.renew_stream(now.mono);
             }
@@ -267,7 +275,7 @@ impl Sending {
             || welcome.stored == acknowledged && welcome.chain.is_none();
         if nothing_to_compare || ours.is_some() && ours == welcome.chain {
             if welcome.stored > acknowledged {
-                self.acknowledged(welcome.stored, scanned, now);
+                self.free_acknowledged(welcome.stored, scanned, now);
             }
             self.begin_sending(welcome, false, now);
         } else {
@@ -278,63 +286,69 @@ impl Sending {
     /// Returns whether this process or an earlier one sent the aggregator's last batch, which is no longer here. An
     /// older database may contain batches from a copy of the spool, which this spool does not continue.
     fn has_sent(&self, welcome: &Welcome) -> bool {
-        let by = |reached: &NewestSentBatch| {
-            Some(reached.process) == welcome.process && reached.number >= welcome.stored
+        let by = |newest_sent: &NewestSentBatch| {
+            Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.stored
         };
         welcome.chain.is_none()
             || welcome.process == Some(self.spooler.process())
-            || self.renewal.reached_before().iter().any(by)
+            || self.renewal.earlier_newest_sent().iter().any(by)
     }
 
-    fn begin_sending(&mut self, welcome: Welcome, lacks: bool, now: Stamp) {
-        self.spooler.meet();
-        self.session.link = Link::Up { next: self.spooler.backlog.oldest(), heard: now.mono };
+    fn begin_sending(&mut self, welcome: Welcome, has_lost_batches: bool, now: Stamp) {
+        self.spooler.record_acceptance();
+        self.session.state =
+            ConnectionState::Up { next: self.spooler.backlog.oldest(), last_progress: now.mono };
         let Welcome { aggregator, stored, .. } = welcome;
-        self.notices.push_back(Notice::Welcomed { aggregator, stored, lacks });
+        self.notices.push_back(Notice::Welcomed { aggregator, stored, has_lost_batches });
         self.pass_gap(now);
     }
 
-    /// Leaves the stream, because the aggregator's batches differ from those of this spool.
+    /// Leaves the stream, because the aggregator's batches differ from this spool's batches.
     ///
-    /// If the aggregator's last batch came from a process that wrote to this spool, everything that the spool holds
-    /// from that process is stored ([`NewestSentBatch`]): the spool lost its end, or is a copy that the process continued from.
-    /// Later batches of the spool were never stored. If the batch came from another process, the spool is a copy of
-    /// unknown age, and everything in it is sent: it is better to store events twice, in two streams, than not at all.
+    /// If a process that wrote to this spool sent the aggregator's last batch, all batches that the spool has from that
+    /// process are stored ([`NewestSentBatch`]): the spool lost its end, or is a copy from which the process continued.
+    /// Later batches of the spool were never stored. If another process sent the aggregator's last batch, the spool is
+    /// a copy of unknown age. All of its batches are sent then, because it is better to store events twice, in two
+    /// streams, than not at all.
     fn leave_stream(&mut self, welcome: &Welcome, now: Stamp) {
         let (stored, newest) = (welcome.stored, self.spooler.backlog.newest());
         self.notices.push_back(Notice::StreamRenewed { stored, newest });
-        let reached =
-            self.renewal.reached_before().iter().find(|reached| Some(reached.process) == welcome.process);
+        let newest_sent = self
+            .renewal
+            .earlier_newest_sent()
+            .iter()
+            .find(|newest_sent| Some(newest_sent.process) == welcome.process);
         // An aggregator that has less than that, but a different batch, contradicts itself.
-        let common =
-            reached.filter(|reached| stored > reached.number).map_or(0, |reached| reached.number.min(newest));
+        let common = newest_sent
+            .filter(|newest_sent| stored > newest_sent.number)
+            .map_or(0, |newest_sent| newest_sent.number.min(newest));
         // Nothing that the spool still holds is known to be stored.
         if common < self.spooler.backlog.oldest() {
             return self.renew_stream(now.mono);
         }
-        match self.spooler.backlog.known(common) {
+        match self.spooler.backlog.find_in_memory(common) {
             Some((_, scanned)) => {
-                self.acknowledged(common, scanned, now);
+                self.free_acknowledged(common, scanned, now);
                 self.renew_stream(now.mono);
             }
             None => {
                 let scan = self.spooler.backlog.scan_to(common);
-                self.session.link = Link::Comparing { scan, purpose: ScanPurpose::Leave };
+                self.session.state = ConnectionState::Comparing { scan, purpose: ScanPurpose::Leave };
             }
         }
     }
 
     fn renew_stream(&mut self, now: MonoTime) {
-        self.renewal.want();
+        self.renewal.request();
         self.schedule_hello(now);
     }
 
     /// Handles batches that were read from the spool.
     pub(super) fn read(&mut self, loading: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
         match loading {
-            LoadPurpose::Scan(from) => self.scanned(from, &batches, now),
+            LoadPurpose::Scan(from) => self.handle_scan(from, &batches, now),
             LoadPurpose::Probe(from) => {
-                if self.reader.probed(from, &batches, &self.spooler.backlog) {
+                if self.reader.handle_probe(from, &batches, &self.spooler.backlog) {
                     self.pass_gap(now);
                 }
             }
@@ -345,27 +359,27 @@ impl Sending {
     /// Handles batches that were read to be sent.
     fn read_ahead(&mut self, from: u64, batches: Vec<SpooledBatch>, now: Stamp) {
         let backlog = &mut self.spooler.backlog;
-        let expected = from == backlog.unknown() && from <= backlog.spooled();
+        let expected = from == backlog.first_unloaded() && from <= backlog.spooled();
         // The aggregator stored the batches meanwhile, or they are about to be counted.
         if !expected || self.session.is_comparing() {
             return;
         }
-        if backlog.loaded(batches) == 0 {
+        if backlog.add_loaded(batches) == 0 {
             self.reader.open_gap(from + 1, backlog);
             self.pass_gap(now);
         }
-        self.spooler.settle(now);
+        self.spooler.drop_missing(now);
     }
 
     /// Handles batches that were read to be counted.
-    fn scanned(&mut self, from: u64, batches: &[SpooledBatch], now: Stamp) {
-        let Link::Comparing { scan, .. } = &mut self.session.link else { return };
+    fn handle_scan(&mut self, from: u64, batches: &[SpooledBatch], now: Stamp) {
+        let ConnectionState::Comparing { scan, .. } = &mut self.session.state else { return };
         if !scan.count(from, batches) {
             return;
         }
-        let link = std::mem::replace(&mut self.session.link, Link::Down);
-        if let Link::Comparing { scan, purpose } = link {
-            self.compared(scan.through(), scan.result(), purpose, now);
+        let state = std::mem::replace(&mut self.session.state, ConnectionState::Down);
+        if let ConnectionState::Comparing { scan, purpose } = state {
+            self.finish_comparison(scan.through(), scan.result(), purpose, now);
         }
     }
 
@@ -379,16 +393,16 @@ impl Sending {
         if self.is_up() {
             self.schedule_hello(now.mono);
         }
-        self.spooler.settle(now);
+        self.spooler.drop_missing(now);
     }
 
     /// Frees the batches up to `through`, which the aggregator stored.
-    fn acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
+    fn free_acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         if scanned.is_some() {
             // The gap was passed, or will be found again.
             self.reader.forget_gap();
         }
         self.spooler.acknowledged(through, scanned, now);
-        self.lane.acknowledged(through, now.mono);
+        self.lane.record_ack(through, now.mono);
     }
 }

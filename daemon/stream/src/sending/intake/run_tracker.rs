@@ -1,32 +1,32 @@
-//! Runs whose events are handed in.
+//! Tracking of the runs whose events are submitted.
 
 use std::collections::BTreeMap;
 
 use peernet_logger::{RunId, Slug};
 
-use crate::{Event, MOST_COUNTED_RUNS};
+use crate::{Event, MAX_COUNTED_RUNS};
 
 /// Active runs with their pipelines, and ended runs that are still counted separately.
 #[derive(Clone, Debug, Default)]
-pub(super) struct KnownRuns {
+pub(super) struct RunTracker {
     /// Pipelines of the active runs. An iteration contains its run only.
     pipelines: BTreeMap<RunId, Slug>,
     ended: Vec<RunId>,
 }
 
-impl KnownRuns {
+impl RunTracker {
     /// Records the start and the end of runs.
     pub(super) fn observe(&mut self, event: &Event) {
         match event {
             Event::RunStarted(started) => {
-                if self.pipelines.len() >= MOST_COUNTED_RUNS {
+                if self.pipelines.len() >= MAX_COUNTED_RUNS {
                     self.pipelines.pop_first();
                 }
                 self.pipelines.insert(started.run, started.pipeline.clone());
             }
             Event::RunEnded(ended) => {
                 self.pipelines.remove(&ended.run);
-                if self.ended.len() < MOST_COUNTED_RUNS {
+                if self.ended.len() < MAX_COUNTED_RUNS {
                     self.ended.push(ended.run);
                 }
             }
@@ -48,7 +48,7 @@ impl KnownRuns {
     }
 
     /// Returns the ended runs that are still counted separately.
-    pub(super) fn ended(&self) -> &[RunId] {
+    pub(super) fn ended_runs(&self) -> &[RunId] {
         &self.ended
     }
 

@@ -13,9 +13,9 @@ pub(super) enum SpoolWork {
 
 /// The first failure that is not over.
 #[derive(Clone, Debug, Default)]
-pub(super) struct SpoolTrouble(Option<(SpoolWork, String)>);
+pub(super) struct SpoolFailure(Option<(SpoolWork, String)>);
 
-impl SpoolTrouble {
+impl SpoolFailure {
     /// Returns the error as text.
     pub(super) fn reason(&self) -> Option<String> {
         self.0.as_ref().map(|(_, reason)| reason.clone())

@@ -3,23 +3,23 @@
 use peernet_clock::Stamp;
 use peernet_logger::HostId;
 use peernet_networks::Peer;
-use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, ProofResult, Receiving, ToAgent};
+use peernet_stream::{Hello, HelloResult, HostSecret, Nonce, Proof, ProofResult, Receiving, ToAgent};
 
 use super::IngestSession;
-use crate::ingest::queue::Incoming;
+use crate::ingest::queue::AdmittedWork;
 use crate::live::{LiveEvent, bounds};
 use crate::live_state::RefusedHost;
 use peernet_store::writing::{Introduction, Work};
 
 impl IngestSession {
     /// Processes a hello. Nothing about the host changes until its identity is proven.
-    pub(super) fn hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
+    pub(super) fn handle_hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
         // Cut to the size that is displayed, because it is kept before the host has proven its identity.
         bounds::description(&mut hello.host, &mut 0);
-        let reason = Receiving::refuses_version(&hello)
-            .or_else(|| self.routes.too_many(from.connection, host))
-            .or_else(|| self.hosts.refuses(host));
+        let reason = Receiving::version_refusal(&hello)
+            .or_else(|| self.routes.limit_refusal(from.connection, host))
+            .or_else(|| self.hosts.limit_refusal(host));
         if let Some(reason) = reason {
             self.refuse(from, &hello, reason, now);
             return;
@@ -31,56 +31,56 @@ impl IngestSession {
     }
 
     /// Processes a proof of identity.
-    pub(super) fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
-        let known = self.hosts.secret(proof.host).cloned();
-        match self.challenges.prove(&from.connection, proof, known.as_ref()) {
-            ProofResult::Yes { hello, enrolled } => {
-                let secret = known.or(enrolled);
-                self.enter(from, *hello, secret, now);
+    pub(super) fn handle_proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
+        let known_secret = self.hosts.secret(proof.host).cloned();
+        match self.challenges.check_proof(&from.connection, proof, known_secret.as_ref()) {
+            ProofResult::Valid { hello, enrolled } => {
+                let secret = known_secret.or(enrolled);
+                self.open_session(from, *hello, secret, now);
             }
-            ProofResult::No(hello) => {
+            ProofResult::Invalid(hello) => {
                 let host = hello.host.id;
                 // An operator may have cleared the secret since it was read, so it is read again.
                 if self.hosts.needs_secret_check(host, now.mono)
                     && let Some(slot) = self.queue.reserve(0)
                 {
-                    slot.put(Incoming::Work(Work::Secret(host)), now.mono);
+                    slot.fill(AdmittedWork::Work(Work::Secret(host)), now.mono);
                 }
-                self.refuse(from, &hello, wrong_secret(host), now);
+                self.refuse(from, &hello, secret_refusal(host), now);
             }
-            ProofResult::Unasked => {
+            ProofResult::Unsolicited => {
                 self.output.reject_stranger(from.connection);
             }
         }
     }
 
     /// Gives a session to a host that has proven its identity.
-    fn enter(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
+    fn open_session(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
         let host = hello.host.id;
         // Checked again, because other hosts may have been stored since the hello.
-        if let Some(reason) = self.hosts.refuses(host) {
+        if let Some(reason) = self.hosts.limit_refusal(host) {
             self.refuse(from, &hello, reason, now);
             return;
         }
         // Without room for the work that follows from it, the hello is treated as lost; the agent repeats it.
-        let (Some(greeting), Some(hole)) = (self.queue.reserve(0), self.queue.reserve(0)) else {
+        let (Some(introduction_slot), Some(gap_slot)) = (self.queue.reserve(0), self.queue.reserve(0)) else {
             self.output.defer_greeting();
             return;
         };
-        let known = self.store.streams.known(&hello, self.hosts.seniority(host));
+        let record = self.store.streams.record(&hello, self.hosts.seniority(host));
         // A welcome acknowledges everything up to the stream's mark. While the database is closed, it is unknown
         // whether that is still stored, so the agent has to wait.
-        if !self.store.is_open() && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
+        if !self.store.is_open() && record.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
-        match self.receiving.hello(&hello, known, now.mono) {
-            Greeting::Welcome { reply, missing, replaced, lacking, displaced } => {
+        match self.receiving.handle_hello(&hello, record, now.mono) {
+            HelloResult::Welcome { reply, missing, replaced, lacking, displaced } => {
                 let Hello { host: description, process, stream, previous, first, .. } = hello;
                 let name = &description.name;
                 if let Some(replaced) = replaced {
                     tracing::warn!(
                         host = %name, %stream, %replaced,
-                        "the spool of this host was deleted or replaced: what it still held is lost"
+                        "the spool of this host was deleted or replaced: its remaining events are lost"
                     );
                 }
                 if let Some(lacking) = lacking {
@@ -94,11 +94,11 @@ impl IngestSession {
                     // Not a loss: an agent deletes only acknowledged batches, so these were stored in another database.
                     tracing::info!(
                         host = %name, from = missing.from, through = missing.through, events = missing.events,
-                        "batches of this host are not in this database and will not come: they were acknowledged by \
+                        "batches of this host are missing from this database for good: they were acknowledged by \
                          another aggregator, or by this one with another database"
                     );
                 }
-                tracing::info!(host = %name, id = %host, stored = known.mark.map(|mark| mark.stored), "a host connected");
+                tracing::info!(host = %name, id = %host, stored = record.mark.map(|mark| mark.stored), "a host connected");
                 let introduction = Introduction {
                     host: description.clone(),
                     process,
@@ -113,40 +113,42 @@ impl IngestSession {
                     if let Some(secret) = &introduction.secret {
                         self.hosts.enrol(host, secret);
                     }
-                    greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
+                    introduction_slot.fill(AdmittedWork::Work(Work::Hello(Box::new(introduction))), now.mono);
                     match missing {
-                        Some(missing) => hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono),
-                        None => drop(hole),
+                        Some(missing) => {
+                            gap_slot.fill(AdmittedWork::Work(Work::MissingBatches(missing)), now.mono)
+                        }
+                        None => drop(gap_slot),
                     }
-                    self.store.streams.came(host, stream);
+                    self.store.streams.record_hello(host, stream);
                     None
                 } else {
                     // A newcomer is stored with its first batch, so nothing is queued now.
-                    drop((greeting, hole));
-                    self.hosts.welcome(introduction, missing)
+                    drop((introduction_slot, gap_slot));
+                    self.hosts.add_newcomer(introduction, missing)
                 };
                 if let Some(gone) = gone {
                     self.end_dropped_newcomer(gone);
                 }
                 if let Some(displaced) = displaced {
-                    tracing::warn!(host = %description.name, %displaced, "a host took back its name from another that used it");
+                    tracing::warn!(host = %description.name, %displaced, "a host that has been stored for longer took its name back from another host");
                     // The displaced host sends its hello again and is refused with the reason.
-                    self.routes.leave(displaced);
+                    self.routes.remove(displaced);
                     self.forget_newcomer(displaced);
                 }
-                self.routes.enter(host, from.connection);
+                self.routes.insert(host, from.connection);
                 self.output.reply(from.connection, reply);
                 self.output.announce(LiveEvent::Hello(Box::new(description), process));
             }
-            Greeting::Refused { reason, .. } => {
-                drop((greeting, hole));
+            HelloResult::Refused { reason, .. } => {
+                drop((introduction_slot, gap_slot));
                 self.refuse(from, &hello, reason, now);
             }
-            Greeting::Wait => {}
+            HelloResult::Wait => {}
         }
     }
 
-    /// Refuses a host, and shows the refusal in the log and in the live picture.
+    /// Refuses a host, and shows the refusal in the log and in the live state.
     fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
         let ip = from.address.map(|address| address.ip());
         let address = from.address.map(|address| address.to_string());
@@ -161,11 +163,11 @@ impl IngestSession {
 }
 
 /// Returns the refusal of an agent that lacks the secret of its host id, with the remedy.
-fn wrong_secret(host: HostId) -> String {
+fn secret_refusal(host: HostId) -> String {
     format!(
         "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \
          host's, give it another [agent] state_dir. If this really is that host, and its file host-secret was lost or the \
          aggregator's database is an older copy, run `peernetd clear-host-secret --config CONFIG {host}` on the aggregator's \
-         machine. Nothing has to be deleted: until the host is let in again, its events wait in its spool"
+         machine. Nothing has to be deleted: until the host is admitted again, its events wait in its spool"
     )
 }

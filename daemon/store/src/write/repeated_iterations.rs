@@ -1,5 +1,5 @@
-//! Detection of iterations that arrived earlier under another batch number: two copies of one spool that take turns send the
-//! same iterations in two streams.
+//! Detection of iterations that arrived before under another batch number. Two copies of one spool that are used alternately send
+//! the same iterations in two streams.
 //!
 //! The rest of such a batch is stored unchanged: runs and clock samples replace the same rows; incidents and gaps have
 //! nothing to identify them, and appear twice.
@@ -9,7 +9,7 @@ use std::collections::HashSet;
 use peernet_logger::RunId;
 use sqlx::SqliteConnection;
 
-use super::prepared::Prepared;
+use super::prepared::PreparedBatch;
 
 /// The run's key leads to its iterations one by one.
 const STORED: &str = "SELECT iteration.number FROM run \
@@ -19,9 +19,9 @@ const STORED: &str = "SELECT iteration.number FROM run \
      WHERE (run.uuid = ?1 OR run.reported_uuid = ?1) AND host.uuid = ?2";
 
 /// Returns the iterations of a batch that are already stored in runs of the same host.
-pub(super) async fn stored(
+pub(super) async fn find(
     connection: &mut SqliteConnection,
-    batch: &Prepared,
+    batch: &PreparedBatch,
 ) -> Result<HashSet<(RunId, i64)>, sqlx::Error> {
     let mut numbers = vec![Vec::new(); batch.runs.len()];
     for iteration in &batch.iterations {
@@ -29,14 +29,14 @@ pub(super) async fn stored(
     }
     let mut stored = HashSet::new();
     for (run, numbers) in batch.runs.iter().zip(numbers) {
-        let asked = serde_json::to_string(&numbers).map_err(|error| sqlx::Error::Encode(error.into()))?;
-        let known: Vec<i64> = sqlx::query_scalar(STORED)
+        let searched = serde_json::to_string(&numbers).map_err(|error| sqlx::Error::Encode(error.into()))?;
+        let found: Vec<i64> = sqlx::query_scalar(STORED)
             .bind(run.id.to_string())
             .bind(batch.head.host.to_string())
-            .bind(asked)
+            .bind(searched)
             .fetch_all(&mut *connection)
             .await?;
-        stored.extend(known.into_iter().map(|number| (run.id, number)));
+        stored.extend(found.into_iter().map(|number| (run.id, number)));
     }
     Ok(stored)
 }

@@ -4,9 +4,9 @@ use sqlx::SqliteConnection;
 
 /// Kind of an SQLite file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Contents {
+pub enum FileKind {
     /// An empty file.
-    Nothing,
+    Empty,
     /// An aggregator's database.
     Database,
     /// An agent's spool.
@@ -20,15 +20,15 @@ const TABLES: &str = "SELECT count(*), coalesce(sum(name IN ('host', 'run', 'ite
      coalesce(sum(name IN ('stream', 'batch', 'reached', 'unreported', 'unresolved')), 0) \
      FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE '\\_%' ESCAPE '\\' AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\'";
 
-impl Contents {
+impl FileKind {
     /// Recognises a file.
     ///
     /// # Errors
-    /// When it cannot be read.
-    pub(crate) async fn of(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
+    /// If it cannot be read.
+    pub(crate) async fn detect(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
         let (all, database, spool): (i64, i64, i64) = sqlx::query_as(TABLES).fetch_one(connection).await?;
         Ok(match (all, database, spool) {
-            (0, ..) => Self::Nothing,
+            (0, ..) => Self::Empty,
             (_, 3, _) => Self::Database,
             // A spool of an earlier version has fewer tables.
             (3..=5, _, spool) if spool == all => Self::Spool,
@@ -37,10 +37,10 @@ impl Contents {
     }
 
     /// Returns what the file is instead of an aggregator's database; `None` if it is one.
-    pub(crate) fn instead_of_database(self) -> Option<&'static str> {
+    pub(crate) fn other_kind(self) -> Option<&'static str> {
         match self {
             Self::Database => None,
-            Self::Nothing => Some("an empty file"),
+            Self::Empty => Some("an empty file"),
             Self::Spool => Some("an agent's spool"),
             Self::Other => Some("the database of another program"),
         }
