@@ -11,21 +11,21 @@ use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
 #[derive(Clone, Debug)]
 pub struct Header {
     names: Vec<Column>,
-    known: HashSet<Column>,
+    name_set: HashSet<Column>,
 }
 
 impl Default for Header {
     fn default() -> Self {
         let names: Vec<Column> = FIXED_COLUMNS.iter().map(|(name, _)| Column::Borrowed(*name)).collect();
-        Self { known: names.iter().cloned().collect(), names }
+        Self { name_set: names.iter().cloned().collect(), names }
     }
 }
 
 impl Header {
     /// Returns the columns that these rows need.
-    pub(crate) fn of(rows: &Rows) -> Self {
+    pub(crate) fn for_rows(rows: &Rows) -> Self {
         let names = rows.names().to_vec();
-        Self { known: names.iter().cloned().collect(), names }
+        Self { name_set: names.iter().cloned().collect(), names }
     }
 
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
@@ -34,20 +34,20 @@ impl Header {
 
     /// Returns whether every value of the row has a column.
     pub(crate) fn covers(&self, row: &Row) -> bool {
-        row.values.iter().all(|(name, _)| self.known.contains(name))
+        row.values.iter().all(|(name, _)| self.name_set.contains(name))
     }
 
     /// Appends the columns of the row that are missing.
     pub fn add(&mut self, row: &Row) {
         for (name, _) in &row.values {
-            if self.known.insert(name.clone()) {
+            if self.name_set.insert(name.clone()) {
                 self.names.push(name.clone());
             }
         }
     }
 
     /// Returns the columns after the fixed ones.
-    pub(crate) fn further(&self) -> &[Column] {
+    pub(crate) fn run_columns(&self) -> &[Column] {
         self.names.get(FIXED_COLUMNS.len()..).unwrap_or_default()
     }
 
@@ -63,7 +63,7 @@ impl Header {
             ColumnKind::Delay => delay(row, name),
             ColumnKind::Node => number(row.value(name)),
         });
-        line(out, fixed.chain(self.further().iter().map(|name| number(row.value(name)))));
+        line(out, fixed.chain(self.run_columns().iter().map(|name| number(row.value(name)))));
     }
 }
 
@@ -112,7 +112,7 @@ fn number(value: Option<f64>) -> String {
 }
 
 /// Copies a file of rows and fills up its lines to the length of the header.
-pub(crate) fn widen(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
+pub(crate) fn pad_rows(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
     let mut out = BufWriter::new(std::fs::File::create(to)?);
     let mut bytes = Vec::new();

@@ -18,10 +18,10 @@ pub enum FolderError {
     Busy(PathBuf),
     /// The path leads to a file.
     #[error("{} is no folder", .0.display())]
-    NoFolder(PathBuf),
+    NotAFolder(PathBuf),
     /// The folder cannot be created.
     #[error("cannot make the folder {}: {reason}", path.display())]
-    Make {
+    Create {
         /// Path of the folder.
         path: PathBuf,
         /// Reason.

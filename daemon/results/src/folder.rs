@@ -44,8 +44,8 @@ impl ResultFolder {
     }
 
     /// Returns the names of the files that [`Overwrite::Replace`] removes from a folder, whether they exist or not.
-    pub fn replaced(dir: &Path) -> impl Iterator<Item = String> {
-        super::preparation::replaced(dir)
+    pub fn replaced_files(dir: &Path) -> impl Iterator<Item = String> {
+        super::preparation::replaced_files(dir)
     }
 
     /// Returns the path of the folder.

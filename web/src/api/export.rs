@@ -74,7 +74,7 @@ async fn table(
             }
             let Some((last, iterations)) = app.store().whole(&run, after).await? else { return Ok(None) };
             for iteration in iterations.iter().filter(|iteration| iteration.number <= through) {
-                header.row(&mut text, &Row::of(iteration));
+                header.row(&mut text, &Row::from_iteration(iteration));
             }
             Ok(Some((Bytes::from(text), Some(Begun { header, after: last, through }))))
         }
@@ -98,7 +98,7 @@ struct Begun {
 async fn columns(store: &Store, run: &RunSummary) -> Result<(Header, u64), WebError> {
     let (mut header, mut through) = (Header::default(), 0);
     while let Some((last, firsts)) = store.shapes(run, through).await? {
-        firsts.iter().for_each(|iteration| header.add(&Row::of(iteration)));
+        firsts.iter().for_each(|iteration| header.add(&Row::from_iteration(iteration)));
         through = last;
     }
     Ok((header, through))

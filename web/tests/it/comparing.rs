@@ -221,8 +221,8 @@ async fn files_of_runs_and_store_give_the_same_comparison() {
         std::fs::write(&file, exported.text()).expect("the folder is writable");
         runs.push(ResultFolder::open(&file).expect("a file of results"));
     }
-    let of_files = Comparison::of(&runs);
-    let differences = Differences::of(&runs[0], &runs[1], 1);
+    let of_files = Comparison::new(&runs);
+    let differences = Differences::between_runs(&runs[0], &runs[1], 1);
     let of_store = bed.get("/api/v1/compare?runs=1,2").await.json();
     for (at, line) in of_files.lines.iter().enumerate() {
         for name in ["sensing", "inference", "total"] {

@@ -17,17 +17,22 @@ const HALF: f64 = 50e-6;
 #[derive(Clone, Copy)]
 struct Link {
     /// Error of the estimate within its bounds or beyond them: added to upload, subtracted from download.
-    wrong: f64,
+    estimate_error: f64,
     /// Offset of the raw stamps.
     raw: f64,
     /// Seconds per byte squared.
-    bend: f64,
+    curvature: f64,
     verdict: Delay,
     source: DelaySource,
 }
 
-const GOOD: Link =
-    Link { wrong: 0.0, raw: 1.0, bend: 0.0, verdict: Delay::Limited, source: DelaySource::InBand };
+const GOOD: Link = Link {
+    estimate_error: 0.0,
+    raw: 1.0,
+    curvature: 0.0,
+    verdict: Delay::Limited,
+    source: DelaySource::InBand,
+};
 
 /// Returns the queueing time of a message: skewed, with every tenth message late by up to ten times as much; from 0 to 1 steps.
 fn waiting(number: u64) -> f64 {
@@ -39,8 +44,8 @@ fn waiting(number: u64) -> f64 {
 fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
     let wire = payload + 120;
     let bytes = wire as f64;
-    let true_delay = FIXED + PER_BYTE * bytes + link.bend * bytes * bytes + waiting(number);
-    let value = true_delay + sign * link.wrong;
+    let true_delay = FIXED + PER_BYTE * bytes + link.curvature * bytes * bytes + waiting(number);
+    let value = true_delay + sign * link.estimate_error;
     let span = |seconds: f64| Span::from_seconds_f64(seconds);
     let known = matches!(link.verdict, Delay::Ok | Delay::Limited);
     let bounds = Interval { lo: span((true_delay - HALF).max(0.0)), hi: span(true_delay + HALF) };
@@ -114,13 +119,13 @@ fn a_good_link_is_found_good_and_its_line_is_found() {
 
 #[test]
 fn a_wrong_clock_relation_is_told_from_a_bent_line() {
-    let wrong = study(sweep(Link { wrong: 130e-6, ..GOOD }));
+    let wrong = study(sweep(Link { estimate_error: 130e-6, ..GOOD }));
     assert_eq!(wrong.verdict.kind, Kind::Contradicted, "{}", wrong.verdict.sentence);
     assert!(wrong.verdict.sentence.contains("the clocks are at fault"), "{}", wrong.verdict.sentence);
     // The fitted delay of an empty message is negative, which is impossible.
     assert!(wrong.down.main_fit().expect("a line").intercept.value < 0.0);
 
-    let bent = study(sweep(Link { bend: 4e-15, ..GOOD }));
+    let bent = study(sweep(Link { curvature: 4e-15, ..GOOD }));
     assert_eq!(bent.verdict.kind, Kind::Inconclusive, "{}", bent.verdict.sentence);
     assert!(bent.verdict.sentence.contains("straight line"), "{}", bent.verdict.sentence);
 }
@@ -159,7 +164,7 @@ fn lost_answers_are_counted_and_kept_in_the_file() {
 fn why_payloads_were_not_answered_is_counted_and_said() {
     let mut samples = sweep(GOOD);
     let fail = |samples: &mut [Sample], count: usize, outcome: &'static str, reason: Option<&str>| {
-        let answered = samples.iter_mut().filter(|sample| sample.counts());
+        let answered = samples.iter_mut().filter(|sample| sample.is_counted());
         for sample in answered.take(count) {
             (sample.outcome, sample.up, sample.down) = (outcome, None, None);
             sample.reason = reason.map(str::to_owned);
@@ -190,7 +195,7 @@ fn on_one_clock_nothing_has_bounds_to_print() {
 }
 
 /// Returns a clock sample at second `at` that says that the cloud's clock is ahead by `ahead_ms` milliseconds.
-fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
+fn clock_sample(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
     let at = WallTime::from_unix_nanos(at * 1_000_000_000);
     let estimate = Span::from_millis(ahead_ms);
     let offset = Offset {
@@ -228,14 +233,14 @@ fn a_peer_that_was_away_is_told_and_trusted_only_if_its_clock_is_the_same() {
     let study = |seconds: &[ClockSample]| {
         Study::new(Setting { reconnections: 1, ..Setting::default() }, sweep(GOOD), seconds)
     };
-    let same = study(&[second(1, 7, 1_000), second(2, 7, 1_000), second(9, 8, 1_000)]);
+    let same = study(&[clock_sample(1, 7, 1_000), clock_sample(2, 7, 1_000), clock_sample(9, 8, 1_000)]);
     assert_eq!((same.verdict.kind, same.clocks.steps), (Kind::Trusted, 0), "{}", same.verdict.sentence);
     assert!(same.verdict.sentence.contains("the peer went away once"), "{}", same.verdict.sentence);
     assert!(same.verdict.sentence.contains("related anew"), "{}", same.verdict.sentence);
     // Ten minutes of drift by 50 ppm are 30 ms.
-    let drifted = study(&[second(1, 7, 1_000), second(601, 8, 1_029)]);
+    let drifted = study(&[clock_sample(1, 7, 1_000), clock_sample(601, 8, 1_029)]);
     assert_eq!(drifted.clocks.steps, 0);
-    let another = study(&[second(1, 7, 1_000), second(9, 8, 1_001)]);
+    let another = study(&[clock_sample(1, 7, 1_000), clock_sample(9, 8, 1_001)]);
     assert_eq!((another.verdict.kind, another.clocks.steps), (Kind::Stepped, 1));
 }
 

@@ -69,7 +69,7 @@ pub(super) fn paper() -> Vec<Loaded> {
 
 #[test]
 fn the_papers_table_is_what_comes_out() {
-    let comparison = Comparison::of(&paper());
+    let comparison = Comparison::new(&paper());
     assert_eq!(
         comparison.text(),
         "\
@@ -86,7 +86,7 @@ Besides, they differ in where: local (orin), remote (cuda:0)."
 
 #[test]
 fn every_format_has_every_line() {
-    let comparison = Comparison::of(&paper());
+    let comparison = Comparison::new(&paper());
     let markdown = comparison.markdown();
     assert!(markdown.starts_with("| device | network | count | unanswered | sensing |"), "{markdown}");
     assert!(markdown.contains("| **orin** | **—** | **100** |"), "{markdown}");
@@ -110,7 +110,7 @@ fn repeats_are_taken_together_and_others_are_not() {
         placed(&[("resize", "yes"), ("network", "LAN")], 0, lan("b", 4.0)),
         placed(&[("resize", "no"), ("network", "LAN")], 1, lan("c", 12.0)),
     ];
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(
         comparison.axes,
         ["resize", "network"],
@@ -128,7 +128,7 @@ fn repeats_are_taken_together_and_others_are_not() {
         text.contains("Repeats are taken together; their mean totals: no, LAN: 17.5 – 19.5 ms."),
         "{text}"
     );
-    let apart = Comparison::with(&runs, Repeats::Apart);
+    let apart = Comparison::with_repeats(&runs, Repeats::Separate);
     assert_eq!(apart.axes, ["resize", "network", "repeat"]);
     assert_eq!(apart.lines.len(), 3);
 }
@@ -137,7 +137,7 @@ fn repeats_are_taken_together_and_others_are_not() {
 fn folders_tell_runs_apart_that_nothing_else_does() {
     let one =
         |folder: &str, total: f64| of("s", "cpu", None, run(folder, [Some(1.0), None, Some(total), None]));
-    let comparison = Comparison::of(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
+    let comparison = Comparison::new(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
     assert_eq!(comparison.axes, ["run"]);
     assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["before/run-2", "after/run-2"]);
     assert_eq!(
@@ -146,7 +146,7 @@ fn folders_tell_runs_apart_that_nothing_else_does() {
         "the same twice is a tie"
     );
     assert!(comparison.text().contains("cannot be told from after/run-2"), "{}", comparison.text());
-    let alone = Comparison::of(&[one("x", 7.0)]);
+    let alone = Comparison::new(&[one("x", 7.0)]);
     assert_eq!((alone.axes.as_slice(), alone.best), (["run".to_owned()].as_slice(), None));
 }
 
@@ -154,7 +154,7 @@ fn folders_tell_runs_apart_that_nothing_else_does() {
 fn executions_of_one_experiment_are_told_apart() {
     let mut runs = [0, 1].map(|_| placed(&[("model", "s")], 0, run("a", [Some(1.0), None, Some(2.0), None])));
     runs[1].record.experiment.as_mut().expect("placed").id = "b2".to_owned();
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes, ["model", "execution"]);
     assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["s, a1", "s, b2"]);
 }
@@ -165,8 +165,8 @@ fn without_a_measured_total_the_stages_decide() {
     for run in &mut runs {
         run.rows.change(|row| row.values.retain(|(name, _)| name != "total"));
     }
-    let comparison = Comparison::of(&runs);
-    assert_eq!((comparison.by, comparison.best), ("stages-total", Some(0)));
+    let comparison = Comparison::new(&runs);
+    assert_eq!((comparison.total_column, comparison.best), ("stages-total", Some(0)));
     assert!(comparison.lines[0].latency("total").is_none());
     assert!(comparison.text().contains("The smallest mean total (stages) is that of orin;"));
 }
@@ -175,7 +175,7 @@ fn without_a_measured_total_the_stages_decide() {
 fn a_run_without_a_single_answer_is_a_line_and_never_the_best() {
     let mut runs = paper();
     runs[0].rows.change(|row| row.outcome = Outcome::Lost);
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(
         (comparison.best, comparison.lines[0].count, comparison.lines[0].unanswered),
         (Some(1), 0, 101)
@@ -185,7 +185,7 @@ fn a_run_without_a_single_answer_is_a_line_and_never_the_best() {
 #[test]
 fn differences_are_told_stage_by_stage() {
     let runs = paper();
-    let differences = Differences::of(&runs[1], &runs[2], 5);
+    let differences = Differences::between_runs(&runs[1], &runs[2], 5);
     let stages: Vec<&str> = differences.stages.iter().map(|stage| stage.stage.as_str()).collect();
     assert_eq!(stages, ["sensing", "upload", "inference", "download", "stages-total", "total"]);
     let upload = &differences.stages[1];
@@ -195,11 +195,11 @@ fn differences_are_told_stage_by_stage() {
     let text = differences.captioned().text();
     assert!(text.starts_with("A: lan. B: can.\n\nstage"), "{text}");
     assert!(text.contains("+80.750"), "{text}");
-    assert_eq!(differences, Differences::of(&runs[1], &runs[2], 5), "the same seed");
+    assert_eq!(differences, Differences::between_runs(&runs[1], &runs[2], 5), "the same seed");
     let csv = Differences::csv(&[differences]);
     assert!(csv.lines().nth(2).is_some_and(|line| line.starts_with("lan,can,upload,0.0175")), "{csv}");
-    let comparison = Comparison::of(&runs);
-    let local = Differences::of_lines(&comparison, &runs, 1, 0, 5);
+    let comparison = Comparison::new(&runs);
+    let local = Differences::between_lines(&comparison, &runs, 1, 0, 5);
     assert_eq!((local.baseline.as_str(), local.other.as_str()), ("cuda:0, lan", "orin"));
     assert!(local.stages.iter().all(|stage| stage.stage != "upload"), "one of them has none");
 }
@@ -233,12 +233,12 @@ fn chosen_repeat_has_line_of_its_own() {
     let of =
         |load: &str, repeat| placed(&[("load", load)], repeat, run("r", [Some(1.0), None, Some(2.0), None]));
     let runs = [of("a", 0), of("a", 1), of("a", 2), of("b", 0), of("b", 1)];
-    let comparison = Comparison::with(&runs, Repeats::Beside(&[1]));
+    let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(&[1]));
     let lines: Vec<_> = comparison.lines.iter().map(|line| (line.name(), line.runs.clone())).collect();
     let expected = [("a, the other repeats", vec![0, 2]), ("a, repeat 2", vec![1]), ("b", vec![3, 4])];
     assert_eq!(lines, expected.map(|(name, runs)| (name.to_owned(), runs)));
     let edges = [edge("user-1", 0, "1/user-1"), edge("user-2", 0, "1/user-2"), edge("user-1", 1, "2/user-1")];
-    let comparison = Comparison::with(&edges, Repeats::Beside(&[0]));
+    let comparison = Comparison::with_repeats(&edges, Repeats::PooledExcept(&[0]));
     assert_eq!(comparison.lines[0].runs, [0, 1], "measured at once");
 }
 
@@ -253,12 +253,12 @@ fn runs_of_which_nothing_is_known_are_named_after_their_files() {
     let stages = [Some(1.0), None, Some(2.0), None];
     let faster = [Some(1.0), None, Some(1.0), None];
     let runs = [of("s", "cpu", None, run("mine", stages)), published("theirs", run("x", faster))];
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes[0], "run");
     assert!(comparison.lines.iter().all(|line| line.labels[0] != "—"), "{}", comparison.text());
     assert_eq!(comparison.lines[1].name(), "theirs");
     assert!(comparison.text().contains("is that of theirs; the other differs"), "{}", comparison.text());
-    let alone = Comparison::of(&[published("theirs", run("x", stages))]);
+    let alone = Comparison::new(&[published("theirs", run("x", stages))]);
     assert_eq!((alone.axes[0].as_str(), alone.lines[0].name().as_str()), ("run", "theirs"));
 }
 
@@ -266,7 +266,7 @@ fn runs_of_which_nothing_is_known_are_named_after_their_files() {
 fn what_was_not_tested_is_said_to_be_unknown() {
     let mut runs = paper();
     runs[1].rows = runs[1].rows.iter().take(30).map(RowRef::to_row).collect();
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!((comparison.ties.as_slice(), comparison.untested.as_slice()), ([].as_slice(), [1].as_slice()));
     let text = comparison.text();
     assert!(
@@ -287,7 +287,7 @@ fn edge(name: &str, repeat: u32, folder: &str) -> Loaded {
 #[test]
 fn edges_of_one_run_are_no_repeats() {
     let mut runs = vec![edge("user-1", 0, "e/runs/1/user-1"), edge("user-2", 0, "e/runs/1/user-2")];
-    let one = Comparison::of(&runs);
+    let one = Comparison::new(&runs);
     assert_eq!((one.lines.len(), one.lines[0].repeats, one.lines[0].edges), (1, 1, 2));
     let text = one.text();
     assert!(text.contains("edges") && !text.contains("Repeats are"), "{text}");
@@ -296,7 +296,7 @@ fn edges_of_one_run_are_no_repeats() {
     // They are not split either if other runs are compared with them.
     runs.extend([edge("user-1", 1, "e/runs/2/user-1"), edge("user-2", 1, "e/runs/2/user-2")]);
     runs.push(of("s", "cpu", None, run("alone", [Some(1.0), None, Some(2.0), None])));
-    let mixed = Comparison::of(&runs);
+    let mixed = Comparison::new(&runs);
     assert_eq!(
         mixed.lines.iter().map(|line| line.runs.clone()).collect::<Vec<_>>(),
         [vec![0, 1, 2, 3], vec![4]]
@@ -318,10 +318,10 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
         with("m", "cuda:0", Some("lan"), [hash("b"), library("b")]),
         with("l", "cuda:0", Some("lan"), [hash("c"), library("c")]),
     ];
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes, ["model"]);
     assert_eq!(
-        comparison.rest,
+        comparison.other_differences,
         [
             "Besides, they differ in device: cpu (s), cuda:0 (m; l); where: local (s), remote (m; l); network: lan (m; l).",
             "Their run.json tells what else differs: Model SHA-256, ONNX Runtime.",
@@ -337,7 +337,7 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
         let record = RunRecord { format: 1, ..run.record };
         Loaded { folder: PathBuf::from("results").join(at), record, ..run }
     });
-    let comparison = Comparison::of(&alike);
+    let comparison = Comparison::new(&alike);
     assert_eq!(
         (comparison.axes.as_slice(), comparison.lines[1].name().as_str()),
         (["run".to_owned()].as_slice(), "b")
@@ -351,10 +351,10 @@ fn miss_rate_stands_beside_unanswered() {
         let is_late = row.outcome != Outcome::Ok || row.iteration % 10 == 0;
         row.values.push(("deadline-missed".into(), f64::from(u8::from(is_late))));
     });
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     let misses = comparison.lines[1].misses.expect("a deadline");
     // The iterations are 6 to 106; the tenth was lost.
-    assert_eq!((misses.missed, misses.of, comparison.lines[0].misses), (10, 101, None));
+    assert_eq!((misses.missed, misses.iterations, comparison.lines[0].misses), (10, 101, None));
     let text = comparison.text();
     assert!(
         text.contains("missed (%)") && text.contains(" 9.90 ") && text.contains("Missed: the share"),
@@ -365,7 +365,7 @@ fn miss_rate_stands_beside_unanswered() {
         |line: usize| csv.lines().nth(line).and_then(|line| line.rsplit(',').next().map(str::to_owned));
     assert_eq!((last(0).as_deref(), last(1).as_deref()), (Some("miss-rate"), Some("")));
     assert!(last(2).is_some_and(|rate| rate.starts_with("0.0990")), "{csv}");
-    assert!(!Comparison::of(&paper()).text().contains("missed"), "there is no deadline");
+    assert!(!Comparison::new(&paper()).text().contains("missed"), "there is no deadline");
 }
 
 #[test]
@@ -375,7 +375,7 @@ fn accuracy_stands_beside_latency() {
         row.values.push(("top-1".into(), if row.iteration % 4 == 0 { 0.0 } else { 1.0 }));
         row.values.push(("top-5".into(), 1.0));
     });
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     let accuracy = comparison.lines[1].accuracy("top-1").expect("known");
     assert_eq!((accuracy.share, accuracy.count), (0.75, 100));
     assert_eq!(comparison.lines[0].accuracy("top-1"), None);
@@ -392,14 +392,14 @@ fn accuracy_stands_beside_latency() {
     );
     assert!(csv.lines().nth(2).is_some_and(|line| line.contains(",1,0.75,0.65")), "{csv}");
     assert!(!text.contains("valid score"), "{text}");
-    assert!(!Comparison::of(&paper()).text().contains("Top-1"), "nobody knew what is right");
+    assert!(!Comparison::new(&paper()).text().contains("Top-1"), "nobody knew what is right");
     let broken = |row: &mut Row| match row.iteration {
         20 => row.values.retain(|(name, _)| name != "top-1"),
         21 | 22 => row.values.iter_mut().filter(|(name, _)| name == "top-1").for_each(|(_, v)| *v = f64::NAN),
         _ => {}
     };
     runs[1].rows.change(broken);
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     let told =
         format!("left out of the accuracy: top-1 of {}: 3 of 100 iterations.", comparison.lines[1].name());
     assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
@@ -413,7 +413,7 @@ fn labels_that_are_no_classes_of_the_model_are_told_and_not_scored() {
         run.rows.change(|row| row.values.push(("unknown-label".into(), 1.0)));
         run.record.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
     }
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     let names = [0, 1].map(|at: usize| format!("{}: 100 of 100", comparison.lines[at].name()));
     let told = format!(
         "Not scored, because the label is no class of the model (the model knows good, dented): {}.",
@@ -427,7 +427,7 @@ fn labels_that_are_no_classes_of_the_model_are_told_and_not_scored() {
 #[test]
 fn what_is_wrong_with_the_results_is_told() {
     let mut broken = run("broken\nline", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
-    assert!(Comparison::of(std::slice::from_ref(&broken)).doubts.is_empty());
+    assert!(Comparison::new(std::slice::from_ref(&broken)).caveats.is_empty());
     let mut value = |iteration: u64, name: &str, to: Option<f64>| {
         broken.rows.change(|row| {
             if row.iteration == iteration {
@@ -440,10 +440,10 @@ fn what_is_wrong_with_the_results_is_told() {
     value(22, "upload", Some(f64::INFINITY));
     value(23, "sensing", Some(f64::NEG_INFINITY));
     broken.record.format = 1;
-    broken.record.counts = crate::record::Counts::of(&broken.rows, 0);
+    broken.record.counts = crate::record::Counts::from_rows(&broken.rows, 0);
     broken.record.counts.ok += 4;
     let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
-    let text = Comparison::of(&[broken, other]).text();
+    let text = Comparison::new(&[broken, other]).text();
     for told in [
         "Results are not whole: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
         "sensing of broken line 1 of 100 iterations; upload of broken line 2 of 100 iterations",

@@ -159,7 +159,7 @@ proptest! {
         let points: Vec<Point> = ys.iter().map(|&(x, y)| Point { x: f64::from(x), y }).collect();
         let pair = |a: &Point, b: &Point| (a.x != b.x).then(|| (b.y - a.y) / (b.x - a.x));
         let slopes = points.iter().enumerate().flat_map(|(i, a)| points[i + 1..].iter().filter_map(move |b| pair(a, b)));
-        let expected = slopes.collect::<crate::order::Ordered>().median();
+        let expected = slopes.collect::<crate::order::SortedValues>().median();
         let found = theil_sen(&points).map(|fit| fit.slope.value);
         match (expected, found) {
             (Some(expected), Some(found)) => prop_assert!((expected - found).abs() < 1e-9, "{expected} {found}"),

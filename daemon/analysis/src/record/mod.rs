@@ -69,7 +69,8 @@ pub struct RunRecord {
     /// Number of this edge, if several edges used the cloud at the same time.
     pub user: Option<User>,
     /// Time that a missing peer was to be waited for, before the run and during it; seconds.
-    pub patience_s: Option<f64>,
+    #[serde(rename = "patience_s")]
+    pub peer_timeout_s: Option<f64>,
     /// Seeds of random quantities, by their purpose.
     pub seeds: BTreeMap<String, u64>,
     /// Iterations that are warm-up, in words.
@@ -92,7 +93,7 @@ pub struct RunRecord {
 
 impl RunRecord {
     /// Returns whether nothing was computed: a sensor ran alone.
-    pub fn is_sensor_alone(&self) -> bool {
+    pub fn is_sensor_only(&self) -> bool {
         self.placement.is(PlacementKind::None)
     }
 }
@@ -114,7 +115,8 @@ pub struct User {
     /// Number, from 1.
     pub number: u32,
     /// Number of users.
-    pub of: u32,
+    #[serde(rename = "of")]
+    pub count: u32,
 }
 
 /// Host that took part in a run.
@@ -185,13 +187,13 @@ pub struct Counts {
 }
 
 /// Returns a wall time in the form that `run.json` has.
-pub fn instant(at: WallTime) -> DateTime<Utc> {
+pub fn to_utc(at: WallTime) -> DateTime<Utc> {
     DateTime::from_timestamp_nanos(at.unix_nanos())
 }
 
 impl Counts {
     /// Counts rows; `unseen` more iterations are known to have been measured.
-    pub fn of(rows: &Rows, unseen: u64) -> Self {
+    pub fn from_rows(rows: &Rows, unseen: u64) -> Self {
         let mut counts = Self { unseen, ..Self::default() };
         for row in rows {
             let count = match row.outcome() {

@@ -85,11 +85,11 @@ impl From<&stream::Outcome> for Outcome {
 
 impl Row {
     /// Returns the measurements of an iteration.
-    pub fn of(iteration: &stream::Iteration) -> Self {
-        Self::with(iteration, columns::values(&iteration.tree))
+    pub fn from_iteration(iteration: &stream::Iteration) -> Self {
+        Self::from_values(iteration, columns::values(&iteration.tree))
     }
 
-    pub(super) fn with(iteration: &stream::Iteration, values: Vec<(Column, f64)>) -> Self {
+    pub(super) fn from_values(iteration: &stream::Iteration, values: Vec<(Column, f64)>) -> Self {
         let tree = &iteration.tree;
         Self {
             iteration: iteration.number,
@@ -128,7 +128,7 @@ impl Row {
     }
 
     /// Returns whether statistics include it: answered, and not warm-up.
-    pub fn counts(&self) -> bool {
+    pub fn is_counted(&self) -> bool {
         self.outcome == Outcome::Ok && !self.warm_up
     }
 }

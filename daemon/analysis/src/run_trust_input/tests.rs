@@ -22,9 +22,9 @@ fn starts_that_were_skipped_are_told_and_weighed() {
             }
             _ => {}
         });
-        let report = Report::of(&TrustInput::of_run(&record, &rows));
-        let found = report.sentences.iter().find(|sentence| sentence.about == "skipped starts");
-        found.map(|sentence| (sentence.grade, sentence.text.clone()))
+        let report = Report::new(&TrustInput::from_run(&record, &rows));
+        let found = report.findings.iter().find(|finding| finding.about == "skipped starts");
+        found.map(|finding| (finding.grade, finding.text.clone()))
     };
     let rate = serde_json::json!({ "mode": "rate", "hz": 40 });
     let poisson = serde_json::json!({ "mode": "poisson", "hz": 40.0, "seed": 7 });
@@ -40,7 +40,7 @@ fn starts_that_were_skipped_are_told_and_weighed() {
     let (_, text) = judged(serde_json::json!(null), 1041).expect("told");
     assert!(text.contains("too far behind. The latency"), "{text}");
     let kept = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
-    let report = Report::of(&TrustInput::of_run(&kept, &rows(quiet(205))));
+    let report = Report::new(&TrustInput::from_run(&kept, &rows(quiet(205))));
     let text = "No start was skipped: 40.0\u{202f}Hz were ordered and kept.";
     assert_eq!(about(&report, "skipped starts"), (Grade::Good, text));
 }
@@ -51,10 +51,10 @@ fn the_record_adds_what_rows_cannot_know() {
     record.edge.conditions = vec![governor(Grade::Doubtful)];
     record.counts.unseen = 3;
     record.facts = vec![("Rehearsal of cloud".to_owned(), "+137 ms".to_owned())];
-    let report = Report::of(&TrustInput::of_run(&record, &rows(quiet(1005))));
+    let report = Report::new(&TrustInput::from_run(&record, &rows(quiet(1005))));
     assert_eq!(report.verdict, Publish::No);
-    let grades: Vec<Grade> = report.sentences.iter().map(|sentence| sentence.grade).collect();
-    assert_eq!(report.sentences[0].about, "end", "that a run broke off stands before all else");
+    let grades: Vec<Grade> = report.findings.iter().map(|finding| finding.grade).collect();
+    assert_eq!(report.findings[0].about, "end", "that a run broke off stands before all else");
     assert!(grades[1..].is_sorted_by(|a, b| a >= b), "then the most harmful first: {grades:?}");
     assert_eq!(about(&report, "rehearsal").0, Grade::Bad);
     assert_eq!(about(&report, "missing events").0, Grade::Doubtful);
@@ -72,8 +72,8 @@ fn a_run_that_is_not_what_was_ordered_says_so_first() {
             ..RunRecord::default()
         };
         // 5 iterations of warm-up and 200 measured ones, one each second.
-        let report = Report::of(&TrustInput::of_run(&record, &rows(quiet(205))));
-        (report.verdict, report.sentences[0].text.clone())
+        let report = Report::new(&TrustInput::from_run(&record, &rows(quiet(205))));
+        (report.verdict, report.findings[0].text.clone())
     };
     let iterations = |count: u32| serde_json::json!({ "iterations": count });
     let total = serde_json::json!({ "total": 205 });

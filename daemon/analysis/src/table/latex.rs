@@ -41,7 +41,7 @@ const GREEK: [(char, &str); 34] = [
 ];
 
 /// Scales a table down to the width of the page if it is wider, so that names of any length fit.
-const FIT: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%";
+const RESIZE_TO_PAGE: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%";
 
 pub(super) fn table(table: &Table, caption: &str) -> String {
     let columns: String =
@@ -58,7 +58,7 @@ pub(super) fn table(table: &Table, caption: &str) -> String {
     let (header, caption) = (line(&table.header, false), escape(caption));
     let fonts = fonts([&header, &rows, &caption].into_iter().flat_map(|text| text.chars()));
     format!(
-        "% needs \\usepackage{{booktabs,graphicx}}\n{fonts}\\begin{{table*}}\n\\centering\n\\setlength{{\\tabcolsep}}{{4pt}}\n{FIT}\n\
+        "% needs \\usepackage{{booktabs,graphicx}}\n{fonts}\\begin{{table*}}\n\\centering\n\\setlength{{\\tabcolsep}}{{4pt}}\n{RESIZE_TO_PAGE}\n\
          \\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}}}\n\
          \\caption{{{caption}}}\n\\end{{table*}}\n"
     )

@@ -65,13 +65,13 @@ impl Table {
 
 /// Table with a title above it and explanations below it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Captioned {
+pub struct CaptionedTable {
     pub(crate) heading: String,
     pub(crate) table: Table,
     pub(crate) notes: String,
 }
 
-impl Captioned {
+impl CaptionedTable {
     /// Returns the text for a terminal.
     pub fn text(&self) -> String {
         format!("{}\n\n{}\n\n{}", self.heading, self.table.text(), self.notes)

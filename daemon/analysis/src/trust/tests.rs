@@ -9,7 +9,7 @@ use crate::Passage;
 use crate::rows::{Outcome, Row, Rows};
 
 fn judged(rows: &Rows) -> Report {
-    Report::of(&TrustInput::of_rows(rows, &[governor(Grade::Good)]))
+    Report::new(&TrustInput::from_rows(rows, &[governor(Grade::Good)]))
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn a_short_run_is_not_judged_where_it_cannot_be() {
     for subject in ["stationarity", "warm-up"] {
         assert_eq!(about(&report, subject).0, Grade::Unknown);
     }
-    let nothing = Report::of(&TrustInput::default());
+    let nothing = Report::new(&TrustInput::default());
     assert_eq!(nothing.verdict, Publish::No, "{}", nothing.text());
 }
 
@@ -81,9 +81,9 @@ fn a_long_run_in_two_pieces_is_not_called_short() {
         values.iter().for_each(|value| summary.record(*value));
         summary
     };
-    let total = TimeSeries::of_summaries(&[piece(&totals[..400]), piece(&totals[400..])]);
+    let total = TimeSeries::from_summaries(&[piece(&totals[..400]), piece(&totals[400..])]);
     let counts = Counts { ok: 894, ..Counts::default() };
-    let report = Report::of(&TrustInput { total, counts, ..TrustInput::default() });
+    let report = Report::new(&TrustInput { total, counts, ..TrustInput::default() });
     for subject in ["stationarity", "warm-up"] {
         let (grade, text) = about(&report, subject);
         assert!(grade == Grade::Unknown && !text.contains("too short"), "{text}");
@@ -184,7 +184,7 @@ fn iterations_that_waited_for_a_new_process_are_named_and_weighed() {
     );
     assert!(about(&judged("actuation_actuation-restart", 900, 0.1), "restarts").1.contains("The actuator's"));
     let none = judged("ipc", 2, 0.001);
-    assert!(none.sentences.iter().all(|sentence| sentence.about != "restarts"));
+    assert!(none.findings.iter().all(|finding| finding.about != "restarts"));
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn lateness_is_told_apart_from_what_nothing_accounts_for() {
             assert_eq!(about(&report, "lateness").1, text);
         }
     }
-    assert!(judged(&rows(quiet(200))).sentences.iter().all(|sentence| sentence.about != "lateness"));
+    assert!(judged(&rows(quiet(200))).findings.iter().all(|finding| finding.about != "lateness"));
 }
 
 #[test]

@@ -101,7 +101,7 @@ fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
             of.state(),
             of.experiment.remedy()
         )),
-        None => Some(format!("{folder} is not whole: {}", run.lacking()?)),
+        None => Some(format!("{folder} is not whole: {}", run.incompleteness()?)),
     }
 }
 

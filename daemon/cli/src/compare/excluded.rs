@@ -24,7 +24,7 @@ impl Excluded {
         experiments: &Experiments,
     ) -> Self {
         let candidate = |(at, run): (usize, &Loaded)| {
-            let (known, in_experiment) = (Candidate::of_results(run), experiments.run(&run.folder));
+            let (known, in_experiment) = (Candidate::from_results(run), experiments.run(&run.folder));
             Candidate {
                 state: in_experiment.map(|run| run.state()).or(known.state),
                 is_named: named.iter().any(|place| is_named(place, &run.folder, experiments)),
@@ -53,7 +53,7 @@ impl Excluded {
             (!all.is_empty()).then(|| format!("left out, {what}: {named}{more}"))
         };
         let unfinished = told("not measured to their end", &|why| match why {
-            Exclusion::Unfinished(_) => Some(why.said(folder)),
+            Exclusion::Unfinished(_) => Some(why.describe(folder)),
             _ => None,
         });
         let copies = told("copies of other results by the id of their run", &|why| match why {

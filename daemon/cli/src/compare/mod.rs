@@ -12,9 +12,11 @@ use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
 use clap::ValueEnum;
-use peernet_analysis::compare::{Comparison, Differences, Line, Repeats, SEED, against_best, is_compared};
+use peernet_analysis::compare::{
+    Comparison, Differences, Line, Repeats, SEED, differences_to_best, is_compared,
+};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::table::Captioned;
+use peernet_analysis::table::CaptionedTable;
 use peernet_statistics::number::counted;
 
 pub(crate) use collect::{Collected, collect, distinct};
@@ -66,12 +68,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Collected { runs, baseline, left_out } =
         collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
     let repeats = match (arguments.apart, baseline.as_slice()) {
-        (true, _) => Repeats::Apart,
+        (true, _) => Repeats::Separate,
         (false, []) => Repeats::Pooled,
-        (false, runs) => Repeats::Beside(runs),
+        (false, runs) => Repeats::PooledExcept(runs),
     };
-    let mut comparison = Comparison::with(&runs, repeats);
-    comparison.doubts.extend(left_out);
+    let mut comparison = Comparison::with_repeats(&runs, repeats);
+    comparison.caveats.extend(left_out);
     let first = if baseline.is_empty() {
         first_of_two(&comparison)
     } else {
@@ -80,7 +82,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         if arguments.format == Format::Csv {
             complain(&said);
         }
-        comparison.doubts.push(said);
+        comparison.caveats.push(said);
         alone(&comparison).iter().for_each(complain);
         Some(line)
     };
@@ -89,9 +91,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let text = match arguments.format {
         Format::Csv if !baseline.is_empty() => Differences::csv(&differences),
         Format::Csv => comparison.csv(),
-        Format::Text => joined(comparison.text(), tables.iter().map(Captioned::text)),
-        Format::Markdown => joined(comparison.markdown(), tables.iter().map(Captioned::markdown)),
-        Format::Latex => joined(comparison.latex(), tables.iter().map(Captioned::latex)),
+        Format::Text => joined(comparison.text(), tables.iter().map(CaptionedTable::text)),
+        Format::Markdown => joined(comparison.markdown(), tables.iter().map(CaptionedTable::markdown)),
+        Format::Latex => joined(comparison.latex(), tables.iter().map(CaptionedTable::latex)),
     };
     let text = text.trim_end();
     let Some(path) = &arguments.out else {
@@ -158,14 +160,14 @@ pub(crate) fn differences(
     first
         .into_iter()
         .flat_map(|first| others(first).map(move |other| (first, other)))
-        .map(|(first, other)| Differences::of_lines(comparison, runs, first, other, seed))
+        .map(|(first, other)| Differences::between_lines(comparison, runs, first, other, seed))
         .collect()
 }
 
 /// The tables that stand below the paper's: these differences, or, without them, those from the best line.
-pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec<Captioned> {
+pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec<CaptionedTable> {
     if differences.is_empty() {
-        return against_best(comparison).into_iter().collect();
+        return differences_to_best(comparison).into_iter().collect();
     }
     // Nothing is compared with a line that measured nothing.
     let told = differences.iter().filter(|differences| !differences.stages.is_empty());
@@ -206,7 +208,7 @@ mod tests {
         };
         let runs = [run(0), run(1), run(2)];
         let beside = |baseline: &[usize]| {
-            let comparison = Comparison::with(&runs, Repeats::Beside(baseline));
+            let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(baseline));
             let line = line_of(&comparison, baseline).expect("one line");
             (baseline_sentence(&comparison.lines[line]), alone(&comparison))
         };
@@ -216,11 +218,12 @@ mod tests {
         let (said, told) = beside(&[0, 1, 2]);
         assert_eq!(said, "Baseline: a: 3 runs, taken together.");
         assert!(told.expect("nothing is left").contains("all runs belong to it"));
-        let apart = Comparison::with(&runs[..2], Repeats::Apart);
+        let apart = Comparison::with_repeats(&runs[..2], Repeats::Separate);
         assert!(line_of(&apart, &[0, 1]).is_err(), "each has a line");
         let differences = differences(&apart, &runs, first_of_two(&apart), SEED);
         assert_eq!((differences.len(), below(&apart, &differences).len()), (1, 0), "no table without a line");
-        let single = alone(&Comparison::with(&runs[..1], Repeats::Pooled)).expect("there is no other");
+        let single =
+            alone(&Comparison::with_repeats(&runs[..1], Repeats::Pooled)).expect("there is no other");
         assert!(single.contains("the only run"), "{single}");
     }
 }

@@ -111,7 +111,7 @@ pub(crate) fn measure(
     }
     let mut record = record::of(order, &recorded, &ended, name, missed);
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..room });
-    record.trust = Some(Report::of(&TrustInput::of_run(&record, &recorded.rows)));
+    record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let Written { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();
     // If the rows did not fit on the disk, the folder may hold earlier results again.
@@ -133,10 +133,10 @@ pub(crate) fn measure(
 
 /// Writes the study of a run of a sensor alone.
 fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, WriteError> {
-    if !record.is_sensor_alone() {
+    if !record.is_sensor_only() {
         return Ok(None);
     }
-    let Some(study) = SensorStudy::of(rows) else { return Ok(None) };
+    let Some(study) = SensorStudy::from_rows(rows) else { return Ok(None) };
     let path = folder.join("sensor.txt");
     std::fs::write(&path, format!("{}\n", study.text().trim_end())).map_err(WriteError::at(&path))?;
     Ok(Some(path))

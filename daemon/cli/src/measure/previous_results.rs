@@ -39,7 +39,7 @@ impl PreviousResultsGuard {
     /// When they cannot be moved (73).
     pub(super) fn move_away(results_dir: &Path) -> Result<Self, Failure> {
         let mut guard = Self { results_dir: results_dir.to_owned(), kept: None };
-        if !ResultFolder::replaced(results_dir).any(|name| results_dir.join(name).is_file()) {
+        if !ResultFolder::replaced_files(results_dir).any(|name| results_dir.join(name).is_file()) {
             return Ok(guard);
         }
         let kept = tempfile::Builder::new().prefix(PREFIX).tempdir_in(results_dir);
@@ -181,7 +181,7 @@ fn leftover_folders(results_dir: &Path) -> impl Iterator<Item = PathBuf> {
 
 /// Returns the names of the replaced files in a folder, in the order in which they are moved away.
 fn record_first(dir: &Path) -> Vec<String> {
-    let mut names: Vec<String> = ResultFolder::replaced(dir).collect();
+    let mut names: Vec<String> = ResultFolder::replaced_files(dir).collect();
     names.sort_by_key(|name| name != RECORD);
     names
 }

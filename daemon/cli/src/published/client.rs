@@ -88,13 +88,13 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
         network_config: Some(devices.config.clone()),
         user: None,
         warm_up: format!("the first {WARM_UP} iterations"),
-        patience_s: Some(arguments.patience),
+        peer_timeout_s: Some(arguments.patience),
     })
 }
 
 /// Prints the results and their place.
 fn print_results(measured: &Measured) {
-    say(summary::text(&Summary::of(&measured.rows).about(&measured.record)));
+    say(summary::text(&Summary::from_rows(&measured.rows).with_record(&measured.record)));
     if let Some(trust) = &measured.record.trust {
         say(format_args!("\n{}", trust.text()));
     }

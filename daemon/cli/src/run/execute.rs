@@ -119,7 +119,7 @@ impl Execution<'_> {
                 plots: self.external_files.plots,
                 command: typed(),
                 network_config: self.external_files.network(run).cloned(),
-                user: (of > 1).then(|| User { number: user + 1, of }),
+                user: (of > 1).then(|| User { number: user + 1, count: of }),
                 warm_up: configuration.warm_up.clone(),
                 patience_s: configuration.patience_s,
             }

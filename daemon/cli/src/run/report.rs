@@ -9,7 +9,7 @@ use anyhow::anyhow;
 use peernet_analysis::WriteError;
 use peernet_analysis::compare::{Comparison, SEED};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::table::Captioned;
+use peernet_analysis::table::CaptionedTable;
 use peernet_analysis::trust::Publish;
 use peernet_analysis::users::Users;
 use peernet_figures::{self as figures, Columns, Kind, PlotError};
@@ -39,20 +39,20 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
     let (sensors, trust) = (Sensors::of(&record.plan, &runs, &loaded), trust(&loaded));
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
-    let users = Users::of(&all);
-    let mut comparison = Comparison::of(&all);
+    let users = Users::from_runs(&all);
+    let mut comparison = Comparison::new(&all);
     let stages = record.runs().map(|(run, state)| (&*run.folder, state.stage));
     comparison
-        .doubts
+        .caveats
         .extend(left_out(record.name.as_str(), stages).map(|without| format!("Shown {without}.")));
     // The same differences as those of `peernet compare`.
     let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
     let tables = below(&comparison, &differences);
     let forms = [
-        ("txt", joined(comparison.text(), tables.iter().map(Captioned::text))),
-        ("md", joined(comparison.markdown(), tables.iter().map(Captioned::markdown))),
+        ("txt", joined(comparison.text(), tables.iter().map(CaptionedTable::text))),
+        ("md", joined(comparison.markdown(), tables.iter().map(CaptionedTable::markdown))),
         ("csv", comparison.csv()),
-        ("tex", joined(comparison.latex(), tables.iter().map(Captioned::latex))),
+        ("tex", joined(comparison.latex(), tables.iter().map(CaptionedTable::latex))),
     ];
     save(folder.path(), "compare", &forms)?;
     if plots {
@@ -119,7 +119,7 @@ fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
     let mut found: BTreeMap<&str, usize> = BTreeMap::new();
     for edges in runs {
         let sentences =
-            edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.sentences);
+            edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.findings);
         let about: BTreeSet<&str> = sentences
             .filter(|sentence| sentence.grade == grade)
             .map(|sentence| sentence.about.as_str())

@@ -28,8 +28,8 @@ impl Sensors {
             runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(|edge| (*run, edge))).collect();
         let alone: Vec<(&Run, &Loaded, SensorStudy)> = edges
             .iter()
-            .filter(|(_, edge)| edge.record.is_sensor_alone())
-            .filter_map(|(run, edge)| Some((*run, *edge, SensorStudy::of(&edge.rows)?)))
+            .filter(|(_, edge)| edge.record.is_sensor_only())
+            .filter_map(|(run, edge)| Some((*run, *edge, SensorStudy::from_rows(&edge.rows)?)))
             .collect();
         let (first, ..) = alone.first()?;
         let (repeated, many) = (plan.repeats > 1, loaded.iter().any(|users| users.len() > 1));

@@ -6,7 +6,7 @@ use super::histogram::range;
 use crate::look::{Mark, Style};
 use crate::plot::{Axis, Figure, Item, Key, Path, Plot, Swatch, Unit};
 use crate::scale::Scale;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Points of a curve.
 const POINTS: usize = 240;
@@ -44,7 +44,7 @@ pub struct CumulativeCurve {
     /// Mark with its look.
     pub mark: (Mark, Style),
     /// The values, SI units.
-    pub values: Ordered,
+    pub values: SortedValues,
 }
 
 impl CumulativeCurve {
@@ -64,7 +64,7 @@ impl Cumulative {
     fn scale(&self) -> Option<Scale> {
         let ends = self.shown().map(|(_, ends)| ends);
         let (lo, hi) = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
-        let medians: Ordered = self.shown().filter_map(|(curve, _)| curve.values.median()).collect();
+        let medians: SortedValues = self.shown().filter_map(|(curve, _)| curve.values.median()).collect();
         let (least, most) = medians.values().first().zip(medians.values().last())?;
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
         Some(if lo > 0.0 && *most >= WIDE * least {

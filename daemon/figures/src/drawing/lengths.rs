@@ -8,7 +8,7 @@ use super::histogram::{Bins, range};
 use crate::look::{Fill, INK, Rgb, Stage, Style, stage};
 use crate::plot::{At, Axis, Figure, Item, Path, Plot, Strip, Unit};
 use crate::scale::Scale;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Number of points from which on they are counted into cells.
 const MANY: usize = 1500;
@@ -45,7 +45,7 @@ pub struct Lengths {
 }
 
 impl Lengths {
-    fn along(&self, of: fn(&(f64, f64)) -> f64) -> Ordered {
+    fn along(&self, of: fn(&(f64, f64)) -> f64) -> SortedValues {
         let finite = self.points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
         finite.map(of).collect()
     }
@@ -124,7 +124,7 @@ pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
 }
 
 /// Returns bars of the values along one axis; `place` makes corners from the two ends of a bin and its height.
-fn margin(values: &Ordered, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
+fn margin(values: &SortedValues, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
     let style = Style::total().bin();
     let bar = |bins: &Bins, number: usize| {
         let (from, to) = bins.bin(number);

@@ -9,7 +9,7 @@ use super::written::{Drawing, Shown};
 use crate::drawing::{Accuracy, Score, Unit};
 use peernet_analysis::accuracy::{ACCURACIES, score};
 use peernet_analysis::loaded::{Loaded, unknown_labels};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::RowRef;
 
 /// Column that is 1 if the best class is the label, else 0.
@@ -28,7 +28,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
     let scored = |(label, runs): &(String, Vec<&Loaded>)| {
         let rows: Vec<RowRef<'_>> = counted(runs).filter(judged).collect();
-        let times: Ordered =
+        let times: SortedValues =
             rows.iter().filter_map(|row| row.value(total)).filter(|time| is_drawable(*time)).collect();
         Some(Score {
             label: label.clone(),

@@ -3,7 +3,7 @@
 use peernet_statistics::number::fixed;
 
 use crate::drawing::Unit;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::{RowRef, Rows, Units};
 use peernet_analysis::summary::Scale;
 
@@ -17,7 +17,7 @@ pub(super) fn is_drawable(value: f64) -> bool {
 
 /// Returns a note on the count of numbers in these columns that are too large to be drawn; `None` if there are none.
 pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {
-    let counted = rows.filter(|row| row.counts());
+    let counted = rows.filter(|row| row.is_counted());
     let numbers = counted.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
     let count = numbers.filter(|value| value.is_finite() && !is_drawable(*value)).count();
     (count > 0).then(|| {
@@ -26,8 +26,8 @@ pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&
 }
 
 /// Returns a column's numbers that can be drawn, in the rows that count.
-pub(super) fn values(rows: &Rows, column: &str) -> Ordered {
-    rows.counted(column).filter(|value| is_drawable(*value)).collect()
+pub(super) fn values(rows: &Rows, column: &str) -> SortedValues {
+    rows.counted_values(column).filter(|value| is_drawable(*value)).collect()
 }
 
 /// Returns the unit in which a column's numbers are shown: ms for a time, and so on; for a quantity that a run logged itself, the unit that
@@ -38,7 +38,7 @@ pub(super) fn unit(units: &Units, column: &str, what: &str) -> Unit {
         return plain(what.to_owned(), String::new());
     }
     let logged = units.of(column);
-    match Scale::of(column, logged) {
+    match Scale::for_column(column, logged) {
         Scale::Milliseconds => Unit::milliseconds(what),
         Scale::MegabytesPerSecond => Unit::megabytes_per_second(what),
         Scale::Bytes => plain(format!("{}, bytes", what.trim_end_matches(" bytes")), "B".to_owned()),
@@ -68,7 +68,7 @@ pub(super) fn not_shown<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown: usize,
 ) -> Option<String> {
-    let counted = rows.clone().filter(|row| row.counts()).count();
+    let counted = rows.clone().filter(|row| row.is_counted()).count();
     let undrawn = (counted.saturating_sub(shown), "without a value to draw");
     listed(uncounted(rows).into_iter().chain([undrawn]))
 }
@@ -82,7 +82,7 @@ fn uncounted<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usize, 
     let count = |of: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| of(row)).count();
     [
         (count(&|row| row.warm_up()), "warm-up"),
-        (count(&|row| !row.warm_up() && !row.counts()), "without an answer"),
+        (count(&|row| !row.warm_up() && !row.is_counted()), "without an answer"),
     ]
 }
 

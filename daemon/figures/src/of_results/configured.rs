@@ -14,7 +14,7 @@ pub(super) struct Configured<'a> {
 
 impl<'a> Configured<'a> {
     pub(super) fn of(runs: &'a [Loaded]) -> Self {
-        let Configurations { axes, labels } = Configurations::of(runs);
+        let Configurations { axes, labels } = Configurations::from_runs(runs);
         let mut groups: Vec<(String, Vec<&Loaded>)> = Vec::new();
         for (labels, run) in labels.iter().zip(runs) {
             let parts = axes.iter().zip(labels).map(|(axis, value)| readable(axis, value));
@@ -40,7 +40,7 @@ fn readable(axis: &str, value: &str) -> String {
 
 /// Returns the rows of these runs that count.
 pub(super) fn counted<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
-    runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts())
+    runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted())
 }
 
 #[cfg(test)]

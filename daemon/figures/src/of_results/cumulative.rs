@@ -7,7 +7,7 @@ use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Cumulative, CumulativeCurve, Unit};
 use crate::look::{INK, Mark, Style, stage as look};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
@@ -43,7 +43,7 @@ pub(super) fn drawings(
     let stages = stage::ORDER.into_iter().map(|name| (values(rows, &name), name));
     let mut stages: Vec<_> =
         stages.filter(|(values, _)| values.median().is_some_and(|median| median > 0.0)).collect();
-    let sum = |values: &Ordered| values.values().iter().sum::<f64>();
+    let sum = |values: &SortedValues| values.values().iter().sum::<f64>();
     stages.sort_by(|a, b| sum(&b.0).total_cmp(&sum(&a.0)));
     let shorter: Vec<String> = stages.iter().skip(STAGES).map(|(_, name)| name.to_string()).collect();
     stages.truncate(STAGES);
@@ -64,13 +64,13 @@ pub(super) fn drawings(
     Ok(vec![Drawing::new("cumulative", Shown::Cumulative(shown))])
 }
 
-fn notes(rows: &Rows, columns: &[&str], values: &Ordered) -> Vec<String> {
+fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
     let account = account(&rows.iter(), values.len());
     std::iter::once(account).chain(too_large(rows.iter(), columns)).collect()
 }
 
 /// Returns the curve of a stage, which has its colour and a mark, or of a total, which is ink.
-fn curve(name: &str, values: Ordered, number: usize) -> CumulativeCurve {
+fn curve(name: &str, values: SortedValues, number: usize) -> CumulativeCurve {
     let look = look(name);
     let (line, mark) = if !look.has_colour() {
         (Style::line("strong", INK.light, STRONG), (Mark::Cross, Style::line("strong", INK.light, LINE)))

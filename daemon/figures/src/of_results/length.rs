@@ -11,10 +11,10 @@ use peernet_analysis::rows::RowRef;
 
 /// Returns the figure of length and latency of each answer.
 pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, MissingData> {
-    let there = run.rows.names().iter().filter(|name| run.rows.counted(name).next().is_some());
+    let there = run.rows.names().iter().filter(|name| run.rows.counted_values(name).next().is_some());
     let x = columns.x.clone().unwrap_or_else(|| answer_length(there.map(|name| &**name)).to_owned());
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
-    let counted = run.rows.iter().filter(|row| row.counts());
+    let counted = run.rows.iter().filter(|row| row.is_counted());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
         counted.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();

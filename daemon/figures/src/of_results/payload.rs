@@ -12,7 +12,7 @@ use crate::look::Mark;
 use peernet_analysis::compare::Configurations;
 use peernet_analysis::fit::{Fit, Point, Weighted, least_squares, rate};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::RowRef;
 
@@ -27,7 +27,7 @@ const CLOCK_READ: f64 = 1e-7;
 /// The messages of one size. Seconds, bytes.
 struct Size {
     bytes: f64,
-    delays: Ordered,
+    delays: SortedValues,
     bounds: Option<(f64, f64)>,
 }
 
@@ -62,11 +62,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         }
     }
     let ways = |runs_of: &[usize]| -> [DirectionData; 2] {
-        let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.counts());
+        let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.is_counted());
         let rows: Vec<RowRef<'_>> = rows.collect();
         ["upload", "download"].map(|name| DirectionData::of(name, &rows))
     };
-    let configurations = Configurations::of(runs);
+    let configurations = Configurations::from_runs(runs);
     let studied = links.into_iter().map(|(_, runs_of)| {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows);
         let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &SHOWN)];
@@ -194,7 +194,7 @@ impl DirectionData {
         }
         let sizes = together(by_payload.into_values().collect()).into_iter().filter_map(|rows| {
             let of = |value: &dyn Fn(&RowRef<'_>) -> Option<f64>| {
-                rows.iter().filter_map(value).collect::<Ordered>()
+                rows.iter().filter_map(value).collect::<SortedValues>()
             };
             let end = |end: &str| of(&|row: &RowRef<'_>| row.value(&format!("{name}-{end}"))).median();
             Some(Size {

@@ -70,9 +70,9 @@ fn not_drawn(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
 
 /// Returns the account without the warm-up, which is in the figure.
 fn account_of(rows: &Rows, shown: usize) -> String {
-    let counted = account(&rows.iter(), rows.iter().filter(|row| row.counts()).count());
+    let counted = account(&rows.iter(), rows.iter().filter(|row| row.is_counted()).count());
     let counted = counted.split(" · ").next().unwrap_or_default().to_owned();
-    let warm = shown.saturating_sub(rows.iter().filter(|row| row.counts()).count());
+    let warm = shown.saturating_sub(rows.iter().filter(|row| row.is_counted()).count());
     let warm = if warm > 0 { format!(" and {warm} warm-up") } else { String::new() };
     format!("{counted}{warm} · lines: medians")
 }

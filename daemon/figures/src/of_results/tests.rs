@@ -267,7 +267,7 @@ fn models_are_paired_by_where_they_ran() {
     assert_eq!(figure.sides, ["local", "remote"]);
     assert_eq!(figure.groups.iter().map(|group| group.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
     assert_eq!(
-        figure.groups[1].values.iter().map(peernet_analysis::order::Ordered::len).collect::<Vec<_>>(),
+        figure.groups[1].values.iter().map(peernet_analysis::order::SortedValues::len).collect::<Vec<_>>(),
         [44, 44]
     );
     assert!(figure.groups[0].values[0].median() > figure.groups[0].values[1].median());

@@ -9,7 +9,7 @@ use super::written::{Drawing, Shown};
 use crate::drawing::{Cumulative, CumulativeCurve, MOST_CURVES, Unit};
 use crate::look::series;
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::RowRef;
 
 /// Width of a curve, points.
@@ -21,11 +21,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let all = || groups.iter().flat_map(|(_, runs)| counted(runs));
     // If one configuration has no measured total, all curves are the sums of their stages.
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
-    let values = |runs: &[&Loaded]| -> Ordered {
+    let values = |runs: &[&Loaded]| -> SortedValues {
         let totals = counted(runs).filter_map(|row: RowRef<'_>| row.value(total));
         totals.filter(|value| is_drawable(*value)).collect()
     };
-    let known: Vec<(&String, Ordered)> = groups
+    let known: Vec<(&String, SortedValues)> = groups
         .iter()
         .map(|(label, runs)| (label, values(runs)))
         .filter(|(_, values)| !values.is_empty())
@@ -63,7 +63,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(pictures.collect())
 }
 
-fn curve((label, values): &(&String, Ordered), number: usize) -> CumulativeCurve {
+fn curve((label, values): &(&String, SortedValues), number: usize) -> CumulativeCurve {
     let look = series(number);
     let mark = (look.mark, look.marks());
     CumulativeCurve { name: (*label).clone(), line: look.line(LINE), mark, values: values.clone() }

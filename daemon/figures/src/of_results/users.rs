@@ -14,18 +14,19 @@ const MOST_NAMED: usize = 3;
 
 /// Returns whether some configuration was measured with different numbers of edges.
 pub(super) fn have_curves(runs: &[Loaded]) -> bool {
-    Users::of(runs).is_some_and(|users| Curve::all(&users).iter().any(|curve| curve.points.len() > 1))
+    Users::from_runs(runs)
+        .is_some_and(|users| Curve::from_users(&users).iter().any(|curve| curve.points.len() > 1))
 }
 
 /// Returns one curve for each configuration; four to a figure.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    let users = Users::of(runs).ok_or(MissingData::Users)?;
+    let users = Users::from_runs(runs).ok_or(MissingData::Users)?;
     if !users.lines.iter().any(is_told) {
         return Err(MissingData::CommonTotal);
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
     notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
-    let curves = Curve::all(&users);
+    let curves = Curve::from_users(&users);
     let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
         let missing: Vec<String> = lacking(curves).into_iter().collect();

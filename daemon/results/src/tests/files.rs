@@ -4,7 +4,7 @@ use std::path::Path;
 
 use peernet_analysis::accuracy::Accuracy;
 use peernet_analysis::loaded::RowsDamage;
-use peernet_analysis::record::{Clocks, FORMAT, ModelRecord, instant};
+use peernet_analysis::record::{Clocks, FORMAT, ModelRecord, to_utc};
 use peernet_analysis::trust::{Report, TrustInput};
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
@@ -19,7 +19,7 @@ fn header_of_fixed_columns_is_written_at_once() {
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     let path = folder.writer().expect("writable").end().expect("writable");
     let text = std::fs::read_to_string(path).expect("it is there at once");
-    let published = peernet_analysis::rows::published().collect::<Vec<_>>().join(",");
+    let published = peernet_analysis::rows::published_columns().collect::<Vec<_>>().join(",");
     assert_eq!(
         text,
         format!(
@@ -37,14 +37,14 @@ fn record() -> RunRecord {
         name: "robot".to_owned(),
         title: "A robot & its cloud".to_owned(),
         run: Some(RunId::from_bytes([1; 16])),
-        started: Some(instant(WallTime::from_unix_nanos(BEGUN))),
+        started: Some(to_utc(WallTime::from_unix_nanos(BEGUN))),
         model: Some(ModelRecord { name: "s".to_owned(), device: Some("cpu".to_owned()), sha256: None }),
         pipeline: serde_json::json!({"load": {"kind": "closed"}}),
         seeds: [("order".to_owned(), 7)].into(),
-        counts: Counts::of(&kept(&rows(10)), 3),
-        clocks: Clocks::of(&kept(&rows(10))),
-        accuracy: [("top-1".to_owned(), Accuracy::of_counts(8, 9, 1).expect("answers"))].into(),
-        trust: Some(Report::of(&TrustInput::default())),
+        counts: Counts::from_rows(&kept(&rows(10)), 3),
+        clocks: Clocks::from_rows(&kept(&rows(10))),
+        accuracy: [("top-1".to_owned(), Accuracy::from_counts(8, 9, 1).expect("answers"))].into(),
+        trust: Some(Report::new(&TrustInput::default())),
         ..RunRecord::default()
     }
 }
@@ -144,7 +144,7 @@ fn partial_results_are_marked() {
         let written = RunRecord { reason: reason.into(), pipeline, ..record() };
         let text = serde_json::to_vec(&written).expect("JSON");
         std::fs::write(folder.path().join("run.json"), text).expect("writable");
-        ResultFolder::open(folder.path()).expect("readable").lacking()
+        ResultFolder::open(folder.path()).expect("readable").incompleteness()
     };
     write(folder.path(), &rows(10));
     assert_eq!(told(10, "finished"), None);
@@ -156,11 +156,11 @@ fn partial_results_are_marked() {
     assert_eq!(told(20, "the cloud went").as_deref(), Some(gone));
 
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
-    let lacking = || ResultFolder::open(folder.path()).expect("readable").lacking();
+    let lacking = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
     assert!(lacking().is_some_and(|told| told.contains("under way or was killed")), "{:?}", lacking());
     let alone = folder.path().join("run-7.csv");
     std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
-    assert_eq!(ResultFolder::open(&alone).expect("readable").lacking(), None, "it never had a record");
+    assert_eq!(ResultFolder::open(&alone).expect("readable").incompleteness(), None, "it never had a record");
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
     assert_eq!(lacking(), None, "nor has a file of the published program");
 }

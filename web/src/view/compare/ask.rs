@@ -17,7 +17,7 @@ pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
     let configurations = &comparison.configurations;
     let unfinished: Vec<String> = comparison
         .runs()
-        .map(|run| (run.number, RunState::of_end(run.reason.as_ref())))
+        .map(|run| (run.number, RunState::from_end_reason(run.reason.as_ref())))
         .filter(|(_, state)| !state.is_finished())
         .map(|(number, state)| format!("#{number} ({state})"))
         .collect();

@@ -132,7 +132,7 @@ impl Configuration {
 
     /// Returns the number of iterations that missed their deadline; `None` where no run has one.
     pub(crate) fn misses(&self) -> Option<Misses> {
-        Misses::together(self.runs.iter().filter_map(|run| run.misses))
+        Misses::sum(self.runs.iter().filter_map(|run| run.misses))
     }
 
     /// Returns the deadline, seconds; `None` where no run has one, or several have different ones.

@@ -14,7 +14,7 @@ fn rows_come_back_as_they_were() {
     assert_eq!(kept.len(), 40);
     for (kept, row) in kept.iter().zip(&rows) {
         assert_eq!(kept.to_row(), *row);
-        assert_eq!((kept.counts(), kept.value("upload-lo")), (row.counts(), row.value("upload-lo")));
+        assert_eq!((kept.is_counted(), kept.value("upload-lo")), (row.is_counted(), row.value("upload-lo")));
         assert_eq!(kept.verdicts()[1], row.download.map(|way| way.delay.verdict));
     }
     assert_eq!(kept.get(5).and_then(|row| row.reason()), Some("the connection broke, \"reset\""));
@@ -25,10 +25,13 @@ fn rows_come_back_as_they_were() {
 fn statistics_are_of_the_rows_that_count() {
     let rows: Rows = made(9).into_iter().collect();
     assert_eq!(
-        rows.counted("upload").collect::<Vec<_>>(),
+        rows.counted_values("upload").collect::<Vec<_>>(),
         [3, 4, 5, 7, 8, 9].map(|n| f64::from(17_000 + n) / 1e6)
     );
-    assert_eq!((rows.counted("inference_pre").count(), rows.counted("nothing").count()), (6, 0));
+    assert_eq!(
+        (rows.counted_values("inference_pre").count(), rows.counted_values("nothing").count()),
+        (6, 0)
+    );
 }
 
 #[test]

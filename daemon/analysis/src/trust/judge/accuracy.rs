@@ -3,12 +3,12 @@
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
 
-use super::{advise, iterations, percent, say};
+use super::{finding, iterations, percent, with_advice};
 use crate::accuracy::Accuracy;
 use crate::trust::{Finding, TrustInput};
 
 /// Returns a finding for each accuracy that is not of all iterations; accuracies that lack the same number share one.
-pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let foreign = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
     let lacking = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(foreign);
     // Names, number of iterations without a score for another reason than their label, number of all.
@@ -29,7 +29,7 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
         );
         let advice =
             "see that each sample has a label and each answer names a class, or say so beside the accuracy";
-        advise(say("accuracy", Grade::Doubtful, text), advice)
+        with_advice(finding("accuracy", Grade::Doubtful, text), advice)
     };
     unknown(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
 }
@@ -41,7 +41,7 @@ fn unknown(input: &TrustInput) -> Option<Finding> {
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
     let advice = "name the folders, or the labels in the file of labels, as the model's card names its classes; \
                   numbers of classes are not translated";
-    Some(advise(say("accuracy", grade, unknown.sentence(input.counts.ok)), advice))
+    Some(with_advice(finding("accuracy", grade, unknown.sentence(input.counts.ok)), advice))
 }
 
 #[cfg(test)]
@@ -52,7 +52,7 @@ mod tests {
 
     fn graded(unscored: [u64; 2], foreign: u64) -> Vec<(Grade, String)> {
         let of =
-            |unscored: u64| Accuracy::of_counts(80, 100 - unscored, unscored).expect("there are answers");
+            |unscored: u64| Accuracy::from_counts(80, 100 - unscored, unscored).expect("there are answers");
         let both = [("top-1", of(unscored[0])), ("top-5", of(unscored[1]))];
         let input = TrustInput {
             counts: Counts { ok: 100, ..Counts::default() },
@@ -60,7 +60,7 @@ mod tests {
             unknown_labels: UnknownLabels::new(foreign, &[]),
             ..TrustInput::default()
         };
-        sentences(&input).into_iter().map(|sentence| (sentence.grade, sentence.text)).collect()
+        findings(&input).into_iter().map(|sentence| (sentence.grade, sentence.text)).collect()
     }
 
     fn told(unscored: [u64; 2]) -> Vec<String> {
@@ -74,8 +74,8 @@ mod tests {
         let both = graded([5, 5], 3);
         assert!(both.len() == 2 && both[0].1 == text && both[1].1.starts_with("2 of 100"), "{both:?}");
         let none = TrustInput { unknown_labels: UnknownLabels::new(7, &[]), ..TrustInput::default() };
-        let sentences = sentences(&none);
-        assert_eq!((sentences.len(), sentences[0].grade), (1, Grade::Unknown), "no accuracy is given");
+        let findings = findings(&none);
+        assert_eq!((findings.len(), findings[0].grade), (1, Grade::Unknown), "no accuracy is given");
     }
 
     #[test]

@@ -41,7 +41,7 @@ impl Score {
     /// Returns the share of right answers with its 95 % interval: low, share, high, in per cent. `None` without an answer.
     fn accuracy(&self) -> Option<[f64; 3]> {
         let accuracy::Accuracy { share, interval: (low, high), .. } =
-            accuracy::Accuracy::of_counts(self.right, self.count, 0)?;
+            accuracy::Accuracy::from_counts(self.right, self.count, 0)?;
         Some([low, share, high].map(|share| share * 100.0))
     }
 

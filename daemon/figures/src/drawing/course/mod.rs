@@ -9,7 +9,7 @@ use crate::look::{INK, Mark, Style, stage};
 use crate::plot::{At, Axis, Figure, Item, Key, Path, Plot, Strip, Swatch, Unit};
 use crate::scale::Scale;
 use columns::{Column, columns};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Columns that a line has at most.
 const COLUMNS: usize = 290;
@@ -76,7 +76,14 @@ impl Course {
 
     fn shown(&self) -> Option<(f64, f64)> {
         let of = |line: &Line| {
-            range(&line.values.iter().map(|(_, value)| *value).filter(|v| v.is_finite()).collect::<Ordered>())
+            range(
+                &line
+                    .values
+                    .iter()
+                    .map(|(_, value)| *value)
+                    .filter(|v| v.is_finite())
+                    .collect::<SortedValues>(),
+            )
         };
         let total = of(&self.total);
         // A stage is a part of the total, so its values beyond the total's range are outliers as well.
@@ -158,7 +165,7 @@ impl Course {
         let columns = columns(&line.values, plot.x.scale.ends(), COLUMNS);
         let x = |column: &Column| (column.number as f64 + 0.5) / COLUMNS as f64;
         let y = |value: f64| plot.up(value * self.unit.per_si);
-        let steps: Ordered =
+        let steps: SortedValues =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
         // Few values are far from each other, which is not a gap.
         let gap = (4.0 * steps.median().unwrap_or_default()).max(GAP);

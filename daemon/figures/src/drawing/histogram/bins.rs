@@ -1,6 +1,6 @@
 //! Bins of a histogram.
 
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Minimum and maximum number of bins.
 const FEWEST: usize = 8;
@@ -30,8 +30,9 @@ pub struct Bins {
 impl Bins {
     /// Returns bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the count, between 8
     /// and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a finite value.
-    pub fn of(values: &Ordered) -> Option<Self> {
-        let finite: Ordered = values.values().iter().copied().filter(|value| value.is_finite()).collect();
+    pub fn of(values: &SortedValues) -> Option<Self> {
+        let finite: SortedValues =
+            values.values().iter().copied().filter(|value| value.is_finite()).collect();
         let (lo, hi) = range(&finite)?;
         let n = finite.len() as f64;
         let middle_half = finite.quantile(0.75)? - finite.quantile(0.25)?;
@@ -83,7 +84,7 @@ impl Bins {
 /// lies beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the
 /// range of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than half its width.
 /// `None` without values.
-pub(in crate::drawing) fn range(all: &Ordered) -> Option<(f64, f64)> {
+pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);
     let most = (values.len() / RARE).max((values.len() / FEW_OF).min(FEW));

@@ -11,7 +11,7 @@ use crate::scale::{Scale, Tick};
 use crate::sheet::file::{SMALL, TEXT};
 use crate::text::{shorten_apart, width};
 use density::density;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Width of the plot in a file, about, points.
 const ACROSS: f64 = 213.0;
@@ -58,7 +58,7 @@ pub struct Group {
     /// Name of the model.
     pub name: String,
     /// Values of each side, SI units; empty if there are none.
-    pub values: Vec<Ordered>,
+    pub values: Vec<SortedValues>,
 }
 
 impl Group {
@@ -75,7 +75,7 @@ impl Paired {
     fn reading(&self) -> Vec<String> {
         let mut notes = self.notes.clone();
         if !self.has_room_for_counts() {
-            let counts = || self.groups.iter().flat_map(|group| &group.values).map(Ordered::len);
+            let counts = || self.groups.iter().flat_map(|group| &group.values).map(SortedValues::len);
             let ends = counts().filter(|count| *count > 0).min().zip(counts().max());
             notes.extend(ends.map(|(least, most)| {
                 let [least, most] = [least, most].map(|count| fixed(count as f64, 0));
@@ -110,7 +110,7 @@ impl Paired {
 
     /// Returns the range of the axis: every distribution, except tails that would squeeze the rest.
     fn shown(&self) -> Option<(f64, f64)> {
-        let ends = |values: &Ordered| {
+        let ends = |values: &SortedValues| {
             let (lo, hi) = range(values)?;
             // A single point above zero is shown however low it is.
             let least = values.values().first().copied().filter(|least| *least > 0.0);
@@ -122,14 +122,14 @@ impl Paired {
 
     /// Returns whether a linear axis would squeeze most of it onto its base: then the axis is logarithmic.
     fn is_wide(&self) -> bool {
-        let medians = self.groups.iter().flat_map(|group| &group.values).filter_map(Ordered::median);
-        let medians: Ordered = medians.collect();
+        let medians = self.groups.iter().flat_map(|group| &group.values).filter_map(SortedValues::median);
+        let medians: SortedValues = medians.collect();
         let ends = medians.values().first().zip(medians.values().last());
         self.shown().is_some_and(|(lo, _)| lo > 0.0) && ends.is_some_and(|(lo, hi)| *hi >= WIDE * lo)
     }
 
     /// Returns the largest value that is shown of a distribution: single points up to the end of the axis, shapes without their tails.
-    fn highest(&self, values: &Ordered) -> Option<f64> {
+    fn highest(&self, values: &SortedValues) -> Option<f64> {
         let (_, hi) = range(values)?;
         if values.len() > MOST_POINTS {
             return Some(hi);
@@ -139,19 +139,19 @@ impl Paired {
     }
 
     /// Returns the number of values above the range that is shown of them.
-    fn beyond(&self, values: &Ordered) -> usize {
+    fn beyond(&self, values: &SortedValues) -> usize {
         let count = |highest| values.values().iter().filter(|value| **value > highest).count();
         self.highest(values).map_or(0, count)
     }
 
     /// Returns the number of values below the range that is shown of them.
-    fn below(&self, values: &Ordered) -> usize {
+    fn below(&self, values: &SortedValues) -> usize {
         let lowest = if values.len() > MOST_POINTS { range(values) } else { self.shown() };
         let count = |(lowest, _)| values.values().iter().filter(|value| **value < lowest).count();
         lowest.map_or(0, count)
     }
 
-    fn one(&self, plot: &Plot, values: &Ordered, side: usize, (middle, half): (f64, f64)) -> Vec<Item> {
+    fn one(&self, plot: &Plot, values: &SortedValues, side: usize, (middle, half): (f64, f64)) -> Vec<Item> {
         let look = series(side);
         let y = |value: f64| plot.up(value * self.unit.per_si);
         let Some((lo, hi)) = range(values) else { return Vec::new() };
@@ -201,14 +201,14 @@ impl Paired {
 }
 
 /// Returns the density of the logarithms, which is the width of the shape on a logarithmic axis.
-fn log_density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
-    let logarithms: Ordered =
+fn log_density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
+    let logarithms: SortedValues =
         values.values().iter().filter(|value| **value > 0.0).map(|value| value.ln()).collect();
     density(&logarithms, (lo.ln(), hi.ln())).into_iter().map(|(at, dense)| (at.exp(), dense)).collect()
 }
 
 /// Returns the count: `n = 1,200`.
-fn n_of(values: &Ordered) -> String {
+fn n_of(values: &SortedValues) -> String {
     format!("n = {}", fixed(values.len() as f64, 0))
 }
 

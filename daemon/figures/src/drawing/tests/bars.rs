@@ -2,7 +2,7 @@
 
 use super::*;
 
-pub(super) fn histogram(values: Ordered) -> Histogram {
+pub(super) fn histogram(values: SortedValues) -> Histogram {
     Histogram {
         title: "Upload time · robot".to_owned(),
         unit: Unit::milliseconds("Upload time"),

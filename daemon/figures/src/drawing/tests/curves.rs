@@ -3,13 +3,13 @@
 use super::*;
 use crate::look::{Style, series};
 
-fn curve(number: usize, values: Ordered) -> CumulativeCurve {
+fn curve(number: usize, values: SortedValues) -> CumulativeCurve {
     let look = series(number);
     let (line, mark): (Style, _) = (look.line(0.9), (look.mark, look.marks()));
     CumulativeCurve { name: format!("configuration {number}"), line, mark, values }
 }
 
-fn cumulative(values: Vec<Ordered>) -> Cumulative {
+fn cumulative(values: Vec<SortedValues>) -> Cumulative {
     Cumulative {
         title: "Total by configuration".to_owned(),
         unit: Unit::milliseconds("Total"),

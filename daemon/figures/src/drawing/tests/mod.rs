@@ -15,7 +15,7 @@ use crate::look::stage;
 use crate::plot::Figure;
 use crate::sheet::{export, file};
 use crate::text::{self, missing_glyph};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// The elements of a kind in an SVG: their attributes.
 struct Elements(Vec<HashMap<String, String>>);
@@ -84,7 +84,7 @@ macro_rules! draw {
 
 draw!(Accuracy, Course, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked);
 
-fn millis(values: impl IntoIterator<Item = f64>) -> Ordered {
+fn millis(values: impl IntoIterator<Item = f64>) -> SortedValues {
     values.into_iter().map(|value| value / 1e3).collect()
 }
 

@@ -3,12 +3,13 @@
 use super::*;
 use crate::look::series;
 
-fn hill(middle: f64, count: u32) -> Ordered {
+fn hill(middle: f64, count: u32) -> SortedValues {
     millis((0..count).map(|i| middle * (1.0 + 0.4 * ((f64::from(i) + 0.5) / f64::from(count) - 0.5).powi(3))))
 }
 
-fn paired(groups: Vec<Vec<Ordered>>) -> Paired {
-    let group = |(number, values): (usize, Vec<Ordered>)| Group { name: format!("model-{number}"), values };
+fn paired(groups: Vec<Vec<SortedValues>>) -> Paired {
+    let group =
+        |(number, values): (usize, Vec<SortedValues>)| Group { name: format!("model-{number}"), values };
     Paired {
         title: "Inference by model".to_owned(),
         unit: Unit::milliseconds("Inference"),
@@ -62,7 +63,7 @@ fn long_names_of_models_stay_apart() {
 fn a_shape_is_whole_however_narrow_its_hills_are() {
     // The values are a peak of 0.4 ms, a second one, and a few values far above.
     let hill = |from: f64, n: u32| (0..n).map(move |i| from + 0.4 * (f64::from(i) + 0.5) / f64::from(n));
-    let far: Ordered =
+    let far: SortedValues =
         millis(hill(2.0, 150).chain(hill(9.0, 60)).chain([20.0, 30.0, 40.0, 40.1, 40.2, 41.0]));
     let figure = paired(vec![vec![far]]);
     let picture = export::Exported::of(&figure.svg()).and_then(|exported| exported.pixels()).expect("drawn");
@@ -110,7 +111,8 @@ fn height(svg: &str, wanted: &str) -> f64 {
 
 #[test]
 fn points_that_have_room_are_drawn_and_no_count_lies_on_one() {
-    let late = |extra: f64| hill(20.0, 30).values().iter().copied().chain([extra / 1e3]).collect::<Ordered>();
+    let late =
+        |extra: f64| hill(20.0, 30).values().iter().copied().chain([extra / 1e3]).collect::<SortedValues>();
     let figure = paired(vec![vec![late(40.0), hill(60.0, 30)], vec![late(90.0), hill(50.0, 30)]]);
     let svg = figure.svg();
     assert!(has(&svg, "+1") && !has(&svg, "+2"), "the one at 40 ms has room: {:?}", texts(&svg));

@@ -7,8 +7,8 @@ use crate::rows::Rows;
 /// The column that is 1 for such a sample.
 pub const UNKNOWN_LABEL: &str = "unknown-label";
 /// Names of the facts of a run that contain examples behind a count: `100 of 100: dented, good`, `4: good, scratched, …`.
-const LABELS: &str = "Labels";
-const CLASSES: &str = "Classes";
+const LABELS_FACT: &str = "Labels";
+const CLASSES_FACT: &str = "Classes";
 
 /// Count of the iterations whose label is not a class of the model, with an example of the words of either side.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,31 +16,31 @@ pub struct UnknownLabels {
     /// Number of counted iterations with such a label; at least one.
     pub count: u64,
     /// Text ` (the data set says …; the model knows …)`; empty if neither is known.
-    words: String,
+    examples: String,
 }
 
 impl UnknownLabels {
     /// Returns the unknown labels of a run with these facts, which contain examples; `None` if `count` is 0.
     pub fn new(count: u64, facts: &[(String, String)]) -> Option<Self> {
-        let words = |fact: &str, side: &str| {
+        let example = |fact: &str, side: &str| {
             let (_, text) = facts.iter().find(|(name, _)| name == fact)?;
             let (_, words) = text.split_once(": ")?;
             Some(format!("{side} {words}"))
         };
-        let sides = [words(LABELS, "the data set says"), words(CLASSES, "the model knows")];
+        let sides = [example(LABELS_FACT, "the data set says"), example(CLASSES_FACT, "the model knows")];
         let sides: Vec<String> = sides.into_iter().flatten().collect();
-        let words = if sides.is_empty() { String::new() } else { format!(" ({})", sides.join("; ")) };
-        (count > 0).then_some(Self { count, words })
+        let examples = if sides.is_empty() { String::new() } else { format!(" ({})", sides.join("; ")) };
+        (count > 0).then_some(Self { count, examples })
     }
 
     /// Counts the rows with an unknown label among those that count.
-    pub fn of(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
-        Self::new(rows.counted(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
+    pub fn from_rows(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
+        Self::new(rows.counted_values(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
     }
 
     /// Adds the count of another run; the examples stay those of this one.
     #[must_use]
-    pub(crate) fn with(self, other: &Self) -> Self {
+    pub(crate) fn merged_with(self, other: &Self) -> Self {
         Self { count: self.count + other.count, ..self }
     }
 
@@ -52,7 +52,7 @@ impl UnknownLabels {
 
     /// Returns why they have no score, with examples.
     pub fn reason(&self) -> String {
-        format!("because the label is no class of the model{}", self.words)
+        format!("because the label is no class of the model{}", self.examples)
     }
 }
 
