@@ -13,8 +13,8 @@ const QUESTION_WORDS: [&str; 2] = ["prompt", "input"];
 /// Minimum ratio of the longest to the shortest answer; below it the length does not explain the latency.
 const MIN_LENGTH_RATIO: f64 = 1.5;
 
-/// Returns the name of the quantity that is the length of an answer. Among the names that count tokens it is the first one by name, those
-/// of the answer before those of the question; `download-bytes` if no tokens are counted.
+/// Returns the name of the quantity that is the length of an answer: one that counts tokens of the answer, else one that counts tokens of
+/// the question, else `download-bytes`. Of several, the first in alphabetical order.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
     let is_of_question = |name: &str| QUESTION_WORDS.iter().any(|word| name.contains(word));
     names
@@ -35,7 +35,7 @@ pub fn varies(shortest: f64, longest: f64) -> bool {
 
 /// Minimum number of iterations for a line.
 const MIN_ITERATIONS: usize = 60;
-/// Width of an interval, as a share of the slope, above which the slope is not given as one figure.
+/// Width of the interval, as a share of the slope, above which the slope is not reported as one number.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
 /// Growth of latency with the length of answers: a line through single iterations.
@@ -57,17 +57,17 @@ impl Growth {
         Some(Self { interval: fit.slope.interval?, fit })
     }
 
-    /// Returns whether zero lies outside the interval of the slope.
+    /// Returns whether the interval of the slope excludes zero.
     pub fn is_significant(&self) -> bool {
         self.interval.0 > 0.0 || self.interval.1 < 0.0
     }
 
-    /// Returns whether the interval is too wide for the slope to be given as one figure.
+    /// Returns whether the interval is too wide for the slope to be reported as one number.
     pub fn is_imprecise(&self) -> bool {
         self.interval.1 - self.interval.0 > MAX_RELATIVE_WIDTH * self.fit.slope.value.abs()
     }
 
-    /// Returns intercept and slope if the slope is certain.
+    /// Returns intercept and slope if the slope is significant.
     pub fn line(&self) -> Option<(f64, f64)> {
         self.is_significant().then_some((self.fit.intercept.value, self.fit.slope.value))
     }
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn growth_is_certain_only_where_latency_follows_length() {
+    fn growth_is_significant_if_latency_follows_length() {
         let iterations = |slope: f64| -> Vec<(f64, f64)> {
             (0..200).map(|n| (f64::from(n), 5.0 + slope * f64::from(n) + f64::from(n * 37 % 11))).collect()
         };
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn length_is_counted_in_tokens_of_answer_where_there_are_some() {
+    fn length_is_answer_tokens_if_counted() {
         let names = ["a-prompt-tokens", "zeta-tokens", "total", "completion-tokens", "input-tokens"];
         assert_eq!(answer_length(names.into_iter()), "completion-tokens");
         assert_eq!(answer_length(["total", "tokens-per-second"].into_iter()), "download-bytes");

@@ -13,7 +13,7 @@ pub const DEADLINE_MISSED: &str = "deadline-missed";
 pub struct Misses {
     /// Number of iterations that took longer than the deadline or have no answer.
     pub missed: u64,
-    /// Number of all iterations.
+    /// Number of all iterations, warm-up left out.
     #[serde(rename = "of")]
     pub iterations: u64,
 }
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn late_and_unanswered_rows_miss_warm_up_left_out() {
+    fn late_and_unanswered_rows_miss_deadline() {
         let ends = [(Outcome::Ok, 1.0), (Outcome::Ok, 0.0), (Outcome::Ok, 1.0), (Outcome::Lost, 1.0)];
         let rows: Rows =
             (1..).zip(ends).map(|(at, (outcome, missed))| row(at, outcome, Some(missed))).collect();

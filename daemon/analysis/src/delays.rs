@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn round_trip_of_seconds_has_smallest_and_lower_middle() {
+    fn merged_round_trip_has_minimum_and_lower_median() {
         let trips = [(3, 5), (1, 9), (2, 4), (4, 6)].map(|(min, median)| RoundTrip {
             min: Span::from_millis(min),
             median: Span::from_millis(median),

@@ -1,4 +1,4 @@
-//! Which files of a folder are figures.
+//! Recognition of figure files by their names.
 
 use std::fs::{File, read_dir};
 use std::io::{BufRead, BufReader, Read};
@@ -14,13 +14,13 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// Endings of a figure's files. The text is one of them, because its name says that it belongs to a figure.
+/// Name endings of a figure's files. The caption is one of them.
 const FILE_ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
-/// Figures of which there is one.
+/// Names of figures of which there is at most one.
 const SINGLE_FIGURES: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
-/// Figures of which there may be several, numbered from the second on.
+/// Names of figures of which there may be several, numbered from the second on.
 const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
-/// Bytes of the longest header that is read.
+/// Maximum length of the header of `data.csv` that is read, bytes.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Returns the names of the files in a result folder that are figures of its results, of every kind.
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_known_by_their_names_and_other_files_are_not_touched() {
+    fn only_figure_files_are_recognised() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,total\n1,2\n").expect("writable");
         let figures = [

@@ -11,7 +11,7 @@ use crate::run_trust_input::early_end;
 
 /// Reason for the end of a run that has rows but no record. The record is written last.
 pub const NO_RECORD: &str =
-    "there is no run.json: the run is under way or was killed, or data.csv came here alone";
+    "run.json is missing: the run is in progress or was killed, or data.csv was copied without it";
 
 /// Results that were read back.
 #[derive(Clone, Debug)]

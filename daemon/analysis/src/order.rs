@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_those_of_the_usual_definition() {
+    fn quantiles_follow_definition_seven() {
         let values: SortedValues = [4.0, 1.0, f64::NAN, 3.0, 2.0].into_iter().collect();
         assert_eq!(
             (values.median(), values.quantile(0.1), values.quantile(1.0)),
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn what_needs_more_values_is_not_said() {
+    fn few_values_have_no_tails() {
         let few: SortedValues = (0..59).map(f64::from).collect();
         let enough: SortedValues = (0..=100).map(f64::from).collect();
         assert_eq!((few.tails(), enough.tails()), (None, Some((5.0, 95.0))));
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn the_median_of_a_hundred_uniform_values_is_known_to_a_twentieth_of_their_range() {
+    fn median_error_matches_uniform_density() {
         // 1 / (2 f √n) with density f = 1/101: 5.05.
         let error = (0..=100).map(f64::from).collect::<SortedValues>().median_error().expect("enough");
         assert!((4.5..5.6).contains(&error), "{error}");

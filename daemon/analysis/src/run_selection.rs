@@ -44,7 +44,7 @@ impl RunState {
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Pending => "to do",
-            Self::Open => "under way or killed",
+            Self::Open => "in progress or killed",
             Self::Finished => "finished",
             Self::Interrupted => "interrupted",
             Self::Failed(_) => "failed",
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn named_run_counts_whatever_became_of_it() {
+    fn named_run_counts_in_any_state() {
         let edge = HostId::random();
         let mut runs = [
             run(0, edge, RunState::Failed(None), 1),

@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn rate_period_and_jitter() {
+    fn study_has_rate_period_and_jitter() {
         let study = study(rows(403)).expect("samples");
         assert_eq!((study.samples, study.failed, study.dropped), (400, 0, None));
         assert!(close(study.median, 0.02) && (study.rate - 50.0).abs() < 0.1, "{study:?}");
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_sample_is_a_gap_and_no_period() {
+    fn failed_sample_is_gap_without_period() {
         let mut rows = rows(20);
         rows[9].outcome = Outcome::Failed;
         let study = study(rows).expect("samples");
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn dropped_samples_are_added_up_where_the_sensor_numbers_them() {
+    fn reported_dropped_samples_are_summed() {
         let mut rows = rows(103);
         for row in &mut rows {
             let dropped = if row.iteration.is_multiple_of(10) { 3.0 } else { 0.0 };
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn fewer_than_two_samples_show_nothing() {
+    fn fewer_than_two_samples_give_no_study() {
         assert_eq!(study(rows(4)), None);
         assert_eq!(study(Vec::new()), None);
     }

@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn causes_are_named_until_most_of_excess_is_explained() {
+    fn causes_explain_most_of_excess() {
         let parts = [
             part("sensing", 0.021, 0.020),
             part("lateness", 0.124, 0.002),
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn single_cause_suffices_where_it_explains_most() {
+    fn single_cause_suffices_if_it_explains_most() {
         let parts = [part("upload", 0.0204, 0.0063), part("inference", 0.0121, 0.0105)];
         assert_eq!(names(&causes(0.0335, 0.0178, parts)), ["upload"]);
     }
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn late_start_is_told_apart_from_rest_of_unattributed() {
+    fn late_start_is_separated_from_unattributed_time() {
         let run =
             medians(&[("total", 0.055), ("inference", 0.012), ("unattributed", 0.004), ("lateness", 0.002)]);
         let stages = [(stage::INFERENCE, 0.231)];
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn both_directions_together_take_place_of_each() {
+    fn sum_of_directions_replaces_each() {
         let run = medians(&[("total", 0.1), ("upload", 0.02), ("download", 0.01), ("unattributed", 0.0)]);
         let stages = [(stage::UPLOAD, 0.3)];
         let times = IterationTimes {

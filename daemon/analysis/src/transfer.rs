@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn speed_has_no_upper_end_where_delay_may_be_nothing() {
+    fn speed_is_unbounded_if_delay_may_be_zero() {
         assert_eq!(speed_between(8e6, 0.004, 0.001), (6.4e6, Some(8e6 * 0.004 / 0.003)));
         assert_eq!(speed_between(8e6, 0.004, 0.004), (4e6, None));
     }

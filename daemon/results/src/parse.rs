@@ -18,9 +18,9 @@ pub(crate) enum ParseError {
     Io(#[from] std::io::Error),
     #[error("{0}")]
     Csv(#[from] csv::Error),
-    #[error("no column of it is one of a run's, such as sensing, inference or total")]
+    #[error("it has no column of a run, such as sensing, inference or total")]
     NoRunColumn,
-    #[error("line {line}, column {column}: {cell:?} is no {expected}")]
+    #[error("line {line}, column {column}: {cell:?} is not {expected}")]
     Cell { line: u64, column: String, cell: String, expected: &'static str },
 }
 
@@ -104,7 +104,7 @@ impl RowParser {
             if cells.is_text() {
                 let way = &mut verdicts[usize::from(cells.name.starts_with("download"))];
                 store_text(&mut row, way, &cells.name, text)
-                    .ok_or_else(|| invalid_cell("outcome, verdict or source"))?;
+                    .ok_or_else(|| invalid_cell("an outcome, verdict or source"))?;
                 continue;
             }
             let number = match cell.parse::<f64>() {
@@ -115,7 +115,7 @@ impl RowParser {
                 }
                 // A text that a user added to the numbers is ignored.
                 Err(_) if cells.kind.is_none() => continue,
-                Err(_) => return Err(invalid_cell("number")),
+                Err(_) => return Err(invalid_cell("a number")),
             };
             if let Some(stage) = cells.stage {
                 stages[stage] = Some(number);

@@ -28,8 +28,8 @@ const PAPER_METRICS: [(&str, &str); 10] = [
 ];
 /// Names of columns that are not named after their stage.
 const COLUMN_NAMES: [(&str, &str); 5] = [
-    ("ipc", "Border to the model's process"),
-    ("capture_capture-ipc", "Border to the sensor's process"),
+    ("ipc", "IPC with the model's process"),
+    ("capture_capture-ipc", "IPC with the sensor's process"),
     ("restart", "Restart of the model's process"),
     ("capture_capture-restart", "Restart of the sensor's process"),
     ("actuation_actuation-restart", "Restart of the actuator's process"),

@@ -77,7 +77,7 @@ fn comparison_errors_are_named() {
         .expect("written");
     let broken = compare(&deployment, &["all"]);
     assert_eq!(broken.code(), 65, "{}", broken.log);
-    assert!(broken.log.contains("line 2, column sensing: \"fast\" is no number"), "{}", broken.log);
+    assert!(broken.log.contains("line 2, column sensing: \"fast\" is not a number"), "{}", broken.log);
     let unwritten = compare(&deployment, &["all/large", "--out", "nowhere/table.txt"]);
     assert_eq!(unwritten.code(), 73, "{}", unwritten.log);
 }

@@ -58,7 +58,7 @@ async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhe
     };
     assert_eq!((counts(0), counts(1)), ((Some(380), Some(0)), (Some(170), Some(70))), "{compared}");
     let doubt = compared["doubts"][0].as_str().expect("a sentence");
-    assert!(doubt.ends_with(" of the rate that was ordered: #2: 70 of 170 starts (41.2 %)."), "{doubt}");
+    assert!(doubt.ends_with(" of the configured rate: #2: 70 of 170 starts (41.2 %)."), "{doubt}");
     assert!(bed.get("/compare?runs=1,2").await.text().contains(doubt));
     assert_eq!(bed.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
 }

@@ -23,7 +23,7 @@ pub struct Accuracy {
     pub interval: (f64, f64),
     /// Number of scored iterations.
     pub count: u64,
-    /// Number of further iterations that count but have no score of 0 or 1: no label was known, the label is [no class of the
+    /// Number of further counted iterations without a score of 0 or 1. Either no label was known, the label is [not a class of the
     /// model](UnknownLabels), the answer named no class, or the score is not a number.
     pub unscored: u64,
 }
@@ -47,8 +47,8 @@ impl Accuracy {
         ACCURACIES.into_iter().filter_map(of).collect()
     }
 
-    /// Returns the accuracy from the mean of `count` scores that are 0 or 1, of `answered` iterations with an answer; `None` without a
-    /// score, and where no such scores have this mean.
+    /// Returns the accuracy from the mean of `count` scores that are 0 or 1. `answered` is the number of iterations with an answer.
+    /// `None` without a score, or if the mean is not between 0 and 1.
     pub fn from_mean(mean: f64, count: u64, answered: u64) -> Option<Self> {
         (0.0..=1.0).contains(&mean).then_some(())?;
         Self::from_counts((mean * count as f64).round() as u64, count, answered.saturating_sub(count))
@@ -127,14 +127,14 @@ mod tests {
     }
 
     #[test]
-    fn mean_of_scores_tells_what_scores_tell() {
+    fn mean_of_scores_gives_same_accuracy_as_scores() {
         let found = Accuracy::from_mean(81.0 / 263.0, 263, 300).expect("a share");
         assert_eq!(Some(found), Accuracy::from_counts(81, 263, 37));
         assert_eq!(Accuracy::from_mean(7.0, 263, 263), None, "no score is 7");
     }
 
     #[test]
-    fn what_has_no_valid_score_is_counted() {
+    fn iterations_without_valid_score_are_counted() {
         let scores = [Some(1.0), Some(0.0), Some(f64::NAN), Some(f64::INFINITY), Some(0.5), Some(7.0), None];
         let mut rows: Vec<Row> = scores.into_iter().map(row).collect();
         rows.push(Row { warm_up: true, ..row(None) });
@@ -143,6 +143,6 @@ mod tests {
         let found = Accuracy::by_column(&rows);
         let top = found["top-1"];
         assert_eq!((top.share, top.count, top.unscored, found.len()), (0.5, 2, 5, 1));
-        assert_eq!(Accuracy::from_rows(rows.iter().skip(2), "top-1"), None, "nobody knew what is right");
+        assert_eq!(Accuracy::from_rows(rows.iter().skip(2), "top-1"), None, "no label is known");
     }
 }

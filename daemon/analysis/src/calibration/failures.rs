@@ -40,7 +40,7 @@ impl Failures {
 
     fn description(&self) -> String {
         let what = match self.outcome {
-            "timeout" => "not in time",
+            "timeout" => "timed out",
             outcome => outcome,
         };
         let reason = match &self.commonest_reason {

@@ -120,7 +120,7 @@ impl Study {
 
     /// Returns the text for a terminal: a table of sizes, a table of fits, reasons for payloads without an answer, and the verdict.
     pub fn text(&self) -> String {
-        let rehearsal = "rehearsal: the clock of one of the hosts was made wrong on purpose";
+        let rehearsal = "clock fault injection: the clock of one of the hosts was made wrong on purpose";
         let rehearsal = if self.setting.rehearsed { rehearsal } else { "" };
         let failures = failures::sentence(&self.failures, self.counts.measured + self.counts.failed);
         let (sizes, fits) = (tables::sizes_text(self), tables::fits_text(self));

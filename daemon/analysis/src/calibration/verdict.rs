@@ -69,7 +69,7 @@ impl Verdict {
             return without_bound(
                 Kind::Stepped,
                 format!(
-                    "the clocks were stepped during the study, or one is another than before{unusable}; calibrate again when they are quiet"
+                    "a clock was stepped or replaced during the study{unusable}; calibrate again when the clocks are stable"
                 ),
             );
         }
@@ -82,7 +82,7 @@ impl Verdict {
                 0 => without_bound(Kind::Insufficient, "nothing was measured: no payload was answered".to_owned()),
                 _ => without_bound(
                     Kind::Unsynchronised,
-                    "nothing is known of the two clocks: no exchange related them, so that no delay has a value"
+                    "the offset of the two clocks is unknown: no exchange related them, so no delay has a value"
                         .to_owned(),
                 ),
             };
@@ -90,13 +90,13 @@ impl Verdict {
         let (Some(up_fit), Some(down_fit)) = (up.main_fit(), down.main_fit()) else {
             return without_bound(
                 Kind::Insufficient,
-                "too few sizes were answered for a line: it needs three".to_owned(),
+                "fewer than three sizes were answered: a line needs three".to_owned(),
             );
         };
         let intercepts = format!("{} up and {} down", with_margin(up_fit), with_margin(down_fit));
         if up.same_clock && down.same_clock {
             let sentence = format!(
-                "both ends read one clock: delays are exact, and the intercepts, {intercepts}, are what the link itself takes"
+                "both ends read one clock: delays are exact, and the intercepts, {intercepts}, are the delays of the link itself"
             );
             return Self { kind: Kind::Exact, within: Some(0.0), sentence };
         }
@@ -120,7 +120,7 @@ impl Verdict {
         };
         let clocks = match self.kind {
             Kind::Exact | Kind::Unsynchronised | Kind::Insufficient => "",
-            _ => ", and the clocks were related anew: each delay is judged by the relation of its own time",
+            _ => ", and the clocks were related again: each delay uses the relation at its time",
         };
         self.sentence.push_str(&format!(
             "; the peer went away {times} during the study and came back (restarted, or the network broke){clocks}"
@@ -133,7 +133,7 @@ impl Verdict {
             format!("{} ms up, {} ms down", range_ms(up.claim.at_zero), range_ms(down.claim.at_zero));
         if up.is_imprecise() || down.is_imprecise() {
             let sentence = format!(
-                "the intercepts, {intercepts}, are less certain than what they are compared with, the clock bounds ({allowed}): the delay does not grow in a straight line with size over this link (see latency.png), or it needs more repeats; the bounds do not depend on this line"
+                "the intercepts, {intercepts}, are less certain than the clock bounds that they are compared with ({allowed}): the delay does not grow in a straight line with size over this link (see latency.png), or it needs more repeats; the bounds do not depend on this line"
             );
             return Self { kind: Kind::Inconclusive, within: None, sentence };
         }
@@ -158,7 +158,7 @@ impl Verdict {
                 "one is too long by what the other is too short, so the clocks are at fault: they drift apart faster{limit} (max_drift_ppm), or a stamp is wrong"
             )
         } else {
-            "the clocks alone cannot do that: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
+            "errors of the clocks alone cannot cause this: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
         };
         let sentence = format!(
             "of the intercepts, {intercepts}, {named} lies outside what the clock bounds allow ({allowed}); {reason}"

@@ -44,7 +44,7 @@ pub fn differences_to_best(comparison: &Comparison) -> Option<CaptionedTable> {
         .into_owned(),
         table: differences_table(comparison),
         notes: format!(
-            "In ms. {MEAN_INTERVAL_MEANING} Each holds for itself: they are not corrected for their number. \
+            "In ms. {MEAN_INTERVAL_MEANING} Each interval is computed alone: they are not corrected for their number. \
              {INTERVAL_LIMITATION}"
         ),
     })
@@ -74,7 +74,7 @@ mod tests {
     use crate::rows::Outcome;
 
     #[test]
-    fn every_other_line_is_compared_with_the_best() {
+    fn other_lines_are_compared_with_the_best() {
         let comparison = Comparison::new(&paper());
         let against = differences_to_best(&comparison).expect("three lines");
         let expected = "\
@@ -98,7 +98,7 @@ cuda:0  can      105.550              +85.290          +85.290
     }
 
     #[test]
-    fn a_line_of_too_few_iterations_has_no_interval() {
+    fn line_of_few_iterations_has_no_interval() {
         let mut runs = paper();
         runs[1].rows.change(|row| row.warm_up = row.iteration > 20);
         let comparison = Comparison::new(&runs);
@@ -109,7 +109,7 @@ cuda:0  can      105.550              +85.290          +85.290
     }
 
     #[test]
-    fn nothing_is_known_of_a_line_that_measured_nothing() {
+    fn line_without_measurements_is_untested() {
         let mut runs = paper();
         runs[1].rows.change(|row| row.outcome = Outcome::Lost);
         for (runs, repeats) in

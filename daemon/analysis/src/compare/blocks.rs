@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_grow_with_the_memory_of_the_values() {
+    fn block_length_grows_with_autocorrelation() {
         let lengths = [0.0, 0.5, 0.9].map(|correlation| length(&autoregressive(correlation, 4000)));
         assert!(lengths[0] < 6.0, "{lengths:?}");
         // (2 φ / (1 − φ²))² n to the third: 19.2 and 71 for infinitely many values.
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn values_without_variance_need_no_blocks() {
+    fn constant_values_have_block_length_one() {
         assert_eq!((length(&[2.0; 50]), length(&[1.0]), length(&[])), (1.0, 1.0, 1.0));
     }
 }

@@ -20,7 +20,7 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let mut told: Vec<String> =
         skipped_starts(lines.iter().map(|line| (line.name(), line.starts))).into_iter().collect();
     if !lacking.is_empty() {
-        told.push(format!("Results are not whole: {}.", lacking.join("; ")));
+        told.push(format!("Incomplete results: {}.", lacking.join("; ")));
     }
     if !missing.is_empty() {
         told.push(format!(
@@ -38,8 +38,8 @@ pub fn skipped_starts(of: impl IntoIterator<Item = (String, Starts)>) -> Option<
     let told: Vec<String> = of.into_iter().filter_map(told).collect();
     (!told.is_empty()).then(|| {
         format!(
-            "Starts were skipped, because the pipeline was too far behind; these latencies are not those of the rate that \
-             was ordered: {}.",
+            "Starts were skipped because the pipeline could not keep up; these latencies are not those of the configured \
+             rate: {}.",
             told.join("; ")
         )
     })
@@ -79,7 +79,7 @@ mod tests {
     use crate::compare::{Comparison, is_compared};
 
     #[test]
-    fn a_number_that_is_too_large_is_not_called_infinite() {
+    fn too_large_number_is_not_reported_as_infinite() {
         let mut runs = paper();
         runs[1].rows.change(|row| {
             if row.iteration == 50 {
@@ -95,16 +95,13 @@ mod tests {
     }
 
     #[test]
-    fn starts_that_were_skipped_stand_below_the_table() {
+    fn skipped_starts_are_noted_below_table() {
         let mut runs = paper();
         runs[1].rows.change(|row| {
             row.values.push(("skipped-starts".into(), if row.iteration == 50 { 101.0 } else { 0.0 }));
         });
         let text = Comparison::new(&runs).text();
-        assert!(
-            text.contains(" of the rate that was ordered: cuda:0, lan: 101 of 202 starts (50.0 %)."),
-            "{text}"
-        );
+        assert!(text.contains(" of the configured rate: cuda:0, lan: 101 of 202 starts (50.0 %)."), "{text}");
         assert!(!Comparison::new(&paper()).text().contains("skipped"));
         assert!(is_compared("skipped-starts"), "else it is not read");
     }

@@ -98,10 +98,10 @@ pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
     }
     let mut sentences = Vec::new();
     if !told.is_empty() {
-        sentences.push(format!("Besides, they differ in {}.", told.join("; ")));
+        sentences.push(format!("They also differ in {}.", told.join("; ")));
     }
     if !named.is_empty() {
-        sentences.push(format!("Their run.json tells what else differs: {}.", named.join(", ")));
+        sentences.push(format!("Further differences, recorded in their run.json: {}.", named.join(", ")));
     }
     sentences
 }

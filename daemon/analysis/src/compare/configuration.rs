@@ -298,7 +298,7 @@ mod tests {
     use crate::rows::Rows;
 
     #[test]
-    fn runs_are_named_by_their_folders_wherever_these_are() {
+    fn runs_are_named_by_folders_without_common_prefix() {
         let run = |folder: &str| Loaded {
             folder: PathBuf::from(folder),
             record: RunRecord { format: 1, ..RunRecord::default() },

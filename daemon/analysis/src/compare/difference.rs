@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn buckets_tell_what_their_values_tell() {
+    fn buckets_give_same_interval_as_values() {
         let runs = [run(0.6, 3_000, 10.0, 1), run(0.6, 1_000, 10.1, 2)];
         let buckets = runs.clone().map(|values| {
             let mean = |bucket: &[f64]| bucket.iter().sum::<f64>() / bucket.len() as f64;
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_values_of_a_run_have_no_interval() {
+    fn run_of_few_values_has_no_interval() {
         let long = run(0.0, 300, 1.0, 1);
         for runs in [vec![vec![1.0; 29]], vec![long.clone(), vec![1.0; 29]]] {
             let found = Difference::between_means(&of_values(std::slice::from_ref(&long)), &of_values(&runs));
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_values_differ_by_exactly_nothing() {
+    fn equal_values_have_zero_difference() {
         let same = of_values(&[vec![2.0; 40]]);
         let found = Difference::between_means(&same, &same);
         assert_eq!((found.interval, found.is_distinct()), (Some((0.0, 0.0)), Some(false)));

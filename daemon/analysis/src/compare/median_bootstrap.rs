@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_values_have_a_difference_and_no_interval() {
+    fn few_values_have_difference_without_interval() {
         let few = difference(&[vec![1.0; 29]], &[vec![2.0; 300]], 1).expect("values");
         assert_eq!((few.value, few.interval, few.is_distinct()), (1.0, None, None));
         assert_eq!(difference(&[Vec::new()], &[vec![1.0]], 1), None);

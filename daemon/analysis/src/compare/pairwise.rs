@@ -47,7 +47,7 @@ mod tests {
     }
 
     #[test]
-    fn pairs_of_two_distributions_are_those_of_their_values() {
+    fn quantile_pairs_match_pairs_of_values() {
         let (a, b) = (run(0.0, 2_000, 10.0, 1), run(0.0, 2_000, 9.5, 2));
         let found = PairwiseDifference::between(&summary(&a), &summary(&b)).expect("values");
         let mut pairs: Vec<f64> = a.iter().flat_map(|a| b.iter().map(move |b| b - a)).collect();

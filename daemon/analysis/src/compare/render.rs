@@ -22,7 +22,7 @@ pub(super) const INTERVAL_MEANING: &str = "The interval says how far the differe
 pub(super) const MEAN_INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were \
      measured again (Welch, from batch means).";
 pub(super) const INTERVAL_LIMITATION: &str =
-    "What changes from day to day is not in it: only repeats show that.";
+    "Changes from day to day are not part of it; only repeats show them.";
 const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
 
 impl Comparison {
@@ -161,19 +161,17 @@ impl Comparison {
             .map(|line| line.told(&format!("{} edges", line.edges)))
             .collect();
         if !edges.is_empty() {
-            notes.push(format!("Edges that were measured at once are taken together: {}.", edges.join("; ")));
+            notes
+                .push(format!("Edges that were measured at the same time are pooled: {}.", edges.join("; ")));
         }
         let repeat_range: Vec<String> = self.lines.iter().filter_map(Line::repeat_range).collect();
         if !repeat_range.is_empty() {
-            notes.push(format!(
-                "Repeats are taken together; their mean totals: {} ms.",
-                repeat_range.join("; ")
-            ));
+            notes.push(format!("Repeats are pooled; their mean totals: {} ms.", repeat_range.join("; ")));
         }
         let unknown: Vec<String> = self.lines.iter().flat_map(Line::unknown).collect();
         if !unknown.is_empty() {
             notes
-                .push(format!("Delays are known of a part of the iterations alone: {}.", unknown.join("; ")));
+                .push(format!("Delays are known for only a part of the iterations: {}.", unknown.join("; ")));
         }
         notes.extend(self.caveats.iter().cloned());
         notes.iter().map(|note| printable_line(note).into_owned()).collect()
@@ -203,7 +201,7 @@ impl Comparison {
         let tested = others - self.untested.len();
         let mut told = Vec::new();
         if !self.ties.is_empty() {
-            told.push(format!("with 95 % confidence it cannot be told from {}", names(&self.ties)));
+            told.push(format!("with 95 % confidence it cannot be distinguished from {}", names(&self.ties)));
         } else if tested == others && others > 0 {
             let all = if others == 1 { "the other" } else { "every other" };
             told.push(format!("{all} differs from it with 95 % confidence"));
@@ -388,7 +386,7 @@ impl Differences {
 
     fn notes(&self) -> String {
         let clocks = if self.stages.iter().any(|stage| stage.clocks.is_some_and(|clocks| clocks > 0.0)) {
-            " What the clocks of the hosts leave open comes on top of it."
+            " The column clocks adds the uncertainty of the clock offset, which the interval does not contain."
         } else {
             ""
         };

@@ -68,7 +68,7 @@ pub(super) fn paper() -> Vec<Loaded> {
 }
 
 #[test]
-fn the_papers_table_is_what_comes_out() {
+fn comparison_gives_table_of_paper() {
     let comparison = Comparison::new(&paper());
     assert_eq!(
         comparison.text(),
@@ -80,7 +80,7 @@ cuda:0  can        100           1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0
 
 Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all stages, those without a column too; the paper calls it Total.
 The smallest mean total (measured) is that of orin; every other differs from it with 95 % confidence.
-Besides, they differ in where: local (orin), remote (cuda:0)."
+They also differ in where: local (orin), remote (cuda:0)."
     );
 }
 
@@ -103,7 +103,7 @@ fn every_format_has_every_line() {
 }
 
 #[test]
-fn repeats_are_taken_together_and_others_are_not() {
+fn only_repeats_are_pooled() {
     let lan = |folder: &str, inference: f64| run(folder, [Some(1.0), Some(5.0), Some(inference), Some(0.5)]);
     let runs = [
         placed(&[("resize", "no"), ("network", "LAN")], 0, lan("a", 10.0)),
@@ -124,17 +124,14 @@ fn repeats_are_taken_together_and_others_are_not() {
     assert!((inference.mean - 0.011).abs() < 1e-9 && inference.count == 200, "{inference:?}");
     assert_eq!((comparison.best, comparison.ties.as_slice()), (Some(1), [].as_slice()));
     let text = comparison.text();
-    assert!(
-        text.contains("Repeats are taken together; their mean totals: no, LAN: 17.5 – 19.5 ms."),
-        "{text}"
-    );
+    assert!(text.contains("Repeats are pooled; their mean totals: no, LAN: 17.5 – 19.5 ms."), "{text}");
     let apart = Comparison::with_repeats(&runs, Repeats::Separate);
     assert_eq!(apart.axes, ["resize", "network", "repeat"]);
     assert_eq!(apart.lines.len(), 3);
 }
 
 #[test]
-fn folders_tell_runs_apart_that_nothing_else_does() {
+fn equal_configurations_are_distinguished_by_folder() {
     let one =
         |folder: &str, total: f64| of("s", "cpu", None, run(folder, [Some(1.0), None, Some(total), None]));
     let comparison = Comparison::new(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
@@ -145,13 +142,13 @@ fn folders_tell_runs_apart_that_nothing_else_does() {
         (Some(0), [1].as_slice()),
         "the same twice is a tie"
     );
-    assert!(comparison.text().contains("cannot be told from after/run-2"), "{}", comparison.text());
+    assert!(comparison.text().contains("cannot be distinguished from after/run-2"), "{}", comparison.text());
     let alone = Comparison::new(&[one("x", 7.0)]);
     assert_eq!((alone.axes.as_slice(), alone.best), (["run".to_owned()].as_slice(), None));
 }
 
 #[test]
-fn executions_of_one_experiment_are_told_apart() {
+fn executions_of_one_experiment_are_distinguished() {
     let mut runs = [0, 1].map(|_| placed(&[("model", "s")], 0, run("a", [Some(1.0), None, Some(2.0), None])));
     runs[1].record.experiment.as_mut().expect("placed").id = "b2".to_owned();
     let comparison = Comparison::new(&runs);
@@ -160,7 +157,7 @@ fn executions_of_one_experiment_are_told_apart() {
 }
 
 #[test]
-fn without_a_measured_total_the_stages_decide() {
+fn sum_of_stages_ranks_runs_without_total() {
     let mut runs = paper();
     for run in &mut runs {
         run.rows.change(|row| row.values.retain(|(name, _)| name != "total"));
@@ -172,7 +169,7 @@ fn without_a_measured_total_the_stages_decide() {
 }
 
 #[test]
-fn a_run_without_a_single_answer_is_a_line_and_never_the_best() {
+fn unanswered_run_is_never_the_best() {
     let mut runs = paper();
     runs[0].rows.change(|row| row.outcome = Outcome::Lost);
     let comparison = Comparison::new(&runs);
@@ -183,7 +180,7 @@ fn a_run_without_a_single_answer_is_a_line_and_never_the_best() {
 }
 
 #[test]
-fn differences_are_told_stage_by_stage() {
+fn differences_are_computed_per_stage() {
     let runs = paper();
     let differences = Differences::between_runs(&runs[1], &runs[2], 5);
     let stages: Vec<&str> = differences.stages.iter().map(|stage| stage.stage.as_str()).collect();
@@ -205,7 +202,7 @@ fn differences_are_told_stage_by_stage() {
 }
 
 #[test]
-fn columns_of_differences_have_one_number_of_decimals() {
+fn difference_columns_have_equal_decimals() {
     let difference =
         |value: f64, half: f64| Difference { value, interval: Some((value - half, value + half)) };
     let stage = |stage: &str, value: f64, half: f64| StageDifference {
@@ -229,7 +226,7 @@ fn columns_of_differences_have_one_number_of_decimals() {
 }
 
 #[test]
-fn chosen_repeat_has_line_of_its_own() {
+fn chosen_repeat_has_separate_line() {
     let of =
         |load: &str, repeat| placed(&[("load", load)], repeat, run("r", [Some(1.0), None, Some(2.0), None]));
     let runs = [of("a", 0), of("a", 1), of("a", 2), of("b", 0), of("b", 1)];
@@ -249,7 +246,7 @@ fn published(file: &str, run: Loaded) -> Loaded {
 }
 
 #[test]
-fn runs_of_which_nothing_is_known_are_named_after_their_files() {
+fn unknown_runs_are_named_after_files() {
     let stages = [Some(1.0), None, Some(2.0), None];
     let faster = [Some(1.0), None, Some(1.0), None];
     let runs = [of("s", "cpu", None, run("mine", stages)), published("theirs", run("x", faster))];
@@ -263,7 +260,7 @@ fn runs_of_which_nothing_is_known_are_named_after_their_files() {
 }
 
 #[test]
-fn what_was_not_tested_is_said_to_be_unknown() {
+fn untested_line_is_reported() {
     let mut runs = paper();
     runs[1].rows = runs[1].rows.iter().take(30).map(RowRef::to_row).collect();
     let comparison = Comparison::new(&runs);
@@ -273,7 +270,7 @@ fn what_was_not_tested_is_said_to_be_unknown() {
         text.contains("is that of orin; too few iterations to tell whether it differs from cuda:0, lan (30 of each run are needed)."),
         "{text}"
     );
-    assert!(!text.contains("cannot be told") && !text.contains("other differs"), "{text}");
+    assert!(!text.contains("cannot be distinguished") && !text.contains("other differs"), "{text}");
     assert!(comparison.csv().lines().nth(2).is_some_and(|line| line.starts_with("cuda:0,lan,1,24,1,0,,")));
 }
 
@@ -285,7 +282,7 @@ fn edge(name: &str, repeat: u32, folder: &str) -> Loaded {
 }
 
 #[test]
-fn edges_of_one_run_are_no_repeats() {
+fn edges_of_one_run_are_not_repeats() {
     let mut runs = vec![edge("user-1", 0, "e/runs/1/user-1"), edge("user-2", 0, "e/runs/1/user-2")];
     let one = Comparison::new(&runs);
     assert_eq!((one.lines.len(), one.lines[0].repeats, one.lines[0].edges), (1, 1, 2));
@@ -306,7 +303,7 @@ fn edges_of_one_run_are_no_repeats() {
 }
 
 #[test]
-fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
+fn dissimilar_runs_have_fewest_distinguishing_columns() {
     let hash = |digit: &str| ("Model SHA-256".to_owned(), digit.repeat(64));
     let with = |model: &str, device: &str, network: Option<&str>, facts: [(String, String); 2]| {
         let run = of(model, device, network, run(model, [Some(1.0), None, Some(2.0), None]));
@@ -323,8 +320,8 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
     assert_eq!(
         comparison.other_differences,
         [
-            "Besides, they differ in device: cpu (s), cuda:0 (m; l); where: local (s), remote (m; l); network: lan (m; l).",
-            "Their run.json tells what else differs: Model SHA-256, ONNX Runtime.",
+            "They also differ in device: cpu (s), cuda:0 (m; l); where: local (s), remote (m; l); network: lan (m; l).",
+            "Further differences, recorded in their run.json: Model SHA-256, ONNX Runtime.",
         ]
     );
     for text in [comparison.text(), comparison.markdown(), comparison.latex(), comparison.csv()] {
@@ -345,7 +342,7 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
 }
 
 #[test]
-fn miss_rate_stands_beside_unanswered() {
+fn miss_rate_is_shown_beside_unanswered() {
     let mut runs = paper();
     runs[1].rows.change(|row| {
         let is_late = row.outcome != Outcome::Ok || row.iteration % 10 == 0;
@@ -369,7 +366,7 @@ fn miss_rate_stands_beside_unanswered() {
 }
 
 #[test]
-fn accuracy_stands_beside_latency() {
+fn accuracy_is_shown_beside_latency() {
     let mut runs = paper();
     runs[1].rows.change(|row| {
         row.values.push(("top-1".into(), if row.iteration % 4 == 0 { 0.0 } else { 1.0 }));
@@ -407,7 +404,7 @@ fn accuracy_stands_beside_latency() {
 }
 
 #[test]
-fn labels_that_are_no_classes_of_the_model_are_told_and_not_scored() {
+fn labels_outside_model_classes_are_not_scored() {
     let mut runs = paper();
     for run in &mut runs[..2] {
         run.rows.change(|row| row.values.push(("unknown-label".into(), 1.0)));
@@ -416,7 +413,7 @@ fn labels_that_are_no_classes_of_the_model_are_told_and_not_scored() {
     let comparison = Comparison::new(&runs);
     let names = [0, 1].map(|at: usize| format!("{}: 100 of 100", comparison.lines[at].name()));
     let told = format!(
-        "Not scored, because the label is no class of the model (the model knows good, dented): {}.",
+        "Not scored, because the label is not a class of the model (classes: good, dented): {}.",
         names.join("; ")
     );
     assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
@@ -425,7 +422,7 @@ fn labels_that_are_no_classes_of_the_model_are_told_and_not_scored() {
 }
 
 #[test]
-fn what_is_wrong_with_the_results_is_told() {
+fn defects_of_results_are_noted() {
     let mut broken = run("broken\nline", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
     assert!(Comparison::new(std::slice::from_ref(&broken)).caveats.is_empty());
     let mut value = |iteration: u64, name: &str, to: Option<f64>| {
@@ -445,7 +442,7 @@ fn what_is_wrong_with_the_results_is_told() {
     let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
     let text = Comparison::new(&[broken, other]).text();
     for told in [
-        "Results are not whole: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
+        "Incomplete results: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
         "sensing of broken line 1 of 100 iterations; upload of broken line 2 of 100 iterations",
     ] {
         assert!(text.contains(told), "{told}: {text}");

@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn mean_that_is_not_known_well_hardly_moves_line() {
+    fn uncertain_mean_hardly_moves_line() {
         let uncertain = MeanAtSize { count: 2, std: Some(5.0), ..at(4.0, 30.0) };
         let fit = line_through_means(&[at(1.0, 3.0), at(2.0, 5.0), at(3.0, 7.0), uncertain]).expect("sizes");
         assert!((fit.slope.value - 2.0).abs() < 0.1, "{fit:?}");

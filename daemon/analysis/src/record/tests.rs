@@ -14,7 +14,7 @@ fn near(found: Option<Bounded>, expected: [f64; 3]) {
 }
 
 #[test]
-fn offset_and_skew_are_what_was_taken_from_the_stamps() {
+fn offset_and_skew_are_recovered_from_stamps() {
     let mut rows = rows(10);
     for row in &mut rows {
         row.at = 1000.0 + row.iteration as f64;

@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_is_where_it_was_put() {
+    fn every_element_is_found_at_its_index() {
         for count in [0, 1, CHUNK_LEN, CHUNK_LEN + 1, 3 * CHUNK_LEN] {
             let list: Chunks<usize> = (0..count).collect();
             assert_eq!(list.len(), count);

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_seen_in_runs_takes_little_room() {
+    fn typical_columns_need_few_bytes() {
         let column = |value: fn(u32) -> Option<f64>| bytes(&(1..=300).map(value).collect::<Vec<_>>());
         assert_eq!(column(|_| None), 0.0);
         assert_eq!(column(|_| Some(150_528.0)), 0.0, "a size");
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_form_that_is_too_narrow_gives_way_in_the_middle() {
+    fn column_widens_when_number_does_not_fit() {
         let steps: [&[f64]; 4] =
             [&[2.0, 2.0], &[1.0, -1.0], &[0.25, 1e-9], &[3.0, f64::INFINITY, -0.0, 1e-300]];
         let mut all = Vec::new();
@@ -160,7 +160,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_number_comes_back_to_the_last_bit(
+        fn every_number_is_read_back_exactly(
             numbers in prop::collection::vec(
                 prop::option::of(prop_oneof![
                     prop::num::f64::NORMAL | prop::num::f64::ZERO | prop::num::f64::SUBNORMAL | prop::num::f64::INFINITE,

@@ -4,7 +4,7 @@ use super::*;
 use crate::testing::{kept, rows};
 
 #[test]
-fn a_quantity_has_the_usual_figures() {
+fn quantity_matches_reference_statistics() {
     // Python: v = [n**1.5 for n in range(1, 301)]; fmean(v), stdev(v), median(v), quantiles(v, n=100,
     // method="inclusive")[94::4], max(v); numpy's mean, std(ddof=1) and percentile are the same.
     const PYTHON: [f64; 6] = [
@@ -27,7 +27,7 @@ fn a_quantity_has_the_usual_figures() {
 }
 
 #[test]
-fn numbers_beyond_all_reason_spoil_no_mean() {
+fn extreme_numbers_are_left_out_of_mean() {
     let values = [1.0, f64::MAX, -f64::MAX, f64::INFINITY, f64::NAN, 3.0];
     let quantity = Quantity::from_values("x".into(), values).expect("numbers");
     assert_eq!((quantity.count, quantity.mean, quantity.max), (2, 2.0, 3.0));
@@ -54,7 +54,7 @@ fn percentiles_need_enough_numbers() {
 }
 
 #[test]
-fn warm_up_and_what_was_lost_are_left_out() {
+fn warm_up_and_lost_rows_are_excluded() {
     let summary = Summary::from_rows(&kept(&rows(10)));
     let upload = summary.quantity("upload").expect("measured");
     assert_eq!((upload.count, upload.max), (7, 0.01701));

@@ -72,7 +72,7 @@ mod tests {
     use super::actual_hz;
 
     #[test]
-    fn the_rate_of_starts_is_measured_from_the_first_to_the_last() {
+    fn start_rate_spans_first_to_last_start() {
         assert_eq!(actual_hz([10.5, 10.0, 11.5, 12.0].into_iter()), Some(1.5));
         assert_eq!([actual_hz([10.0].into_iter()), actual_hz(std::iter::empty())], [None, None]);
     }

@@ -28,6 +28,7 @@ pub use trust_input::{Clocks, Counts, MissingEvents, TrustInput};
 
 use std::cmp::Reverse;
 
+use peernet_statistics::number::counted;
 use peernet_stream::Grade;
 use serde::{Deserialize, Serialize};
 
@@ -93,18 +94,17 @@ impl Report {
 
     /// Returns the answer in a sentence, with the number of findings against publication.
     pub fn answer(&self) -> String {
-        let count = |grade| self.findings.iter().filter(|finding| finding.grade == grade).count();
-        let things = |count| format!("{count} thing{}", if count == 1 { "" } else { "s" });
+        let count = |grade| self.findings.iter().filter(|finding| finding.grade == grade).count() as u64;
         match self.verdict {
-            Publish::Yes => "Yes: nothing that was looked at speaks against it.".to_owned(),
+            Publish::Yes => "Yes: no check found a reason against it.".to_owned(),
             Publish::WithRemarks => {
                 format!(
-                    "Yes, with remarks: {} to be said beside the figures.",
-                    things(count(Grade::Doubtful))
+                    "Yes, with remarks: {} to report beside the figures.",
+                    counted(count(Grade::Doubtful), "remark")
                 )
             }
             Publish::No => {
-                format!("No: {} to be changed first, then repeat the run.", things(count(Grade::Bad)))
+                format!("No: fix {} first, then repeat the run.", counted(count(Grade::Bad), "problem"))
             }
         }
     }

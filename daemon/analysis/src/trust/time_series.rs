@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn values_and_their_summaries_tell_the_same() {
+    fn values_and_summaries_give_same_statistics() {
         // The values are a saw tooth with a tenth of slow values, and a slow beginning.
         let value = |n: u32| {
             let slow = if n % 10 == 9 { 0.04 } else { 0.0 };
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_has_no_outliers_and_nothing_is_made_of_nothing() {
+    fn constant_has_no_outliers() {
         let course = TimeSeries::from_values(&[0.005; 100]).expect("values");
         assert_eq!((course.outliers.count, course.outliers.influence), (0, 0.0));
         assert_eq!(TimeSeries::from_values(&[f64::NAN]), None);

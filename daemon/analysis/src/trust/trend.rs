@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rise_is_certain_and_a_saw_tooth_is_none() {
+    fn rise_is_trend_and_saw_tooth_is_not() {
         let rise: Vec<f64> = (0..30).map(|n| f64::from(n) + f64::from(n % 3)).collect();
         let saw: Vec<f64> = (0..30).map(|n| f64::from(n % 5)).collect();
         assert!(chance_of_trend(&rise).expect("enough") < 1e-6);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_a_trend_wherever_it_is() {
+    fn step_at_any_place_is_trend() {
         let mut noise = SplitMix64::new(3);
         for at in [8, 15, 22] {
             let series: Vec<f64> =
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn autocorrelation_is_not_taken_for_a_trend() {
+    fn autocorrelation_is_not_reported_as_trend() {
         // 5 % of 400 are 20, with a standard deviation of 4.
         let independent = false_alarms(0.0, 1);
         assert!(independent <= 33, "{independent}");

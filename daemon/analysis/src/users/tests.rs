@@ -7,7 +7,7 @@ use crate::record::{HostRecord, RunRecord};
 use crate::rows::{Outcome, Row};
 
 #[test]
-fn the_index_goes_from_one_nth_to_one() {
+fn jain_index_ranges_from_one_nth_to_one() {
     assert_eq!(jain_index(&[5.0, 5.0, 5.0]), Some(1.0));
     assert_eq!(jain_index(&[0.0, 7.0, 0.0, 0.0]), Some(0.25));
     // The paper's own example: 5, 3, 1, …: (1+1+1+1+0)² / (5 · 4).
@@ -42,7 +42,7 @@ fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u3
 }
 
 #[test]
-fn only_the_time_in_which_all_measure_counts() {
+fn shares_cover_only_common_time() {
     let one = edge(&[("N", "1")], ("a", 0.0), 0.5, 21, 0.25);
     // The second edge begins 2 s late and ends with the first; it gets half as many answers.
     let [first, second] =
@@ -64,7 +64,7 @@ fn only_the_time_in_which_all_measure_counts() {
 }
 
 #[test]
-fn users_who_never_met_have_no_rates() {
+fn users_at_different_times_have_no_rates() {
     let users = Users::from_runs(&[edge(&[], ("a", 0.0), 0.5, 5, 0.1), edge(&[], ("b", 100.0), 0.5, 5, 0.1)]);
     let users = users.expect("several edges");
     assert_eq!((users.lines[0].edges, users.lines[0].rate, users.lines[0].fairness), (2, None, None));
@@ -90,7 +90,7 @@ fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)
 }
 
 #[test]
-fn what_differs_in_the_number_of_edges_alone_is_one_curve() {
+fn configurations_differing_in_edges_form_one_curve() {
     let lines: [(&[&str], usize); 5] = [
         (&["s", "cpu", "8"], 8),
         (&["s", "cpu", "1"], 1),
@@ -107,14 +107,14 @@ fn what_differs_in_the_number_of_edges_alone_is_one_curve() {
 }
 
 #[test]
-fn models_are_not_joined_because_each_had_its_own_number_of_edges() {
+fn different_models_are_separate_curves() {
     let lines: [(&[&str], usize); 2] = [(&["v2-s"], 1), (&["v2-m"], 2)];
     let found = curves(&["model"], &lines);
     assert_eq!(found, [("v2-s".to_owned(), vec![1]), ("v2-m".to_owned(), vec![2])]);
 }
 
 #[test]
-fn repeats_of_whole_runs_that_lack_an_edge_are_left_out() {
+fn repeats_without_all_edges_are_excluded() {
     let share = |answers| EdgeShare::from_run(answers, 10.0, None);
     let runs = [(0, share(100)), (0, share(300)), (1, share(500)), (2, share(100)), (2, share(100))];
     let line = UsersLine::from_whole_runs(Vec::new(), &runs, Totals::default());

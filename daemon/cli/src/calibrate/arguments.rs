@@ -36,7 +36,7 @@ pub(crate) struct Arguments {
     /// Folder for the results [default: calibration-PEER-DATE].
     #[arg(long, value_name = "DIR")]
     pub(super) result_loc: Option<PathBuf>,
-    /// Write into a folder that holds files already.
+    /// Write into a folder that is not empty.
     #[arg(long)]
     pub(super) overwrite: bool,
     /// An agent's configuration whose tables [clock], [probes] and [rehearsal] hold here, too.

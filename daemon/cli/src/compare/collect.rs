@@ -87,11 +87,11 @@ fn sentence(remark: &str) -> String {
 fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
     let folder = run.folder.display();
     if let Some(damage) = run.damage() {
-        return Some(format!("{folder} is not whole: {damage}"));
+        return Some(format!("{folder} is incomplete: {damage}"));
     }
     if let Some(kept) = put_aside(&run.folder) {
         return Some(format!(
-            "{folder} is not whole: a run is under way there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
+            "{folder} is incomplete: a run is in progress there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
             kept.display()
         ));
     }
@@ -101,7 +101,7 @@ fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
             of.state(),
             of.experiment.remedy()
         )),
-        None => Some(format!("{folder} is not whole: {}", run.incompleteness()?)),
+        None => Some(format!("{folder} is incomplete: {}", run.incompleteness()?)),
     }
 }
 
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_baseline_may_be_named_by_its_file_of_rows() {
+    fn baseline_can_be_named_by_data_file() {
         let folder = tempfile::tempdir().expect("a folder");
         let runs = ["a", "b"].map(|name| folder.path().join(name));
         for run in &runs {
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lacks_something_of_a_whole_run_is_told() {
+    fn incomplete_results_are_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         let data = folder.path().join("data.csv");
         std::fs::write(&data, "iteration,inference,warm-up,outcome\n1,0.1,0,ok\n").expect("written");
@@ -192,7 +192,7 @@ mod tests {
             let run = open(folder.path(), &|_| true).expect("readable");
             doubt(&run, &Experiments::of(std::iter::once(folder.path())))
         };
-        assert!(told().is_some_and(|told| told.contains("under way or was killed")), "{:?}", told());
+        assert!(told().is_some_and(|told| told.contains("in progress or was killed")), "{:?}", told());
         let record = |reason: &str| {
             let text = format!(
                 r#"{{"format":1,"reason":"{reason}","pipeline":{{"limit":{{"total":9}}}},"counts":{{"ok":1}}}}"#

@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn baseline_of_one_run_has_line_of_its_own() {
+    fn baseline_run_has_separate_line() {
         let run = |repeat: u32| Loaded {
             folder: PathBuf::from(format!("r{repeat}")),
             record: RunRecord {

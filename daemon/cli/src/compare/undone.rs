@@ -112,7 +112,7 @@ mod tests {
     }
 
     const LEFT: &str = "Shown without the runs of experiment rates that are not done: 002-a (failed), \
-                        003-b (under way or killed), 004-b (to do).";
+                        003-b (in progress or killed), 004-b (to do).";
 
     #[test]
     fn an_experiment_is_its_runs_that_are_done() {
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_tells_nothing_is_told_where_its_runs_are_shown() {
+    fn unreadable_experiment_record_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         let home = folder.path().join("rates");
         experiment(&home);
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_is_told_with_its_place_and_what_to_do() {
+    fn excluded_runs_are_listed_with_advice() {
         let folder = tempfile::tempdir().expect("a folder");
         let home = folder.path().join("rates");
         experiment(&home);

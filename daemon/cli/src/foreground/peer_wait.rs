@@ -135,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn silent_peer_is_reported_and_given_up_at_limit() {
+    fn silent_peer_times_out_with_report() {
         let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
         let mut peer_wait = PeerWait::new(at(0));
         let most = Span::from_seconds(20);

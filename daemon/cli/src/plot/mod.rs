@@ -168,7 +168,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_folder_is_made_if_nothing_can_be_drawn() {
+    fn no_folder_is_created_without_figures() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,sensing\n1,0.5\n2,0.5\n")
             .expect("writable");

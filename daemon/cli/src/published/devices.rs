@@ -182,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn network_missing_in_build_is_reported_in_terms_of_file() {
+    fn network_missing_in_build_is_reported() {
         let text = "devices: { edge: 127.0.0.1, cluster: 'ros2://0/cluster' }\nserver: cluster\n";
         let devices = Devices::parse(text, "net.yaml", None).expect("reads");
         let checked = devices.check(&"cluster".parse().expect("a name"), true);

@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn running_agent_is_detected_and_lock_admits_own_agents() {
+    fn lock_rejects_foreign_and_admits_own_agents() {
         let state = tempfile::tempdir().expect("a folder");
         let folders = BTreeSet::from([state.path().to_owned()]);
         let agent = File::create(state.path().join(OF_AGENT)).expect("writable");

@@ -40,7 +40,7 @@ impl Folder {
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         let unwritten = |error: std::io::Error| {
             let error = dangling(path).unwrap_or_else(|| error.to_string());
-            Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", path.display()))
+            Failure::new(Exit::Unwritten, anyhow!("cannot create the folder {}: {error}", path.display()))
         };
         let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
         let is_own = |name: &OsStr| name == LOCK || name == RUNS || is_draft(name);

@@ -249,7 +249,7 @@ fn selections_choose_runs() {
 }
 
 #[test]
-fn set_values_replace_those_of_file_but_not_axes() {
+fn set_values_replace_fields_but_not_axes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("e.toml");
     std::fs::write(&path, FILE).expect("writable");

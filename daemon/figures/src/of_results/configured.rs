@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_value_reads_without_the_name_of_its_axis() {
+    fn clear_value_omits_axis_name() {
         let read = |axis, value| readable(axis, value);
         assert_eq!([read("resize", "no"), read("resize", "yes")], ["no resize", "resize"]);
         assert_eq!([read("edges", "4"), read("network", "LAN")], ["edges 4", "LAN"]);

@@ -99,7 +99,7 @@ fn rows_are_written_during_the_run() {
 }
 
 #[test]
-fn columns_that_come_late_reach_the_file() {
+fn late_columns_are_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut rows = rows(40);
     for (at, name) in [(3, "grip"), (4, "slip, left"), (30, "late")] {
@@ -157,7 +157,7 @@ fn partial_results_are_marked() {
 
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
     let lacking = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
-    assert!(lacking().is_some_and(|told| told.contains("under way or was killed")), "{:?}", lacking());
+    assert!(lacking().is_some_and(|told| told.contains("in progress or was killed")), "{:?}", lacking());
     let alone = folder.path().join("run-7.csv");
     std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
     assert_eq!(ResultFolder::open(&alone).expect("readable").incompleteness(), None, "it never had a record");
@@ -199,7 +199,7 @@ fn existing_results_are_replaced_only_with_overwrite() {
         std::fs::write(at.join(name), "x").expect("writable");
     }
     let refused = ResultFolder::create(at, Overwrite::Refuse).expect_err("it holds something").to_string();
-    assert!(refused.contains("holds files already") && refused.contains("--overwrite"), "{refused}");
+    assert!(refused.contains("is not empty") && refused.contains("--overwrite"), "{refused}");
     let subfolders =
         [2, 3].map(|_| ResultFolder::create(at, Overwrite::Subfolder).expect("made").path().to_owned());
     assert_eq!(subfolders, [at.join("run-2"), at.join("run-3")]);
@@ -208,7 +208,7 @@ fn existing_results_are_replaced_only_with_overwrite() {
     assert_eq!(left.map(|name| at.join(name).exists()), [false, false, false, false, true, true]);
     let file =
         ResultFolder::create(&at.join("notes.txt"), Overwrite::Replace).expect_err("a file").to_string();
-    assert!(file.ends_with("notes.txt is no folder"), "{file}");
+    assert!(file.ends_with("notes.txt is not a folder"), "{file}");
 }
 
 #[test]
@@ -249,13 +249,14 @@ fn invalid_file_error_names_line_and_column() {
         ResultFolder::open(folder.path()).expect_err("it makes no sense").to_string()
     };
     assert!(
-        open("iteration,sensing\n1,0.5\n2,fast\n").ends_with("line 3, column sensing: \"fast\" is no number")
+        open("iteration,sensing\n1,0.5\n2,fast\n")
+            .ends_with("line 3, column sensing: \"fast\" is not a number")
     );
-    assert!(open("x,y\n1,2\n").contains("no column of it is one of a run's"));
+    assert!(open("x,y\n1,2\n").contains("it has no column of a run"));
     assert!(open("iteration,sensing\n1,0.5,7\n").contains("data.csv"));
     std::fs::remove_file(folder.path().join("data.csv")).expect("it is there");
     let error = ResultFolder::open(folder.path()).expect_err("nothing there").to_string();
-    assert!(error.contains("there is no data.csv in it"), "{error}");
+    assert!(error.contains("it has no data.csv"), "{error}");
 }
 
 proptest! {

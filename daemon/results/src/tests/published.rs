@@ -55,7 +55,7 @@ fn export_of_dashboard_is_read() {
     assert_eq!(rows, [(true, Some(0.5)), (false, Some(0.4))]);
     std::fs::write(&path, text.replace("true", "maybe")).expect("writable");
     let error = ResultFolder::open(&path).expect_err("neither").to_string();
-    assert!(error.contains("line 2, column warm-up: \"maybe\" is no number"), "{error}");
+    assert!(error.contains("line 2, column warm-up: \"maybe\" is not a number"), "{error}");
 }
 
 #[test]

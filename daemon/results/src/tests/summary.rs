@@ -17,7 +17,7 @@ fn labels_outside_model_classes_are_reported() {
     let summary = Summary::from_rows(&kept(&rows)).with_record(&RunRecord { facts, ..RunRecord::default() });
     let (text, ok) = (text(&summary), summary.counts.ok);
     let told = format!(
-        "Not scored: {ok} of {}, because the label is no class of the model (the model knows good, dented).",
+        "Not scored: {ok} of {}, because the label is not a class of the model (classes: good, dented).",
         counted(ok, "iteration")
     );
     assert!(text.contains(&told) && !text.contains("unknown-label"), "{text}");
@@ -119,8 +119,8 @@ fn nodes_named_like_stages_are_durations() {
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
         line[metric.len()..].split_whitespace().map(str::to_owned).collect::<Vec<_>>()
     };
-    assert_eq!(unit("Border to the model's process")[..3], ["ms", "1", "1.00"]);
-    assert_eq!(unit("Border to the sensor's process")[..3], ["ms", "1", "2.00"]);
+    assert_eq!(unit("IPC with the model's process")[..3], ["ms", "1", "1.00"]);
+    assert_eq!(unit("IPC with the sensor's process")[..3], ["ms", "1", "2.00"]);
     assert_eq!(unit("mine_capture-ipc_2")[..3], ["ms", "1", "3.00"]);
     assert_eq!(unit("mine ")[..2], ["1", "4.00"], "nobody knows in what");
 }

@@ -123,7 +123,7 @@ async fn same_runs_count_in_store_and_in_files() {
         None,
         None,
         Some("failed (the server went)"),
-        Some("under way or killed"),
+        Some("in progress or killed"),
     ];
     assert_eq!(said.iter().map(Option::as_deref).collect::<Vec<_>>(), expected);
 }

@@ -115,7 +115,7 @@ fn kill_leaves_no_process_and_no_partial_run() {
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
     assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
-    assert_rest_is_left_out(&lab, &folders, "under way or killed");
+    assert_rest_is_left_out(&lab, &folders, "in progress or killed");
     let ended = lab.run(THREE, &["--yes"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_complete(&lab, &folders);

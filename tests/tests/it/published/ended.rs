@@ -45,7 +45,7 @@ fn ctrl_c_ends_client_with_all_results() {
     assert!(ok >= 6 && data.rows.len() - ok <= 1, "{} rows, {ok} with an answer", data.rows.len());
     assert!(lab.folder().join("results/summary.md").is_file());
     let interrupted = told(&lab, "results");
-    assert!(interrupted.contains("results is not whole: the run was interrupted after "), "{interrupted}");
+    assert!(interrupted.contains("results is incomplete: the run was interrupted after "), "{interrupted}");
 
     server.signal(Signal::INT);
     let ended = server.ended();
@@ -144,10 +144,10 @@ fn results_of_killed_run_are_reported() {
     let _ = killed.kill();
     let told = told(&lab, "results");
     assert!(
-        told.contains("results is not whole: there is no run.json: the run is under way or was"),
+        told.contains("results is incomplete: run.json is missing: the run is in progress or was"),
         "{told}"
     );
-    assert!(told.contains("\nResults are not whole: results: there is no run.json"), "{told}");
+    assert!(told.contains("\nIncomplete results: results: run.json is missing"), "{told}");
 }
 
 #[test]
@@ -182,7 +182,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     let _ = killed.kill();
     assert_eq!(names(&temporary).len(), 1, "nobody was there to remove it");
     let compared = start("compare").ended();
-    assert!(compared.log.contains("a run is under way there or was killed"), "{}", compared.log);
+    assert!(compared.log.contains("a run is in progress there or was killed"), "{}", compared.log);
 
     let next = client(6).ended();
     assert!(next.code() == 0 && next.log.contains("killed.csv"), "{}", next.log);
@@ -190,7 +190,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     let left = names(&lab.folder().join(results));
     assert!(left.iter().all(|name| !name.starts_with("killed") && !name.starts_with('.')), "{left:?}");
     let compared = start("compare").ended();
-    assert!(compared.code() == 0 && !compared.log.contains("not whole"), "{}", compared.log);
+    assert!(compared.code() == 0 && !compared.log.contains("is incomplete"), "{}", compared.log);
 }
 
 #[test]

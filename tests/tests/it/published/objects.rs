@@ -192,12 +192,12 @@ class {class}:
     let client = client.ended();
     assert_eq!(client.code(), 75, "{}", client.log);
     assert!(
-        client.log.contains("The model's process was started anew in 1 iteration (number 9)"),
+        client.log.contains("The model's process was restarted in 1 iteration (number 9)"),
         "{}",
         client.log
     );
     assert!(
-        client.log.contains("The sensor's process was started anew in 1 iteration (number 13)"),
+        client.log.contains("The sensor's process was restarted in 1 iteration (number 13)"),
         "{}",
         client.log
     );

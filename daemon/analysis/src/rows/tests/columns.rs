@@ -10,14 +10,14 @@ use crate::rows::published_columns;
 use crate::testing::{add, iteration, offloaded, timer, tree};
 
 #[test]
-fn the_published_columns_come_first_in_their_order() {
+fn published_columns_come_first_in_order() {
     let expected = "iteration,sensing,upload,preprocessing,inference,postprocessing,download,download-bytes,\
                     download-logger-bytes,upload-bytes,upload-logger-bytes,upload-throughput,download-throughput";
     assert_eq!(published_columns().collect::<Vec<_>>().join(","), expected);
 }
 
 #[test]
-fn what_a_model_logs_beside_the_standard_names_gets_columns_of_its_own() {
+fn custom_model_nodes_get_separate_columns() {
     let row = Row::from_iteration(&iteration(9, Ended::Ok, offloaded(17_530, 3_700)));
     let numbers = |columns: &[&str]| columns.iter().map(|column| row.value(column)).collect::<Vec<_>>();
     assert_eq!(numbers(&["sensing", "capture", "transform"]), [Some(0.0007), Some(0.0005), Some(0.00015)]);
@@ -41,7 +41,7 @@ fn what_a_model_logs_beside_the_standard_names_gets_columns_of_its_own() {
 }
 
 #[test]
-fn names_of_others_never_take_a_columns_place() {
+fn custom_names_never_replace_fixed_columns() {
     let mut tree = tree();
     let root: &[&str] = &[];
     for name in ["outcome", "capture", "upload-throughput-lo", "upload-lo"] {
@@ -68,7 +68,7 @@ fn names_of_others_never_take_a_columns_place() {
 }
 
 #[test]
-fn a_stage_that_took_place_twice_is_the_sum_as_in_the_total() {
+fn repeated_stage_is_summed() {
     let mut tree = tree();
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(2))));
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(3))));
@@ -78,7 +78,7 @@ fn a_stage_that_took_place_twice_is_the_sum_as_in_the_total() {
 
 proptest! {
     #[test]
-    fn every_number_of_a_tree_stands_under_a_name_of_its_own(
+    fn every_number_of_tree_has_unique_name(
         nodes in prop::collection::vec(("(sensing|capture|at|[ab_]{1,2}(_2)?)", 0_usize..6, 1..1000_i64), 0..14),
     ) {
         let mut tree = tree();

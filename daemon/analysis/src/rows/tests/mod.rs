@@ -6,7 +6,7 @@ use super::*;
 use crate::testing::rows as made;
 
 #[test]
-fn rows_come_back_as_they_were() {
+fn rows_are_read_back_unchanged() {
     let mut rows = made(40);
     rows[3].values.push((Column::Owned("grip".to_owned()), 0.5));
     (rows[20].at, rows[20].iteration, rows[20].episode) = (0.0, 7, 3);
@@ -22,7 +22,7 @@ fn rows_come_back_as_they_were() {
 }
 
 #[test]
-fn statistics_are_of_the_rows_that_count() {
+fn statistics_use_only_counted_rows() {
     let rows: Rows = made(9).into_iter().collect();
     assert_eq!(
         rows.counted_values("upload").collect::<Vec<_>>(),
@@ -35,7 +35,7 @@ fn statistics_are_of_the_rows_that_count() {
 }
 
 #[test]
-fn rows_that_differ_are_not_the_same() {
+fn different_rows_are_not_equal() {
     let all = |change: fn(&mut Row)| {
         let mut rows = made(3);
         change(&mut rows[1]);

@@ -21,14 +21,13 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     }
     let sentence = |(names, lacking, all): (Vec<&str>, u64, u64)| {
         let text = format!(
-            "{} of {} ({}) have no valid score for {}: the accuracy is that of the others.",
+            "{} of {} ({}) have no valid score for {}: the accuracy covers only the others.",
             fixed(lacking as f64, 0),
             iterations(all),
             percent(lacking as f64 / all as f64),
             names.join(" and ")
         );
-        let advice =
-            "see that each sample has a label and each answer names a class, or say so beside the accuracy";
+        let advice = "check that each sample has a label and each answer names a class, or report this with the accuracy";
         with_advice(finding("accuracy", Grade::Doubtful, text), advice)
     };
     unknown(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
@@ -40,7 +39,7 @@ fn unknown(input: &TrustInput) -> Option<Finding> {
     let unknown = input.unknown_labels.as_ref()?;
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
     let advice = "name the folders, or the labels in the file of labels, as the model's card names its classes; \
-                  numbers of classes are not translated";
+                  numbers of classes are not translated to names";
     Some(with_advice(finding("accuracy", grade, unknown.sentence(input.counts.ok)), advice))
 }
 
@@ -68,8 +67,9 @@ mod tests {
     }
 
     #[test]
-    fn a_label_that_the_model_does_not_know_is_a_reason_of_its_own() {
-        let text = "Not scored: 3 of 100 iterations, because the label is no class of the model.".to_owned();
+    fn unknown_labels_are_separate_finding() {
+        let text =
+            "Not scored: 3 of 100 iterations, because the label is not a class of the model.".to_owned();
         assert_eq!(graded([3, 3], 3), [(Grade::Doubtful, text.clone())]);
         let both = graded([5, 5], 3);
         assert!(both.len() == 2 && both[0].1 == text && both[1].1.starts_with("2 of 100"), "{both:?}");
@@ -79,9 +79,9 @@ mod tests {
     }
 
     #[test]
-    fn iterations_without_a_valid_score_are_told_once() {
+    fn unscored_iterations_are_reported_once() {
         assert_eq!(told([0, 0]), Vec::<String>::new());
-        let both = "3 of 100 iterations (3.0\u{202f}%) have no valid score for top-1 and top-5: the accuracy is that of the others.";
+        let both = "3 of 100 iterations (3.0\u{202f}%) have no valid score for top-1 and top-5: the accuracy covers only the others.";
         assert_eq!(told([3, 3]), [both]);
         let apart = told([0, 12]);
         assert!(

@@ -57,20 +57,20 @@ fn judge_direction(clocks: &Clocks) -> Option<Finding> {
     Some(match () {
         () if unusable >= MAJORITY_SHARE => with_advice(
             finding(&about, Grade::Bad, text),
-            "do not publish upload and download apart: their sum and the total need no clock; `peernet calibrate` tells \
-             what is wrong",
+            "do not publish upload and download separately: their sum and the total need no related clocks; \
+             `peernet calibrate` shows the cause",
         ),
         () if unusable > NEGLIGIBLE_SHARE => with_advice(
             finding(&about, Grade::Doubtful, text),
-            "those without a value are in no statistic of it: say so, or repeat when the clocks are quiet",
+            "delays without a value are in no statistic: report this, or repeat the run when the clocks are stable",
         ),
         () if limited >= MAJORITY_SHARE => with_advice(
             finding(&about, Grade::Doubtful, text),
-            "the interval is wider than half the delay: publish the interval, or upload and download together",
+            "the interval is wider than half the delay: publish the interval, or the sum of upload and download",
         ),
         () if stale > NEGLIGIBLE_SHARE => with_advice(
             finding(&about, Grade::Doubtful, text),
-            "the two clocks were seldom compared: see that the probes' port is open, or exchange samples more often",
+            "the two clocks were rarely compared: check that the probes' port is open, or exchange samples more often",
         ),
         () => finding(&about, Grade::Good, text),
     })

@@ -8,7 +8,7 @@ use crate::trust::Finding;
 
 pub(super) fn findings(conditions: &[Condition]) -> Vec<Finding> {
     if conditions.is_empty() {
-        return vec![finding("hosts", Grade::Unknown, "Nobody looked at the hosts before the run.")];
+        return vec![finding("hosts", Grade::Unknown, "The hosts were not inspected before the run.")];
     }
     let mut hosts: Vec<&str> = Vec::new();
     for condition in conditions {

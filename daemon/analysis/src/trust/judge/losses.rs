@@ -27,10 +27,10 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     all.push(judge_missing_events(counts, missing));
     all.extend(judge_end(input));
     if input.rehearsed {
-        let text = "The clock of a host was made wrong on purpose (rehearsal).";
+        let text = "Clock fault injection made the clock of a host wrong on purpose.";
         all.push(with_advice(
             finding("rehearsal", Grade::Bad, text),
-            "take `[rehearsal]` out of the configuration",
+            "remove `[rehearsal]` from the configuration",
         ));
     }
     all
@@ -42,7 +42,7 @@ fn judge_end(input: &TrustInput) -> Option<Finding> {
         return Some(finding(
             END,
             Grade::Unknown,
-            "The run has no end yet: all this is of what is there so far.",
+            "The run has not ended: the findings cover the iterations so far.",
         ));
     }
     let progress_text = input.ended_early.as_ref().map(EndedEarly::progress_text);
@@ -53,7 +53,7 @@ fn judge_end(input: &TrustInput) -> Option<Finding> {
             format!("The run was interrupted {progress_text}.")
         }
         (None, Some(progress_text)) => {
-            format!("The run came to its end {progress_text}: there was nothing more to measure.")
+            format!("The run finished {progress_text}: there was nothing more to measure.")
         }
         (None, None) => return None,
     };
@@ -61,7 +61,10 @@ fn judge_end(input: &TrustInput) -> Option<Finding> {
         Some(early) if early.share() < MIN_REACHED_SHARE => {
             with_advice(finding(END, Grade::Bad, text), "repeat it")
         }
-        _ => with_advice(finding(END, Grade::Doubtful, text), "repeat it, or say so beside the figures"),
+        _ => with_advice(
+            finding(END, Grade::Doubtful, text),
+            "repeat the run, or report this beside the figures",
+        ),
     })
 }
 
@@ -77,7 +80,7 @@ fn judge_amount(counts: &Counts) -> Finding {
             let sentence = finding(about, Grade::Bad, format!("No iteration was answered; {warm_up}."));
             with_advice(
                 sentence,
-                "look at why: the run's page lists the reasons, `data.csv` has them as `reason`",
+                "find the reasons on the run's page or in the column `reason` of `data.csv`",
             )
         }
         few @ ..MIN_ANSWERS => {
@@ -95,7 +98,7 @@ fn judge_amount(counts: &Counts) -> Finding {
 
 fn judge_unanswered(counts: &Counts) -> Finding {
     let about = "losses";
-    let parts = [(counts.failed, "failed"), (counts.lost, "lost"), (counts.timeout, "not in time")];
+    let parts = [(counts.failed, "failed"), (counts.lost, "lost"), (counts.timeout, "timed out")];
     let named = parts.iter().filter(|(count, _)| *count > 0);
     let named: Vec<String> =
         named.map(|(count, word)| format!("{} {word}", fixed(*count as f64, 0))).collect();
@@ -110,11 +113,11 @@ fn judge_unanswered(counts: &Counts) -> Finding {
         percent(share),
         named.join(", ")
     );
-    let advice = "the statistics are of the answered ones alone, and those without an answer are seldom the fast ones: \
-                  give their share beside the latency";
+    let advice = "the statistics cover only answered iterations, and unanswered ones are rarely fast: report their share \
+                  beside the latency";
     match share {
         share if share > MISLEADING_SHARE => {
-            with_advice(finding(about, Grade::Bad, text), format!("{advice}; see why there are so many"))
+            with_advice(finding(about, Grade::Bad, text), format!("{advice}; find out why there are so many"))
         }
         share if share > NOTABLE_SHARE => with_advice(finding(about, Grade::Doubtful, text), advice),
         _ => finding(about, Grade::Good, text),
@@ -126,21 +129,23 @@ fn judge_skipped_starts(starts: &Starts) -> Option<Finding> {
     let about = "skipped starts";
     let ordered = starts.hz.map(significant);
     if starts.skipped == 0 {
-        let text = ordered.map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were ordered and kept."));
+        let text =
+            ordered.map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were configured and achieved."));
         return text.map(|text| finding(about, Grade::Good, text));
     }
     let share = starts.skipped_share();
-    let made = starts.actual_hz.map(|made| format!(", {} starts a second were made", significant(made)));
-    let rates = ordered
-        .map_or_else(String::new, |hz| format!(": {hz}\u{202f}Hz were ordered{}", made.unwrap_or_default()));
+    let made = starts.actual_hz.map(|made| format!(", {}\u{202f}Hz achieved", significant(made)));
+    let rates = ordered.map_or_else(String::new, |hz| {
+        format!(": {hz}\u{202f}Hz were configured{}", made.unwrap_or_default())
+    });
     let text = format!(
-        "{} of {} ({}) {} skipped, because the pipeline was too far behind{rates}.",
+        "{} of {} ({}) {} skipped because the pipeline could not keep up{rates}.",
         fixed(starts.skipped as f64, 0),
         counted(starts.total(), "start"),
         percent(share),
         if starts.skipped == 1 { "was" } else { "were" }
     );
-    let advice = "give the rate of the starts that were made beside the latency, or order less";
+    let advice = "report the achieved rate beside the latency, or configure a lower rate";
     Some(match share {
         share if share > MISLEADING_SHARE => {
             let text = format!("{text} The latency is that of a system at its limit.");
@@ -174,7 +179,7 @@ fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
     let share = count as f64 / all.max(1) as f64;
     let shown = if unknown { String::new() } else { format!(" ({})", percent(share)) };
     let text = format!("{number}{shown} never reached the store: {}.", reasons.join("; "));
-    let advice = "what is dropped is dropped under load: see that the disk, the spool or the program keeps up, and repeat";
+    let advice = "events are dropped under load: check that the disk, the spool and the program keep up, and repeat the run";
     let grade = if unknown || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
     with_advice(finding(about, grade, text), advice)
 }

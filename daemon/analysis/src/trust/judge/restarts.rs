@@ -17,7 +17,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let of = |restarts: &Restarts| {
         let share = if all > 0.0 { restarts.seconds / all } else { 0.0 };
         let text = format!(
-            "The {}'s process was started anew in {}{}, which waited {} for it: {} of all totals.",
+            "The {}'s process was restarted in {}{}, which waited {} for it: {} of the sum of all totals.",
             restarts.owner,
             iterations(restarts.count),
             named(&restarts.iterations),

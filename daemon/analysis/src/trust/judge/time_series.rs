@@ -37,12 +37,12 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
 fn too_short_text(total: &TimeSeries, whether: &str) -> String {
     if total.count < MIN_ITERATIONS {
         return format!(
-            "The run is too short to tell whether {whether}: that takes {MIN_ITERATIONS} iterations."
+            "The run is too short to tell whether {whether}: at least {MIN_ITERATIONS} iterations are needed."
         );
     }
     format!(
-        "Not known whether {whether}: its {} lie in too few stretches of the time that it took by its clock. It \
-         lasted only seconds, or its clock was set meanwhile.",
+        "It is unknown whether {whether}: its {} lie in too few time buckets. It lasted only seconds, \
+         or its clock was set meanwhile.",
         counted(total.count, "iteration")
     )
 }
@@ -81,7 +81,7 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
         format!("; most of it in `{name}` ({} to {})", ms(first), ms(second))
     });
     let text = format!("{moved}, more than chance ({odds}){most}.");
-    let advice = "one figure for the whole run hides that: find out what changed (heat, load, network), or measure longer \
+    let advice = "one figure for the whole run hides this: find out what changed (heat, load, network), or measure longer \
                   and after it has settled";
     with_advice(finding(about, if size >= STRONG_DRIFT { Grade::Bad } else { Grade::Doubtful }, text), advice)
 }
@@ -106,7 +106,7 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
         );
         return with_advice(
             finding(about, Grade::Doubtful, text),
-            "make the warm-up longer, so that it holds them",
+            "make the warm-up longer, so that it includes them",
         );
     }
     if share > MAX_COLD_EXCESS {
@@ -135,7 +135,7 @@ fn outliers(total: &TimeSeries) -> Finding {
     let influence = if total.mean > 0.0 { seen.influence / total.mean } else { 0.0 };
     let text = format!(
         "{} of the iterations took longer than {} (median and 3.5 robust deviations); the slowest took {}, {} times the \
-         median. They make {} of the mean.",
+         median. They contribute {} of the mean.",
         percent(seen.count as f64 / total.count as f64),
         ms(seen.limit),
         ms(seen.max),
@@ -146,7 +146,7 @@ fn outliers(total: &TimeSeries) -> Finding {
         return finding(about, Grade::Good, text);
     }
     let advice =
-        "give median, 95th and 99th percentile beside mean ± std, and look at the slowest iterations";
+        "report median, 95th and 99th percentile beside mean ± std, and look at the slowest iterations";
     with_advice(finding(about, Grade::Doubtful, text), advice)
 }
 
@@ -158,14 +158,14 @@ fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries)
     let waited = waits.map(|restarts| restarts.seconds).sum::<f64>() / input.counts.ok.max(1) as f64;
     let seconds = unattributed - input.lateness.unwrap_or_default() - waited;
     let beside = match (input.lateness.is_some(), waited > 0.0) {
-        (true, true) => ", lateness and restarts aside",
-        (true, false) => ", lateness aside",
-        (false, true) => ", restarts aside",
+        (true, true) => ", lateness and restarts excluded",
+        (true, false) => ", lateness excluded",
+        (false, true) => ", restarts excluded",
         (false, false) => "",
     };
     let share = if total.mean > 0.0 { seconds.abs() / total.mean } else { 0.0 };
     let text = if seconds < 0.0 {
-        format!("The stages add up to {} more than the total{beside}: some overlap.", percent(share))
+        format!("The stages add up to {} more than the total{beside}: some stages overlap.", percent(share))
     } else {
         format!("{} of the total belongs to no stage{beside} ({} on average).", percent(share), ms(seconds))
     };
@@ -181,7 +181,7 @@ fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries)
 fn judge_lateness(seconds: f64, total: &TimeSeries) -> Finding {
     let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
     let text = format!(
-        "Iterations began {} after the ordered start on average: this lateness is {} of the total.",
+        "Iterations began {} after their scheduled start on average: this lateness is {} of the total.",
         ms(seconds),
         percent(share)
     );

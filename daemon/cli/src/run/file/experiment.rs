@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn warm_up_episodes_are_left_out_as_in_paper() {
+    fn warm_up_episodes_are_excluded() {
         let paper = read("episodes = 30\nepisode_steps = 30");
         assert_eq!(paper.limit().expect("there is one").total.map(NonZeroU64::get), Some(900));
         assert_eq!(

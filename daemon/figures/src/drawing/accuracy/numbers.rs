@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_is_nearer_to_its_own_point_than_to_another_ones_whisker() {
+    fn number_is_nearest_to_its_point() {
         let spot =
             |x: f64, reach: f64| Placed { at: (x, 75.0), interval: (75.0 + reach, 75.0 - reach), p95: None };
         let own = spot(75.0, 0.0);

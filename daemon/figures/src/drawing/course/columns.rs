@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_extreme_is_lost_however_many_values_a_column_has() {
+    fn column_keeps_extremes_of_many_values() {
         let mut values: Vec<(f64, f64)> = (0..100_000).map(|i| (f64::from(i), f64::from(i % 7))).collect();
         values[55_555].1 = 1000.0;
         values[70_000].1 = f64::NAN;

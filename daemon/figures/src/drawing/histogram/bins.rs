@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tail_that_would_squeeze_the_rest_is_counted_outside() {
+    fn far_tail_is_counted_outside() {
         let tail = bins((0..1000).map(f64::from).chain([1e5, 2e6, -7e5])).expect("there are values");
         assert_eq!(tail.beyond, (1, 2), "no more than what lies apart");
         assert_eq!(tail.beyond.0 + tail.beyond.1 + tail.counts.iter().sum::<u64>(), 1003);

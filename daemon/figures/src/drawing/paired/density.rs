@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn a_narrow_hill_far_from_a_tail_is_seen() {
+    fn narrow_peak_far_from_tail_is_visible() {
         // 0.4 of a unit wide, on 40 units.
         let hill = (0..150).map(|i| 2.0 + 0.4 * (f64::from(i) + 0.5) / 150.0);
         let density = density(&hill.chain([30.0, 41.0]).collect(), (2.0, 41.0));

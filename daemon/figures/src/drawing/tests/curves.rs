@@ -43,7 +43,7 @@ fn a_curve_goes_from_nothing_to_all() {
 }
 
 #[test]
-fn what_is_beyond_the_axis_is_counted_for_each_curve() {
+fn values_beyond_axis_are_counted_per_curve() {
     let late = |extra: f64| millis((0..400).map(|i| 10.0 + f64::from(i % 50)).chain([extra]));
     let one = cumulative(vec![late(9e4)]);
     assert!(texts(&one.svg()).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&one.svg()));

@@ -131,7 +131,7 @@ fn assert_on_paper(svg: &str) {
 }
 
 #[test]
-fn a_figure_is_as_wide_as_a_column_in_all_files() {
+fn figure_files_have_column_width() {
     let folder = tempfile::tempdir().expect("a folder");
     let figure = bars::histogram(millis((0..100).map(f64::from)));
     let [png, svg, pdf, txt] = export::write(&figure.figure(), folder.path(), "some-time").expect("written");

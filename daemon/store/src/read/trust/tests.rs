@@ -105,7 +105,7 @@ fn restarted_process_is_reported() {
     let report = report(&detail("", "finished"), vec![node(&stage::RESTART, 2, 0.5)]);
     let said = report.findings.iter().find(|sentence| sentence.about == "restarts").expect("said");
     assert!(
-        said.text.contains("The model's process was started anew in 2 iterations, which waited 1,000"),
+        said.text.contains("The model's process was restarted in 2 iterations, which waited 1,000"),
         "{said:?}"
     );
 }
@@ -129,7 +129,7 @@ fn skipped_starts_are_reported_with_ordered_rate() {
         found.map(|sentence| (sentence.grade, sentence.text)).expect("said")
     };
     let (grade, text) = said(300);
-    let rates = "40.0\u{202f}Hz were ordered, 5.17 starts a second were made";
+    let rates = "40.0\u{202f}Hz were configured, 5.17\u{202f}Hz achieved";
     assert!(grade == Grade::Bad && text.starts_with("300 of 600 starts") && text.contains(rates), "{text}");
     assert_eq!(said(0).0, Grade::Good);
 }
@@ -144,6 +144,6 @@ fn unknown_number_of_missing_events_is_not_reported() {
     assert_eq!(end(&run), None, "an unknown number");
     run.gaps.clear();
     run.summary.ended = None;
-    let open = "The run has no end yet: all this is of what is there so far.";
+    let open = "The run has not ended: the findings cover the iterations so far.";
     assert_eq!(end(&run), Some((Grade::Unknown, open.to_owned())));
 }
