@@ -3,7 +3,7 @@
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
 
-use super::ranking::{Ranking, computes};
+use super::ranking::{Ranking, model_computes};
 use super::render::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds, with_interval};
 use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, values};
 use crate::loaded::Loaded;
@@ -12,7 +12,7 @@ use crate::table::{CaptionedTable, Table};
 /// Ranks the lines, and stores the differences of the others to the best. Lines whose model computes nothing are ranked only if there are
 /// no other lines.
 pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
-    let computes = |line: &Line| line.runs.iter().all(|run| computes(&runs[*run].record.facts));
+    let computes = |line: &Line| line.runs.iter().all(|run| model_computes(&runs[*run].record.facts));
     let some_compute = comparison.lines.iter().any(computes);
     let ranked = comparison.lines.iter().enumerate().filter(|(_, line)| computes(line) == some_compute);
     let estimate = |(at, line): (usize, &Line)| {

@@ -88,8 +88,8 @@ impl Summary {
         }
     }
 
-    /// Adds facts from the run's record: its title, the units of its further columns, the words of its labels and classes, and the facts about
-    /// iterations that have no row.
+    /// Adds facts from the run's record: its title, the units of its further columns, the words of its labels and classes, and the facts
+    /// about iterations that have no row.
     #[must_use]
     pub fn with_record(mut self, record: &RunRecord) -> Self {
         self.title.clone_from(&record.title);

@@ -112,7 +112,7 @@ impl RunObserver for SweepObserver<'_> {
             }
             Event::Iteration(iteration) => {
                 let sample = Sample::new(&iteration, self.plan.payload(iteration.number));
-                if sample.counts() || sample.warm_up {
+                if sample.is_counted() || sample.warm_up {
                     self.peer_wait.record_answer(self.clock.mono());
                 }
                 let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));

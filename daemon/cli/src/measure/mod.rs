@@ -89,7 +89,7 @@ pub(crate) fn measure(
     let room = conditions::free_space("results", results.path(), "");
     let mut recorder = RunRecorder::new(
         pipeline,
-        order.patience(),
+        order.peer_timeout(),
         results.writer()?,
         ready.clock.clone(),
         progress_display,

@@ -79,7 +79,7 @@ pub(super) fn of(
         agent: agent(&config),
         experiment: pipeline.and_then(|pipeline| pipeline.experiment.clone()),
         user: order.user,
-        peer_timeout_s: Some(order.patience().seconds()),
+        peer_timeout_s: Some(order.peer_timeout().seconds()),
         seeds: pipeline.map(|pipeline| seeds(&json(pipeline))).unwrap_or_default(),
         warm_up: order.warm_up.clone(),
         counts: Counts::from_rows(&recorded.rows, missed),

@@ -50,7 +50,7 @@ impl RunProgress {
 
     fn add(&mut self, row: &Row) {
         self.done += 1;
-        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.counts()) {
+        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.is_counted()) {
             self.totals.record(total);
         }
     }

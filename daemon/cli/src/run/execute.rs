@@ -121,7 +121,7 @@ impl Execution<'_> {
                 network_config: self.external_files.network(run).cloned(),
                 user: (of > 1).then(|| User { number: user + 1, count: of }),
                 warm_up: configuration.warm_up.clone(),
-                patience_s: configuration.patience_s,
+                peer_timeout_s: configuration.patience_s,
             }
         };
         (0..).zip(self.folder.results(plan, run)).map(order).collect()

@@ -109,7 +109,7 @@ pub(super) async fn configurations(
                 configurations.iter().for_each(|index| tried.paces[*index] = pace);
             }
             Some(exit) => {
-                if took >= order.patience_s.unwrap_or(PATIENCE_S) {
+                if took >= order.peer_timeout_s.unwrap_or(PATIENCE_S) {
                     away.extend(peer.map(|peer| (peer, exit.clone())));
                 }
                 tried.missing.extend(words().map(|words| (words, exit.clone())));
@@ -183,7 +183,7 @@ fn order(configuration: &Configuration) -> Order {
         network_config: None,
         user: None,
         warm_up: String::new(),
-        patience_s: Some(configuration.patience_s.unwrap_or(PATIENCE_S)),
+        peer_timeout_s: Some(configuration.patience_s.unwrap_or(PATIENCE_S)),
     }
 }
 

@@ -115,7 +115,7 @@ fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
         users: count(line.edges as u64),
         rate: told(line.rate, rate),
         each: line
-            .extremes()
+            .rate_range()
             .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
         fairness: told(line.fairness, |index| measured(index, 3)),
         total: one.total().map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
