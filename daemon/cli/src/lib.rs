@@ -97,12 +97,12 @@ impl Command {
 }
 
 /// Subcommands that only `peernetd` has.
-const OF_DAEMON: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollups", "clear-host-secret"];
+const DAEMON_COMMANDS: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollups", "clear-host-secret"];
 
 /// Adds the name of the program with the command to an error about an unknown subcommand.
 fn with_program(mut error: clap::Error) -> clap::Error {
     let Some(ContextValue::String(wanted)) = error.get(ContextKind::InvalidSubcommand) else { return error };
-    if OF_DAEMON.contains(&wanted.as_str()) {
+    if DAEMON_COMMANDS.contains(&wanted.as_str()) {
         let tip = format!("the daemon has this command: peernetd {wanted}");
         let _no_other = error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
     }
@@ -113,7 +113,7 @@ fn with_program(mut error: clap::Error) -> clap::Error {
 pub fn main() -> ExitCode {
     let line = match Cli::try_parse() {
         Ok(line) => line,
-        Err(error) => return output::explain(with_program(error)).into(),
+        Err(error) => return output::report_parser_message(with_program(error)).into(),
     };
     let done = match line {
         Cli { command: Some(command), .. } => command.run(),
@@ -121,7 +121,7 @@ pub fn main() -> ExitCode {
         // The parser requires one of the two.
         Cli { .. } => Ok(()),
     };
-    output::end(done).into()
+    output::report_result(done).into()
 }
 
 #[cfg(test)]

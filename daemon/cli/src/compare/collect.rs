@@ -11,8 +11,8 @@ use peernet_results::{FolderError, ResultFolder};
 use super::excluded::Excluded;
 use super::experiment::Experiments;
 use super::order::as_declared;
-use super::undone::Chosen;
-use crate::measure::put_aside;
+use super::selected_results::SelectedResults;
+use crate::measure::previous_results_folder;
 
 /// Runs, each once.
 pub(crate) struct Collected {
@@ -34,19 +34,21 @@ pub(crate) fn collect(
     baseline: Option<&Path>,
     wanted: &dyn Fn(&str) -> bool,
 ) -> Result<Collected, Failure> {
-    let found = distinct(places).into_iter().map(|place| find(&place).map(|found| (place, found)));
+    let found = distinct_places(places).into_iter().map(|place| find(&place).map(|found| (place, found)));
     let mut found: Vec<(PathBuf, Vec<PathBuf>)> = found.collect::<Result<_, Failure>>()?;
-    let of_baseline = baseline.map_or(Ok(Vec::new()), find)?;
-    let all = found.iter().flat_map(|(_, found)| found).chain(&of_baseline).map(PathBuf::as_path);
-    let experiments = Experiments::of(all);
-    let mut chosen = Chosen::of(&found, &experiments);
-    if let Some(place) = baseline.filter(|_| of_baseline.iter().any(|path| !has(&chosen.paths, path))) {
-        found.insert(0, (place.to_owned(), of_baseline.clone()));
-        chosen = Chosen::of(&found, &experiments);
+    let baseline_paths = baseline.map_or(Ok(Vec::new()), find)?;
+    let all = found.iter().flat_map(|(_, found)| found).chain(&baseline_paths).map(PathBuf::as_path);
+    let experiments = Experiments::find(all);
+    let mut chosen = SelectedResults::new(&found, &experiments);
+    if let Some(place) =
+        baseline.filter(|_| baseline_paths.iter().any(|path| !contains_place(&chosen.paths, path)))
+    {
+        found.insert(0, (place.to_owned(), baseline_paths.clone()));
+        chosen = SelectedResults::new(&found, &experiments);
     }
-    let Chosen { paths, left_out } = chosen;
-    let numbers = (0..paths.len()).filter(|at| has(&of_baseline, &paths[*at]));
-    let of_baseline: Vec<usize> = numbers.collect();
+    let SelectedResults { paths, left_out } = chosen;
+    let numbers = (0..paths.len()).filter(|at| contains_place(&baseline_paths, &paths[*at]));
+    let baseline_numbers: Vec<usize> = numbers.collect();
     left_out.iter().for_each(|left_out| complain(&left_out.remark));
     let mut left_out: Vec<String> = left_out.into_iter().map(|left_out| left_out.what).collect();
     if paths.is_empty() {
@@ -56,17 +58,18 @@ pub(crate) fn collect(
     }
     let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
     let named: Vec<&Path> = places.iter().map(PathBuf::as_path).chain(baseline).collect();
-    let excluded = Excluded::among(&runs, &of_baseline, &named, &experiments);
+    let excluded = Excluded::new(&runs, &baseline_numbers, &named, &experiments);
     let unknown = experiments.unknown(paths.iter().map(PathBuf::as_path));
-    for told in unknown.into_iter().chain(excluded.told(&runs)) {
+    for told in unknown.into_iter().chain(excluded.notes(&runs)) {
         complain(&told);
         left_out.push(sentence(&told));
     }
-    let is_kept = |at: usize| !excluded.has(at);
+    let is_kept = |at: usize| !excluded.contains(at);
     let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
-    kept.filter_map(|(_, run)| doubt(run, &experiments)).for_each(complain);
+    kept.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(complain);
     let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
-    let baseline_runs = (0..order.len()).filter(|at| of_baseline.contains(&order[*at])).collect::<Vec<_>>();
+    let baseline_runs =
+        (0..order.len()).filter(|at| baseline_numbers.contains(&order[*at])).collect::<Vec<_>>();
     if let Some(place) = baseline.filter(|_| baseline_runs.is_empty()) {
         let text = format!("no run of the baseline {} is done; name a run's own folder", place.display());
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
@@ -84,12 +87,12 @@ fn sentence(remark: &str) -> String {
 }
 
 /// Returns the reason why results that were read are not those of a whole run.
-fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
+fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String> {
     let folder = run.folder.display();
     if let Some(damage) = run.damage() {
         return Some(format!("{folder} is incomplete: {damage}"));
     }
-    if let Some(kept) = put_aside(&run.folder) {
+    if let Some(kept) = previous_results_folder(&run.folder) {
         return Some(format!(
             "{folder} is incomplete: a run is in progress there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
             kept.display()
@@ -106,7 +109,7 @@ fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
 }
 
 /// The places, each once.
-pub(crate) fn distinct(places: &[PathBuf]) -> Vec<PathBuf> {
+pub(crate) fn distinct_places(places: &[PathBuf]) -> Vec<PathBuf> {
     let mut once: Vec<PathBuf> = Vec::new();
     for place in places {
         if !once.iter().any(|other| is_same(other, place)) {
@@ -142,7 +145,7 @@ fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
 }
 
 /// Whether one of the paths leads to the same place.
-fn has(paths: &[PathBuf], path: &Path) -> bool {
+fn contains_place(paths: &[PathBuf], path: &Path) -> bool {
     paths.iter().any(|other| is_same(other, path))
 }
 
@@ -162,7 +165,7 @@ mod tests {
         std::fs::create_dir(&run).expect("made");
         let again = folder.path().join("run/../run");
         assert_eq!(
-            distinct(&[run.clone(), again, folder.path().to_owned()]),
+            distinct_places(&[run.clone(), again, folder.path().to_owned()]),
             [run, folder.path().to_owned()]
         );
     }
@@ -190,7 +193,7 @@ mod tests {
         std::fs::write(&data, "iteration,inference,warm-up,outcome\n1,0.1,0,ok\n").expect("written");
         let told = || {
             let run = open(folder.path(), &|_| true).expect("readable");
-            doubt(&run, &Experiments::of(std::iter::once(folder.path())))
+            incompleteness_note(&run, &Experiments::find(std::iter::once(folder.path())))
         };
         assert!(told().is_some_and(|told| told.contains("in progress or was killed")), "{:?}", told());
         let record = |reason: &str| {

@@ -6,10 +6,10 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 
 use super::experiment::Experiments;
-use super::undone::is_named;
+use super::selected_results::is_named;
 
 /// Most results that a remark names.
-const MOST: usize = 8;
+const MAX_NAMED: usize = 8;
 
 /// Why results do not count, in their order; `None` of those that do.
 pub(super) struct Excluded(Vec<Option<Exclusion>>);
@@ -17,7 +17,7 @@ pub(super) struct Excluded(Vec<Option<Exclusion>>);
 impl Excluded {
     /// Finds what does not count; `named` is what the user typed. Of several results of one run the baseline stands for it, else
     /// what the user named, else what is in the folder that its experiment gave it, else what comes first.
-    pub(super) fn among(
+    pub(super) fn new(
         runs: &[Loaded],
         baseline: &[usize],
         named: &[&Path],
@@ -36,20 +36,20 @@ impl Excluded {
     }
 
     /// Whether these do not count.
-    pub(super) fn has(&self, run: usize) -> bool {
+    pub(super) fn contains(&self, run: usize) -> bool {
         self.0.get(run).is_some_and(Option::is_some)
     }
 
     /// Remarks on what does not count, one for each kind of reason.
-    pub(super) fn told(&self, runs: &[Loaded]) -> Vec<String> {
+    pub(super) fn notes(&self, runs: &[Loaded]) -> Vec<String> {
         let folder = |at: usize| runs[at].folder.display().to_string();
         let told = |what: &str, why: &dyn Fn(&Exclusion) -> Option<String>| {
             let all: Vec<String> = (0..self.0.len())
                 .filter_map(|at| Some(format!("{} ({})", folder(at), why(self.0[at].as_ref()?)?)))
                 .collect();
-            let more = all.len().saturating_sub(MOST);
+            let more = all.len().saturating_sub(MAX_NAMED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let named = all.iter().take(MOST).map(String::as_str).collect::<Vec<_>>().join(", ");
+            let named = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
             (!all.is_empty()).then(|| format!("left out, {what}: {named}{more}"))
         };
         let unfinished = told("not measured to their end", &|why| match why {

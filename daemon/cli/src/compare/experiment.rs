@@ -10,10 +10,10 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::counted;
 use serde::Deserialize;
 
-use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
+use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, Stage};
 
 /// Number of parent folders of results in which their experiment is searched: `runs`, the run's folder, a folder of the user's.
-const HIGHEST: usize = 4;
+const MAX_ANCESTORS: usize = 4;
 
 /// Experiments by their folders, or why their records cannot be read: then their runs are compared as others are.
 pub(super) struct Experiments(BTreeMap<PathBuf, Result<Experiment, RecordError>>);
@@ -72,7 +72,7 @@ struct State {
 
 /// A run of an experiment.
 #[derive(Clone, Copy)]
-pub(super) struct RunOf<'a> {
+pub(super) struct ExperimentRun<'a> {
     /// Folder of the experiment.
     pub(super) home: &'a Path,
     pub(super) experiment: &'a Experiment,
@@ -82,9 +82,9 @@ pub(super) struct RunOf<'a> {
 
 impl Experiments {
     /// Those that have one of these results.
-    pub(super) fn of<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
+    pub(super) fn find<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
         let mut read = BTreeMap::new();
-        for folder in results.flat_map(above) {
+        for folder in results.flat_map(ancestor_folders) {
             read.entry(folder).or_insert_with_key(|folder| self::read(&folder.join(RECORD)));
         }
         Self(read.into_iter().filter_map(|(folder, read)| Some((folder, read.transpose()?))).collect())
@@ -108,19 +108,19 @@ impl Experiments {
     /// The execution of that id that results belong to.
     pub(super) fn execution(&self, results: &Path, id: &str) -> Option<&Experiment> {
         let read = |folder: &PathBuf| self.0.get(folder)?.as_ref().ok();
-        above(results).iter().filter_map(read).find(|experiment| experiment.id == id)
+        ancestor_folders(results).iter().filter_map(read).find(|experiment| experiment.id == id)
     }
 
     /// The run that results are of, by their place.
-    pub(super) fn run(&self, results: &Path) -> Option<RunOf<'_>> {
+    pub(super) fn run(&self, results: &Path) -> Option<ExperimentRun<'_>> {
         let path = results.canonicalize().ok()?;
-        above(results).iter().find_map(|folder| {
+        ancestor_folders(results).iter().find_map(|folder| {
             let (home, read) = self.0.get_key_value(folder)?;
             let experiment = read.as_ref().ok()?;
             let name = path.strip_prefix(home.join(RUNS)).ok()?.iter().next()?;
             let at = experiment.plan.runs.iter().position(|run| *run.folder == *name)?;
             let (run, state) = (&experiment.plan.runs[at], experiment.states.get(at)?);
-            Some(RunOf { home, experiment, run, state })
+            Some(ExperimentRun { home, experiment, run, state })
         })
     }
 }
@@ -137,7 +137,7 @@ impl Experiment {
     }
 }
 
-impl RunOf<'_> {
+impl ExperimentRun<'_> {
     /// Its own folder.
     pub(super) fn folder(&self) -> PathBuf {
         self.home.join(RUNS).join(&self.run.folder)
@@ -151,9 +151,9 @@ impl RunOf<'_> {
 }
 
 /// The folders in which an experiment with these results may be.
-fn above(results: &Path) -> Vec<PathBuf> {
+fn ancestor_folders(results: &Path) -> Vec<PathBuf> {
     let folder = results.canonicalize().unwrap_or_default();
-    folder.ancestors().skip(1).take(HIGHEST).map(Path::to_owned).collect()
+    folder.ancestors().skip(1).take(MAX_ANCESTORS).map(Path::to_owned).collect()
 }
 
 /// A record that is there.
@@ -161,7 +161,7 @@ fn above(results: &Path) -> Vec<PathBuf> {
 /// # Errors
 /// When it tells nothing.
 fn read(record: &Path) -> Result<Option<Experiment>, RecordError> {
-    let text = match small_file::read_found(record, LARGEST_RECORD) {
+    let text = match small_file::read_found(record, MAX_RECORD_BYTES) {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }

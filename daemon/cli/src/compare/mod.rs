@@ -4,7 +4,7 @@ mod collect;
 mod excluded;
 mod experiment;
 mod order;
-mod undone;
+mod selected_results;
 
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::CaptionedTable;
 use peernet_statistics::number::counted;
 
-pub(crate) use collect::{Collected, collect, distinct};
+pub(crate) use collect::{Collected, collect, distinct_places};
 
 /// What `peernet compare` can be told.
 #[derive(Debug, clap::Args)]

@@ -1,8 +1,8 @@
 //! File names and states of an experiment's folder, for the commands that write it and that read it.
 
-mod undone;
+mod unfinished_runs;
 
-pub(crate) use undone::left_out;
+pub(crate) use unfinished_runs::unfinished_runs_note;
 
 use peernet_analysis::run_selection::RunState;
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ pub(crate) const FORMAT: u32 = 1;
 /// File with the progress of an experiment.
 pub(crate) const RECORD: &str = "experiment.json";
 /// Maximum size of a record that is read, bytes. A record with the maximum number of runs, each of a different configuration, is smaller.
-pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
+pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// The folder in an experiment's that has those of its runs.
 pub(crate) const RUNS: &str = "runs";
 

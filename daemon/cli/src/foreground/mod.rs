@@ -4,7 +4,9 @@
 //! in their observer ([`RunObserver`]); starting, signals and stopping are the same. Events come from the agent's tap; the
 //! rest of its state is read several times a second.
 
+mod command_line;
 mod dashboard;
+mod duration;
 mod ended;
 mod latency;
 mod log;
@@ -13,10 +15,10 @@ mod progress;
 mod remark;
 mod signals;
 mod tables;
-mod typed;
-mod waiting;
 
-pub(crate) use dashboard::where_seen;
+pub(crate) use command_line::command_line;
+pub(crate) use dashboard::dashboard_hint;
+pub(crate) use duration::duration;
 pub(crate) use ended::Ended;
 pub(crate) use latency::{describe_quantiles, p99};
 pub(crate) use log::{LogDestination, start_log};
@@ -25,8 +27,6 @@ pub(crate) use progress::Progress;
 pub(crate) use remark::remark;
 pub(crate) use signals::Signals;
 pub(crate) use tables::tables;
-pub(crate) use typed::typed;
-pub(crate) use waiting::duration;
 
 use std::sync::Arc;
 use std::time::Duration;

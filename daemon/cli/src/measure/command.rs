@@ -26,7 +26,7 @@ pub(crate) struct Arguments {
 /// Those of [`measure`], and when the order cannot be read (66) or parsed (78), `PEERNET_LOG` is no level (78), or iterations have
 /// no answer (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    end_with_parent();
+    exit_with_parent();
     start_log(LogDestination::Parent)?;
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
     let order: Order = serde_json::from_str(&text).map_err(|error| {
@@ -37,7 +37,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Ends this process together with its experiment: otherwise it could write into a folder that is given to another run.
-fn end_with_parent() {
+fn exit_with_parent() {
     if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
         complain(format_args!("this run may outlive its experiment: {error}"));
     }
@@ -49,7 +49,7 @@ fn read(file: &Path) -> anyhow::Result<String> {
         std::io::stdin().read_to_string(&mut text).context("cannot read the order from standard input")?;
         return Ok(text);
     }
-    small_file::read(file, small_file::LARGEST)
+    small_file::read(file, small_file::MAX_BYTES)
         .with_context(|| format!("cannot read the order {}", file.display()))
 }
 

@@ -22,9 +22,9 @@ mod state_dir;
 
 pub(crate) use command::{Arguments, run};
 pub(crate) use order::Order;
-pub(crate) use previous_results::put_aside;
+pub(crate) use previous_results::previous_results_folder;
 pub(crate) use progress_report::{Phase, ProgressDisplay, ProgressReport};
-pub(crate) use spools::{OF_AGENT, Waiting, undelivered, undelivered_in};
+pub(crate) use spools::{AGENT_LOCK, UndeliveredEvents, undelivered, undelivered_in_spool};
 pub(crate) use state_dir::AgentStateDir;
 
 use std::path::{Path, PathBuf};
@@ -81,11 +81,11 @@ pub(crate) fn measure(
     progress_display: &mut dyn ProgressDisplay,
 ) -> Result<Measured, Failure> {
     let pipeline = order.pipeline()?;
-    let state_dir = AgentStateDir::of(&order.agent.agent)?;
+    let state_dir = AgentStateDir::for_agent(&order.agent.agent)?;
     let mut config = order.agent.clone();
     state_dir.configure(&mut config)?;
     let ready = Ready::new(config)?;
-    let mut results = Results::begin(order)?;
+    let mut results = Results::prepare(order)?;
     let room = conditions::free_space("results", results.path(), "");
     let mut recorder = RunRecorder::new(
         pipeline,
@@ -109,7 +109,7 @@ pub(crate) fn measure(
         results.discard();
         return Err(ended.without_rows());
     }
-    let mut record = record::of(order, &recorded, &ended, name, missed);
+    let mut record = record::run_record(order, &recorded, &ended, name, missed);
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..room });
     record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let Written { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);

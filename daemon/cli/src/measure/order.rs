@@ -60,7 +60,7 @@ impl Order {
 
     /// Returns the longest wait for an absent peer.
     pub(super) fn peer_timeout(&self) -> Span {
-        self.peer_timeout_s.map_or(PeerWait::USUAL, Span::from_seconds_f64)
+        self.peer_timeout_s.map_or(PeerWait::DEFAULT_TIMEOUT, Span::from_seconds_f64)
     }
 }
 

@@ -154,7 +154,7 @@ fn unwritten(error: anyhow::Error) -> Failure {
 }
 
 /// Returns the folder with the earlier results while the run that is to replace them is active or was killed.
-pub(crate) fn put_aside(results_dir: &Path) -> Option<PathBuf> {
+pub(crate) fn previous_results_folder(results_dir: &Path) -> Option<PathBuf> {
     leftover_folders(results_dir)
         .find(|kept| kept.join(RECORD).is_file() && !results_dir.join(RECORD).is_file())
 }
@@ -318,7 +318,7 @@ mod tests {
         std::fs::write(&mine, "mine").expect("writable");
         let mut guard = PreviousResultsGuard::move_away(results_dir.path()).expect("moved");
         std::fs::write(results_dir.path().join(DATA), "later").expect("writable");
-        assert!(put_aside(results_dir.path()).is_some(), "the earlier ones are hidden");
+        assert!(previous_results_folder(results_dir.path()).is_some(), "the earlier ones are hidden");
         std::fs::write(results_dir.path().join(RECORD), "later").expect("writable");
         guard.remove();
         assert_eq!(
@@ -326,7 +326,7 @@ mod tests {
             [DATA, "killed-by-me.csv", RECORD],
             "later ones take all places"
         );
-        assert_eq!(put_aside(results_dir.path()), None);
+        assert_eq!(previous_results_folder(results_dir.path()), None);
     }
 
     #[test]

@@ -21,7 +21,7 @@ use super::recorder::RecordedRun;
 use crate::foreground::Ended;
 
 /// Makes the record of a run with rows.
-pub(super) fn of(
+pub(super) fn run_record(
     order: &Order,
     recorded: &RecordedRun,
     ended: &Ended,

@@ -205,7 +205,7 @@ impl RunObserver for RunRecorder<'_> {
                 self.recorded.ended = Some(run.ended);
                 // The claim of a time daemon may have arrived only since the run began.
                 self.record_hosts(running);
-                return Some(Ended::of_run(run.reason, "run"));
+                return Some(Ended::from_run_end(run.reason, "run"));
             }
             Event::Incident(incident) => match incident.kind {
                 // Later ones are part of the run's end, or ignored.
@@ -239,8 +239,8 @@ impl RunObserver for RunRecorder<'_> {
             Some(PipelineState::Finished) => return Some(Ended::Finished),
             _ => {}
         }
-        let activity = PipelineActivity::of(running);
-        let reason = activity.waits_for();
+        let activity = PipelineActivity::current(running);
+        let reason = activity.wait_reason();
         if let (true, Some(reason)) = (self.refused, reason) {
             return Some(Ended::Failed(reason.to_owned()));
         }
@@ -259,7 +259,7 @@ impl RunObserver for RunRecorder<'_> {
             (None, None) => None,
             _ => self.peer_wait.describe_trouble(peer, reason, now, self.most),
         };
-        let spent = self.peer_wait.reason_to_give_up(reason, now, self.most);
+        let spent = self.peer_wait.timeout_reason(reason, now, self.most);
         let report = self.report(slow.or(trouble).or(full));
         self.progress_display.show(&report);
         spent.map(Ended::Failed)

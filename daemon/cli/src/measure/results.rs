@@ -32,7 +32,7 @@ impl Results {
     ///
     /// # Errors
     /// When it holds results that may not be replaced (64), another program writes there (69), or it cannot be created (73).
-    pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
+    pub(super) fn prepare(order: &Order) -> Result<Self, Failure> {
         // The lock shows that no run is active there; taking it changes nothing.
         if PreviousResultsGuard::is_left(&order.folder)
             && let Ok(folder) = ResultFolder::acquire(&order.folder, Overwrite::Replace)

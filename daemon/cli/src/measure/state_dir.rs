@@ -23,7 +23,7 @@ impl AgentStateDir {
     ///
     /// # Errors
     /// When there is no place for it (69).
-    pub(crate) fn of(agent: &HostConfig) -> Result<Self, Failure> {
+    pub(crate) fn for_agent(agent: &HostConfig) -> Result<Self, Failure> {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
         if agent.aggregator.is_none() {
             let folder = Scratch::new("agent");
@@ -53,7 +53,7 @@ impl AgentStateDir {
         if let (Self::Permanent(folder), Some(aggregator), None) =
             (self, &config.agent.aggregator, &config.spool.file)
         {
-            let spool = spools::of(folder, aggregator)
+            let spool = spools::prepare(folder, aggregator)
                 .with_context(|| format!("cannot take over the spool in {}", folder.display()))
                 .map_err(|error| Failure::new(Exit::Unavailable, error))?;
             config.spool.file = Some(spool);

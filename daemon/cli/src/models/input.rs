@@ -36,7 +36,7 @@ impl Input {
     }
 
     /// Makes a synthetic picture of pixels, so that nothing is decoded.
-    pub(super) fn made_up() -> Self {
+    pub(super) fn random() -> Self {
         let (width, height) = SIZE;
         let pixels: Vec<u8> =
             (0..width * height * 3).map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();

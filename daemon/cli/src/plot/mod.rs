@@ -12,7 +12,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_figures::{self as figures, Columns, PlotError};
 use peernet_statistics::number::counted;
 
-use crate::compare::{Collected, collect, distinct};
+use crate::compare::{Collected, collect, distinct_places};
 use places::Places;
 
 /// Arguments of `peernet plot`.
@@ -91,9 +91,9 @@ impl Kind {
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
-    let named = distinct(&arguments.runs);
+    let named = distinct_places(&arguments.runs);
     let Collected { runs, .. } = collect(&named, None, &|_| true)?;
-    let places = Places::of(&named, &runs, arguments.out.as_deref());
+    let places = Places::choose(&named, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut lacking = Vec::new();
     let mut files = Vec::new();

@@ -98,7 +98,7 @@ pub(crate) fn addresses(path: &Path, network: NetworkKind) -> Result<DeviceAddre
 }
 
 fn text(path: &Path) -> Result<String, Failure> {
-    small_file::read(path, small_file::LARGEST)
+    small_file::read(path, small_file::MAX_BYTES)
         .with_context(|| format!("cannot read the network configuration {}", path.display()))
         .map_err(|error| Failure::new(Exit::NoInput, error))
 }
@@ -135,7 +135,7 @@ impl Devices {
             anyhow!("{file} does not say who serves; add a line server: with the name of a device")
         })?;
         let at = read.devices.get(&server).ok_or_else(|| {
-            anyhow!("{file}: the server {server} is none of its devices; there is {}", listed(&known))
+            anyhow!("{file}: the server {server} is none of its devices; there is {}", list(&known))
         })?;
         let address = read.address(&server, at, network.unwrap_or_default());
         let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
@@ -155,7 +155,7 @@ impl Devices {
         if !self.known.iter().any(|known| known == name.as_str()) {
             return wrong(format!(
                 "{file} has no device {name}; there is {}: use one of them as --name, or add it",
-                listed(&self.known)
+                list(&self.known)
             ));
         }
         if let Err(problem) = self.address.check_host() {
@@ -173,7 +173,7 @@ impl Devices {
     }
 }
 
-fn listed(known: &[String]) -> String {
+fn list(known: &[String]) -> String {
     if known.is_empty() { "no device at all".to_owned() } else { known.join(", ") }
 }
 

@@ -42,7 +42,7 @@ impl SensorType {
 ///
 /// # Errors
 /// When an option is missing (64), or the data set does not exist (66).
-pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
+pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
     let missing = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
     // An object that is named is also wanted.
     let kind = match (&arguments.sensor_object, arguments.sensor_type) {

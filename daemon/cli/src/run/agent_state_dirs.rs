@@ -12,7 +12,7 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 
 use super::plan::{Plan, Run};
-use crate::measure::{AgentStateDir, OF_AGENT, Waiting, undelivered, undelivered_in};
+use crate::measure::{AGENT_LOCK, AgentStateDir, UndeliveredEvents, undelivered, undelivered_in_spool};
 
 /// File that an experiment locks.
 const LOCK: &str = "experiment.lock";
@@ -39,7 +39,7 @@ impl AgentStateDirs {
             let lock = File::options().create(true).append(true).open(&path);
             let lock = lock.map_err(|error| cannot("write", &path, &error))?;
             ensure_free(&lock, folder, &path)?;
-            let path = folder.join(OF_AGENT);
+            let path = folder.join(AGENT_LOCK);
             match File::options().append(true).open(&path) {
                 // Only checked and released: the agents of the runs will lock it.
                 Ok(agents) => ensure_free(&agents, folder, &path)?,
@@ -62,7 +62,7 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
         for user in 0..configuration.users {
             let mut agent = configuration.agent.agent.clone();
             agent.name = plan.agent_name(run, user);
-            folders.insert(AgentStateDir::of(&agent)?.folder().to_owned());
+            folders.insert(AgentStateDir::for_agent(&agent)?.folder().to_owned());
         }
     }
     Ok(folders)
@@ -72,7 +72,7 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
 ///
 /// # Errors
 /// When there is no place for the hosts' folders (69).
-pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<Waiting>, Failure> {
+pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<UndeliveredEvents>, Failure> {
     let mut waiting = Vec::new();
     for folder in folders(plan, &plan.runs)? {
         waiting.extend(undelivered(&folder).await);
@@ -81,7 +81,7 @@ pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<Waiting>, Fail
     for agent in plan.configurations.iter().map(|configuration| &configuration.agent) {
         let (Some(file), Some(aggregator)) = (&agent.spool.file, &agent.agent.aggregator) else { continue };
         if named.insert(file) {
-            waiting.extend(undelivered_in(file, aggregator).await);
+            waiting.extend(undelivered_in_spool(file, aggregator).await);
         }
     }
     Ok(waiting)
@@ -129,7 +129,7 @@ mod tests {
     fn lock_rejects_foreign_and_admits_own_agents() {
         let state = tempfile::tempdir().expect("a folder");
         let folders = BTreeSet::from([state.path().to_owned()]);
-        let agent = File::create(state.path().join(OF_AGENT)).expect("writable");
+        let agent = File::create(state.path().join(AGENT_LOCK)).expect("writable");
         agent.try_lock().expect("it is free");
         AgentStateDirs::lock(&folders).expect_err("an agent has it");
         agent.unlock().expect("let go");

@@ -51,7 +51,7 @@ pub(super) struct Exited {
 }
 
 impl Exited {
-    pub(super) fn is_well(&self) -> bool {
+    pub(super) fn is_successful(&self) -> bool {
         self.code == Some(i32::from(Exit::Ok as u8))
     }
 }

@@ -14,10 +14,10 @@ use anyhow::anyhow;
 use peernet_analysis::figure_files::figure_files;
 use peernet_external::exec::with_arguments;
 
-use super::difference::differences;
 use super::plan::{Plan, Run};
+use super::plan_differences::differences;
 use super::state::Record;
-use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS};
+use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS};
 
 /// Names of the tables over all runs, and of their formats.
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
@@ -39,7 +39,7 @@ impl Folder {
     /// When another program uses it (69), it holds other files (64) or cannot be created (73).
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         let unwritten = |error: std::io::Error| {
-            let error = dangling(path).unwrap_or_else(|| error.to_string());
+            let error = dangling_link(path).unwrap_or_else(|| error.to_string());
             Failure::new(Exit::Unwritten, anyhow!("cannot create the folder {}: {error}", path.display()))
         };
         let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
@@ -113,7 +113,7 @@ impl Folder {
     ///
     /// # Errors
     /// When something cannot be removed (73).
-    pub(super) fn clear_made(&self) -> Result<(), Failure> {
+    pub(super) fn clear_results(&self) -> Result<(), Failure> {
         let tables = TABLES.iter().flat_map(|table| KINDS.map(|kind| format!("{table}.{kind}")));
         for path in tables.chain(figure_files(&self.path)).map(|name| self.path.join(name)) {
             match fs::remove_file(&path) {
@@ -181,7 +181,7 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
         let text = format!("cannot read {}: {why}; --restart begins anew", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
-    let text = match small_file::read_found(&path, LARGEST_RECORD) {
+    let text = match small_file::read_found(&path, MAX_RECORD_BYTES) {
         Ok(text) => text,
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
@@ -215,7 +215,7 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
 }
 
 /// Describes a broken link on the path: no folder can be created in its place.
-fn dangling(path: &Path) -> Option<String> {
+fn dangling_link(path: &Path) -> Option<String> {
     let link = path.ancestors().find(|part| part.is_symlink() && !part.exists())?;
     let to = link.read_link().ok()?;
     Some(format!("{} is a link to {}, which is not there", link.display(), to.display()))

@@ -37,7 +37,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     // In the order of the file, whatever the order in which they were measured.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
-    let (sensors, trust) = (Sensors::of(&record.plan, &runs, &loaded), trust(&loaded));
+    let (sensors, trust) = (Sensors::from_runs(&record.plan, &runs, &loaded), trust(&loaded));
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
     let users = Users::from_runs(&all);
     let mut comparison = Comparison::new(&all);

@@ -23,7 +23,7 @@ pub(super) struct Sensors {
 
 impl Sensors {
     /// Makes the table of the edges that ran a sensor alone; `None` if there are none.
-    pub(super) fn of(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
+    pub(super) fn from_runs(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
         let edges: Vec<(&Run, &Loaded)> =
             runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(|edge| (*run, edge))).collect();
         let alone: Vec<(&Run, &Loaded, SensorStudy)> = edges
@@ -45,7 +45,7 @@ impl Sensors {
                 plan.configuration(run).labels.iter().map(|(_, label)| label.clone()).collect();
             cells.extend(repeated.then(|| (run.repeat + 1).to_string()));
             cells.extend(many.then(|| edge.record.edge.name.clone()));
-            cells.extend(figures_of(study));
+            cells.extend(sensor_metrics(study));
             cells
         };
         let unnumbered = alone.iter().any(|(_, _, study)| study.dropped.is_none());
@@ -72,7 +72,7 @@ impl Sensors {
     }
 }
 
-fn figures_of(study: &SensorStudy) -> [String; 9] {
+fn sensor_metrics(study: &SensorStudy) -> [String; 9] {
     let count = |value: u64| fixed(value as f64, 0);
     let std = study.period_std.map_or_else(String::new, |std| format!(" ± {}", milliseconds(std)));
     [

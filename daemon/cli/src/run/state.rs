@@ -94,7 +94,7 @@ impl Record {
     }
 
     /// Notes that a run begins.
-    pub(super) fn begin(&mut self, run: &Run) {
+    pub(super) fn start_run(&mut self, run: &Run) {
         if let Some(state) = self.state(run) {
             *state = State {
                 stage: Stage::Running,
@@ -105,7 +105,7 @@ impl Record {
     }
 
     /// Notes the end of a run.
-    pub(super) fn end(&mut self, run: &Run, ended: Ended) {
+    pub(super) fn end_run(&mut self, run: &Run, ended: Ended) {
         if let Some(state) = self.state(run) {
             let Ended { stage, exit, reason, seconds } = ended;
             *state = State { stage, exit, reason, seconds: Some(seconds), ..*state };

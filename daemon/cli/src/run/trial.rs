@@ -103,7 +103,7 @@ pub(super) async fn configurations(
         let loaded = ResultFolder::open(&at).ok();
         let took = (clock.mono() - began).seconds();
         match ended.exits.pop() {
-            Some(exit) if exit.is_well() => {
+            Some(exit) if exit.is_successful() => {
                 let moments = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at());
                 let pace = pace(&moments.collect::<Vec<_>>(), took);
                 configurations.iter().for_each(|index| tried.paces[*index] = pace);

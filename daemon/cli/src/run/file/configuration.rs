@@ -15,8 +15,8 @@ use super::experiment::{Experiment, LimitError, Network, RangeError, describe_wa
 use super::field::{Field, FieldError};
 use super::matrix::Combination;
 use super::peers::PeerError;
-use super::{AGENT, File, KeyError, peers, typed};
-use crate::run::check::as_written;
+use super::{AGENT, File, KeyError, convert, peers};
+use crate::run::check::without_serde_words;
 
 /// Keys of a pipeline that the experiment decides, with the keys to be used instead.
 const ELSEWHERE: [(&str, &str); 6] = [
@@ -72,7 +72,7 @@ pub(super) enum ConfigurationError {
     DecidedElsewhere { key: &'static str, instead: &'static str },
     #[error(transparent)]
     Peer(#[from] PeerError),
-    #[error("{}", as_written(&.0.to_string()))]
+    #[error("{}", without_serde_words(&.0.to_string()))]
     Agent(#[source] KeyError),
     #[error("experiment.users: several edges need a spool each, and have one when [spool] file is left out")]
     SharedSpool,
@@ -113,7 +113,7 @@ impl File {
                 let labels = combination.iter().map(|(axis, value)| (axis.name.clone(), value.label.clone()));
                 (Configuration { labels: labels.collect(), ..configuration }, network)
             })
-            .map_err(|problem| blame(problem, combination))
+            .map_err(|problem| name_axes(problem, combination))
     }
 }
 
@@ -124,9 +124,9 @@ fn read(
 ) -> Result<(Configuration, Option<NetworkConfig>), ConfigurationError> {
     let table = |document: &mut Table, key: &str| document.remove(key);
     let experiment = table(&mut document, "experiment").unwrap_or_else(|| Value::Table(Table::new()));
-    let experiment: Experiment = typed(experiment).map_err(ConfigurationError::Experiment)?;
+    let experiment: Experiment = convert(experiment).map_err(ConfigurationError::Experiment)?;
     experiment.check()?;
-    let network = table(&mut document, "network").map(typed::<Network>).transpose();
+    let network = table(&mut document, "network").map(convert::<Network>).transpose();
     let network = network.map_err(ConfigurationError::Network)?;
     let Some(Value::Table(mut pipeline)) = table(&mut document, "pipeline") else {
         return Err(ConfigurationError::NoPipeline);
@@ -140,7 +140,7 @@ fn read(
     let has_bank = document.contains_key("bank");
     document.retain(|key, _| AGENT.contains(&key));
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
-    let mut agent: AgentConfig = typed(document).map_err(ConfigurationError::Agent)?;
+    let mut agent: AgentConfig = convert(document).map_err(ConfigurationError::Agent)?;
     if !has_bank {
         agent.bank.folders = ModelFolders::search(models).paths().to_vec();
     }
@@ -200,7 +200,7 @@ fn is<T: DeserializeOwned>(table: Table) -> bool {
 }
 
 /// Adds the axes that may have set the invalid value to an error.
-fn blame(problem: ConfigurationError, combination: &Combination<'_>) -> ConfigurationError {
+fn name_axes(problem: ConfigurationError, combination: &Combination<'_>) -> ConfigurationError {
     let text = problem.to_string();
     let key = text.split(": ").next().unwrap_or_default();
     let Ok(field) = Field::read(key) else { return problem };

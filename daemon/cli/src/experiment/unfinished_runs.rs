@@ -3,24 +3,24 @@
 use super::Stage;
 
 /// Most runs that are named.
-const MOST: usize = 8;
+const MAX_NAMED: usize = 8;
 
 /// Returns the note on the runs that tables and figures of an experiment lack: their folders and states. `None` if all are done.
-pub(crate) fn left_out<'a>(
+pub(crate) fn unfinished_runs_note<'a>(
     experiment: &str,
     runs: impl IntoIterator<Item = (&'a str, Stage)>,
 ) -> Option<String> {
-    let mut undone: Vec<String> = runs
+    let mut unfinished: Vec<String> = runs
         .into_iter()
         .filter(|(_, stage)| !stage.is_done())
         .map(|(folder, stage)| format!("{folder} ({})", stage.state(None).name()))
         .collect();
-    let more = undone.len().saturating_sub(MOST);
-    undone.truncate(MOST);
+    let more = unfinished.len().saturating_sub(MAX_NAMED);
+    unfinished.truncate(MAX_NAMED);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    let undone = undone.join(", ");
-    (!undone.is_empty())
-        .then(|| format!("without the runs of experiment {experiment} that are not done: {undone}{more}"))
+    let unfinished = unfinished.join(", ");
+    (!unfinished.is_empty())
+        .then(|| format!("without the runs of experiment {experiment} that are not done: {unfinished}{more}"))
 }
 
 #[cfg(test)]
@@ -29,7 +29,7 @@ mod tests {
 
     #[test]
     fn unfinished_runs_are_named_up_to_limit() {
-        let told = |runs: &[(&str, Stage)]| left_out("e", runs.iter().copied());
+        let told = |runs: &[(&str, Stage)]| unfinished_runs_note("e", runs.iter().copied());
         assert_eq!(told(&[("001", Stage::Finished)]), None);
         let two = [("001", Stage::Finished), ("002", Stage::Running), ("003", Stage::Pending)];
         let text =

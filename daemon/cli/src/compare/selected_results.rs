@@ -8,25 +8,25 @@ use super::experiment::{Experiment, Experiments};
 use crate::experiment::{RUNS, left_out};
 
 /// Results that are compared: those found, without runs of experiments that are not done.
-pub(super) struct Chosen {
+pub(super) struct SelectedResults {
     /// The results, each once.
     pub(super) paths: Vec<PathBuf>,
     /// Runs that are left out, of each experiment.
-    pub(super) left_out: Vec<LeftOut>,
+    pub(super) left_out: Vec<UnselectedRuns>,
 }
 
 /// Runs of an experiment that are not compared.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct LeftOut {
+pub(super) struct UnselectedRuns {
     /// Which, in a sentence.
     pub(super) what: String,
     /// Which, where, and what is to be done.
     pub(super) remark: String,
 }
 
-impl Chosen {
+impl SelectedResults {
     /// Chooses among the results that were found in each place. A run that is a place itself is wanted as it is.
-    pub(super) fn of(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
+    pub(super) fn new(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
         let mut paths: Vec<PathBuf> = Vec::new();
         let mut searched: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
         for (place, path) in
@@ -50,7 +50,7 @@ impl Chosen {
             let what = left_out(&experiment.name, others)?;
             let (place, remedy) = (as_typed(place, home), experiment.remedy());
             let remark = format!("{} is shown {what}; {remedy} does them", place.display());
-            Some(LeftOut { what: format!("Shown {what}."), remark })
+            Some(UnselectedRuns { what: format!("Shown {what}."), remark })
         });
         Self { left_out: left_out.collect(), paths }
     }
@@ -124,11 +124,11 @@ mod tests {
             let found = collect(&[place], None, &|_| true).expect("one is done");
             assert_eq!((names(&found), found.left_out), (vec!["001-a".to_owned()], vec![LEFT.to_owned()]));
         }
-        let undone = home.join(RUNS).join("003-b");
-        let found = collect(&[home.clone(), undone.clone()], None, &|_| true).expect("two are wanted");
+        let unfinished = home.join(RUNS).join("003-b");
+        let found = collect(&[home.clone(), unfinished.clone()], None, &|_| true).expect("two are wanted");
         assert_eq!(names(&found), ["001-a", "003-b"], "what is named itself is wanted");
         assert!(!found.left_out.concat().contains("003-b"), "{:?}", found.left_out);
-        let found = collect(&[undone.join("data.csv")], Some(&home.join("runs/002-a")), &|_| true);
+        let found = collect(&[unfinished.join("data.csv")], Some(&home.join("runs/002-a")), &|_| true);
         let found = found.expect("both are named");
         assert_eq!((names(&found).len(), found.left_out.len()), (2, 0));
 
@@ -190,8 +190,8 @@ mod tests {
         let home = folder.path().join("rates");
         experiment(&home);
         let found = vec![(folder.path().to_owned(), vec![home.join("runs/001-a"), home.join("runs/002-a")])];
-        let experiments = Experiments::of(found[0].1.iter().map(PathBuf::as_path));
-        let [told] = Chosen::of(&found, &experiments).left_out.try_into().expect("one experiment");
+        let experiments = Experiments::find(found[0].1.iter().map(PathBuf::as_path));
+        let [told] = SelectedResults::new(&found, &experiments).left_out.try_into().expect("one experiment");
         assert!(told.remark.starts_with(&format!("{} is shown without", home.display())), "{told:?}");
         assert!(told.remark.contains("; `peernet run e.toml` again"), "{told:?}");
         let failed = experiments.run(&home.join("runs/002-a/user-1"));
