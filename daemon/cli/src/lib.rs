@@ -58,18 +58,17 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Show what runs where and how it fares: the last ten seconds of every pipeline, with quantiles of the total and means
-    /// of the stages, and the hosts.
+    /// Show the last ten seconds of every pipeline, with quantiles of the total and means of the stages, and the state of the hosts.
     Status(status::Arguments),
-    /// Study a link: one-way delay against payload size, both ways, and whether the clocks can be trusted.
+    /// Study a link: one-way delay against payload size, in both directions, and whether the clocks can be trusted.
     Calibrate(calibrate::Arguments),
-    /// Carry out an experiment: a matrix of runs from one file, with tables and figures at the end.
+    /// Run an experiment: a matrix of runs from one file, with tables and figures at the end.
     Run(run::Arguments),
-    /// Put runs side by side: the paper's table, and how far differences between two runs are known.
+    /// Compare runs: the paper's table, and differences between runs with their uncertainty.
     Compare(compare::Arguments),
     /// Draw figures of results, as PNG, SVG and PDF.
     Plot(plot::Arguments),
-    /// Compute the one-way delays of a stored run again, with what was learnt of the clocks after it.
+    /// Compute the one-way delays of a stored run again, with all clock exchanges during and after the run.
     Recompute(recompute::Arguments),
     /// List, show, check and measure the models on this machine.
     Models(models::Arguments),

@@ -16,7 +16,7 @@ pub(crate) struct Arguments {
     run: i64,
     #[command(flatten)]
     api: Api,
-    /// Print what the aggregator answers, as JSON in SI units.
+    /// Print the answer of the aggregator: JSON in SI units.
     #[arg(long)]
     json: bool,
 }

@@ -28,21 +28,21 @@ pub(crate) struct Arguments {
     /// those of the published program as well.
     #[arg(required = true, value_name = "RUN|DIR")]
     runs: Vec<PathBuf>,
-    /// How the table is written.
+    /// Format of the table.
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
     /// Write to this file instead of the terminal.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// What the others are compared with, stage by stage: the folder of a run, or its file of rows, for that run alone; or a
-    /// folder of several runs of one configuration, which are taken together [default: of two lines the first; of more the
-    /// best, without the stages]. With --format csv the table of differences takes the place of the other one.
+    /// Baseline of the comparison, stage by stage: the folder of a run, or its file of rows, for that run only; or a
+    /// folder with several runs of one configuration, which are pooled [default: the first of two lines; the best of
+    /// more, without the stages]. With --format csv the table of differences replaces the other table.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
     /// Give each repeat of a configuration a line of its own.
     #[arg(long)]
     apart: bool,
-    /// Seed of the bootstrap that the intervals of medians rest on: the same seed gives the same figures.
+    /// Seed of the bootstrap for the intervals of medians: the same seed gives the same numbers.
     #[arg(long, default_value_t = SEED)]
     seed: u64,
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::collect::is_same;
 use super::experiment::{Experiment, Experiments};
-use crate::experiment::{RUNS, left_out};
+use crate::experiment::{RUNS, unfinished_runs_note};
 
 /// Results that are compared: those found, without runs of experiments that are not done.
 pub(super) struct SelectedResults {
@@ -47,7 +47,7 @@ impl SelectedResults {
         let left_out = searched.into_iter().filter_map(|(home, (place, experiment))| {
             let is_read = |name: &str| read.contains(&home.join(RUNS).join(name));
             let others = experiment.runs().filter(|(name, _)| !is_read(name));
-            let what = left_out(&experiment.name, others)?;
+            let what = unfinished_runs_note(&experiment.name, others)?;
             let (place, remedy) = (as_typed(place, home), experiment.remedy());
             let remark = format!("{} is shown {what}; {remedy} does them", place.display());
             Some(UnselectedRuns { what: format!("Shown {what}."), remark })

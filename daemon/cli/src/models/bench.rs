@@ -29,13 +29,13 @@ pub(super) struct Arguments {
     wanted: Wanted,
     #[command(flatten)]
     options: Options,
-    /// Samples that count; p99 needs 300, p95 60.
+    /// Number of measured samples; p99 needs 300, p95 60.
     #[arg(long, value_name = "N", default_value = "300")]
     iterations: NonZeroU64,
-    /// Samples before them that do not.
+    /// Number of warm-up samples before them, which are not measured.
     #[arg(long, value_name = "N", default_value = "10")]
     warm_up: u64,
-    /// A picture or a folder of pictures, taken in turn [default: the model's own, else made-up pixels].
+    /// A picture or a folder of pictures, used in turn [default: the model's own, else random pixels].
     #[arg(long, value_name = "PATH")]
     pictures: Option<PathBuf>,
     /// Print JSON; seconds and bytes.

@@ -22,7 +22,7 @@ pub(super) struct Arguments {
     wanted: Wanted,
     #[command(flatten)]
     options: Options,
-    /// A picture, or a folder of pictures with or without a labels.csv, in the place of the model's own.
+    /// A picture, or a folder of pictures with or without a labels.csv, instead of the model's own.
     #[arg(long, value_name = "PATH")]
     pictures: Option<PathBuf>,
 }

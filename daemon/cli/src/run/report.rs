@@ -22,7 +22,7 @@ use super::sensors::Sensors;
 use super::state::Record;
 use super::table;
 use crate::compare::{below, differences, first_of_two, joined};
-use crate::experiment::left_out;
+use crate::experiment::unfinished_runs_note;
 
 /// Writes everything that compares finished runs, with `plots` also as figures. Returns the text to be printed.
 ///
@@ -42,9 +42,9 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     let users = Users::from_runs(&all);
     let mut comparison = Comparison::new(&all);
     let stages = record.runs().map(|(run, state)| (&*run.folder, state.stage));
-    comparison
-        .caveats
-        .extend(left_out(record.name.as_str(), stages).map(|without| format!("Shown {without}.")));
+    comparison.caveats.extend(
+        unfinished_runs_note(record.name.as_str(), stages).map(|without| format!("Shown {without}.")),
+    );
     // The same differences as those of `peernet compare`.
     let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
     let tables = below(&comparison, &differences);

@@ -141,7 +141,7 @@ impl File {
     fn bounded(&self, configurations: usize) -> Result<(), MatrixError> {
         let repeats = self.experiment.repeats.get();
         let runs = configurations as u64 * u64::from(repeats);
-        if runs <= matrix::MOST as u64 { Ok(()) } else { Err(MatrixError::TooManyRuns(runs)) }
+        if runs <= matrix::MAX_RUNS as u64 { Ok(()) } else { Err(MatrixError::TooManyRuns(runs)) }
     }
 
     fn parse(mut document: Table, path: &Path) -> Result<Self, FileError> {
