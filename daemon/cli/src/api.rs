@@ -51,7 +51,7 @@ impl Api {
         let url = format!("{}{path}", self.url.trim_end_matches('/'));
         let why = |error: ureq::Error| match error {
             ureq::Error::Timeout(_) => {
-                anyhow!("waited {} for the whole answer", duration(timeout.as_secs_f64()))
+                anyhow!("no complete answer within {}", duration(timeout.as_secs_f64()))
             }
             // The library would put a word before the cause.
             ureq::Error::Io(error) => error.into(),
@@ -60,7 +60,7 @@ impl Api {
         let mut response = agent.get(&url).call().map_err(|error| {
             let cause = why(error);
             anyhow!(
-                "cannot ask {url}: {cause}; start an aggregator with a table [web] there (`peernetd run FILE`), or give the address of one \
+                "cannot reach {url}: {cause}; start an aggregator with a table [web] there (`peernetd run FILE`), or give the address of one \
                  with --url"
             )
         })?;
@@ -105,7 +105,7 @@ mod tests {
         });
         let error = Api { url }.request::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
         answering.join().expect("no panic");
-        assert!(format!("{error:#}").contains("waited 0.3 s for the whole answer"), "{error:#}");
+        assert!(format!("{error:#}").contains("no complete answer within 0.3 s"), "{error:#}");
     }
 
     #[test]
@@ -115,6 +115,6 @@ mod tests {
         let url = format!("http://{}", server.local_addr().expect("bound"));
         let error = Api { url }.request::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
         let message = format!("{error:#}");
-        assert!(message.starts_with("cannot ask") && message.contains("waited 0.3 s"), "{message}");
+        assert!(message.starts_with("cannot reach") && message.contains("waited 0.3 s"), "{message}");
     }
 }

@@ -83,12 +83,12 @@ impl<'a> SweepObserver<'a> {
             }
             (_, Some(_)) => "another clock".to_owned(),
             // The peer left again before its clock could be read.
-            (_, None) => "a clock of which nothing is known".to_owned(),
+            (_, None) => "an unknown clock".to_owned(),
         };
         self.over = true;
         let name = self.observed.cloud.as_deref().unwrap_or("the peer");
         let text = format!(
-            "{name} went away and came back with {change}: the study ends with what was measured before"
+            "{name} disconnected and returned with {change}: the study ends with the measurements until then"
         );
         Some(Ended::Failed(text))
     }
@@ -149,7 +149,7 @@ impl RunObserver for SweepObserver<'_> {
             let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
             let advice = match kind {
                 IncidentKind::Refused => {
-                    "; calibrating needs the peer's model calibration, which its [serve] calibration = true offers"
+                    "; calibration needs the model `calibration` of the peer, which [serve] calibration = true there offers"
                 }
                 _ => "",
             };
@@ -179,6 +179,6 @@ fn cloud_clock(running: &Running) -> Option<HostClock> {
 fn describe_unmeasurable(payload_bytes: u64, reason: &str) -> String {
     let payload = bytes(payload_bytes as f64).plain();
     format!(
-        "payloads of {payload} cannot be measured: {reason}; leave that size out of --sizes, or allow more on the peer ([serve] session)"
+        "cannot measure payloads of {payload}: {reason}; remove that size from --sizes, or raise the limit of the peer ([serve] session)"
     )
 }

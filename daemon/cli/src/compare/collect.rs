@@ -53,7 +53,10 @@ pub(crate) fn collect(
     let mut left_out: Vec<String> = left_out.into_iter().map(|left_out| left_out.what).collect();
     if paths.is_empty() {
         let places: Vec<String> = places.iter().map(|place| place.display().to_string()).collect();
-        let text = format!("nothing is left of {}; name a run's own folder to see it", places.join(", "));
+        let text = format!(
+            "no results in {} can be compared; give the folder of a run to include it",
+            places.join(", ")
+        );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
@@ -71,7 +74,10 @@ pub(crate) fn collect(
     let baseline_runs =
         (0..order.len()).filter(|at| baseline_numbers.contains(&order[*at])).collect::<Vec<_>>();
     if let Some(place) = baseline.filter(|_| baseline_runs.is_empty()) {
-        let text = format!("no run of the baseline {} is done; name a run's own folder", place.display());
+        let text = format!(
+            "no run of the baseline {} is finished; give the folder of a run to include it",
+            place.display()
+        );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
@@ -94,13 +100,13 @@ fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String
     }
     if let Some(kept) = previous_results_folder(&run.folder) {
         return Some(format!(
-            "{folder} is incomplete: a run is in progress there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
+            "{folder} is incomplete: a run is in progress there or was killed; the previous results are in {}, and the next run in this folder restores them if the run was killed",
             kept.display()
         ));
     }
     match experiments.run(&run.folder).filter(|run| !run.state().is_finished()) {
         Some(of) => Some(format!(
-            "{folder} is of a run that is not done, {}: no table or figure of its experiment has it; {} does it",
+            "{folder} belongs to an unfinished run, {}: tables and figures of its experiment exclude it; {} completes it",
             of.state(),
             of.experiment.remedy()
         )),
@@ -125,7 +131,7 @@ fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     let found = ResultFolder::find(place);
     if found.is_empty() {
-        let what = if place.is_dir() { "there is no data.csv in it or below" } else { "it is not there" };
+        let what = if place.is_dir() { "it contains no data.csv, at any depth" } else { "it does not exist" };
         return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {what}", place.display())));
     }
     Ok(found)

@@ -50,17 +50,17 @@ impl Excluded {
             let more = all.len().saturating_sub(MAX_NAMED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
             let named = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
-            (!all.is_empty()).then(|| format!("left out, {what}: {named}{more}"))
+            (!all.is_empty()).then(|| format!("excluded, {what}: {named}{more}"))
         };
-        let unfinished = told("not measured to their end", &|why| match why {
+        let unfinished = told("unfinished runs", &|why| match why {
             Exclusion::Unfinished(_) => Some(why.describe(folder)),
             _ => None,
         });
-        let copies = told("copies of other results by the id of their run", &|why| match why {
+        let copies = told("copies of other results with the same run id", &|why| match why {
             Exclusion::CopyOf(of) => Some(format!("of {}", folder(*of))),
             _ => None,
         });
-        let again = told("measured again", &|why| match why {
+        let again = told("repeated runs", &|why| match why {
             Exclusion::MeasuredAgain(by) => Some(format!("as {}", folder(*by))),
             _ => None,
         });
@@ -115,7 +115,7 @@ mod tests {
         assert_eq!(names(&found), ["007-a", "008-b", "unknown-1", "unknown-2"]);
         let [told] = found.left_out.as_slice() else { panic!("{:?}", found.left_out) };
         let copy = format!("{} (of {}).", place("000-copy").display(), place("007-a").display());
-        assert!(told.starts_with("Left out, copies of ") && told.ends_with(&copy), "{told}");
+        assert!(told.starts_with("Excluded, copies of ") && told.ends_with(&copy), "{told}");
 
         let found = collect(all, Some(&place("000-copy")), &|_| true).expect("they are there");
         assert_eq!(names(&found), ["000-copy", "008-b", "unknown-1", "unknown-2"], "it was named");

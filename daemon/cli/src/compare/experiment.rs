@@ -25,9 +25,9 @@ enum RecordError {
     Read(#[from] io::Error),
     #[error(transparent)]
     Parse(#[from] serde_json::Error),
-    #[error("its format is {0}, this program knows {FORMAT}")]
+    #[error("its format is {0}, but this program reads format {FORMAT}")]
     Format(u32),
-    #[error("it has {}, and how {states} of them fare", counted(*.runs as u64, "run"))]
+    #[error("it has {}, but {states} states", counted(*.runs as u64, "run"))]
     Lengths { runs: usize, states: usize },
 }
 
@@ -100,7 +100,7 @@ impl Experiments {
             .map(|(home, why)| {
                 let (record, why) = (home.join(RECORD), why.to_string());
                 let why = printable_line(&why);
-                format!("cannot read {}: {why}; which of its runs are done is not known", record.display())
+                format!("cannot read {}: {why}; the states of its runs are unknown", record.display())
             })
             .collect()
     }
@@ -133,7 +133,7 @@ impl Experiment {
 
     /// Returns the command that completes all of its runs.
     pub(super) fn remedy(&self) -> String {
-        format!("`peernet run {}` again, with the options that it had,", printable_line(&self.file))
+        format!("`peernet run {}` with the same options", printable_line(&self.file))
     }
 }
 

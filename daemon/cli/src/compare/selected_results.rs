@@ -49,7 +49,7 @@ impl SelectedResults {
             let others = experiment.runs().filter(|(name, _)| !is_read(name));
             let what = unfinished_runs_note(&experiment.name, others)?;
             let (place, remedy) = (as_typed(place, home), experiment.remedy());
-            let remark = format!("{} is shown {what}; {remedy} does them", place.display());
+            let remark = format!("{} is shown {what}; {remedy} completes them", place.display());
             Some(UnselectedRuns { what: format!("Shown {what}."), remark })
         });
         Self { left_out: left_out.collect(), paths }
@@ -139,7 +139,7 @@ mod tests {
 
         std::fs::remove_dir_all(home.join("runs/001-a")).expect("removed");
         let nothing = collect(&[home], None, &|_| true).err().expect("nothing is left");
-        assert!(nothing.to_string().contains("nothing is left"), "{nothing}");
+        assert!(nothing.to_string().contains("can be compared"), "{nothing}");
     }
 
     #[test]
@@ -164,15 +164,15 @@ mod tests {
             (cut, "EOF"),
             ("\0", "expected value"),
             ("{}", "missing field `format`"),
-            (&few, "it has 4 runs, and how 5 of them fare"),
+            (&few, "it has 4 runs, but 5 states"),
             (&strange, "unknown variant `eaten`"),
-            (&later, "its format is 2, this program knows 1"),
+            (&later, "its format is 2, but this program reads format 1"),
         ] {
             std::fs::write(&record, text).expect("written");
             let told = told();
             let beginning = format!("Cannot read {}: ", record.canonicalize().expect("there").display());
             assert!(told.starts_with(&beginning) && told.contains(why), "{why}: {told}");
-            assert!(told.ends_with("; which of its runs are done is not known."), "{told}");
+            assert!(told.ends_with("; the states of its runs are unknown."), "{told}");
         }
         std::fs::remove_file(&record).expect("removed");
         assert_eq!(told(), "", "results of other programs have none");
@@ -193,7 +193,10 @@ mod tests {
         let experiments = Experiments::find(found[0].1.iter().map(PathBuf::as_path));
         let [told] = SelectedResults::new(&found, &experiments).left_out.try_into().expect("one experiment");
         assert!(told.remark.starts_with(&format!("{} is shown without", home.display())), "{told:?}");
-        assert!(told.remark.contains("; `peernet run e.toml` again"), "{told:?}");
+        assert!(
+            told.remark.contains("; `peernet run e.toml` with the same options completes them"),
+            "{told:?}"
+        );
         let failed = experiments.run(&home.join("runs/002-a/user-1"));
         assert!(failed.is_none(), "there is no such folder");
         let failed = experiments.run(&home.join("runs/002-a")).expect("it is one of its runs");

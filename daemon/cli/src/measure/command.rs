@@ -29,9 +29,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
-    let order: Order = serde_json::from_str(&text).map_err(|error| {
-        Failure::new(Exit::Configuration, anyhow!("cannot understand the order: {error}"))
-    })?;
+    let order: Order = serde_json::from_str(&text)
+        .map_err(|error| Failure::new(Exit::Configuration, anyhow!("cannot parse the order: {error}")))?;
     let measured = measure(&order, &mut JsonProgress)?;
     measured.failure().map_or(Ok(()), Err)
 }
@@ -61,7 +60,7 @@ impl ProgressDisplay for JsonProgress {
         match serde_json::to_string(report) {
             Ok(line) => say(line),
             // JSON cannot represent some numbers. The next update says more.
-            Err(error) => tracing::debug!(%error, "a look cannot be written"),
+            Err(error) => tracing::debug!(%error, "cannot write the progress report"),
         }
     }
 }

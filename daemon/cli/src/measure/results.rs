@@ -83,14 +83,14 @@ impl Results {
             Ok(WrittenResults { folder, files, trouble: Some(trouble) }) => {
                 let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let trouble =
-                    format!("{trouble}; all that was measured is in {} instead{back}", folder.display());
+                    format!("{trouble}; the measurements are in {} instead{back}", folder.display());
                 Written { folder, files, trouble: Some(trouble) }
             }
             Err(error) => {
                 let rows = earlier.as_ref().and_then(PreviousResultsGuard::keep_rows);
                 let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let rows = rows.as_deref().unwrap_or("data.csv");
-                let trouble = format!("{error}; {rows} holds what there was room for{back}");
+                let trouble = format!("{error}; {rows} has the rows that fit{back}");
                 Written { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }
             }
         }

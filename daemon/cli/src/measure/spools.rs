@@ -102,13 +102,13 @@ impl fmt::Display for UndeliveredEvents {
                 let (wait, them) = if *events == 1 { ("waits", "it") } else { ("wait", "them") };
                 write!(
                     f,
-                    "{} {wait} for the aggregator at {at}, in {file}; the next run of this host that streams there hands {them} over",
+                    "{} {wait} for the aggregator at {at}, in {file}; the next run of this host with this aggregator delivers {them}",
                     counted(*events, "event"),
                 )
             }
             Err(error) => write!(
                 f,
-                "it is not known what waits for the aggregator at {at}: cannot read {file}: {error}"
+                "cannot count the events that wait for the aggregator at {at}: cannot read {file}: {error}"
             ),
         }
     }

@@ -27,13 +27,13 @@ impl AgentStateDir {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
         if agent.aggregator.is_none() {
             let folder = Scratch::new("agent");
-            let folder = folder.context("cannot make a temporary folder; TMPDIR names another place");
+            let folder = folder.context("cannot create a temporary folder; set TMPDIR to another folder");
             return folder.map(Self::Temporary).map_err(unavailable);
         }
         let name = agent.name.as_ref().map_or("unnamed", |name| name.as_str());
         let state = state_root().ok_or_else(|| {
             unavailable(anyhow!(
-                "there is no place for the host's id, by which an aggregator knows it again; set HOME or XDG_STATE_HOME"
+                "there is no folder for the host id, by which an aggregator recognises this host; set HOME or XDG_STATE_HOME"
             ))
         })?;
         Ok(Self::Permanent(state.join(name)))

@@ -35,7 +35,7 @@ pub(super) struct Arguments {
     /// Number of warm-up samples before them, which are not measured.
     #[arg(long, value_name = "N", default_value = "10")]
     warm_up: u64,
-    /// A picture or a folder of pictures, used in turn [default: the model's own, else random pixels].
+    /// A picture or a folder of pictures, used in turn [default: the model's own, else generated pixels].
     #[arg(long, value_name = "PATH")]
     pictures: Option<PathBuf>,
     /// Print JSON; seconds and bytes.
@@ -62,7 +62,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let before = memory("VmRSS:");
     let running = Running::load(&found, &arguments.options)?;
     let input = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())?;
-    let input = input.filter(|input| !input.samples.is_empty()).unwrap_or_else(Input::random);
+    let input = input.filter(|input| !input.samples.is_empty()).unwrap_or_else(Input::generated);
     let stages = measure(arguments, &running, &input)?;
     let measured = Measured {
         device: running.pool().device(),

@@ -23,7 +23,7 @@ pub(super) enum SensorType {
 
 /// A name of no sensor type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is image, \"random string\", external and synthetic")]
+#[error("use image, \"random string\", external or synthetic")]
 pub(super) struct UnknownSensorType;
 
 impl SensorType {

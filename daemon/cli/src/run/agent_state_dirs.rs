@@ -92,8 +92,8 @@ fn ensure_free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
         Ok(()) => Ok(()),
         Err(TryLockError::WouldBlock) => {
             let text = format!(
-                "another peernet is at work as the host that keeps its id in {}, as this experiment is to; wait for it or \
-                 end it, or give this experiment a [agent] name of its own",
+                "another peernet process runs as the host whose id is in {}, which this experiment needs; wait for it, \
+                 stop it, or give this experiment its own [agent] name",
                 folder.display()
             );
             Err(Failure::new(Exit::Unavailable, anyhow!("{text}")))
@@ -117,8 +117,8 @@ mod tests {
             |names: &[&str]| names.iter().map(|name| state.path().join(name)).collect::<BTreeSet<_>>();
         let first = AgentStateDirs::lock(&named(&["robot-1", "robot-2"])).expect("they are free");
         let refused = AgentStateDirs::lock(&named(&["robot-2", "robot-3"])).expect_err("one is taken");
-        assert!(refused.to_string().contains("robot-2, as this experiment"), "{refused}");
-        assert!(refused.to_string().contains("[agent] name of its own"), "{refused}");
+        assert!(refused.to_string().contains("robot-2, which this experiment"), "{refused}");
+        assert!(refused.to_string().contains("its own [agent] name"), "{refused}");
         assert_eq!(refused.exit as u8, Exit::Unavailable as u8);
         AgentStateDirs::lock(&named(&["robot-3"])).expect("what was refused holds nothing");
         drop(first);

@@ -107,7 +107,7 @@ impl RunSelection {
                 match known.as_slice() {
                     [] => Some(format!("there is no axis {}", value(axis))),
                     known if known.contains(&label.as_str()) => None,
-                    known => Some(format!("{axis} is never {}; there is {}", value(label), known.join(", "))),
+                    known => Some(format!("{axis} has no value {}, only {}", value(label), known.join(", "))),
                 }
             }
         })

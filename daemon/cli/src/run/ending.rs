@@ -33,18 +33,18 @@ impl Ending {
             1 => (
                 Signal::INT,
                 format!(
-                    "ending; what is under way may take {} until it is killed, Ctrl-C again does not wait for it",
+                    "stopping; work in progress is killed after {}, press Ctrl-C again to shorten this time",
                     within(FIRST_TIMEOUT)
                 ),
             ),
             2 => (
                 Signal::TERM,
                 format!(
-                    "what was under way is left alone; what does not end within {} is killed, Ctrl-C again kills it now",
+                    "processes that do not end within {} are killed, press Ctrl-C again to kill them now",
                     within(SECOND_TIMEOUT)
                 ),
             ),
-            _ => (self.kill(), "what was under way is killed".to_owned()),
+            _ => (self.kill(), "the processes were killed".to_owned()),
         }
     }
 

@@ -75,7 +75,7 @@ impl Execution<'_> {
             let Some(report) = report else { return };
             let part = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
             let left = report.left_s.zip(later).map(|(now, later)| duration(now + later));
-            let left = left.map_or_else(String::new, |left| format!(", {left} left for all"));
+            let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
             let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
             let state = || {
                 (

@@ -47,7 +47,7 @@ impl Folder {
         let foreign = entries.map(|entry| entry.file_name()).any(|name| !is_own(&name));
         if foreign && !path.join(RECORD).exists() {
             let text = format!(
-                "{} holds files, but no {RECORD}: it is no experiment's folder; name another with --result-loc",
+                "{} contains files, but no {RECORD}: it is not the folder of an experiment; name another with --result-loc",
                 path.display()
             );
             return Err(Failure::new(Exit::Usage, anyhow!("{text}")));
@@ -60,8 +60,7 @@ impl Folder {
                 Ok(Self { path: path.to_owned(), _lock: lock })
             }
             Err(TryLockError::WouldBlock) => {
-                let text =
-                    format!("another peernet run is at work in {}; wait for it or end it", path.display());
+                let text = format!("another peernet run uses {}; wait for it or stop it", path.display());
                 Err(Failure::new(Exit::Unavailable, anyhow!("{text}")))
             }
             Err(TryLockError::Error(error)) => Err(unwritten(error)),
@@ -178,7 +177,7 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
 pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     let path = path.join(RECORD);
     let damaged = |why: String| {
-        let text = format!("cannot read {}: {why}; --restart begins anew", path.display());
+        let text = format!("cannot read {}: {why}; --restart starts again", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
     let text = match small_file::read_found(&path, MAX_RECORD_BYTES) {
@@ -190,7 +189,10 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     };
     let record: Record = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
     if record.format != FORMAT {
-        return Err(damaged(format!("its format is {}, this program knows {FORMAT}", record.format)));
+        return Err(damaged(format!(
+            "its format is {}, but this program reads format {FORMAT}",
+            record.format
+        )));
     }
     if !record.is_sound() {
         return Err(damaged("it names runs or configurations that it does not have".to_owned()));
@@ -208,7 +210,7 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     }
     let json = |plan: &Plan| with_arguments(|| serde_json::to_value(plan)).unwrap_or_default();
     let text = format!(
-        "the experiment has changed since it was begun:\n  {}\ngo on with the old file and options, begin anew with --restart, which removes the runs, or name another folder with --result-loc",
+        "the experiment has changed since it was started:\n  {}\ncontinue with the old file and options, start again with --restart, which removes the runs, or choose another folder with --result-loc",
         differences(&json(&record.plan), &json(plan)).join("\n  ")
     );
     Err(Failure::new(Exit::Configuration, anyhow!("{text}")))
@@ -218,7 +220,7 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
 fn dangling_link(path: &Path) -> Option<String> {
     let link = path.ancestors().find(|part| part.is_symlink() && !part.exists())?;
     let to = link.read_link().ok()?;
-    Some(format!("{} is a link to {}, which is not there", link.display(), to.display()))
+    Some(format!("{} is a link to {}, which does not exist", link.display(), to.display()))
 }
 
 fn cannot_remove(path: &Path, error: &std::io::Error) -> Failure {

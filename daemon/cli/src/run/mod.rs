@@ -237,7 +237,7 @@ fn missing(tried: &TrialResults, file: &Path) -> Option<Failure> {
     });
     let (count, lines) = (all.len(), lines.chain(hint).collect::<Vec<_>>().join("\n"));
     let of = table::count(tried.wanted, "configuration");
-    Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was begun:\n{lines}")))
+    Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was started:\n{lines}")))
 }
 
 /// Asks for confirmation if standard input is a terminal.
@@ -289,7 +289,7 @@ fn summary(record: &Record) -> String {
 /// Returns the failure for the selected runs, if any.
 fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Failure> {
     if interrupted {
-        let text = "ended early; the same command goes on where it ended";
+        let text = "ended early; the same command continues the experiment";
         return Err(Failure::new(Exit::Interrupted, anyhow!("{text}")));
     }
     let states = || wanted.iter().filter_map(|run| record.states.get(run.number - 1));

@@ -109,7 +109,7 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
         );
     }
     if lines.len() > 1 {
-        lines.push("  run.json of each run has the sentences and what to do, under trust".to_owned());
+        lines.push("  run.json of each run has the findings and advice, under trust".to_owned());
     }
     lines.join("\n")
 }

@@ -58,7 +58,7 @@ pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &Estimate
     };
     let all = record.plan.runs.len();
     match to_do.len() {
-        0 => "nothing to do: all of it is finished".to_owned(),
+        0 => "nothing to do: all runs are finished".to_owned(),
         some if some == all => format!("{}, {time}", count(all, "run")),
         some => format!("{some} of {} to do, {time}", count(all, "run")),
     }

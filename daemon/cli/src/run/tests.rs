@@ -83,7 +83,7 @@ fn incomplete_results_are_measured_again() {
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
     let message = || load_results(&folder, &record, run).err().map(|error| error.to_string());
-    assert_eq!(message().as_deref(), Some("its results are gone"));
+    assert_eq!(message().as_deref(), Some("its results are missing"));
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");
     let data = |text: &str| std::fs::write(path.join("data.csv"), text).expect("writable");
@@ -183,7 +183,10 @@ fn folder_belongs_to_one_experiment_and_program() {
     let path = temporary.path().join("results");
     let folder = Folder::open(&path).expect("is new");
     let second = Folder::open(&path).err().expect("the first holds it");
-    assert!(second.exit == Exit::Unavailable && second.to_string().contains("at work"), "{second}");
+    assert!(
+        second.exit == Exit::Unavailable && second.to_string().contains("another peernet run uses"),
+        "{second}"
+    );
     drop(folder);
     // A program was killed while it wrote its first record.
     std::fs::write(path.join(".experiment-x1"), "{").expect("writable");
@@ -193,7 +196,10 @@ fn folder_belongs_to_one_experiment_and_program() {
 
     std::fs::write(temporary.path().join("notes.txt"), "mine").expect("writable");
     let foreign = Folder::open(temporary.path()).err().expect("it holds something else");
-    assert!(foreign.exit == Exit::Usage && foreign.to_string().contains("no experiment's"), "{foreign}");
+    assert!(
+        foreign.exit == Exit::Usage && foreign.to_string().contains("not the folder of an experiment"),
+        "{foreign}"
+    );
 
     std::fs::create_dir_all(&path).expect("writable");
     std::fs::write(path.join("experiment.json"), "{").expect("writable");
@@ -203,7 +209,7 @@ fn folder_belongs_to_one_experiment_and_program() {
     let link = temporary.path().join("link");
     std::os::unix::fs::symlink("nowhere", &link).expect("writable");
     let nowhere = Folder::open(&link).err().expect("leads nowhere");
-    let message = "is a link to nowhere, which is not there";
+    let message = "is a link to nowhere, which does not exist";
     assert!(nowhere.exit == Exit::Unwritten && nowhere.to_string().ends_with(message), "{nowhere}");
 }
 
@@ -242,7 +248,7 @@ fn selections_choose_runs() {
     assert_eq!(chosen("--only 3 --only 4 --only B=1"), [3]);
     let unknown = |line: &str| RunSelection::unknown(&only(line), &record.plan);
     assert_eq!(unknown("--only A=1 --only 4"), None);
-    assert_eq!(unknown("--only B=3").as_deref(), Some("B is never 3; there is 1, 2"));
+    assert_eq!(unknown("--only B=3").as_deref(), Some("B has no value 3, only 1, 2"));
     assert_eq!(unknown("--only C=3").as_deref(), Some("there is no axis C"));
     assert_eq!(unknown("--only 5").as_deref(), Some("there is no run 5; there are 4"));
     assert!(Line::try_parse_from(["run", "e.toml", "--only", "x"]).is_err());
@@ -342,7 +348,7 @@ fn experiment_of_another_build_is_reported() {
     assert_eq!(version_change_note(&record, &runs, "2"), None, "nothing is measured yet");
     record.end_run(&runs[0], ended(Stage::Finished));
     let message = version_change_note(&record, &runs[1..], "2").expect("there are two");
-    assert!(message.starts_with("begun by PEERNet 1, and gone on with by 2: "), "{message}");
+    assert!(message.starts_with("started by PEERNet 1, and continued by 2: "), "{message}");
     assert_eq!(
         (version_change_note(&record, &runs[1..], "1"), version_change_note(&record, &[], "2")),
         (None, None)

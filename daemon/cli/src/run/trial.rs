@@ -56,7 +56,7 @@ pub(super) async fn configurations(
     quiet: bool,
 ) -> Result<TrialResults, Failure> {
     let folder = Scratch::new("trial")
-        .context("cannot make a temporary folder; TMPDIR names another place")
+        .context("cannot create a temporary folder; set TMPDIR to another folder")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let mut tried = TrialResults {
         paces: vec![None; plan.configurations.len()],
@@ -74,7 +74,7 @@ pub(super) async fn configurations(
         let peer = peer(order);
         if let Some((address, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
-                progress.say(format_args!("{state}: left out, {address} is away"));
+                progress.say(format_args!("{state}: skipped, {address} is unreachable"));
             }
             tried.missing.extend(words().map(|words| (words, exit.clone())));
             continue;

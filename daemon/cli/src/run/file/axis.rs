@@ -75,7 +75,7 @@ pub(super) enum AxisError {
     Form,
     #[error("name: {0:?} holds a control character, which would break tables")]
     NameControl(String),
-    #[error("name: compare.csv has a column {0} of its own; call it another way")]
+    #[error("name: compare.csv has a column {0} of its own; choose another name")]
     NameColumn(String),
     #[error(
         "the label {0:?} holds a control character, which would break tables; give it another with [[axis.value]]"
@@ -85,9 +85,9 @@ pub(super) enum AxisError {
         "two values are labelled {0}; tables could not tell them apart: give them labels with [[axis.value]]"
     )]
     SameLabel(String),
-    #[error("{0} does not say how it is to be called in tables; use [[axis.value]] with a label")]
+    #[error("{0} has no text for tables; use [[axis.value]] with a label")]
     NoLabel(Value),
-    #[error("the label must be a text, a number or a truth")]
+    #[error("the label must be a text, a number or a boolean")]
     LabelType,
     #[error(transparent)]
     Field(#[from] FieldError),
@@ -225,7 +225,7 @@ mod tests {
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1]\n[[value]]\nlabel = 'b'", "either field"),
             ("name = 'a'\nfield = 'pipelin.x'\nvalues = [1]", "there is no field pipelin.x"),
             ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "the same for all runs"),
-            ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "how it is to be called"),
+            ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "has no text for tables"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1, 1]", "labelled 1"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [\"b\\nc\"]", r#"the label "b\nc" holds a control"#),
             ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),

@@ -66,7 +66,7 @@ pub(super) enum ConfigurationError {
     Range(#[from] RangeError),
     #[error("network.{0}")]
     Network(#[source] KeyError),
-    #[error("pipeline: there is no table [pipeline]: what is to be measured?")]
+    #[error("pipeline: the table [pipeline] is missing")]
     NoPipeline,
     #[error("pipeline.{key}: in an experiment this is decided by {instead}")]
     DecidedElsewhere { key: &'static str, instead: &'static str },
@@ -74,11 +74,13 @@ pub(super) enum ConfigurationError {
     Peer(#[from] PeerError),
     #[error("{}", without_serde_words(&.0.to_string()))]
     Agent(#[source] KeyError),
-    #[error("experiment.users: several edges need a spool each, and have one when [spool] file is left out")]
+    #[error("experiment.users: several edges need one spool each, and get one if [spool] file is omitted")]
     SharedSpool,
     #[error("experiment: {0}")]
     Limit(#[from] LimitError),
-    #[error("experiment.warm_up: all iterations of a run would be warm-up ({0}), and no statistics")]
+    #[error(
+        "experiment.warm_up: all iterations of a run would be warm-up ({0}), so that it would have no statistics"
+    )]
     AllWarmUp(String),
     /// Some axes may have set the invalid value.
     #[error("{problem} (with {})", .axes.join(", "))]

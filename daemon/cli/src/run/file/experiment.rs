@@ -88,7 +88,7 @@ pub(super) struct Network {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub(super) enum RangeError {
     #[error(
-        "experiment.users: {0} is too many; at most {MAX_USERS} edges, each a process of its own, can ask at once"
+        "experiment.users: {0} is too many; at most {MAX_USERS} edges, each in its own process, can run at the same time"
     )]
     Users(u32),
     #[error("experiment.duration_s: {0:?} is not a number of seconds above 0 and up to {MAX_RUN_S}")]
@@ -100,9 +100,9 @@ pub(super) enum RangeError {
 /// A run without a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum LimitError {
-    #[error("episodes needs episode_steps: how long is an episode?")]
+    #[error("episodes needs episode_steps, the length of an episode")]
     EpisodeSteps,
-    #[error("when does a run end? Give episodes and episode_steps, iterations, or duration_s")]
+    #[error("a run has no limit; set episodes and episode_steps, iterations, or duration_s")]
     Endless,
 }
 

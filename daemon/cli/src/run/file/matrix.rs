@@ -17,22 +17,22 @@ pub(super) type Combination<'a> = Vec<(&'a Axis, &'a AxisValue)>;
 pub(super) enum MatrixError {
     #[error("the axes make more than {MAX_RUNS} combinations")]
     TooManyCombinations,
-    #[error("experiment.repeats: so many repeats make {0} runs; there may be {MAX_RUNS}")]
+    #[error("experiment.repeats: the repeats make {0} runs; the maximum is {MAX_RUNS}")]
     TooManyRuns(u64),
     #[error("experiment.exclude[{index}]: {source}")]
     Exclusion { index: usize, source: ExclusionError },
-    #[error("experiment.exclude: no combination is left")]
+    #[error("experiment.exclude: it excludes all combinations")]
     NothingLeft,
 }
 
 /// An invalid table of excluded combinations.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ExclusionError {
-    #[error("it names no axis, and would leave nothing")]
+    #[error("it names no axis, so that it would exclude all combinations")]
     Empty,
-    #[error("there is no axis {name}; there is {}", .known.join(", "))]
+    #[error("there is no axis {name}, only {}", .known.join(", "))]
     UnknownAxis { name: String, known: Vec<String> },
-    #[error("{axis} is never {value}; there is {known}")]
+    #[error("{axis} has no value {value}, only {known}")]
     UnknownLabel { axis: String, value: Value, known: String },
 }
 

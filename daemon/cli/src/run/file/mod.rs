@@ -48,11 +48,11 @@ pub(super) struct File {
 /// A document that is no experiment's file; the text begins with the key.
 #[derive(Debug, thiserror::Error)]
 enum FileError {
-    #[error("{0}: an experiment has no such table; there is {own} and {agent}", own = EXPERIMENT_TABLES.join(", "), agent = AGENT.join(", "))]
+    #[error("{0}: an experiment has no such table, only {own} and {agent}", own = EXPERIMENT_TABLES.join(", "), agent = AGENT.join(", "))]
     UnknownTable(String),
     #[error("axis{0}")]
     Axes(#[source] KeyError),
-    #[error("there is no table [experiment]")]
+    #[error("the table [experiment] is missing")]
     NoExperiment,
     #[error("experiment.{0}")]
     Experiment(#[source] KeyError),

@@ -29,7 +29,7 @@ pub(super) enum PeerError {
         "pipeline.placement.peer: {0:?} is no address; write tcp://host:5551, or name the file of the devices: [network] config = \"net_config.yaml\""
     )]
     NotAnAddress(String),
-    #[error("pipeline.placement.peer: {} has no device {peer}; there is {}", .file.display(), .known.join(", "))]
+    #[error("pipeline.placement.peer: {} has no device {peer}, only {}", .file.display(), .known.join(", "))]
     UnknownDevice { file: PathBuf, peer: String, known: Vec<String> },
     #[error("network.config: the settings ros2 cannot be used: {0}")]
     Ros2(#[source] toml::ser::Error),
