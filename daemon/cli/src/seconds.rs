@@ -8,10 +8,10 @@ const MAX_SECONDS: f64 = 86_400.0;
 /// A text that is no duration within its limits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum SecondsError {
-    /// It is not a number.
+    /// The text is not a number.
     #[error(transparent)]
     NotANumber(#[from] ParseFloatError),
-    /// It is too short or too long.
+    /// The duration is outside the range.
     #[error("from {least} to {MAX_SECONDS}")]
     OutOfRange {
         /// Shortest duration in seconds.

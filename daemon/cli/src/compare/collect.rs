@@ -1,4 +1,4 @@
-//! The runs that are compared.
+//! Collection of the results to compare.
 
 use std::path::{Path, PathBuf};
 
@@ -14,21 +14,20 @@ use super::order::as_declared;
 use super::selected_results::SelectedResults;
 use crate::measure::previous_results_folder;
 
-/// Runs, each once.
+/// Results to compare, without duplicates.
 pub(crate) struct Collected {
     pub(crate) runs: Vec<Loaded>,
-    /// Which of them are the baseline, if one was named.
+    /// Positions of the baseline in `runs`; empty without a baseline.
     pub(crate) baseline: Vec<usize>,
-    /// Notes, in sentences, on the runs that are left out because they are not done or a copy, and on facts about them that are not known.
+    /// Sentences on excluded runs (unfinished runs, copies), and on facts about them that are unknown.
     pub(crate) left_out: Vec<String>,
 }
 
-/// Reads the columns that are wanted of all results in the places, in their order; the runs of an experiment in that of its
-/// file. Those that do not count are left out. A baseline comes first
-/// unless all its runs are among them.
+/// Reads the wanted columns of all results in the places. Results keep the order of the places; runs of an experiment are in the order of
+/// its file. Excluded results are left out. A baseline comes first, unless all its runs are in the places.
 ///
 /// # Errors
-/// When a place holds no results or nothing is left (66), or some cannot be read (65).
+/// When a place has no results or all are excluded (66), or some cannot be read (65).
 pub(crate) fn collect(
     places: &[PathBuf],
     baseline: Option<&Path>,
@@ -85,14 +84,14 @@ pub(crate) fn collect(
     Ok(Collected { runs, baseline: baseline_runs, left_out })
 }
 
-/// A remark as it stands below a table.
+/// Turns a note into a sentence for the text below a table.
 fn sentence(remark: &str) -> String {
     let mut letters = remark.chars();
     let first = letters.next().into_iter().flat_map(char::to_uppercase);
     first.chain(letters).chain(['.']).collect()
 }
 
-/// Returns the reason why results that were read are not those of a whole run.
+/// Returns a note if the results are not those of a complete run.
 fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String> {
     let folder = run.folder.display();
     if let Some(damage) = run.damage() {
@@ -114,15 +113,15 @@ fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String
     }
 }
 
-/// The places, each once.
+/// Removes repeated places.
 pub(crate) fn distinct_places(places: &[PathBuf]) -> Vec<PathBuf> {
-    let mut once: Vec<PathBuf> = Vec::new();
+    let mut distinct: Vec<PathBuf> = Vec::new();
     for place in places {
-        if !once.iter().any(|other| is_same(other, place)) {
-            once.push(place.clone());
+        if !distinct.iter().any(|other| is_same(other, place)) {
+            distinct.push(place.clone());
         }
     }
-    once
+    distinct
 }
 
 fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
@@ -137,7 +136,7 @@ fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(found)
 }
 
-/// Returns the path that a file of rows is opened as: its folder if it belongs to a folder of results.
+/// Returns the path to open for a file of rows: its folder if the file belongs to a folder of results.
 fn folder_of(file: &Path) -> &Path {
     let folder = file.parent().filter(|folder| file.ends_with("data.csv") && *folder != Path::new(""));
     folder.unwrap_or(file)
@@ -150,12 +149,12 @@ fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
     })
 }
 
-/// Whether one of the paths leads to the same place.
+/// Returns whether one of the paths leads to the same place.
 fn contains_place(paths: &[PathBuf], path: &Path) -> bool {
     paths.iter().any(|other| is_same(other, path))
 }
 
-/// Whether both lead to one place, however they are written.
+/// Returns whether both paths lead to the same place.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
     a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }

@@ -1,4 +1,4 @@
-//! Results that were read and do not count.
+//! Results that are read, but excluded from the comparison.
 
 use std::path::Path;
 
@@ -8,15 +8,15 @@ use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use super::experiment::Experiments;
 use super::selected_results::is_named;
 
-/// Most results that a remark names.
+/// Maximum number of results in one note.
 const MAX_NAMED: usize = 8;
 
-/// Why results do not count, in their order; `None` of those that do.
+/// Reason for excluding each result, in the order of the results; `None` if a result is compared.
 pub(super) struct Excluded(Vec<Option<Exclusion>>);
 
 impl Excluded {
-    /// Finds what does not count; `named` is what the user typed. Of several results of one run the baseline stands for it, else
-    /// what the user named, else what is in the folder that its experiment gave it, else what comes first.
+    /// Finds the excluded results; `named` are the paths on the command line. Of several results of one run the baseline is compared,
+    /// otherwise a named result, otherwise the one in the folder that its experiment gave it, otherwise the first.
     pub(super) fn new(
         runs: &[Loaded],
         baseline: &[usize],
@@ -35,15 +35,15 @@ impl Excluded {
         Self(exclusions(&runs.iter().enumerate().map(candidate).collect::<Vec<_>>()))
     }
 
-    /// Whether these do not count.
+    /// Returns whether a result is excluded.
     pub(super) fn contains(&self, run: usize) -> bool {
         self.0.get(run).is_some_and(Option::is_some)
     }
 
-    /// Remarks on what does not count, one for each kind of reason.
+    /// Returns notes on the excluded results, one for each kind of reason.
     pub(super) fn notes(&self, runs: &[Loaded]) -> Vec<String> {
         let folder = |at: usize| runs[at].folder.display().to_string();
-        let told = |what: &str, why: &dyn Fn(&Exclusion) -> Option<String>| {
+        let note = |what: &str, why: &dyn Fn(&Exclusion) -> Option<String>| {
             let all: Vec<String> = (0..self.0.len())
                 .filter_map(|at| Some(format!("{} ({})", folder(at), why(self.0[at].as_ref()?)?)))
                 .collect();
@@ -52,15 +52,15 @@ impl Excluded {
             let named = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
             (!all.is_empty()).then(|| format!("excluded, {what}: {named}{more}"))
         };
-        let unfinished = told("unfinished runs", &|why| match why {
+        let unfinished = note("unfinished runs", &|why| match why {
             Exclusion::Unfinished(_) => Some(why.describe(folder)),
             _ => None,
         });
-        let copies = told("copies of other results with the same run id", &|why| match why {
+        let copies = note("copies of other results with the same run id", &|why| match why {
             Exclusion::CopyOf(of) => Some(format!("of {}", folder(*of))),
             _ => None,
         });
-        let again = told("repeated runs", &|why| match why {
+        let again = note("repeated runs", &|why| match why {
             Exclusion::MeasuredAgain(by) => Some(format!("as {}", folder(*by))),
             _ => None,
         });

@@ -1,4 +1,4 @@
-//! The experiments that results belong to.
+//! Experiments that results belong to.
 
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind};
@@ -15,10 +15,11 @@ use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, Stage};
 /// Number of parent folders of results in which their experiment is searched: `runs`, the run's folder, a folder of the user's.
 const MAX_ANCESTORS: usize = 4;
 
-/// Experiments by their folders, or why their records cannot be read: then their runs are compared as others are.
+/// Experiments by their folders, or the error of reading their records. Runs without a readable record are compared like other
+/// results.
 pub(super) struct Experiments(BTreeMap<PathBuf, Result<Experiment, RecordError>>);
 
-/// The reason why the record of an experiment tells nothing.
+/// A record of an experiment that cannot be read.
 #[derive(Debug, thiserror::Error)]
 enum RecordError {
     #[error(transparent)]
@@ -81,7 +82,7 @@ pub(super) struct ExperimentRun<'a> {
 }
 
 impl Experiments {
-    /// Those that have one of these results.
+    /// Finds the experiments of these results.
     pub(super) fn find<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
         let mut read = BTreeMap::new();
         for folder in results.flat_map(ancestor_folders) {
@@ -126,7 +127,7 @@ impl Experiments {
 }
 
 impl Experiment {
-    /// Its runs' folders, and how the runs fare.
+    /// Returns the folders and states of the runs.
     pub(super) fn runs(&self) -> impl Iterator<Item = (&str, Stage)> {
         self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.stage))
     }
@@ -138,7 +139,7 @@ impl Experiment {
 }
 
 impl ExperimentRun<'_> {
-    /// Its own folder.
+    /// Returns the folder of the run.
     pub(super) fn folder(&self) -> PathBuf {
         self.home.join(RUNS).join(&self.run.folder)
     }
@@ -150,16 +151,16 @@ impl ExperimentRun<'_> {
     }
 }
 
-/// The folders in which an experiment with these results may be.
+/// Returns the parent folders of results that may be the folder of their experiment.
 fn ancestor_folders(results: &Path) -> Vec<PathBuf> {
     let folder = results.canonicalize().unwrap_or_default();
     folder.ancestors().skip(1).take(MAX_ANCESTORS).map(Path::to_owned).collect()
 }
 
-/// A record that is there.
+/// Reads a record; `None` if it does not exist.
 ///
 /// # Errors
-/// When it tells nothing.
+/// When it cannot be read or is not a record.
 fn read(record: &Path) -> Result<Option<Experiment>, RecordError> {
     let text = match small_file::read_found(record, MAX_RECORD_BYTES) {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {

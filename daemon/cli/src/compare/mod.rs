@@ -21,7 +21,7 @@ use peernet_statistics::number::counted;
 
 pub(crate) use collect::{Collected, collect, distinct_places};
 
-/// What `peernet compare` can be told.
+/// Arguments of `peernet compare`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
@@ -134,7 +134,7 @@ fn baseline_sentence(line: &Line) -> String {
     format!("Baseline: {}: {runs}.", line.name())
 }
 
-/// Why nothing can be compared with a baseline, if that is so.
+/// Returns the reason why nothing can be compared with the baseline, if there is one.
 fn alone(comparison: &Comparison) -> Option<String> {
     let runs = match comparison.lines.as_slice() {
         [line] => line.runs.len(),

@@ -1,4 +1,4 @@
-//! Which of the results that were found are compared.
+//! Selection among the results that were found.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,25 +7,25 @@ use super::collect::is_same;
 use super::experiment::{Experiment, Experiments};
 use crate::experiment::{RUNS, unfinished_runs_note};
 
-/// Results that are compared: those found, without runs of experiments that are not done.
+/// Results to compare: all that were found, without unfinished runs of experiments.
 pub(super) struct SelectedResults {
     /// The results, each once.
     pub(super) paths: Vec<PathBuf>,
-    /// Runs that are left out, of each experiment.
+    /// Unfinished runs of each experiment.
     pub(super) left_out: Vec<UnselectedRuns>,
 }
 
-/// Runs of an experiment that are not compared.
+/// Notes on runs of one experiment that are not compared.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct UnselectedRuns {
-    /// Which, in a sentence.
+    /// Sentence for the caveats of the tables: the runs and their states.
     pub(super) what: String,
-    /// Which, where, and what is to be done.
+    /// Message for the terminal: the runs, their experiment, and the command that completes them.
     pub(super) remark: String,
 }
 
 impl SelectedResults {
-    /// Chooses among the results that were found in each place. A run that is a place itself is wanted as it is.
+    /// Selects among the results that were found in each place. A run whose own folder is on the command line is always selected.
     pub(super) fn new(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
         let mut paths: Vec<PathBuf> = Vec::new();
         let mut searched: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
@@ -56,7 +56,7 @@ impl SelectedResults {
     }
 }
 
-/// Whether a place that a user typed is that of a run: the folder of its results, or one in the run's own folder.
+/// Returns whether a path on the command line is the folder of these results, or a folder within the run's folder.
 pub(super) fn is_named(place: &Path, results: &Path, experiments: &Experiments) -> bool {
     let is_within = |folder: &Path| place.canonicalize().is_ok_and(|place| place.starts_with(folder));
     match experiments.run(results) {
@@ -65,7 +65,7 @@ pub(super) fn is_named(place: &Path, results: &Path, experiments: &Experiments) 
     }
 }
 
-/// An experiment's folder, which is given in full, as far as possible by the place in which it was found.
+/// Shortens the absolute path of an experiment's folder: it starts with the path on the command line if possible.
 fn as_typed(place: &Path, home: &Path) -> PathBuf {
     let below = place.canonicalize().ok().and_then(|full| Some(home.strip_prefix(full).ok()?.to_owned()));
     match below {

@@ -21,16 +21,16 @@ pub(crate) const RUNS: &str = "runs";
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Stage {
-    /// Its turn has not come.
+    /// The run has not started.
     #[default]
     Pending,
-    /// It is under way; or the program was killed while it was.
+    /// The run is in progress, or the program was killed during it.
     Running,
-    /// All was measured.
+    /// The run was measured to its end.
     Finished,
-    /// It could not be measured, or not to its end.
+    /// The run could not be measured, or not to its end.
     Failed,
-    /// The user ended it.
+    /// The user stopped the run.
     Interrupted,
 }
 
@@ -50,7 +50,7 @@ impl Stage {
         self.state(None).is_finished()
     }
 
-    /// As people read it.
+    /// Returns the name for people.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Pending => "to do",

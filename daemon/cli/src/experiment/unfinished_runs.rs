@@ -1,8 +1,8 @@
-//! Runs of an experiment that no table and no figure has, because they are not done.
+//! Note on runs of an experiment that its tables and figures exclude because they are not finished.
 
 use super::Stage;
 
-/// Most runs that are named.
+/// Maximum number of runs in the note.
 const MAX_NAMED: usize = 8;
 
 /// Returns the note on the runs that tables and figures of an experiment lack: their folders and states. `None` if all are done.

@@ -25,7 +25,7 @@ mod tests {
         (1..MIN_VALUES_FOR_P99).for_each(|_| latency.record(0.1));
         assert_eq!(p99(&latency), None);
         latency.record(0.1);
-        // All values are equal: the quantile of a sketch alone could differ by up to 1 %.
+        // All values are equal: a quantile from only the sketch could differ by up to 1 %.
         assert_eq!(p99(&latency), Some(0.1));
         assert_eq!(
             [describe_quantiles(0.1012, None), describe_quantiles(0.1012, Some(0.104))],

@@ -17,9 +17,9 @@ pub(crate) enum PipelineActivity {
     Preparing(MonoTime),
     /// The sensor was asked for a sample at this time.
     Sensing(MonoTime),
-    /// Its peer is away; the text is the reason, once it is known.
+    /// The peer is unreachable, for this reason if one is known.
     Away(Option<String>),
-    /// It waits neither for its sensor nor for its peer.
+    /// The pipeline waits neither for its sensor nor for its peer.
     Running,
 }
 
@@ -65,7 +65,7 @@ pub(crate) struct PeerWait {
 }
 
 impl PeerWait {
-    /// The longest that a peer that went away is waited for, unless there is a reason for less.
+    /// Default timeout for an unreachable peer.
     pub(crate) const DEFAULT_TIMEOUT: Span = Span::from_seconds(90);
 
     pub(crate) const fn new(now: MonoTime) -> Self {

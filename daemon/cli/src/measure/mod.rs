@@ -131,7 +131,7 @@ pub(crate) fn measure(
     Ok(Measured { ended, rows: recorded.rows, record, folder, files, trouble })
 }
 
-/// Writes the study of a run of a sensor alone.
+/// Writes the study of a run that measures only a sensor.
 fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, WriteError> {
     if !record.is_sensor_only() {
         return Ok(None);

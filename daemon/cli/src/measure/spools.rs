@@ -195,7 +195,7 @@ mod tests {
         spool(folder.path(), "tcp://lab:5550");
         assert!(folder.path().join(OLD_SPOOL).exists(), "an agent is at work with it");
         agent.unlock().expect("let go");
-        // Another program was killed after it had begun the takeover.
+        // Another program was killed after it had started the takeover.
         let taken = folder.path().join("spool-lab:5550.sqlite");
         fs::rename(with_end(&folder.path().join(OLD_SPOOL), "-wal"), with_end(&taken, "-wal"))
             .expect("movable");

@@ -108,7 +108,7 @@ fn text(path: &Path) -> Result<String, Failure> {
 pub(super) struct Devices {
     /// Name of the device that serves.
     pub(super) server: String,
-    /// Its address.
+    /// Address of the server.
     pub(super) address: Address,
     /// The file.
     pub(super) config: NetworkConfig,

@@ -35,7 +35,7 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
     changed.iter().for_each(complain);
 }
 
-/// Returns a note if an experiment was begun by another version and runs remain.
+/// Returns a note if an experiment was started by another version and runs remain.
 pub(super) fn version_change_note(record: &Record, to_do: &[Run], version: &str) -> Option<String> {
     let goes_on = !to_do.is_empty() && record.count(Stage::Finished) > 0;
     (goes_on && record.version != version).then(|| {

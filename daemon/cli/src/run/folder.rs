@@ -200,7 +200,7 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     Ok(Some(record))
 }
 
-/// Checks that the plan is unchanged since the experiment was begun.
+/// Checks that the plan is unchanged since the experiment was started.
 ///
 /// # Errors
 /// When it has changed; the text lists the differences (78).

@@ -259,7 +259,7 @@ async fn is_confirmed(signals: &mut Signals) -> bool {
     }
 }
 
-/// Removes the folder of an experiment that was not begun.
+/// Removes the folder of an experiment that was not started.
 fn discard(folder: Option<Folder>, record: &Record) {
     if let Some(folder) = folder.filter(|_| record.states.iter().all(|state| state.attempts == 0)) {
         folder.discard();

@@ -1,6 +1,6 @@
 //! Plan of an experiment: its runs, their order and their configurations.
 //!
-//! It follows from the file and the seed alone, so that a killed experiment can be continued by comparing plans.
+//! It depends only on the file and the seed, so that a killed experiment can be continued by comparing plans.
 
 use peernet_agent::config::PipelineConfig;
 use peernet_external::exec::with_arguments;

@@ -1,4 +1,4 @@
-//! Table of runs of sensors alone.
+//! Table of runs that measure only a sensor.
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::sensor_study::SensorStudy;
@@ -13,16 +13,16 @@ const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± s
                     is from the median period. Sensing: from asking for a sample to having it, the median.";
 const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell which it dropped (—).";
 
-/// A line for each edge that ran a sensor alone.
+/// Table with a line for each edge that measured only a sensor.
 pub(super) struct Sensors {
     table: Table,
     note: String,
-    /// `true` if all runs are of sensors alone.
+    /// `true` if all runs measure only a sensor.
     pub(super) are_all: bool,
 }
 
 impl Sensors {
-    /// Makes the table of the edges that ran a sensor alone; `None` if there are none.
+    /// Makes the table of the edges that measured only a sensor; `None` if there are none.
     pub(super) fn from_runs(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
         let edges: Vec<(&Run, &Loaded)> =
             runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(|edge| (*run, edge))).collect();

@@ -34,7 +34,7 @@ pub(super) struct Record {
 pub(super) struct State {
     /// Stage of the run.
     pub(super) stage: Stage,
-    /// Number of times that it was begun.
+    /// Number of attempts.
     pub(super) attempts: u32,
     /// Exit code of the process; of several the first that is not 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -57,7 +57,7 @@ pub(super) struct Ended {
 }
 
 impl Record {
-    /// Makes the record of an experiment that has not begun.
+    /// Makes the record of an experiment that has not started.
     pub(super) fn new(plan: Plan, id: String, file: String, version: String) -> Self {
         let states = vec![State::default(); plan.runs.len()];
         Self { format: FORMAT, name: plan.name.clone(), id, file, version, states, plan }

@@ -9,16 +9,16 @@ use crate::scale::Scale;
 use peernet_analysis::order::SortedValues;
 
 /// Points of a curve.
-const POINTS: usize = 240;
+const CURVE_POINTS: usize = 240;
 /// Ratio of the largest to the smallest median from which on the axis is logarithmic.
-const WIDE: f64 = 12.0;
+const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the values at each end of a logarithmic axis, as a power of their ratio.
-const ROOM: f64 = 0.02;
+const AXIS_MARGIN: f64 = 0.02;
 /// Share of the largest value: an axis begins at zero unless the smallest value is above it.
-const CLOSE: f64 = 0.5;
+const ZERO_THRESHOLD: f64 = 0.5;
 /// Height of the first mark of a curve and the distance to the next curve's, so that none hides another.
-const FIRST_MARK: f64 = 0.12;
-const NEXT_MARK: f64 = 0.16;
+const FIRST_MARK_HEIGHT: f64 = 0.12;
+const MARK_DISTANCE: f64 = 0.16;
 const RADIUS: f64 = 1.7;
 
 /// Cumulative distributions.
@@ -67,10 +67,10 @@ impl Cumulative {
         let medians: SortedValues = self.shown().filter_map(|(curve, _)| curve.values.median()).collect();
         let (least, most) = medians.values().first().zip(medians.values().last())?;
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
-        Some(if lo > 0.0 && *most >= WIDE * least {
-            let room = (hi / lo).powf(ROOM);
+        Some(if lo > 0.0 && *most >= LOGARITHMIC_RATIO * least {
+            let room = (hi / lo).powf(AXIS_MARGIN);
             Scale::logarithmic((lo / room, hi * room))
-        } else if lo > hi * CLOSE {
+        } else if lo > hi * ZERO_THRESHOLD {
             Scale::linear((lo, hi))
         } else {
             Scale::from_zero((lo, hi))
@@ -121,10 +121,10 @@ impl Cumulative {
             (at.x, at.y)
         };
         let last = values.len().saturating_sub(1);
-        let steps = POINTS.min(last.max(1));
+        let steps = CURVE_POINTS.min(last.max(1));
         let mut points: Vec<(f64, f64)> = (0..=steps).map(|step| at(last * step / steps)).collect();
         points.insert(0, (points[0].0, 1.0));
-        let wanted = 1.0 - (FIRST_MARK + NEXT_MARK * number as f64).fract();
+        let wanted = 1.0 - (FIRST_MARK_HEIGHT + MARK_DISTANCE * number as f64).fract();
         let mark =
             points.iter().min_by(|a, b| (a.1 - wanted).abs().total_cmp(&(b.1 - wanted).abs())).copied();
         let mut items = vec![Item::path(Path::line(points.into_iter().map(Some)), curve.line.clone())];

@@ -11,21 +11,21 @@ use crate::scale::Scale;
 use peernet_analysis::order::SortedValues;
 
 /// Number of points from which on they are counted into cells.
-const MANY: usize = 1500;
+const MAX_POINTS: usize = 1500;
 /// Cells across and upwards: a cell is about 1.8 points wide and high in a file.
 const CELLS: (f64, f64) = (108.0, 60.0);
 /// Shades of cells.
 const SHADES: f64 = 14.0;
 /// Width of a distribution at the side of the plot, points.
-const MARGIN: f64 = 26.0;
+const SIDE_WIDTH: f64 = 26.0;
 /// Minimum width and height of a bar, points.
-const SEEN: f64 = 0.45;
+const MIN_BAR_SIZE: f64 = 0.45;
 /// Diameter of a point, points.
-const DOT: f64 = 2.4;
+const POINT_DIAMETER: f64 = 2.4;
 /// Share of the largest value: an axis begins at zero unless the smallest value is above it.
-const CLOSE: f64 = 0.75;
+const ZERO_THRESHOLD: f64 = 0.75;
 /// Space on both sides of values that are far from zero, as a share of their range.
-const ROOM: f64 = 0.05;
+const AXIS_MARGIN: f64 = 0.05;
 
 /// Points with both marginal histograms.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,8 +68,8 @@ impl Lengths {
 
     fn points(&self, plot: &Plot) -> Vec<Item> {
         let (colour, class) = (self.colour(), self.class());
-        if self.points.len() <= MANY {
-            let style = Style::line(format!("dots d-{class}"), colour.tint(0.62), DOT);
+        if self.points.len() <= MAX_POINTS {
+            let style = Style::line(format!("dots d-{class}"), colour.tint(0.62), POINT_DIAMETER);
             return vec![Item::path(Path::dots(self.inside(plot)), style)];
         }
         let style = Style::area(format!("f-{class}"), Fill::of(colour));
@@ -130,23 +130,23 @@ fn margin(values: &SortedValues, place: impl Fn(f64, f64, f64) -> [At; 2]) -> St
         let (from, to) = bins.bin(number);
         let height = bins.counts[number] as f64 / bins.highest().max(1) as f64;
         let [from, to] = place(from, to, height);
-        Item::Rect { from, to, least: (SEEN, SEEN), style: style.clone() }
+        Item::Rect { from, to, least: (MIN_BAR_SIZE, MIN_BAR_SIZE), style: style.clone() }
     };
     let bars = |bins: Bins| -> Vec<Item> {
         let filled = (0..bins.counts.len()).filter(|number| bins.counts[*number] > 0);
         filled.map(|number| bar(&bins, number)).collect()
     };
-    Strip { items: Bins::of(values).map(bars).unwrap_or_default(), size: MARGIN }
+    Strip { items: Bins::of(values).map(bars).unwrap_or_default(), size: SIDE_WIDTH }
 }
 
 /// Returns whether an axis from zero would squeeze all values between these into a corner.
 pub fn would_squeeze(lo: f64, hi: f64) -> bool {
-    hi > lo && lo > hi * CLOSE
+    hi > lo && lo > hi * ZERO_THRESHOLD
 }
 
 fn axis(unit: &Unit, (lo, hi): (f64, f64)) -> Axis {
     let (lo, hi) = (lo * unit.per_si, hi * unit.per_si);
-    let room = (hi - lo) * ROOM;
+    let room = (hi - lo) * AXIS_MARGIN;
     unit.axis(if would_squeeze(lo, hi) {
         Scale::linear((lo - room, hi + room))
     } else {

@@ -5,9 +5,9 @@ use crate::plot::{At, Item};
 use crate::scale::Scale;
 
 /// Minimum length of a part in a file, points, so that a short part is visible.
-const THIN: f64 = 0.6;
+const MIN_LENGTH: f64 = 0.6;
 /// Parts of less than this share of the scale have no line between them.
-const PARTED: f64 = 0.006;
+const MIN_SEPARATED_SHARE: f64 = 0.006;
 
 /// Direction of a bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,13 +72,13 @@ impl Stack<'_> {
     /// Lays the parts out between two places across.
     pub fn items(&self, (near, far): (f64, f64), direction: Direction) -> Vec<Item> {
         let mut items = Vec::new();
-        let least = if direction == Direction::Upright { (0.0, THIN) } else { (THIN, 0.0) };
+        let least = if direction == Direction::Upright { (0.0, MIN_LENGTH) } else { (MIN_LENGTH, 0.0) };
         for (name, from, to) in self.segments() {
             let [begin, end] = [from, to].map(|value| self.scale.at(value));
             let corners = [direction.at(begin, near), direction.at(end, far)];
             items.push(Item::Rect { from: corners[0], to: corners[1], least, style: stage(name).area() });
             // A line between parts separates neighbours of the same grey.
-            if from != 0.0 && (end - begin).abs() > PARTED {
+            if from != 0.0 && (end - begin).abs() > MIN_SEPARATED_SHARE {
                 items.push(Item::line(direction.at(begin, near), direction.at(begin, far), Style::cut()));
             }
         }

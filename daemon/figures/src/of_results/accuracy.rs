@@ -15,7 +15,7 @@ use peernet_analysis::rows::RowRef;
 /// Column that is 1 if the best class is the label, else 0.
 pub(super) const TOP_1: &str = ACCURACIES[0];
 /// Maximum number of points that a reader can distinguish.
-const MOST: usize = 24;
+const MAX_POINTS: usize = 24;
 
 /// Returns one point for each configuration with scored answers; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
@@ -40,7 +40,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     };
     let mut scores: Vec<Score> = groups.iter().filter_map(scored).collect();
     let (configurations, without) = (scores.len(), groups.len() - scores.len());
-    scores.truncate(MOST);
+    scores.truncate(MAX_POINTS);
     let fewest = scores.iter().map(|score| score.count).min().unwrap_or_default();
     let most = scores.iter().map(|score| score.count).max().unwrap_or_default();
     let number = |count: u64| fixed(count as f64, 0);
@@ -48,8 +48,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let mut notes = vec![format!("configurations: {} · n = {n} each", axes.join(", "))];
     notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
     let mut missing = Vec::new();
-    if configurations > MOST {
-        missing.push(format!("the first {MOST} of {configurations} configurations"));
+    if configurations > MAX_POINTS {
+        missing.push(format!("the first {MAX_POINTS} of {configurations} configurations"));
     }
     if without > 0 {
         let configurations = number::counted(without as u64, "configuration");

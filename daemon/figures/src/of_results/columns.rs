@@ -8,11 +8,11 @@ use peernet_analysis::rows::{RowRef, Rows, Units};
 use peernet_analysis::summary::Scale;
 
 /// Beyond this nothing was measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
-const LARGEST: f64 = 1e18;
+const MAX_MAGNITUDE: f64 = 1e18;
 
 /// Returns whether a number can be drawn in a figure.
 pub(super) fn is_drawable(value: f64) -> bool {
-    value.abs() <= LARGEST
+    value.abs() <= MAX_MAGNITUDE
 }
 
 /// Returns a note on the count of numbers in these columns that are too large to be drawn; `None` if there are none.

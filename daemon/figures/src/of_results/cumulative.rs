@@ -12,10 +12,10 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
 /// Number of stages that are shown beside the total: those that take longest.
-const STAGES: usize = 4;
+const STAGE_CURVES: usize = 4;
 /// Width of lines, points; the total's is stronger.
-const LINE: f64 = 0.9;
-const STRONG: f64 = 1.2;
+const LINE_WIDTH: f64 = 0.9;
+const TOTAL_LINE_WIDTH: f64 = 1.2;
 
 /// Returns one curve for the total and each of the longest stages, or that of one column.
 pub(super) fn drawings(
@@ -45,8 +45,8 @@ pub(super) fn drawings(
         stages.filter(|(values, _)| values.median().is_some_and(|median| median > 0.0)).collect();
     let sum = |values: &SortedValues| values.values().iter().sum::<f64>();
     stages.sort_by(|a, b| sum(&b.0).total_cmp(&sum(&a.0)));
-    let shorter: Vec<String> = stages.iter().skip(STAGES).map(|(_, name)| name.to_string()).collect();
-    stages.truncate(STAGES);
+    let shorter: Vec<String> = stages.iter().skip(STAGE_CURVES).map(|(_, name)| name.to_string()).collect();
+    stages.truncate(STAGE_CURVES);
     stages.sort_by_key(|(_, name)| stage::ORDER.iter().position(|known| known == name));
     let mut notes = notes(rows, &[total], &of_total);
     if !shorter.is_empty() {
@@ -73,9 +73,12 @@ fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
 fn curve(name: &str, values: SortedValues, number: usize) -> CumulativeCurve {
     let look = look(name);
     let (line, mark) = if !look.has_colour() {
-        (Style::line("strong", INK.light, STRONG), (Mark::Cross, Style::line("strong", INK.light, LINE)))
+        (
+            Style::line("strong", INK.light, TOTAL_LINE_WIDTH),
+            (Mark::Cross, Style::line("strong", INK.light, LINE_WIDTH)),
+        )
     } else {
-        (look.line(LINE), (Mark::ALL[number % Mark::ALL.len()], look.mark()))
+        (look.line(LINE_WIDTH), (Mark::ALL[number % Mark::ALL.len()], look.mark()))
     };
     CumulativeCurve { name: name.to_owned(), line, mark, values }
 }

@@ -17,12 +17,12 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::RowRef;
 
 /// Number of sizes above which neighbours are merged, so that each has enough messages.
-const MOST_SIZES: usize = 24;
+const MAX_SIZES: usize = 24;
 /// Columns that the figures are drawn from.
-const SHOWN: [&str; 6] =
+const PAYLOAD_COLUMNS: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
 /// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
-const CLOCK_READ: f64 = 1e-7;
+const CLOCK_RESOLUTION_S: f64 = 1e-7;
 
 /// The messages of one size. Seconds, bytes.
 struct Size {
@@ -69,7 +69,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let configurations = Configurations::from_runs(runs);
     let studied = links.into_iter().map(|(_, runs_of)| {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows);
-        let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &SHOWN)];
+        let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &PAYLOAD_COLUMNS)];
         let (ways, others): (Vec<DirectionData>, Vec<DirectionData>) =
             ways(&runs_of).into_iter().partition(DirectionData::is_varied);
         let untold = ways.iter().flat_map(DirectionData::untold);
@@ -248,11 +248,11 @@ impl Study {
 
 /// Merges neighbouring sizes if there are too many: files of a camera all have different sizes.
 fn together(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
-    if sizes.len() <= MOST_SIZES {
+    if sizes.len() <= MAX_SIZES {
         return sizes;
     }
     let all: Vec<RowRef<'_>> = sizes.into_iter().flatten().collect();
-    all.chunks(all.len().div_ceil(MOST_SIZES)).map(<[RowRef<'_>]>::to_vec).collect()
+    all.chunks(all.len().div_ceil(MAX_SIZES)).map(<[RowRef<'_>]>::to_vec).collect()
 }
 
 /// Fits a line through the medians, each weighted by its precision, as in a calibration.
@@ -263,7 +263,8 @@ fn fit(sizes: &[Size]) -> Option<Fit> {
         .enumerate()
         .map(|(number, size)| {
             let point = Point { x: size.bytes, y: size.delays.median()? };
-            let weight = errors.as_ref().map_or(1.0, |errors| errors[number].max(CLOCK_READ).powi(-2));
+            let weight =
+                errors.as_ref().map_or(1.0, |errors| errors[number].max(CLOCK_RESOLUTION_S).powi(-2));
             Some(Weighted { point, weight })
         })
         .collect();

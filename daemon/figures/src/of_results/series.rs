@@ -10,7 +10,7 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 
 /// Number of stages that are shown beside the total: those that take longest.
-const STAGES: usize = 4;
+const STAGE_CURVES: usize = 4;
 /// Title of the horizontal axis if times are not known.
 const ITERATION: &str = "Iteration";
 
@@ -38,7 +38,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let mut stages: Vec<(f64, usize, Name)> =
         stage::ORDER.into_iter().enumerate().map(|(place, name)| (sum(&name), place, name)).collect();
     stages.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let shorter = stages.split_off(STAGES.min(stages.len()));
+    let shorter = stages.split_off(STAGE_CURVES.min(stages.len()));
     stages.sort_by_key(|(_, place, _)| *place);
     let stages = stages.iter().map(|(_, _, name)| line(name));
     let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));

@@ -14,7 +14,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::{LATENESS, RowRef};
 
 /// Maximum number of bars in one figure.
-const MOST: usize = 100;
+const MAX_BARS: usize = 100;
 
 /// Returns one bar for each configuration; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
@@ -36,7 +36,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let mut bars: Vec<Bar> =
         lines.iter().filter_map(|(label, runs)| bar(label, runs, &stages, total)).collect();
     let (lines_of, without) = (bars.len(), lines.len() - bars.len());
-    bars.truncate(MOST);
+    bars.truncate(MAX_BARS);
     let mut notes = vec![format!(
         "configurations: {} · parts: means · whisker and figures: mean ± standard deviation of the {}",
         axes.join(", "),
@@ -57,8 +57,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         missing.push(format!("left out: {configurations} without an iteration that counts"));
     }
     notes.extend(unknown(&all));
-    if lines_of > MOST {
-        missing.push(format!("the first {MOST} of {} configurations", fixed(lines_of as f64, 0)));
+    if lines_of > MAX_BARS {
+        missing.push(format!("the first {MAX_BARS} of {} configurations", fixed(lines_of as f64, 0)));
     }
     notes.extend(missing.iter().cloned());
     let stacked = Stacked {

@@ -13,7 +13,7 @@ use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::RowRef;
 
 /// Width of a curve, points.
-const LINE: f64 = 1.0;
+const LINE_WIDTH: f64 = 1.0;
 
 /// Returns one curve for each configuration, four to a figure; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
@@ -66,5 +66,5 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
 fn curve((label, values): &(&String, SortedValues), number: usize) -> CumulativeCurve {
     let look = series(number);
     let mark = (look.mark, look.marks());
-    CumulativeCurve { name: (*label).clone(), line: look.line(LINE), mark, values: values.clone() }
+    CumulativeCurve { name: (*label).clone(), line: look.line(LINE_WIDTH), mark, values: values.clone() }
 }

@@ -10,7 +10,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::users::{Curve, Users, UsersLine};
 
 /// Number of configurations above which they are counted instead of named.
-const MOST_NAMED: usize = 3;
+const MAX_NAMED: usize = 3;
 
 /// Returns whether some configuration was measured with different numbers of edges.
 pub(super) fn have_curves(runs: &[Loaded]) -> bool {
@@ -51,7 +51,7 @@ fn lacking(curves: &[Curve<'_>]) -> Option<String> {
             .collect()
     };
     let names: Vec<String> = curves.iter().flat_map(of).collect();
-    let few = names.len() <= MOST_NAMED;
+    let few = names.len() <= MAX_NAMED;
     let told = if few { names.join("; ") } else { counted(names.len() as u64, "configuration") };
     (!names.is_empty()).then(|| format!("left out, no total while all edges were measuring: {told}"))
 }

@@ -70,7 +70,7 @@ impl Field {
         last.unwrap_or_default()
     }
 
-    /// Returns whether one of the two paths is the begin of the other.
+    /// Returns whether one of the two paths is a prefix of the other.
     pub(super) fn touches(&self, other: &Self) -> bool {
         self.0.iter().zip(&other.0).all(|(a, b)| a == b)
     }

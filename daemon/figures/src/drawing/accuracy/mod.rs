@@ -11,16 +11,16 @@ use crate::sheet::file;
 use peernet_analysis::accuracy;
 
 /// Half the width of a whisker's cap, points.
-const CAP: f64 = 1.4;
+const CAP_HALF_WIDTH: f64 = 1.4;
 /// Radius of a point, with the rim that parts it from its neighbours, points.
 const RADIUS: f64 = 2.1;
 const RIM: f64 = 0.4;
 /// Ratio of the largest to the smallest latency from which on the axis is logarithmic.
-const WIDE: f64 = 12.0;
+const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the intervals, percentage points.
-const ROOM: f64 = 2.0;
+const AXIS_MARGIN: f64 = 2.0;
 /// Difference of accuracies, as a share of the axis, below which horizontal whiskers overlap.
-const SAME: f64 = 0.03;
+const OVERLAP_DISTANCE: f64 = 0.03;
 
 /// Accuracy and latency of one configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,7 +84,7 @@ impl Accuracy {
     /// Returns whether there are horizontal whiskers: at all points, or at none if two would overlap.
     fn has_whiskers(&self) -> bool {
         let Some((low, high)) = self.heights() else { return false };
-        let near = (high - low + 2.0 * ROOM) * SAME;
+        let near = (high - low + 2.0 * AXIS_MARGIN) * OVERLAP_DISTANCE;
         let reach = |score: &Score| (score.median, score.late().unwrap_or(score.median));
         let shown: Vec<((f64, f64), f64)> =
             self.shown().map(|(score, [_, share, _])| (reach(score), share)).collect();
@@ -110,8 +110,8 @@ impl Accuracy {
             .reduce(join)?;
         // The axis ends a little above 100, so that points there are complete, but below the next mark.
         let edge = (high - low).max(1.0) * 0.04;
-        let shares = Scale::linear(((low - ROOM).max(-edge), (high + ROOM).min(100.0 + edge)));
-        let across = if slow > fast * WIDE {
+        let shares = Scale::linear(((low - AXIS_MARGIN).max(-edge), (high + AXIS_MARGIN).min(100.0 + edge)));
+        let across = if slow > fast * LOGARITHMIC_RATIO {
             let room = (slow / fast).powf(0.08);
             Scale::logarithmic((fast / room, slow * room))
         } else {
@@ -178,11 +178,11 @@ impl Spot {
         let pen = Style::line("whisk2", INK.light.tint(0.55), 0.45);
         let (bottom, top) = self.interval;
         let ends = [bottom, top].map(|y| At { y, ..self.at });
-        let mut items = Item::whisker(ends, [true; 2], CAP, &pen);
+        let mut items = Item::whisker(ends, [true; 2], CAP_HALF_WIDTH, &pen);
         if let Some(late) = self.p95 {
             let late = At { x: late, ..self.at };
             items.push(Item::line(self.at, late, pen.clone()));
-            items.push(Item::line(late.aside(0.0, -CAP), late.aside(0.0, CAP), pen));
+            items.push(Item::line(late.aside(0.0, -CAP_HALF_WIDTH), late.aside(0.0, CAP_HALF_WIDTH), pen));
         }
         items
     }

@@ -3,16 +3,16 @@
 use peernet_analysis::order::SortedValues;
 
 /// Minimum and maximum number of bins.
-const FEWEST: usize = 8;
-const MOST: usize = 60;
+const MIN_BINS: usize = 8;
+const MAX_BINS: usize = 60;
 /// Limits of the values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
-const RARE: usize = 100;
-const FEW: usize = 3;
-const FEW_OF: usize = 8;
+const CUT_ONE_IN: usize = 100;
+const CUT_OF_FEW: usize = 3;
+const MAX_CUT_ONE_IN: usize = 8;
 /// Values are only cut off if showing them would make the axis wider than the rest by more than this factor.
-const WORTH: f64 = 1.5;
+const MIN_GAIN: f64 = 1.5;
 /// Tukey's far fence: distance from the quartile in interquartile ranges.
-const FAR: f64 = 3.0;
+const FAR_FENCE: f64 = 3.0;
 
 /// Counted values.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,7 +41,7 @@ impl Bins {
         } else {
             let bins = (hi - lo) / (2.0 * middle_half / n.cbrt());
             // If all but a few values are equal, the interquartile range gives no width.
-            if bins.is_finite() { (bins.ceil() as usize).clamp(FEWEST, MOST) } else { MOST }
+            if bins.is_finite() { (bins.ceil() as usize).clamp(MIN_BINS, MAX_BINS) } else { MAX_BINS }
         };
         let width = if lo == hi { lo.abs().max(f64::MIN_POSITIVE) / 50.0 } else { (hi - lo) / count as f64 };
         let from = if lo == hi { lo - width / 2.0 } else { lo };
@@ -87,7 +87,7 @@ impl Bins {
 pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);
-    let most = (values.len() / RARE).max((values.len() / FEW_OF).min(FEW));
+    let most = (values.len() / CUT_ONE_IN).max((values.len() / MAX_CUT_ONE_IN).min(CUT_OF_FEW));
     // Ranks, not interpolated quantiles, because those would depend on the value that is to be cut.
     let (low, high) = (values[most], values[values.len() - 1 - most]);
     let width = high - low;
@@ -96,9 +96,9 @@ pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
         return Some((lo, hi));
     }
     let (lower, upper) = (all.quantile(0.25)?, all.quantile(0.75)?);
-    let fence = FAR * (upper - lower);
-    let top = (low + WORTH * width).max(upper + fence);
-    let bottom = (high - WORTH * width).min(lower - fence);
+    let fence = FAR_FENCE * (upper - lower);
+    let top = (low + MIN_GAIN * width).max(upper + fence);
+    let bottom = (high - MIN_GAIN * width).min(lower - fence);
     let inside = || values.iter().copied().filter(|value| (bottom..=top).contains(value));
     inside().next().zip(inside().next_back())
 }
@@ -162,7 +162,7 @@ mod tests {
             assert!(same.from <= value && value <= same.to() && same.width > 0.0, "{same:?}");
         }
         let mostly = bins(std::iter::repeat_n(1.0, 97).chain([0.5, 2.0, 3.0])).expect("there are values");
-        assert_eq!(mostly.counts.len(), MOST);
+        assert_eq!(mostly.counts.len(), MAX_BINS);
         let negative = bins([-3.0, -2.0, -2.0, -1.0]).expect("there are values");
         assert_eq!((negative.from, negative.to(), negative.counts.iter().sum::<u64>()), (-3.0, -1.0, 4));
     }

@@ -7,14 +7,14 @@ use crate::scale::Scale;
 use crate::text::width;
 
 /// Share of the plot that a single bar fills.
-const ALONE: f64 = 0.1;
+const SINGLE_BAR_WIDTH: f64 = 0.1;
 /// Minimum width and height of a bar in a file, points: one iteration in ten thousand is visible.
-const SEEN: (f64, f64) = (0.4, 0.45);
+const MIN_BAR_SIZE: (f64, f64) = (0.4, 0.45);
 /// Distance from a line to its label and between labels, in their type size.
-const ASIDE: f64 = 0.3;
+const LABEL_GAP: f64 = 0.3;
 /// Distance between two lines of labels, and of the lowest from the plot, in their type size.
-const LINE: f64 = 1.3;
-const FIRST: f64 = 0.4;
+const LINE_DISTANCE: f64 = 1.3;
+const FIRST_LINE_DISTANCE: f64 = 0.4;
 
 /// View of a distribution: two are possible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -115,9 +115,9 @@ impl Distribution {
                 (plot.at(edges[0] * self.unit.per_si, low), plot.at(edges[1] * self.unit.per_si, height));
             if self.counts.len() == 1 {
                 // A single value is drawn with the same width whether it is zero or not.
-                (from.x, to.x) = (0.5 - ALONE / 2.0, 0.5 + ALONE / 2.0);
+                (from.x, to.x) = (0.5 - SINGLE_BAR_WIDTH / 2.0, 0.5 + SINGLE_BAR_WIDTH / 2.0);
             }
-            Item::Rect { from, to, least: SEEN, style: style.clone() }
+            Item::Rect { from, to, least: MIN_BAR_SIZE, style: style.clone() }
         };
         self.edges.windows(2).zip(self.heights()).filter(|(_, height)| *height > 0.0).map(bar).collect()
     }
@@ -132,7 +132,7 @@ impl Distribution {
         for (name, value) in self.quantiles.iter().filter(|(_, value)| (from..=to).contains(value)) {
             let x = plot.x.scale.at(value * self.unit.per_si);
             let words = format!("{name} {}", self.unit.words(*value, spread));
-            let wide = (width(&words, 1.0) + 3.0 * ASIDE) / self.ems;
+            let wide = (width(&words, 1.0) + 3.0 * LABEL_GAP) / self.ems;
             let anchor = match *name {
                 "median" if x > wide => Anchor::End,
                 _ if x + wide > 1.0 => Anchor::End,
@@ -147,12 +147,12 @@ impl Distribution {
         }
         let mut items = Vec::new();
         for (name, x, words, anchor, row) in placed {
-            let aside = if anchor == Anchor::End { -ASIDE } else { ASIDE };
+            let aside = if anchor == Anchor::End { -LABEL_GAP } else { LABEL_GAP };
             let (bottom, top) = (At::new(x, 1.0), At::new(x, 0.0));
             items.push(Item::line(bottom, top, Style::rim()));
             items.push(Item::line(bottom, top, Style::quantile(name)));
             let label = Label::new(top, words, TextStyle::MARK).anchored(anchor);
-            items.push(Item::Text(label.shifted(aside, -FIRST - LINE * row as f64)));
+            items.push(Item::Text(label.shifted(aside, -FIRST_LINE_DISTANCE - LINE_DISTANCE * row as f64)));
         }
         let rows = ends.iter().map(|(row, _)| row + 1).max().unwrap_or_default();
         (items, rows)

@@ -15,7 +15,7 @@ use crate::plot::{Figure, Unit};
 use peernet_analysis::order::SortedValues;
 
 /// Width of a plot in a file, in the type size of its labels.
-const EMS: f64 = 31.0;
+const WIDTH_EM: f64 = 31.0;
 
 /// Histogram with its median and its 95th and 99th percentiles.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,7 +52,7 @@ impl Histogram {
             stage: stage(self.stage.trim_end_matches("-throughput")),
             view: View::Counts,
             is_logarithmic: false,
-            ems: EMS,
+            ems: WIDTH_EM,
         }
     }
 }

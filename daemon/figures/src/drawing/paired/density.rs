@@ -3,12 +3,12 @@
 use peernet_analysis::order::SortedValues;
 
 /// Places for each width of the kernel, so that no hill falls between two of them.
-const PER_WIDTH: f64 = 4.0;
+const PLACES_PER_WIDTH: f64 = 4.0;
 /// Minimum and maximum number of places.
-const FEWEST: usize = 24;
-const MOST: usize = 768;
+const MIN_PLACES: usize = 24;
+const MAX_PLACES: usize = 768;
 /// Number of cells that values are counted into first, so that the cost does not depend on the number of values.
-const CELLS: usize = MOST;
+const CELLS: usize = MAX_PLACES;
 
 /// Returns places between `lo` and `hi` with the density of the values there, the densest place being 1: a Gaussian kernel of Silverman's
 /// width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Empty if all values are equal.
@@ -21,7 +21,7 @@ pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, 
     finite().for_each(|value| cells[(((value - lo) / cell) as usize).min(CELLS - 1)] += 1);
     // A kernel that is narrower than a cell would fall between the cells.
     let width = width.max(cell);
-    let steps = ((PER_WIDTH * (hi - lo) / width).ceil() as usize).clamp(FEWEST, MOST);
+    let steps = ((PLACES_PER_WIDTH * (hi - lo) / width).ceil() as usize).clamp(MIN_PLACES, MAX_PLACES);
     let at = |step: usize| lo + (hi - lo) * step as f64 / steps as f64;
     let dense = |place: f64| -> f64 {
         let parts = cells.iter().enumerate().filter(|(_, count)| **count > 0).map(|(number, count)| {

@@ -14,24 +14,24 @@ use density::density;
 use peernet_analysis::order::SortedValues;
 
 /// Width of the plot in a file, about, points.
-const ACROSS: f64 = 213.0;
+const PLOT_WIDTH: f64 = 213.0;
 /// Half the width of the bar of the middle half, and of the rim about it, points.
-const BAR: f64 = 1.2;
+const BAR_HALF_WIDTH: f64 = 1.2;
 const RIM: f64 = 0.5;
 /// Radius of a point, points.
 const RADIUS: f64 = 1.8;
 /// Half the width of a shape at most, as a share of the plot.
-const WIDEST: f64 = 0.09;
+const MAX_HALF_WIDTH: f64 = 0.09;
 /// Room above the largest value, of the range.
-const ABOVE: f64 = 0.12;
+const ROOM_ABOVE: f64 = 0.12;
 /// Distance from the plot to the baseline of the counts, points.
-const COUNT: f64 = 9.5;
+const COUNT_DISTANCE: f64 = 9.5;
 /// Number of values up to which each is drawn as a point.
-const MOST_POINTS: usize = 60;
+const MAX_POINTS: usize = 60;
 /// Room for single points above the axis' range, below the text at the top, as a factor.
-const NEAR: f64 = 1.05;
+const ROOM_FOR_POINTS: f64 = 1.05;
 /// Ratio of the largest to the smallest median from which on the axis is logarithmic.
-const WIDE: f64 = 30.0;
+const LOGARITHMIC_RATIO: f64 = 30.0;
 /// Maximum number of sides that a reader can distinguish.
 pub const MOST_SIDES: usize = 4;
 /// Maximum number of groups that fit into the width of a column.
@@ -103,7 +103,7 @@ impl Paired {
     /// Returns whether there is room for the count below each distribution.
     fn has_room_for_counts(&self) -> bool {
         let sides = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
-        let room = ACROSS * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
+        let room = PLOT_WIDTH * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
         let all = self.groups.iter().flat_map(|group| &group.values);
         all.into_iter().all(|values| width(&n_of(values), SMALL) <= room)
     }
@@ -114,7 +114,7 @@ impl Paired {
             let (lo, hi) = range(values)?;
             // A single point above zero is shown however low it is.
             let least = values.values().first().copied().filter(|least| *least > 0.0);
-            Some((least.filter(|_| values.len() <= MOST_POINTS).unwrap_or(lo), hi))
+            Some((least.filter(|_| values.len() <= MAX_POINTS).unwrap_or(lo), hi))
         };
         let all = self.groups.iter().flat_map(|group| &group.values).filter_map(ends);
         all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
@@ -125,17 +125,18 @@ impl Paired {
         let medians = self.groups.iter().flat_map(|group| &group.values).filter_map(SortedValues::median);
         let medians: SortedValues = medians.collect();
         let ends = medians.values().first().zip(medians.values().last());
-        self.shown().is_some_and(|(lo, _)| lo > 0.0) && ends.is_some_and(|(lo, hi)| *hi >= WIDE * lo)
+        self.shown().is_some_and(|(lo, _)| lo > 0.0)
+            && ends.is_some_and(|(lo, hi)| *hi >= LOGARITHMIC_RATIO * lo)
     }
 
     /// Returns the largest value that is shown of a distribution: single points up to the end of the axis, shapes without their tails.
     fn highest(&self, values: &SortedValues) -> Option<f64> {
         let (_, hi) = range(values)?;
-        if values.len() > MOST_POINTS {
+        if values.len() > MAX_POINTS {
             return Some(hi);
         }
         let (_, most) = self.shown()?;
-        values.values().iter().rev().copied().find(|value| *value <= most * NEAR)
+        values.values().iter().rev().copied().find(|value| *value <= most * ROOM_FOR_POINTS)
     }
 
     /// Returns the number of values above the range that is shown of them.
@@ -146,7 +147,7 @@ impl Paired {
 
     /// Returns the number of values below the range that is shown of them.
     fn below(&self, values: &SortedValues) -> usize {
-        let lowest = if values.len() > MOST_POINTS { range(values) } else { self.shown() };
+        let lowest = if values.len() > MAX_POINTS { range(values) } else { self.shown() };
         let count = |(lowest, _)| values.values().iter().filter(|value| **value < lowest).count();
         lowest.map_or(0, count)
     }
@@ -158,7 +159,7 @@ impl Paired {
         let highest = self.highest(values);
         let hill = if self.is_wide() { log_density(values, (lo, hi)) } else { density(values, (lo, hi)) };
         let mut items = Vec::new();
-        if hill.len() > 1 && values.len() > MOST_POINTS {
+        if hill.len() > 1 && values.len() > MAX_POINTS {
             let edge =
                 |sign: f64| hill.iter().map(move |(value, dense)| (middle + sign * half * dense, y(*value)));
             let outline: Vec<(f64, f64)> =
@@ -179,7 +180,11 @@ impl Paired {
         {
             let bar = |grow: f64, style: Style| {
                 let (from, to) = (At::new(middle, y(high)), At::new(middle, y(low)));
-                Item::rect(from.aside(-BAR - grow, -grow), to.aside(BAR + grow, grow), style)
+                Item::rect(
+                    from.aside(-BAR_HALF_WIDTH - grow, -grow),
+                    to.aside(BAR_HALF_WIDTH + grow, grow),
+                    style,
+                )
             };
             items.push(bar(RIM, Style::area("rim", Fill::of(WHITE))));
             items.push(bar(0.0, Style::area("quartiles", Fill::of(INK_2.light))));
@@ -232,10 +237,10 @@ impl Paired {
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
         if self.is_wide() {
             // A logarithmic axis needs the same room for the ratios above, as a factor.
-            let room = (hi / lo).powf(ABOVE);
+            let room = (hi / lo).powf(ROOM_ABOVE);
             Scale::logarithmic((lo / room.sqrt(), hi * room))
         } else {
-            Scale::from_zero((lo, hi * (1.0 + ABOVE)))
+            Scale::from_zero((lo, hi * (1.0 + ROOM_ABOVE)))
         }
     }
 
@@ -243,7 +248,7 @@ impl Paired {
         let step = 1.0 / self.groups.len().max(1) as f64;
         let place = |number: usize| step * (number as f64 + 0.5);
         let names: Vec<&str> = self.groups.iter().map(|group| group.name.as_str()).collect();
-        let names = shorten_apart(&names, TEXT, ACROSS * step - 1.8);
+        let names = shorten_apart(&names, TEXT, PLOT_WIDTH * step - 1.8);
         let counts = if self.has_room_for_counts() { "\u{a0}\n" } else { "" };
         let ticks = names.into_iter().enumerate();
         let ticks = ticks.map(|(number, name)| Tick {
@@ -257,10 +262,10 @@ impl Paired {
             let lane = step * 0.9 / group.values.len().max(1) as f64;
             for (side, values) in group.values.iter().enumerate() {
                 let middle = step * (number as f64 + 0.05) + lane * (side as f64 + 0.5);
-                let items = self.one(&plot, values, side, (middle, (lane * 0.4).min(WIDEST)));
+                let items = self.one(&plot, values, side, (middle, (lane * 0.4).min(MAX_HALF_WIDTH)));
                 plot.items.extend(items);
                 if !counts.is_empty() && !values.is_empty() {
-                    let at = At::new(middle, 1.0).aside(0.0, COUNT);
+                    let at = At::new(middle, 1.0).aside(0.0, COUNT_DISTANCE);
                     let label = Label::new(at, n_of(values), TextStyle::AXIS).anchored(Anchor::Middle);
                     plot.items.push(Item::Text(label.shifted(0.0, 0.0)));
                 }
