@@ -45,13 +45,13 @@ pub struct Lengths {
 }
 
 impl Lengths {
-    fn along(&self, of: fn(&(f64, f64)) -> f64) -> SortedValues {
+    fn sorted_along(&self, of: fn(&(f64, f64)) -> f64) -> SortedValues {
         let finite = self.points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
         finite.map(of).collect()
     }
 
     /// Returns the places of the points within the axes.
-    fn inside<'a>(&'a self, plot: &'a Plot) -> impl Iterator<Item = (f64, f64)> + 'a {
+    fn places_in<'a>(&'a self, plot: &'a Plot) -> impl Iterator<Item = (f64, f64)> + 'a {
         let shown = |(x, y): &(f64, f64)| (x * self.x.per_si, y * self.y.per_si);
         let inside =
             self.points.iter().map(shown).filter(|(x, y)| plot.x.scale.has(*x) && plot.y.scale.has(*y));
@@ -59,38 +59,38 @@ impl Lengths {
     }
 
     fn colour(&self) -> Rgb {
-        known(&self.stage).map_or(INK.light, |stage| stage.line_colour())
+        named_stage(&self.stage).map_or(INK.light, |stage| stage.line_colour())
     }
 
     fn class(&self) -> &'static str {
-        known(&self.stage).map_or("ink", |stage| stage.class)
+        named_stage(&self.stage).map_or("ink", |stage| stage.class)
     }
 
     fn points(&self, plot: &Plot) -> Vec<Item> {
         let (colour, class) = (self.colour(), self.class());
         if self.points.len() <= MAX_POINTS {
             let style = Style::line(format!("dots d-{class}"), colour.tint(0.62), POINT_DIAMETER);
-            return vec![Item::path(Path::dots(self.inside(plot)), style)];
+            return vec![Item::path(Path::dots(self.places_in(plot)), style)];
         }
         let style = Style::area(format!("f-{class}"), Fill::of(colour));
-        let shades = cells(self.inside(plot)).into_iter();
+        let shades = cells(self.places_in(plot)).into_iter();
         shades.map(|(shade, path)| Item::path(path, style.clone().opacity(shade))).collect()
     }
 
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
-        let (xs, ys) = (self.along(|(x, _)| *x), self.along(|(_, y)| *y));
+        let (xs, ys) = (self.sorted_along(|(x, _)| *x), self.sorted_along(|(_, y)| *y));
         let plot = range(&xs).zip(range(&ys)).map(|(across, up)| {
             let (x, y) = (axis(&self.x, across), axis(&self.y, up));
             let mut plot = Plot::new(x.with_grid(), y.with_grid());
             plot.items = self.points(&plot);
-            let beyond = self.points.len() - self.inside(&plot).count();
+            let beyond = self.points.len() - self.places_in(&plot).count();
             plot.remark = (beyond > 0).then(|| format!("{} beyond the axes", fixed(beyond as f64, 0)));
             let of_x = |value: f64| plot.x.scale.at(value * self.x.per_si);
             let of_y = |value: f64| plot.up(value * self.y.per_si);
             let above =
-                margin(&xs, |from, to, high| [At::new(of_x(from), 1.0 - high), At::new(of_x(to), 1.0)]);
-            let beside = margin(&ys, |from, to, wide| [At::new(0.0, of_y(from)), At::new(wide, of_y(to))]);
+                side_bars(&xs, |from, to, high| [At::new(of_x(from), 1.0 - high), At::new(of_x(to), 1.0)]);
+            let beside = side_bars(&ys, |from, to, wide| [At::new(0.0, of_y(from)), At::new(wide, of_y(to))]);
             (plot.above, plot.beside) = (Some(above), Some(beside));
             plot
         });
@@ -99,7 +99,7 @@ impl Lengths {
     }
 }
 
-fn known(name: &str) -> Option<Stage> {
+fn named_stage(name: &str) -> Option<Stage> {
     Some(stage(name)).filter(Stage::has_colour)
 }
 
@@ -124,7 +124,7 @@ pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
 }
 
 /// Returns bars of the values along one axis; `place` makes corners from the two ends of a bin and its height.
-fn margin(values: &SortedValues, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
+fn side_bars(values: &SortedValues, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
     let style = Style::total().bin();
     let bar = |bins: &Bins, number: usize| {
         let (from, to) = bins.bin(number);

@@ -1,4 +1,4 @@
-//! Growth of a quantity with size: logarithmic axes, a point with its spread per size, a line per series.
+//! Figure of a quantity against size, on logarithmic axes: a point with its spread for each size, a fitted line for each series.
 
 use peernet_statistics::number::bytes;
 
@@ -12,27 +12,27 @@ const HALF_DISTANCE: f64 = 2.0;
 const BAR_HALF_WIDTH: f64 = 1.35;
 /// Half the width of a whisker's cap, points.
 const CAP_HALF_WIDTH: f64 = 1.7;
-/// Width of the plot in a file, about, points.
+/// Approximate width of the plot in a file, points.
 const PLOT_WIDTH: f64 = 220.0;
 /// Radius of a point, and width of lines, points.
 const RADIUS: f64 = 1.9;
 const LINE_WIDTH: f64 = 0.75;
 const WHISKER_WIDTH: f64 = 0.45;
-/// Points of a line that is drawn: on logarithmic axes a straight line is a curve.
+/// Number of points of a drawn line, which is a curve on logarithmic axes.
 const LINE_POINTS: u32 = 60;
-/// Room beyond the values at each end: this power of the range, but at least so much.
+/// Room beyond the values at each end: a power of the range of values, and the minimum factor.
 const AXIS_MARGIN: (f64, f64) = (0.06, 1.15);
 /// Space on both sides of the sizes, as a factor.
 const SIDE_FACTOR: f64 = 1.4;
-/// Factor between a level line and all values from which on the line would squeeze them: it is left out, and a note says so.
+/// Maximum factor between a level line and the values. A line that is farther away would squeeze the values: a note replaces it.
 const MAX_LEVEL_RATIO: f64 = 20.0;
 
 /// Statistics at one size, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Value {
-    /// Bytes.
+    /// Size in bytes.
     pub bytes: f64,
-    /// The point.
+    /// Value of the point.
     pub value: f64,
     /// Range of most values, drawn as a bar.
     pub spread: Option<(f64, f64)>,
@@ -99,7 +99,7 @@ impl Scaling {
             let (lo, hi) = value.spread.unwrap_or((value.value, value.value));
             let whisker = value.whisker();
             let most = whisker.and_then(|bounds| bounds.1).map_or(hi, |bound| bound.min(value.value * 10.0));
-            // A lower bound near zero would squeeze all the rest.
+            // A lower bound near zero would squeeze everything else.
             let least = whisker.map_or(lo, |bounds| bounds.0.max(value.value / 4.0));
             (least.min(lo).max(value.value / 100.0), most.max(hi))
         };
@@ -213,7 +213,7 @@ impl Scaling {
     }
 }
 
-/// Returns a function of the horizontal axis as a path, as far as it lies in the plot.
+/// Returns the part of a function of the horizontal axis that lies in the plot, as a path.
 pub fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
     let values = plot.x.scale.along(LINE_POINTS).map(|x| (x, of(x)));
     let inside = values.map(|(x, y)| plot.y.scale.has(y).then(|| (plot.x.scale.at(x), plot.up(y))));

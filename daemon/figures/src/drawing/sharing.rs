@@ -19,7 +19,7 @@ const LINE_WIDTH: f64 = 0.75;
 const WHISKER_WIDTH: f64 = 0.45;
 /// Height of the plot of fairness, points.
 const FAIRNESS_HEIGHT: f64 = 28.5;
-/// Ratios of the largest to the smallest value, of edges and of latencies, from which on the axis is logarithmic.
+/// Ratios of the largest to the smallest value, of edges and of latencies, from which the axis is logarithmic.
 const LOGARITHMIC_EDGES_RATIO: f64 = 8.0;
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the values at each end, as a share of their range.
@@ -68,7 +68,7 @@ impl Sharing {
     }
 
     /// Returns the different numbers of edges.
-    fn edges(&self) -> Vec<usize> {
+    fn edge_counts(&self) -> Vec<usize> {
         let mut edges: Vec<usize> = self.points().map(|point| point.edges).collect();
         edges.sort_unstable();
         edges.dedup();
@@ -100,8 +100,8 @@ impl Sharing {
     }
 
     /// Returns the axis of whole numbers of edges, with marks at the measured ones.
-    fn across(&self) -> Option<Axis> {
-        let edges = self.edges();
+    fn edges_axis(&self) -> Option<Axis> {
+        let edges = self.edge_counts();
         let (few, many) = (*edges.first()? as f64, *edges.last()? as f64);
         let scale = if many >= few * LOGARITHMIC_EDGES_RATIO {
             let room = (many / few).powf(AXIS_MARGIN);
@@ -130,7 +130,7 @@ impl Sharing {
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
         let plots =
-            self.latencies().zip(self.across()).map(|(latencies, across)| self.plots(latencies, across));
+            self.latencies().zip(self.edges_axis()).map(|(latencies, across)| self.plots(latencies, across));
         Figure {
             title: self.title.clone(),
             legend: self.legend(),

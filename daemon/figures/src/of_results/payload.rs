@@ -72,11 +72,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &PAYLOAD_COLUMNS)];
         let (ways, others): (Vec<DirectionData>, Vec<DirectionData>) =
             ways(&runs_of).into_iter().partition(DirectionData::is_varied);
-        let untold = ways.iter().flat_map(DirectionData::untold);
+        let untold = ways.iter().flat_map(DirectionData::undrawn_notes);
         Study {
             notes: notes.into_iter().flatten().chain(untold).collect(),
-            whose: whose(&runs[runs_of[0]].record),
-            missing: others.iter().filter_map(DirectionData::why_not).collect(),
+            whose: host_names(&runs[runs_of[0]].record),
+            missing: others.iter().filter_map(DirectionData::missing_reason).collect(),
             ways,
         }
     });
@@ -114,7 +114,7 @@ fn link(record: &RunRecord) -> String {
 }
 
 /// Returns the two hosts of a link, as far as they have names, and the address of the cloud.
-fn whose(record: &RunRecord) -> String {
+fn host_names(record: &RunRecord) -> String {
     let hosts =
         [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten().map(|host| host.name.as_str());
     let hosts = hosts.filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" → ");
@@ -147,7 +147,7 @@ impl DirectionData {
     }
 
     /// Returns the reason why it is not drawn; `None` if nothing was sent.
-    fn why_not(&self) -> Option<String> {
+    fn missing_reason(&self) -> Option<String> {
         let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
         let ends = [smallest, largest].map(|size| bytes(size.bytes).plain());
         let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
@@ -155,7 +155,7 @@ impl DirectionData {
     }
 
     /// Returns notes on its messages that are in no figure.
-    fn untold(&self) -> Vec<String> {
+    fn undrawn_notes(&self) -> Vec<String> {
         let below = |size: &&Size| size.delays.median().is_some_and(|median| median <= 0.0);
         let below = self.sizes.iter().filter(below).count();
         let unknown = (self.unknown > 0).then(|| {
@@ -170,13 +170,13 @@ impl DirectionData {
 
     /// Returns its line if larger messages take longer. Otherwise the delay does not depend on size, and the intercept of such a line has
     /// no meaning.
-    fn growing(&self) -> Option<Fit> {
+    fn increasing_fit(&self) -> Option<Fit> {
         self.fit.filter(|fit| fit.slope.value > 0.0)
     }
 
     /// Returns the rate by its slope, with its margin, bits per second; `None` if the sizes do not determine it.
     fn rate(&self) -> Option<(f64, f64)> {
-        self.growing().and_then(|fit| rate(fit.slope))
+        self.increasing_fit().and_then(|fit| rate(fit.slope))
     }
 
     fn of(name: &'static str, rows: &[RowRef<'_>]) -> Self {
@@ -192,7 +192,7 @@ impl DirectionData {
                 by_payload.entry(payload as u64).or_default().push(*row);
             }
         }
-        let sizes = together(by_payload.into_values().collect()).into_iter().filter_map(|rows| {
+        let sizes = merge_sizes(by_payload.into_values().collect()).into_iter().filter_map(|rows| {
             let of = |value: &dyn Fn(&RowRef<'_>) -> Option<f64>| {
                 rows.iter().filter_map(value).collect::<SortedValues>()
             };
@@ -225,7 +225,7 @@ impl DirectionData {
 
 impl Study {
     /// Returns a note on the number of messages behind each point.
-    fn amount(&self) -> Option<String> {
+    fn count_note(&self) -> Option<String> {
         let counts = || self.ways.iter().flat_map(|way| &way.sizes).map(|size| size.delays.len());
         let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
         let each = if fewest == most { most } else { format!("{fewest} to {most}") };
@@ -237,17 +237,17 @@ impl Study {
         let untold: Vec<&str> = self
             .ways
             .iter()
-            .filter(|way| way.growing().is_some() && way.rate().is_none())
+            .filter(|way| way.increasing_fit().is_some() && way.rate().is_none())
             .map(|way| way.name)
             .collect();
         let fast = (!untold.is_empty())
             .then(|| format!("throughput of {}: too fast to tell from these sizes", untold.join(" and of ")));
-        self.missing.iter().chain(&self.notes).cloned().chain(self.amount()).chain(fast).collect()
+        self.missing.iter().chain(&self.notes).cloned().chain(self.count_note()).chain(fast).collect()
     }
 }
 
 /// Merges neighbouring sizes if there are too many: files of a camera all have different sizes.
-fn together(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
+fn merge_sizes(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
     if sizes.len() <= MAX_SIZES {
         return sizes;
     }
@@ -281,7 +281,7 @@ fn latency(study: &Study) -> Scaling {
         })
     };
     let series = study.ways.iter().map(|way| {
-        let name = match (way.fit, way.growing()) {
+        let name = match (way.fit, way.increasing_fit()) {
             (_, Some(Fit { intercept, .. })) => {
                 let least = mean_std(intercept.value, intercept.margin());
                 match way.rate() {
@@ -295,7 +295,7 @@ fn latency(study: &Study) -> Scaling {
             (Some(_), None) => format!("{}: does not grow with size", way.name),
             (None, None) => way.name.to_owned(),
         };
-        let line = way.growing().map(|fit| (fit.intercept.value, fit.slope.value));
+        let line = way.increasing_fit().map(|fit| (fit.intercept.value, fit.slope.value));
         Series { line, ..way.series(name, &value) }
     });
     Scaling {

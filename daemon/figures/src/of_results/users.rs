@@ -21,7 +21,7 @@ pub(super) fn have_curves(runs: &[Loaded]) -> bool {
 /// Returns one curve for each configuration; four to a figure.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let users = Users::from_runs(runs).ok_or(MissingData::Users)?;
-    if !users.lines.iter().any(is_told) {
+    if !users.lines.iter().any(has_total) {
         return Err(MissingData::CommonTotal);
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
@@ -29,7 +29,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let curves = Curve::from_users(&users);
     let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let missing: Vec<String> = lacking(curves).into_iter().collect();
+        let missing: Vec<String> = missing_points_note(curves).into_iter().collect();
         let sharing = Sharing {
             title: "Latency against edges at once".to_owned(),
             unit: Unit::milliseconds("Total"),
@@ -42,9 +42,9 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
 }
 
 /// Returns a note on the points that curves lack, by name if they are few; `None` if none is missing.
-fn lacking(curves: &[Curve<'_>]) -> Option<String> {
+fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
     let of = |curve: &Curve<'_>| -> Vec<String> {
-        let lines = curve.points.iter().filter(|line| !is_told(line));
+        let lines = curve.points.iter().filter(|line| !has_total(line));
         let edges = lines.map(|line| counted(line.edges as u64, "edge"));
         edges
             .map(|edges| if curve.name.is_empty() { edges } else { format!("{} with {edges}", curve.name) })
@@ -57,7 +57,7 @@ fn lacking(curves: &[Curve<'_>]) -> Option<String> {
 }
 
 /// Returns whether it has a total that can be drawn.
-fn is_told(line: &UsersLine) -> bool {
+fn has_total(line: &UsersLine) -> bool {
     line.totals.median.is_some_and(is_drawable)
 }
 

@@ -3,7 +3,7 @@
 /// Step of a path; shares of the plot's width from the left and of its height from the top.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
-    /// Goes there without drawing.
+    /// Moves there without drawing.
     Move(f64, f64),
     /// Draws a line to there.
     Line(f64, f64),

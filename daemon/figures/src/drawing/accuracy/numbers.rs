@@ -12,7 +12,7 @@ const HALF_HEIGHT: f64 = 3.6;
 const GAP: f64 = RADIUS + 0.9;
 /// Minimum distance between two numbers, so that they are not read as one, points.
 const MIN_DISTANCE: f64 = 2.1;
-/// Points that are nearer to each other have their numbers on the sides that look away.
+/// Distance below which two points are neighbours: their numbers are on the sides away from each other, points.
 const NEIGHBOUR_DISTANCE: f64 = 13.5;
 /// Height above the plot that numbers may use, next to the title of its axis, points.
 const HEIGHT_ABOVE_PLOT: f64 = 11.0;
@@ -116,13 +116,14 @@ impl Placed {
     }
 }
 
-/// Returns the distance of two areas, in the direction in which they are farther apart.
+/// Returns the distance of two areas: the larger of the horizontal and the vertical distance.
 fn between(a: &Rect, b: &Rect) -> f64 {
     let gap = |low: usize| (a[low] - b[low + 2]).max(b[low] - a[low + 2]).max(0.0);
     gap(0).max(gap(1))
 }
 
-/// Returns the first place on the plot without an overlap and near enough to the point, or else the place with the smallest overlap.
+/// Returns the first place on the plot that overlaps nothing and is near enough to the point; otherwise the place with the smallest
+/// overlap.
 fn free(
     places: impl Iterator<Item = Rect>,
     (within, taken): (Rect, &[Rect]),

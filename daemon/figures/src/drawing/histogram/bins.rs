@@ -5,16 +5,16 @@ use peernet_analysis::order::SortedValues;
 /// Minimum and maximum number of bins.
 const MIN_BINS: usize = 8;
 const MAX_BINS: usize = 60;
-/// Limits of the values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
+/// Limits of the number of values that are cut off at one end: one in a hundred, at least three, but never more than one in eight.
 const CUT_ONE_IN: usize = 100;
 const CUT_OF_FEW: usize = 3;
 const MAX_CUT_ONE_IN: usize = 8;
-/// Values are only cut off if showing them would make the axis wider than the rest by more than this factor.
+/// Minimum factor by which the values would widen the axis. Values that widen it less are not cut off.
 const MIN_GAIN: f64 = 1.5;
 /// Tukey's far fence: distance from the quartile in interquartile ranges.
 const FAR_FENCE: f64 = 3.0;
 
-/// Counted values.
+/// Values counted in bins of equal width.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bins {
     /// Lower end of the first bin.
@@ -64,7 +64,7 @@ impl Bins {
         self.from + self.width * self.counts.len() as f64
     }
 
-    /// Returns the begin of a bin, which is the end of the one before it.
+    /// Returns the lower end of a bin, which is the upper end of the bin before it.
     pub fn edge(&self, number: usize) -> f64 {
         self.from + self.width * number as f64
     }

@@ -16,7 +16,7 @@ const LABEL_GAP: f64 = 0.3;
 const LINE_DISTANCE: f64 = 1.3;
 const FIRST_LINE_DISTANCE: f64 = 0.4;
 
-/// View of a distribution: two are possible.
+/// What the bars of a distribution show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum View {
     /// Samples in each bin.
@@ -50,9 +50,9 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Lays it out.
+    /// Lays the distribution out.
     pub fn plot(&self) -> Plot {
-        let mut plot = Plot::new(self.across(), self.up().with_grid());
+        let mut plot = Plot::new(self.value_axis(), self.count_axis().with_grid());
         plot.items = self.bars(&plot);
         let (lines, rows) = self.marks(&plot);
         plot.items.extend(lines);
@@ -61,14 +61,14 @@ impl Distribution {
         plot
     }
 
-    fn ends(&self) -> (f64, f64) {
+    fn value_range(&self) -> (f64, f64) {
         let end = |edge: Option<&f64>| edge.copied().unwrap_or_default();
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// Returns the axis of values. If all values are equal, their bar is in the middle and does not fill the plot.
-    fn across(&self) -> Axis {
-        let ((from, to), per_si) = (self.ends(), self.unit.per_si);
+    /// Returns the axis of values. If all values are equal, a single bar is in the middle and does not fill the plot.
+    fn value_axis(&self) -> Axis {
+        let ((from, to), per_si) = (self.value_range(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;
         let scale = if self.counts.len() == 1 {
             Scale::linear((middle, middle))
@@ -78,7 +78,7 @@ impl Distribution {
         self.unit.axis(scale)
     }
 
-    fn up(&self) -> Axis {
+    fn count_axis(&self) -> Axis {
         match self.view {
             View::Counts => {
                 let most = self.counts.iter().copied().max().unwrap_or_default() as f64;
@@ -124,7 +124,7 @@ impl Distribution {
 
     /// Returns the lines of quantiles with their labels above the plot, and the number of lines of text that the labels need.
     fn marks(&self, plot: &Plot) -> (Vec<Item>, usize) {
-        let (from, to) = self.ends();
+        let (from, to) = self.value_range();
         // A single value has no spread.
         let spread = if self.counts.len() == 1 { 0.0 } else { to - from };
         let mut ends: Vec<(usize, f64)> = Vec::new();
@@ -160,7 +160,7 @@ impl Distribution {
 
     /// Counts of values outside: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`.
     fn remark(&self) -> Option<String> {
-        let ((below, above), (from, to)) = (self.beyond, self.ends());
+        let ((below, above), (from, to)) = (self.beyond, self.value_range());
         let below = (below > 0).then(|| format!("← {} below {}", count(below), self.unit.words(from, 0.0)));
         let above = (above > 0).then(|| format!("{} beyond {} →", count(above), self.unit.words(to, 0.0)));
         let parts: Vec<String> = below.into_iter().chain(above).collect();
