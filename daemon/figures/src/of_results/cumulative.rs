@@ -2,7 +2,7 @@
 
 use peernet_logger::stage;
 
-use super::columns::{account, heading, titled, too_large, unit, values};
+use super::columns::{count_note, heading, too_large_note, unit, values, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Cumulative, CumulativeCurve, Unit};
@@ -30,7 +30,7 @@ pub(super) fn drawings(
             return Err(MissingData::Column(column.to_owned()));
         }
         let shown = Cumulative {
-            title: titled(&what, &record.title),
+            title: with_run_name(&what, &record.title),
             unit: unit(&record.units, column, &what),
             notes: notes(rows, &[column], &curve.values),
             curves: vec![curve],
@@ -56,7 +56,7 @@ pub(super) fn drawings(
         stages.into_iter().enumerate().map(|(number, (values, name))| curve(&name, values, number));
     let curves = std::iter::once(curve(total, of_total, 0)).chain(of_stages).collect();
     let shown = Cumulative {
-        title: titled("Cumulative distributions", &record.title),
+        title: with_run_name("Cumulative distributions", &record.title),
         unit: Unit::milliseconds("Latency"),
         curves,
         notes,
@@ -65,8 +65,8 @@ pub(super) fn drawings(
 }
 
 fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
-    let account = account(&rows.iter(), values.len());
-    std::iter::once(account).chain(too_large(rows.iter(), columns)).collect()
+    let count_note = count_note(&rows.iter(), values.len());
+    std::iter::once(count_note).chain(too_large_note(rows.iter(), columns)).collect()
 }
 
 /// Returns the curve of a stage, which has its colour and a mark, or of a total, which is ink.

@@ -3,7 +3,7 @@
 use peernet_statistics::number::{fixed, range_ms, throughput_between};
 use peernet_stream::PlacementKind;
 
-use super::columns::{account, heading, titled, too_large, unit, values};
+use super::columns::{count_note, heading, too_large_note, unit, values, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::Histogram;
@@ -42,12 +42,12 @@ pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing
 
 fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histogram {
     let values = values(rows, column);
-    let mut notes = vec![account(&rows.iter(), values.len())];
-    notes.extend(too_large(rows.iter(), &[column]));
+    let mut notes = vec![count_note(&rows.iter(), values.len())];
+    notes.extend(too_large_note(rows.iter(), &[column]));
     notes.extend(clocks(rows, column));
     notes.extend(impossible(column, &values));
     Histogram {
-        title: titled(what, &record.title),
+        title: with_run_name(what, &record.title),
         unit: unit(&record.units, column, what),
         stage: column.to_owned(),
         values,

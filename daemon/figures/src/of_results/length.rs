@@ -1,7 +1,7 @@
 //! Response length against latency.
 
 use super::Columns;
-use super::columns::{account, heading, is_drawable, titled, too_large, unit};
+use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::Lengths;
@@ -31,12 +31,15 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
         return Err(MissingData::SimilarLength { x });
     }
     let lengths = Lengths {
-        title: titled(&format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")), &run.record.title),
+        title: with_run_name(
+            &format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")),
+            &run.record.title,
+        ),
         x: unit(&run.record.units, &x, &heading(&x)),
         y: unit(&run.record.units, &y, &heading(&y)),
         stage: y.clone(),
-        notes: std::iter::once(account(&run.rows.iter(), points.len()))
-            .chain(too_large(run.rows.iter(), &[x.as_str(), y.as_str()]))
+        notes: std::iter::once(count_note(&run.rows.iter(), points.len()))
+            .chain(too_large_note(run.rows.iter(), &[x.as_str(), y.as_str()]))
             .collect(),
         points,
     };

@@ -3,7 +3,7 @@
 use peernet_statistics::number::counted;
 use peernet_stream::PlacementKind;
 
-use super::columns::{heading, not_shown, unit, values};
+use super::columns::{excluded_and_undrawn_note, heading, unit, values};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Group, MOST_GROUPS, MOST_SIDES, Paired};
@@ -54,7 +54,7 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
         .filter(|run| groups.iter().any(|group| group.name == model(&run.record)))
         .flat_map(|run| &run.rows);
     let count = groups.iter().flat_map(|group| &group.values).map(SortedValues::len).sum();
-    let left_out = not_shown(&rows, count).map(|left_out| format!("{left_out} · "));
+    let left_out = excluded_and_undrawn_note(&rows, count).map(|left_out| format!("{left_out} · "));
     let read = format!("{}black: median, bar: middle half", left_out.unwrap_or_default());
     let what = heading(column);
     let paired = Paired {

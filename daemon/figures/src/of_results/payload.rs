@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use peernet_statistics::number::{bytes, counted, fixed, mean_std, throughput_with};
 
-use super::columns::{is_drawable, left_out, titled, too_large};
+use super::columns::{excluded_note, is_drawable, too_large_note, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Parts, Scaling, Series, Unit, Value};
@@ -42,9 +42,9 @@ struct DirectionData {
 
 /// The messages over one link.
 struct Study {
-    ways: Vec<DirectionData>,
+    directions: Vec<DirectionData>,
     /// Name of the link, for the title.
-    whose: String,
+    hosts: String,
     notes: Vec<String>,
     /// Notes on the directions that are not drawn.
     missing: Vec<String>,
@@ -61,7 +61,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             None => links.push((link, vec![number])),
         }
     }
-    let ways = |runs_of: &[usize]| -> [DirectionData; 2] {
+    let directions = |runs_of: &[usize]| -> [DirectionData; 2] {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.is_counted());
         let rows: Vec<RowRef<'_>> = rows.collect();
         ["upload", "download"].map(|name| DirectionData::of(name, &rows))
@@ -69,23 +69,24 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let configurations = Configurations::from_runs(runs);
     let studied = links.into_iter().map(|(_, runs_of)| {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows);
-        let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &PAYLOAD_COLUMNS)];
-        let (ways, others): (Vec<DirectionData>, Vec<DirectionData>) =
-            ways(&runs_of).into_iter().partition(DirectionData::is_varied);
-        let untold = ways.iter().flat_map(DirectionData::undrawn_notes);
+        let notes =
+            [pooled(&configurations, &runs_of), excluded_note(&rows), too_large_note(rows, &PAYLOAD_COLUMNS)];
+        let (directions, others): (Vec<DirectionData>, Vec<DirectionData>) =
+            directions(&runs_of).into_iter().partition(DirectionData::is_varied);
+        let undetermined = directions.iter().flat_map(DirectionData::undrawn_notes);
         Study {
-            notes: notes.into_iter().flatten().chain(untold).collect(),
-            whose: host_names(&runs[runs_of[0]].record),
+            notes: notes.into_iter().flatten().chain(undetermined).collect(),
+            hosts: host_names(&runs[runs_of[0]].record),
             missing: others.iter().filter_map(DirectionData::missing_reason).collect(),
-            ways,
+            directions,
         }
     });
     let (mut studied, others): (Vec<Study>, Vec<Study>) =
-        studied.partition(|study: &Study| !study.ways.is_empty());
+        studied.partition(|study: &Study| !study.directions.is_empty());
     // The first figure has the notes on links that have no figure.
     let others = others.into_iter().flat_map(|study| {
-        let whose = study.whose;
-        study.missing.into_iter().map(move |missing| titled(&missing, &whose))
+        let hosts = study.hosts;
+        study.missing.into_iter().map(move |missing| with_run_name(&missing, &hosts))
     });
     if let Some(first) = studied.first_mut() {
         first.missing.extend(others);
@@ -226,7 +227,8 @@ impl DirectionData {
 impl Study {
     /// Returns a note on the number of messages behind each point.
     fn count_note(&self) -> Option<String> {
-        let counts = || self.ways.iter().flat_map(|way| &way.sizes).map(|size| size.delays.len());
+        let counts =
+            || self.directions.iter().flat_map(|direction| &direction.sizes).map(|size| size.delays.len());
         let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
         let each = if fewest == most { most } else { format!("{fewest} to {most}") };
         Some(format!("messages of each size: {each}"))
@@ -234,14 +236,15 @@ impl Study {
 
     /// Returns its notes, including the one on a rate that is not given.
     fn notes(&self) -> Vec<String> {
-        let untold: Vec<&str> = self
-            .ways
+        let undetermined: Vec<&str> = self
+            .directions
             .iter()
-            .filter(|way| way.increasing_fit().is_some() && way.rate().is_none())
-            .map(|way| way.name)
+            .filter(|direction| direction.increasing_fit().is_some() && direction.rate().is_none())
+            .map(|direction| direction.name)
             .collect();
-        let fast = (!untold.is_empty())
-            .then(|| format!("throughput of {}: too fast to tell from these sizes", untold.join(" and of ")));
+        let fast = (!undetermined.is_empty()).then(|| {
+            format!("throughput of {}: too fast to tell from these sizes", undetermined.join(" and of "))
+        });
         self.missing.iter().chain(&self.notes).cloned().chain(self.count_note()).chain(fast).collect()
     }
 }
@@ -280,26 +283,26 @@ fn latency(study: &Study) -> Scaling {
             bounds: size.bounds.map(|(lo, hi)| (lo, Some(hi))),
         })
     };
-    let series = study.ways.iter().map(|way| {
-        let name = match (way.fit, way.increasing_fit()) {
+    let series = study.directions.iter().map(|direction| {
+        let name = match (direction.fit, direction.increasing_fit()) {
             (_, Some(Fit { intercept, .. })) => {
                 let least = mean_std(intercept.value, intercept.margin());
-                match way.rate() {
+                match direction.rate() {
                     Some((rate, margin)) => {
                         let rate = throughput_with(rate, margin);
-                        format!("{}: {least} ms + size ÷ ({rate}) MB/s", way.name)
+                        format!("{}: {least} ms + size ÷ ({rate}) MB/s", direction.name)
                     }
-                    None => format!("{}: intercept {least} ms", way.name),
+                    None => format!("{}: intercept {least} ms", direction.name),
                 }
             }
-            (Some(_), None) => format!("{}: does not grow with size", way.name),
-            (None, None) => way.name.to_owned(),
+            (Some(_), None) => format!("{}: does not grow with size", direction.name),
+            (None, None) => direction.name.to_owned(),
         };
-        let line = way.increasing_fit().map(|fit| (fit.intercept.value, fit.slope.value));
-        Series { line, ..way.series(name, &value) }
+        let line = direction.increasing_fit().map(|fit| (fit.intercept.value, fit.slope.value));
+        Series { line, ..direction.series(name, &value) }
     });
     Scaling {
-        title: titled("One-way delay against payload", &study.whose),
+        title: with_run_name("One-way delay against payload", &study.hosts),
         unit: Unit::milliseconds("One-way delay"),
         parts: Parts { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" },
         notes: study.notes(),
@@ -318,15 +321,15 @@ fn throughput(study: &Study) -> Scaling {
             bounds,
         })
     };
-    let series = study.ways.iter().map(|way| {
-        let name = way.rate().map_or_else(
-            || way.name.to_owned(),
-            |(rate, margin)| format!("{}: {} MB/s", way.name, throughput_with(rate, margin)),
+    let series = study.directions.iter().map(|direction| {
+        let name = direction.rate().map_or_else(
+            || direction.name.to_owned(),
+            |(rate, margin)| format!("{}: {} MB/s", direction.name, throughput_with(rate, margin)),
         );
-        Series { line: way.rate().map(|(rate, _)| (rate, 0.0)), ..way.series(name, &value) }
+        Series { line: direction.rate().map(|(rate, _)| (rate, 0.0)), ..direction.series(name, &value) }
     });
     Scaling {
-        title: titled("Throughput against payload", &study.whose),
+        title: with_run_name("Throughput against payload", &study.hosts),
         unit: Unit::megabytes_per_second("Throughput"),
         parts: Parts {
             point: "size ÷ median delay",

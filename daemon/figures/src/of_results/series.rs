@@ -2,7 +2,7 @@
 
 use peernet_logger::{Name, stage};
 
-use super::columns::{account, is_drawable, titled, too_large};
+use super::columns::{count_note, is_drawable, too_large_note, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Course, Line, Unit};
@@ -43,12 +43,12 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let stages = stages.iter().map(|(_, _, name)| line(name));
     let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));
     let course = Course {
-        title: titled("Latency over time", &record.title),
+        title: with_run_name("Latency over time", &record.title),
         is_counted: x == ITERATION,
         x: x.to_owned(),
         unit: Unit::milliseconds("Latency"),
         notes: std::iter::once(account_of(rows, total.values.len()))
-            .chain(too_large(rows.iter(), &[total.name.as_str()]))
+            .chain(too_large_note(rows.iter(), &[total.name.as_str()]))
             .chain(not_drawn(shorter))
             .collect(),
         total,
@@ -70,7 +70,7 @@ fn not_drawn(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
 
 /// Returns the account without the warm-up, which is in the figure.
 fn account_of(rows: &Rows, shown: usize) -> String {
-    let counted = account(&rows.iter(), rows.iter().filter(|row| row.is_counted()).count());
+    let counted = count_note(&rows.iter(), rows.iter().filter(|row| row.is_counted()).count());
     let counted = counted.split(" · ").next().unwrap_or_default().to_owned();
     let warm = shown.saturating_sub(rows.iter().filter(|row| row.is_counted()).count());
     let warm = if warm > 0 { format!(" and {warm} warm-up") } else { String::new() };

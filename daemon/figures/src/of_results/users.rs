@@ -2,7 +2,7 @@
 
 use peernet_statistics::number::counted;
 
-use super::columns::{is_drawable, left_out};
+use super::columns::{excluded_note, is_drawable};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
@@ -25,7 +25,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         return Err(MissingData::CommonTotal);
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
-    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
+    notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let curves = Curve::from_users(&users);
     let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
