@@ -129,7 +129,7 @@ fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure
 fn baseline_sentence(line: &Line) -> String {
     let runs = match line.repeats {
         1 => "one run".to_owned(),
-        repeats => format!("{}, taken together", counted(repeats as u64, "run")),
+        repeats => format!("{}, pooled", counted(repeats as u64, "run")),
     };
     format!("Baseline: {}: {runs}.", line.name())
 }
@@ -214,9 +214,9 @@ mod tests {
         };
         assert_eq!(beside(&[1]), ("Baseline: a, repeat 2: one run.".to_owned(), None));
         let (said, told) = beside(&[0, 2]);
-        assert_eq!((said.as_str(), told), ("Baseline: a, 2 repeats: 2 runs, taken together.", None));
+        assert_eq!((said.as_str(), told), ("Baseline: a, 2 repeats: 2 runs, pooled.", None));
         let (said, told) = beside(&[0, 1, 2]);
-        assert_eq!(said, "Baseline: a: 3 runs, taken together.");
+        assert_eq!(said, "Baseline: a: 3 runs, pooled.");
         assert!(told.expect("nothing is left").contains("all runs belong to it"));
         let apart = Comparison::with_repeats(&runs[..2], Repeats::Separate);
         assert!(line_of(&apart, &[0, 1]).is_err(), "each has a line");

@@ -54,7 +54,7 @@ impl Stage {
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Pending => "to do",
-            Self::Running => "cut off",
+            Self::Running => "incomplete",
             Self::Finished => "finished",
             Self::Failed => "failed",
             Self::Interrupted => "interrupted",

@@ -221,7 +221,7 @@ fn missing(tried: &TrialResults, file: &Path) -> Option<Failure> {
             format!("{}: {}", file.display(), check::without_serde_words(reason))
         }
         Some(reason) => reason.clone(),
-        None => "it said nothing".to_owned(),
+        None => "it gave no reason".to_owned(),
     };
     let all: Vec<(String, String)> =
         tried.missing.iter().map(|(configuration, exit)| (reason(exit), configuration.clone())).collect();

@@ -73,7 +73,7 @@ fn only_unfinished_runs_are_repeated() {
     assert_eq!((loaded.states[1].attempts, loaded.states[1].seconds), (2, Some(1.5)));
     loaded.forget(&runs[0]);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [1, 3, 4]);
-    assert_eq!(summary(&loaded), "1 of 4 runs finished, 1 interrupted, 1 cut off, 1 to do");
+    assert_eq!(summary(&loaded), "1 of 4 runs finished, 1 interrupted, 1 incomplete, 1 to do");
 }
 
 #[test]
