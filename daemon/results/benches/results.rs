@@ -36,7 +36,7 @@ fn main() {
                 writer.write(&row);
                 rows.push(&row);
             }
-            writer.end().expect("writable");
+            writer.finish().expect("writable");
         });
         timed("summary", &mut || drop(black_box(Summary::from_rows(&rows))));
         timed("trust report", &mut || drop(black_box(Report::new(&TrustInput::from_rows(&rows, &[])))));

@@ -52,26 +52,26 @@ impl Header {
     }
 
     /// Appends the line of column names to `out`.
-    pub fn write(&self, out: &mut Vec<u8>) {
-        line(out, self.names());
+    pub fn write_header(&self, out: &mut Vec<u8>) {
+        write_line(out, self.names());
     }
 
     /// Appends the line of a row to `out`; values without a column are left out.
-    pub fn row(&self, out: &mut Vec<u8>, row: &Row) {
+    pub fn write_row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
-            ColumnKind::Place => place(row, name),
-            ColumnKind::Delay => delay(row, name),
-            ColumnKind::Node => number(row.value(name)),
+            ColumnKind::Place => position_cell(row, name),
+            ColumnKind::Delay => delay_cell(row, name),
+            ColumnKind::Node => number_cell(row.value(name)),
         });
-        line(out, fixed.chain(self.run_columns().iter().map(|name| number(row.value(name)))));
+        write_line(out, fixed.chain(self.run_columns().iter().map(|name| number_cell(row.value(name)))));
     }
 }
 
 /// Appends a line of cells to `out`. A cell that would break the line is quoted.
-fn line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
-    for (place, cell) in cells.enumerate() {
+fn write_line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
+    for (index, cell) in cells.enumerate() {
         let cell = cell.as_ref();
-        if place > 0 {
+        if index > 0 {
             out.push(b',');
         }
         if cell.contains([',', '"', '\n', '\r']) {
@@ -85,29 +85,29 @@ fn line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
     out.push(b'\n');
 }
 
-fn place(row: &Row, name: &str) -> String {
+fn position_cell(row: &Row, name: &str) -> String {
     match name {
         "outcome" => row.outcome.name().to_owned(),
         "reason" => row.reason.clone().unwrap_or_default(),
-        _ => number(row.value(name)),
+        _ => number_cell(row.value(name)),
     }
 }
 
-fn delay(row: &Row, name: &str) -> String {
+fn delay_cell(row: &Row, name: &str) -> String {
     let word = |passage: Option<&Passage>, of: fn(&Passage) -> &'static str| {
         passage.map(of).unwrap_or_default().to_owned()
     };
     match name {
-        "upload-verdict" => word(row.upload.as_ref(), |way| way.delay.verdict.name()),
-        "upload-source" => word(row.upload.as_ref(), |way| way.delay.source.name()),
-        "download-verdict" => word(row.download.as_ref(), |way| way.delay.verdict.name()),
-        "download-source" => word(row.download.as_ref(), |way| way.delay.source.name()),
-        _ => number(row.value(name)),
+        "upload-verdict" => word(row.upload.as_ref(), |passage| passage.delay.verdict.name()),
+        "upload-source" => word(row.upload.as_ref(), |passage| passage.delay.source.name()),
+        "download-verdict" => word(row.download.as_ref(), |passage| passage.delay.verdict.name()),
+        "download-source" => word(row.download.as_ref(), |passage| passage.delay.source.name()),
+        _ => number_cell(row.value(name)),
     }
 }
 
 /// Returns the shortest text that reads back as the same number; empty for an unknown number.
-fn number(value: Option<f64>) -> String {
+fn number_cell(value: Option<f64>) -> String {
     value.map(|value| value.to_string()).unwrap_or_default()
 }
 
@@ -116,11 +116,11 @@ pub(crate) fn pad_rows(from: &Path, to: &Path, header: &Header) -> io::Result<()
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
     let mut out = BufWriter::new(std::fs::File::create(to)?);
     let mut bytes = Vec::new();
-    header.write(&mut bytes);
+    header.write_header(&mut bytes);
     for record in reader.records().skip(1) {
         let record = record?;
         let missing = header.names.len().saturating_sub(record.len());
-        line(&mut bytes, record.iter().chain(std::iter::repeat_n("", missing)));
+        write_line(&mut bytes, record.iter().chain(std::iter::repeat_n("", missing)));
         out.write_all(&bytes)?;
         bytes.clear();
     }

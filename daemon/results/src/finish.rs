@@ -23,26 +23,27 @@ pub struct WrittenResults {
     /// The files in it.
     pub files: Vec<PathBuf>,
     /// Reason that the requested folder cannot be written.
-    pub trouble: Option<WriteError>,
+    pub write_error: Option<WriteError>,
 }
 
 /// Permission bits of users who are neither the owner nor in the group.
 const OTHERS: u32 = 0o007;
 
 pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<WrittenResults, WriteError> {
-    let trouble = match write_files(folder, record, rows) {
-        Ok(files) => return Ok(WrittenResults { folder: folder.to_owned(), files, trouble: None }),
-        Err(trouble) => trouble,
+    let write_error = match write_files(folder, record, rows) {
+        Ok(files) => return Ok(WrittenResults { folder: folder.to_owned(), files, write_error: None }),
+        Err(write_error) => write_error,
     };
     let fallback = tempfile::Builder::new().prefix("peernet-results-").tempdir();
-    let fallback =
-        fallback.map_err(|error| combine_errors(&trouble, &std::env::temp_dir(), &error.to_string()))?.keep();
+    let fallback = fallback
+        .map_err(|error| combine_errors(&write_error, &std::env::temp_dir(), &error.to_string()))?
+        .keep();
     match write_files(&fallback, record, rows) {
-        Ok(files) => Ok(WrittenResults { folder: fallback, files, trouble: Some(trouble) }),
+        Ok(files) => Ok(WrittenResults { folder: fallback, files, write_error: Some(write_error) }),
         Err(error) => {
             // The folder is empty unless all rows were written; a folder with rows stays.
             let _ = std::fs::remove_dir(&fallback);
-            Err(combine_errors(&trouble, &error.path, &error.reason))
+            Err(combine_errors(&write_error, &error.path, &error.reason))
         }
     }
 }
@@ -107,9 +108,9 @@ fn write_rows(path: &Path, rows: &Rows) -> std::io::Result<()> {
     let header = Header::for_rows(rows);
     let mut out = BufWriter::new(File::create(path)?);
     let mut bytes = Vec::new();
-    header.write(&mut bytes);
+    header.write_header(&mut bytes);
     for row in rows.iter().map(RowRef::to_row) {
-        header.row(&mut bytes, &row);
+        header.write_row(&mut bytes, &row);
         out.write_all(&bytes)?;
         bytes.clear();
     }

@@ -58,7 +58,7 @@ impl ResultFolder {
     /// # Errors
     /// If the file cannot be written.
     pub fn writer(&self) -> Result<RowWriter, FolderError> {
-        Ok(RowWriter::begin(self.path.join(DATA))?)
+        Ok(RowWriter::create(self.path.join(DATA))?)
     }
 
     /// Writes `run.json` and `summary.{md,csv,tex}`, and `data.csv` if it is incomplete. If the folder cannot be

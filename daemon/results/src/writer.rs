@@ -34,16 +34,16 @@ pub struct RowWriter {
     pending_after_attempt: usize,
     /// `true` if part of a row may follow the complete rows.
     has_partial_row: bool,
-    trouble: Option<WriteError>,
+    write_error: Option<WriteError>,
 }
 
 impl RowWriter {
     /// Creates the file with its header.
-    pub(crate) fn begin(path: PathBuf) -> Result<Self, WriteError> {
+    pub(crate) fn create(path: PathBuf) -> Result<Self, WriteError> {
         let header = Header::default();
         let file = File::create(&path).map_err(WriteError::at(&path))?;
         let mut pending = Vec::new();
-        header.write(&mut pending);
+        header.write_header(&mut pending);
         let mut writer = Self {
             path,
             file,
@@ -54,7 +54,7 @@ impl RowWriter {
             written_at: 0.0,
             pending_after_attempt: 0,
             has_partial_row: false,
-            trouble: None,
+            write_error: None,
         };
         writer.write_pending().map_err(WriteError::at(&writer.path))?;
         Ok(writer)
@@ -74,7 +74,7 @@ impl RowWriter {
         if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
             self.add_columns(row);
         }
-        self.header.row(&mut self.pending, row);
+        self.header.write_row(&mut self.pending, row);
         self.rows.1 += 1;
         // The absolute difference, because a clock that was set back must not stop the writing.
         let has_many_bytes = self.pending.len() >= self.pending_after_attempt + MAX_PENDING_BYTES;
@@ -86,13 +86,13 @@ impl RowWriter {
 
     /// Writes the waiting rows; to be called when no rows come.
     pub fn flush(&mut self) {
-        self.trouble = self.write_pending().map_err(WriteError::at(&self.path)).err();
+        self.write_error = self.write_pending().map_err(WriteError::at(&self.path)).err();
         self.pending_after_attempt = self.pending.len();
     }
 
     /// Returns the reason that rows wait in memory; `None` if they were written.
-    pub fn trouble(&self) -> Option<&WriteError> {
-        self.trouble.as_ref()
+    pub fn write_error(&self) -> Option<&WriteError> {
+        self.write_error.as_ref()
     }
 
     /// Writes the waiting rows a last time and syncs the file.
@@ -100,7 +100,7 @@ impl RowWriter {
     /// # Errors
     /// If rows cannot be written. The file then ends with the last row that was written;
     /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all rows.
-    pub fn end(mut self) -> Result<PathBuf, WriteError> {
+    pub fn finish(mut self) -> Result<PathBuf, WriteError> {
         let written = self.write_pending().and_then(|()| self.file.sync_all());
         written.map_err(WriteError::at(&self.path))?;
         Ok(self.path)
@@ -135,7 +135,7 @@ impl RowWriter {
     fn add_columns(&mut self, row: &Row) {
         self.rows.0 = self.rows.1;
         self.flush();
-        if self.trouble.is_some() {
+        if self.write_error.is_some() {
             return;
         }
         let mut header = self.header.clone();
@@ -144,7 +144,7 @@ impl RowWriter {
             Ok((file, complete_bytes)) => {
                 (self.file, self.complete_bytes, self.header) = (file, complete_bytes, header)
             }
-            Err(error) => self.trouble = Some(WriteError::at(&self.path)(error)),
+            Err(error) => self.write_error = Some(WriteError::at(&self.path)(error)),
         }
     }
 
@@ -179,15 +179,15 @@ fn write_counted(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<
 
 /// Returns the length of the complete rows. A line feed within quotes does not end a row.
 fn complete_rows_len(bytes: &[u8]) -> usize {
-    let (mut quoted, mut end) = (false, 0);
+    let (mut quoted, mut complete) = (false, 0);
     for (at, byte) in bytes.iter().enumerate() {
         match byte {
             b'"' => quoted = !quoted,
-            b'\n' if !quoted => end = at + 1,
+            b'\n' if !quoted => complete = at + 1,
             _ => {}
         }
     }
-    end
+    complete
 }
 
 #[cfg(test)]
@@ -213,20 +213,20 @@ mod tests {
     #[test]
     fn rows_are_written_after_full_disk_has_space() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
+        let mut writer = RowWriter::create(folder.path().join("data.csv")).expect("writable");
         writer.write(&row(1));
         let disk = std::mem::replace(
             &mut writer.file,
             OpenOptions::new().write(true).open("/dev/full").expect("there is one"),
         );
         writer.write(&row(2));
-        let trouble = writer.trouble().expect("it is full").to_string();
-        assert!(trouble.contains("data.csv: No space left on device"), "{trouble}");
+        let write_error = writer.write_error().expect("it is full").to_string();
+        assert!(write_error.contains("data.csv: No space left on device"), "{write_error}");
         writer.write(&row(3));
         writer.file = disk;
         writer.write(&row(4));
-        assert!(writer.trouble().is_none());
-        let path = writer.end().expect("there is room");
+        assert!(writer.write_error().is_none());
+        let path = writer.finish().expect("there is room");
         let text = std::fs::read_to_string(path).expect("text");
         let numbers: Vec<_> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
         assert_eq!(numbers, ["1", "2", "3", "4"]);
@@ -247,10 +247,10 @@ mod tests {
     #[test]
     fn permanently_full_disk_is_reported_at_end() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
+        let mut writer = RowWriter::create(folder.path().join("data.csv")).expect("writable");
         writer.file = OpenOptions::new().write(true).open("/dev/full").expect("there is one");
         writer.write(&row(1));
-        let error = writer.end().expect_err("it is full").to_string();
+        let error = writer.finish().expect_err("it is full").to_string();
         assert!(error.contains("data.csv"), "{error}");
     }
 }

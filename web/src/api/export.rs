@@ -66,7 +66,7 @@ async fn table(
             let mut text = Vec::new();
             let Some(Begun { header, after, through }) = begun else {
                 let (header, through) = columns(app.store(), &run).await?;
-                header.write(&mut text);
+                header.write_header(&mut text);
                 return Ok(Some((Bytes::from(text), Some(Begun { header, after: 0, through }))));
             };
             if after >= through {
@@ -74,7 +74,7 @@ async fn table(
             }
             let Some((last, iterations)) = app.store().whole(&run, after).await? else { return Ok(None) };
             for iteration in iterations.iter().filter(|iteration| iteration.number <= through) {
-                header.row(&mut text, &Row::from_iteration(iteration));
+                header.write_row(&mut text, &Row::from_iteration(iteration));
             }
             Ok(Some((Bytes::from(text), Some(Begun { header, after: last, through }))))
         }

@@ -138,7 +138,7 @@ impl<'a> RunRecorder<'a> {
     /// Returns everything that was recorded, after writing the rows to the file as far as there is room.
     pub(super) fn finish(self) -> RecordedRun {
         let mut recorded = self.recorded;
-        recorded.unwritten = self.writer.end().err().map(|error| error.to_string());
+        recorded.unwritten = self.writer.finish().err().map(|error| error.to_string());
         recorded
     }
 
@@ -246,7 +246,7 @@ impl RunObserver for RunRecorder<'_> {
         }
         // The advice concerns a configuration, which does not exist here.
         let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
-        let full = self.writer.trouble().map(|trouble| format!("{trouble}; the rows are kept in memory"));
+        let full = self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
         let now = self.clock.mono();
         let slow = activity.slow_sensor(now);
         let Some(peer) = &self.peer else {

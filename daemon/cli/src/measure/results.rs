@@ -74,16 +74,16 @@ impl Results {
     pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> Written {
         let mut earlier = self.earlier.take();
         match self.folder.finish(record, rows) {
-            Ok(WrittenResults { folder, files, trouble: None }) => {
+            Ok(WrittenResults { folder, files, write_error: None }) => {
                 if let Some(earlier) = &mut earlier {
                     earlier.remove();
                 }
                 Written { folder, files, trouble: None }
             }
-            Ok(WrittenResults { folder, files, trouble: Some(trouble) }) => {
+            Ok(WrittenResults { folder, files, write_error: Some(write_error) }) => {
                 let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let trouble =
-                    format!("{trouble}; the measurements are in {} instead{back}", folder.display());
+                    format!("{write_error}; the measurements are in {} instead{back}", folder.display());
                 Written { folder, files, trouble: Some(trouble) }
             }
             Err(error) => {

@@ -17,7 +17,7 @@ use crate::iterations::BEGUN;
 fn header_of_fixed_columns_is_written_at_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
-    let path = folder.writer().expect("writable").end().expect("writable");
+    let path = folder.writer().expect("writable").finish().expect("writable");
     let text = std::fs::read_to_string(path).expect("it is there at once");
     let published = peernet_analysis::rows::published_columns().collect::<Vec<_>>().join(",");
     assert_eq!(
@@ -53,7 +53,7 @@ fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
     let folder = ResultFolder::create(folder, Overwrite::Replace).expect("it can be made");
     let mut writer = folder.writer().expect("writable");
     rows.iter().for_each(|row| writer.write(row));
-    writer.end().expect("writable");
+    writer.finish().expect("writable");
     folder.finish(&record(), &kept(rows)).expect("writable")
 }
 
@@ -61,7 +61,7 @@ fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
 fn written_rows_are_read_back() {
     let folder = tempfile::tempdir().expect("a folder");
     let finished = write(folder.path(), &rows(10));
-    assert!(finished.trouble.is_none());
+    assert!(finished.write_error.is_none());
     let names: Vec<_> = finished.files.iter().filter_map(|file| file.file_name()?.to_str()).collect();
     assert_eq!(names, ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"]);
     let loaded = ResultFolder::open(folder.path()).expect("readable");
@@ -112,7 +112,7 @@ fn late_columns_are_written() {
     let header = |path: &Path| std::fs::read_to_string(path).expect("text").lines().next().map(str::to_owned);
     let header = header(writer.path()).expect("a header");
     assert!(header.ends_with("reason,inference_pre,grip,late"), "{header}");
-    writer.end().expect("writable");
+    writer.finish().expect("writable");
     result.finish(&record(), &kept(&rows)).expect("writable");
     assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
 }
@@ -173,10 +173,10 @@ fn unwritable_folder_loses_no_rows() {
     std::os::unix::fs::symlink("/dev/full", folder.path().join("run.json")).expect("a link");
     let mut writer = result.writer().expect("writable");
     rows(10).iter().for_each(|row| writer.write(row));
-    writer.end().expect("writable");
+    writer.finish().expect("writable");
     let finished = result.finish(&record(), &kept(&rows(10))).expect("there is another place");
-    let trouble = finished.trouble.expect("the folder failed").to_string();
-    assert!(trouble.contains("run.json") && trouble.contains("No space left"), "{trouble}");
+    let write_error = finished.write_error.expect("the folder failed").to_string();
+    assert!(write_error.contains("run.json") && write_error.contains("No space left"), "{write_error}");
     assert_ne!(finished.folder, folder.path());
     assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, kept(&rows(10)));
     std::fs::remove_dir_all(finished.folder).expect("it is ours");
