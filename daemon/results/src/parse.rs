@@ -102,8 +102,8 @@ impl RowParser {
                 expected,
             };
             if cells.is_text() {
-                let way = &mut verdicts[usize::from(cells.name.starts_with("download"))];
-                store_text(&mut row, way, &cells.name, text)
+                let direction = &mut verdicts[usize::from(cells.name.starts_with("download"))];
+                store_text(&mut row, direction, &cells.name, text)
                     .ok_or_else(|| invalid_cell("an outcome, verdict or source"))?;
                 continue;
             }
@@ -168,15 +168,15 @@ impl ColumnParser {
 /// Stores the text of a cell; returns `None` if the column does not permit it.
 fn store_text(
     row: &mut RowBuilder,
-    way: &mut (Option<Verdict>, Option<DelaySource>),
+    direction: &mut (Option<Verdict>, Option<DelaySource>),
     column: &str,
     text: &str,
 ) -> Option<()> {
     let cell = text.trim();
     match column.rsplit_once('-').map_or(column, |(_, last)| last) {
         "outcome" => row.outcome = Some(Outcome::from_name(cell)?),
-        "verdict" => way.0 = Some(Verdict::from_name(cell)?),
-        "source" => way.1 = Some(DelaySource::from_name(cell)?),
+        "verdict" => direction.0 = Some(Verdict::from_name(cell)?),
+        "source" => direction.1 = Some(DelaySource::from_name(cell)?),
         _ => row.reason = Some(text.to_owned()),
     }
     Some(())

@@ -222,7 +222,7 @@ fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
         let items = counts.iter().map(|(what, count)| format!("{} {what}", fixed(*count as f64, 0)));
         items.collect::<Vec<_>>().join(", ")
     };
-    let way = |name: &str, counts: &ClockCounts| {
+    let direction = |name: &str, counts: &ClockCounts| {
         let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
         let width = counts.median_width.map(|width| bound_ms(width / 2.0));
         let width = width.map(|width| if width == "exact" { width } else { format!("{width} ms") });
@@ -230,6 +230,7 @@ fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
         let known = !counts.verdicts.is_empty();
         known.then(|| format!("{name} {} ({})", list(&counts.verdicts), basis.join(", ")))
     };
-    let ways: Vec<String> = [way("upload", up), way("download", down)].into_iter().flatten().collect();
-    if ways.is_empty() { String::new() } else { format!("Clock verdicts: {}.", ways.join("; ")) }
+    let directions: Vec<String> =
+        [direction("upload", up), direction("download", down)].into_iter().flatten().collect();
+    if directions.is_empty() { String::new() } else { format!("Clock verdicts: {}.", directions.join("; ")) }
 }

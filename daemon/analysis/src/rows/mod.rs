@@ -113,8 +113,8 @@ impl Rows {
         }
         (builder.outcome, builder.warm_up) = (Some(row.outcome), row.warm_up);
         builder.reason.clone_from(&row.reason);
-        let verdicts = |way: &crate::Passage| (way.delay.verdict, way.delay.source);
-        builder.verdicts = [&row.upload, &row.download].map(|way| way.as_ref().map(verdicts));
+        let verdicts = |passage: &crate::Passage| (passage.delay.verdict, passage.delay.source);
+        builder.verdicts = [&row.upload, &row.download].map(|passage| passage.as_ref().map(verdicts));
         self.push_built(builder);
     }
 

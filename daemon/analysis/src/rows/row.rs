@@ -117,12 +117,12 @@ impl Row {
             "episode" => Some(f64::from(self.episode)),
             "step" => Some(f64::from(self.step)),
             "warm-up" => Some(f64::from(u8::from(self.warm_up))),
-            "upload-lo" => bound(up, |way| way.delay.bounds.map(|bounds| bounds.lo)),
-            "upload-hi" => bound(up, |way| way.delay.bounds.map(|bounds| bounds.hi)),
-            "upload-raw" => bound(up, |way| Some(way.delay.raw)),
-            "download-lo" => bound(down, |way| way.delay.bounds.map(|bounds| bounds.lo)),
-            "download-hi" => bound(down, |way| way.delay.bounds.map(|bounds| bounds.hi)),
-            "download-raw" => bound(down, |way| Some(way.delay.raw)),
+            "upload-lo" => bound(up, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
+            "upload-hi" => bound(up, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
+            "upload-raw" => bound(up, |passage| Some(passage.delay.raw)),
+            "download-lo" => bound(down, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
+            "download-hi" => bound(down, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
+            "download-raw" => bound(down, |passage| Some(passage.delay.raw)),
             _ => self.values.iter().find(|(name, _)| name == column).map(|(_, value)| *value),
         }
     }

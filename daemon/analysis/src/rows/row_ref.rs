@@ -102,11 +102,11 @@ impl<'a> RowRef<'a> {
 
     /// Returns the verdicts on both delays, upload and download.
     pub fn verdicts(&self) -> [Option<Verdict>; 2] {
-        [0, 1].map(|way: usize| self.rows.verdicts[way][self.place].map(|(verdict, _)| verdict))
+        [0, 1].map(|direction: usize| self.rows.verdicts[direction][self.place].map(|(verdict, _)| verdict))
     }
 
-    fn passage(&self, way: usize, columns: [&str; 6]) -> Option<Passage> {
-        let (verdict, source) = self.rows.verdicts[way][self.place]?;
+    fn passage(&self, direction: usize, columns: [&str; 6]) -> Option<Passage> {
+        let (verdict, source) = self.rows.verdicts[direction][self.place]?;
         let [value, payload, metadata, raw, lo, hi] = columns.map(|column| self.value(column));
         let bounds = lo
             .zip(hi)

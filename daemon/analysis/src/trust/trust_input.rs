@@ -109,7 +109,7 @@ impl TrustInput {
         let count = |outcome: Outcome| {
             rows.iter().filter(|row| !row.warm_up() && row.outcome() == outcome).count() as u64
         };
-        let ways: [(Name, PassageReader); 2] =
+        let directions: [(Name, PassageReader); 2] =
             [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
         Self {
             conditions: conditions.to_vec(),
@@ -126,7 +126,7 @@ impl TrustInput {
             unattributed: mean(&stage::UNATTRIBUTED),
             lateness: mean(LATENESS),
             restarts: Restarts::from_rows(rows),
-            clocks: ways
+            clocks: directions
                 .into_iter()
                 .filter_map(|(name, of)| {
                     Clocks::from_passages(name.as_str(), measured().filter_map(|row| of(&row)))

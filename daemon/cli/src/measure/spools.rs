@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     fn spool(folder: &Path, address: &str) -> PathBuf {
-        of(folder, &address.parse().expect("an address")).expect("nothing stands in the way")
+        prepare(folder, &address.parse().expect("an address")).expect("nothing stands in the way")
     }
 
     #[test]
