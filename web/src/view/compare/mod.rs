@@ -124,7 +124,7 @@ impl Configuration {
     pub(crate) fn starts(&self) -> Starts {
         let of_runs = self.runs.iter().map(Starts::from);
         of_runs.fold(Starts::default(), |all, run| Starts {
-            kept: all.kept + run.kept,
+            started: all.started + run.started,
             skipped: all.skipped + run.skipped,
             ..all
         })
