@@ -116,7 +116,7 @@ async fn same_runs_count_in_store_and_in_files() {
     let of_files = exclusions(&files.iter().map(Candidate::from_results).collect::<Vec<_>>());
     assert_eq!(of_store, of_files);
     let name = |at: usize| format!("#{}", stored[at].number);
-    let said: Vec<Option<String>> = of_store.iter().map(|why| Some(why.as_ref()?.said(name))).collect();
+    let said: Vec<Option<String>> = of_store.iter().map(|why| Some(why.as_ref()?.describe(name))).collect();
     let expected = [
         Some("measured again as #4"),
         Some("interrupted"),
