@@ -159,11 +159,11 @@ impl RunObserver for SweepObserver<'_> {
         self.peer_wait.update(&activity, now);
         // A user who limits the time does not want to wait much longer for an absent peer.
         let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
-        let most = (left + ABSENCE_TIMEOUT).clamp(ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);
+        let timeout = (left + ABSENCE_TIMEOUT).clamp(ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);
         let name = self.observed.cloud.as_deref();
-        let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, wait_reason, now, most));
+        let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, wait_reason, now, timeout));
         self.progress.show(&self.observed.samples, now, trouble);
-        self.peer_wait.timeout_reason(wait_reason, now, most).map(Ended::Failed)
+        self.peer_wait.timeout_reason(wait_reason, now, timeout).map(Ended::Failed)
     }
 
     fn end_decided(&mut self) {

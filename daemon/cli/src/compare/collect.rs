@@ -20,7 +20,7 @@ pub(crate) struct Collected {
     /// Positions of the baseline in `runs`; empty without a baseline.
     pub(crate) baseline: Vec<usize>,
     /// Sentences on excluded runs (unfinished runs, copies), and on facts about them that are unknown.
-    pub(crate) left_out: Vec<String>,
+    pub(crate) notes: Vec<String>,
 }
 
 /// Reads the wanted columns of all results in the places. Results keep the order of the places; runs of an experiment are in the order of
@@ -45,11 +45,11 @@ pub(crate) fn collect(
         found.insert(0, (place.to_owned(), baseline_paths.clone()));
         chosen = SelectedResults::new(&found, &experiments);
     }
-    let SelectedResults { paths, left_out } = chosen;
+    let SelectedResults { paths, unselected } = chosen;
     let numbers = (0..paths.len()).filter(|at| contains_place(&baseline_paths, &paths[*at]));
     let baseline_numbers: Vec<usize> = numbers.collect();
-    left_out.iter().for_each(|left_out| complain(&left_out.remark));
-    let mut left_out: Vec<String> = left_out.into_iter().map(|left_out| left_out.what).collect();
+    unselected.iter().for_each(|runs| complain(&runs.remark));
+    let mut notes: Vec<String> = unselected.into_iter().map(|runs| runs.what).collect();
     if paths.is_empty() {
         let places: Vec<String> = places.iter().map(|place| place.display().to_string()).collect();
         let text = format!(
@@ -61,10 +61,10 @@ pub(crate) fn collect(
     let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
     let named: Vec<&Path> = places.iter().map(PathBuf::as_path).chain(baseline).collect();
     let excluded = Excluded::new(&runs, &baseline_numbers, &named, &experiments);
-    let unknown = experiments.unknown(paths.iter().map(PathBuf::as_path));
-    for told in unknown.into_iter().chain(excluded.notes(&runs)) {
-        complain(&told);
-        left_out.push(sentence(&told));
+    let unknown = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
+    for note in unknown.into_iter().chain(excluded.notes(&runs)) {
+        complain(&note);
+        notes.push(sentence(&note));
     }
     let is_kept = |at: usize| !excluded.contains(at);
     let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
@@ -81,7 +81,7 @@ pub(crate) fn collect(
     }
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
     let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
-    Ok(Collected { runs, baseline: baseline_runs, left_out })
+    Ok(Collected { runs, baseline: baseline_runs, notes })
 }
 
 /// Turns a note into a sentence for the text below a table.

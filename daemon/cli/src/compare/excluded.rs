@@ -113,7 +113,7 @@ mod tests {
         let all = std::slice::from_ref(&home);
         let found = collect(all, None, &|_| true).expect("they are there");
         assert_eq!(names(&found), ["007-a", "008-b", "unknown-1", "unknown-2"]);
-        let [told] = found.left_out.as_slice() else { panic!("{:?}", found.left_out) };
+        let [told] = found.notes.as_slice() else { panic!("{:?}", found.notes) };
         let copy = format!("{} (of {}).", place("000-copy").display(), place("007-a").display());
         assert!(told.starts_with("Excluded, copies of ") && told.ends_with(&copy), "{told}");
 
@@ -121,6 +121,6 @@ mod tests {
         assert_eq!(names(&found), ["000-copy", "008-b", "unknown-1", "unknown-2"], "it was named");
         assert_eq!(found.baseline, [0]);
         let found = collect(&[place("008-b")], None, &|_| true).expect("it is there");
-        assert!(found.left_out.is_empty(), "{:?}", found.left_out);
+        assert!(found.notes.is_empty(), "{:?}", found.notes);
     }
 }

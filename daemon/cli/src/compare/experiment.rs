@@ -92,7 +92,7 @@ impl Experiments {
     }
 
     /// Returns notes on these results for which the record of the experiment cannot be read.
-    pub(super) fn unknown<'a>(&self, results: impl Iterator<Item = &'a Path>) -> Vec<String> {
+    pub(super) fn unreadable_notes<'a>(&self, results: impl Iterator<Item = &'a Path>) -> Vec<String> {
         let results: Vec<PathBuf> = results.filter_map(|path| path.canonicalize().ok()).collect();
         let unread = self.0.iter().filter_map(|(home, read)| Some((home, read.as_ref().err()?)));
         let has_runs = |home: &Path| results.iter().any(|path| path.starts_with(home.join(RUNS)));

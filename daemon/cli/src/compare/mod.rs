@@ -65,7 +65,7 @@ enum Format {
 /// # Errors
 /// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let Collected { runs, baseline, left_out } =
+    let Collected { runs, baseline, notes } =
         collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
     let repeats = match (arguments.apart, baseline.as_slice()) {
         (true, _) => Repeats::Separate,
@@ -73,7 +73,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         (false, runs) => Repeats::PooledExcept(runs),
     };
     let mut comparison = Comparison::with_repeats(&runs, repeats);
-    comparison.caveats.extend(left_out);
+    comparison.caveats.extend(notes);
     let first = if baseline.is_empty() {
         first_of_two(&comparison)
     } else {
@@ -83,17 +83,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             complain(&said);
         }
         comparison.caveats.push(said);
-        alone(&comparison).iter().for_each(complain);
+        missing_comparison_reason(&comparison).iter().for_each(complain);
         Some(line)
     };
     let differences = differences(&comparison, &runs, first, arguments.seed);
-    let tables = below(&comparison, &differences);
+    let tables = difference_tables(&comparison, &differences);
     let text = match arguments.format {
         Format::Csv if !baseline.is_empty() => Differences::csv(&differences),
         Format::Csv => comparison.csv(),
-        Format::Text => joined(comparison.text(), tables.iter().map(CaptionedTable::text)),
-        Format::Markdown => joined(comparison.markdown(), tables.iter().map(CaptionedTable::markdown)),
-        Format::Latex => joined(comparison.latex(), tables.iter().map(CaptionedTable::latex)),
+        Format::Text => join_texts(comparison.text(), tables.iter().map(CaptionedTable::text)),
+        Format::Markdown => join_texts(comparison.markdown(), tables.iter().map(CaptionedTable::markdown)),
+        Format::Latex => join_texts(comparison.latex(), tables.iter().map(CaptionedTable::latex)),
     };
     let text = text.trim_end();
     let Some(path) = &arguments.out else {
@@ -135,7 +135,7 @@ fn baseline_sentence(line: &Line) -> String {
 }
 
 /// Returns the reason why nothing can be compared with the baseline, if there is one.
-fn alone(comparison: &Comparison) -> Option<String> {
+fn missing_comparison_reason(comparison: &Comparison) -> Option<String> {
     let runs = match comparison.lines.as_slice() {
         [line] => line.runs.len(),
         _ => return None,
@@ -165,7 +165,7 @@ pub(crate) fn differences(
 }
 
 /// The tables that stand below the paper's: these differences, or, without them, those from the best line.
-pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec<CaptionedTable> {
+pub(crate) fn difference_tables(comparison: &Comparison, differences: &[Differences]) -> Vec<CaptionedTable> {
     if differences.is_empty() {
         return differences_to_best(comparison).into_iter().collect();
     }
@@ -175,7 +175,7 @@ pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec
 }
 
 /// Tables in one text.
-pub(crate) fn joined(first: String, others: impl Iterator<Item = String>) -> String {
+pub(crate) fn join_texts(first: String, others: impl Iterator<Item = String>) -> String {
     std::iter::once(first)
         .chain(others)
         .map(|text| text.trim_end().to_owned())
@@ -210,7 +210,7 @@ mod tests {
         let beside = |baseline: &[usize]| {
             let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(baseline));
             let line = line_of(&comparison, baseline).expect("one line");
-            (baseline_sentence(&comparison.lines[line]), alone(&comparison))
+            (baseline_sentence(&comparison.lines[line]), missing_comparison_reason(&comparison))
         };
         assert_eq!(beside(&[1]), ("Baseline: a, repeat 2: one run.".to_owned(), None));
         let (said, told) = beside(&[0, 2]);
@@ -221,9 +221,13 @@ mod tests {
         let apart = Comparison::with_repeats(&runs[..2], Repeats::Separate);
         assert!(line_of(&apart, &[0, 1]).is_err(), "each has a line");
         let differences = differences(&apart, &runs, first_of_two(&apart), SEED);
-        assert_eq!((differences.len(), below(&apart, &differences).len()), (1, 0), "no table without a line");
-        let single =
-            alone(&Comparison::with_repeats(&runs[..1], Repeats::Pooled)).expect("there is no other");
+        assert_eq!(
+            (differences.len(), difference_tables(&apart, &differences).len()),
+            (1, 0),
+            "no table without a line"
+        );
+        let single = missing_comparison_reason(&Comparison::with_repeats(&runs[..1], Repeats::Pooled))
+            .expect("there is no other");
         assert!(single.contains("the only run"), "{single}");
     }
 }

@@ -12,7 +12,7 @@ pub(super) struct SelectedResults {
     /// The results, each once.
     pub(super) paths: Vec<PathBuf>,
     /// Unfinished runs of each experiment.
-    pub(super) left_out: Vec<UnselectedRuns>,
+    pub(super) unselected: Vec<UnselectedRuns>,
 }
 
 /// Notes on runs of one experiment that are not compared.
@@ -44,7 +44,7 @@ impl SelectedResults {
         }
         let read: Vec<PathBuf> =
             paths.iter().filter_map(|path| Some(experiments.run(path)?.folder())).collect();
-        let left_out = searched.into_iter().filter_map(|(home, (place, experiment))| {
+        let unselected = searched.into_iter().filter_map(|(home, (place, experiment))| {
             let is_read = |name: &str| read.contains(&home.join(RUNS).join(name));
             let others = experiment.runs().filter(|(name, _)| !is_read(name));
             let what = unfinished_runs_note(&experiment.name, others)?;
@@ -52,7 +52,7 @@ impl SelectedResults {
             let remark = format!("{} is shown {what}; {remedy} completes them", place.display());
             Some(UnselectedRuns { what: format!("Shown {what}."), remark })
         });
-        Self { left_out: left_out.collect(), paths }
+        Self { unselected: unselected.collect(), paths }
     }
 }
 
@@ -122,20 +122,20 @@ mod tests {
         // Wherever the search begins.
         for place in [home.clone(), home.join(RUNS), folder.path().to_owned()] {
             let found = collect(&[place], None, &|_| true).expect("one is done");
-            assert_eq!((names(&found), found.left_out), (vec!["001-a".to_owned()], vec![LEFT.to_owned()]));
+            assert_eq!((names(&found), found.notes), (vec!["001-a".to_owned()], vec![LEFT.to_owned()]));
         }
         let unfinished = home.join(RUNS).join("003-b");
         let found = collect(&[home.clone(), unfinished.clone()], None, &|_| true).expect("two are wanted");
         assert_eq!(names(&found), ["001-a", "003-b"], "what is named itself is wanted");
-        assert!(!found.left_out.concat().contains("003-b"), "{:?}", found.left_out);
+        assert!(!found.notes.concat().contains("003-b"), "{:?}", found.notes);
         let found = collect(&[unfinished.join("data.csv")], Some(&home.join("runs/002-a")), &|_| true);
         let found = found.expect("both are named");
-        assert_eq!((names(&found).len(), found.left_out.len()), (2, 0));
+        assert_eq!((names(&found).len(), found.notes.len()), (2, 0));
 
         let found = collect(std::slice::from_ref(&home), Some(&home.join("runs/002-a")), &|_| true);
         let found = found.expect("one is done, one is named");
         assert_eq!((names(&found), found.baseline), (vec!["002-a".to_owned(), "001-a".to_owned()], vec![0]));
-        assert!(!found.left_out.concat().contains("002-a"), "{:?}", found.left_out);
+        assert!(!found.notes.concat().contains("002-a"), "{:?}", found.notes);
 
         std::fs::remove_dir_all(home.join("runs/001-a")).expect("removed");
         let nothing = collect(&[home], None, &|_| true).err().expect("nothing is left");
@@ -152,7 +152,7 @@ mod tests {
         let told = || {
             let found = collect(std::slice::from_ref(&home), None, &|_| true).expect("three can be read");
             assert_eq!(names(&found), ["001-a", "002-a", "003-b"]);
-            found.left_out.concat()
+            found.notes.concat()
         };
         let cut = &whole[..whole.len() / 2];
         let few = whole
@@ -191,7 +191,8 @@ mod tests {
         experiment(&home);
         let found = vec![(folder.path().to_owned(), vec![home.join("runs/001-a"), home.join("runs/002-a")])];
         let experiments = Experiments::find(found[0].1.iter().map(PathBuf::as_path));
-        let [told] = SelectedResults::new(&found, &experiments).left_out.try_into().expect("one experiment");
+        let [told] =
+            SelectedResults::new(&found, &experiments).unselected.try_into().expect("one experiment");
         assert!(told.remark.starts_with(&format!("{} is shown without", home.display())), "{told:?}");
         assert!(
             told.remark.contains("; `peernet run e.toml` with the same options completes them"),

@@ -20,7 +20,7 @@ pub(super) struct RunRecorder<'a> {
     clock: SharedClock,
     progress_display: &'a mut dyn ProgressDisplay,
     peer_wait: PeerWait,
-    most: Span,
+    peer_timeout: Span,
     progress: RunProgress,
     pipeline: Slug,
     /// Address of the peer, then its name; `None` for a run without a peer.
@@ -112,7 +112,7 @@ pub(super) struct RecordedRun {
 impl<'a> RunRecorder<'a> {
     pub(super) fn new(
         pipeline: &PipelineConfig,
-        most: Span,
+        peer_timeout: Span,
         writer: RowWriter,
         clock: SharedClock,
         progress_display: &'a mut dyn ProgressDisplay,
@@ -125,7 +125,7 @@ impl<'a> RunRecorder<'a> {
             peer_wait: PeerWait::new(clock.mono()),
             clock,
             progress_display,
-            most,
+            peer_timeout,
             progress: RunProgress::new(pipeline.limit, pipeline.warm_up.iterations),
             pipeline: pipeline.name.clone(),
             peer,
@@ -257,9 +257,9 @@ impl RunObserver for RunRecorder<'_> {
         self.peer_wait.update(&activity, now);
         let trouble = match (&self.progress.began, reason) {
             (None, None) => None,
-            _ => self.peer_wait.describe_trouble(peer, reason, now, self.most),
+            _ => self.peer_wait.describe_trouble(peer, reason, now, self.peer_timeout),
         };
-        let spent = self.peer_wait.timeout_reason(reason, now, self.most);
+        let spent = self.peer_wait.timeout_reason(reason, now, self.peer_timeout);
         let report = self.report(slow.or(trouble).or(full));
         self.progress_display.show(&report);
         spent.map(Ended::Failed)

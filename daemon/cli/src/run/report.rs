@@ -21,7 +21,7 @@ use super::plan::Run;
 use super::sensors::Sensors;
 use super::state::Record;
 use super::table;
-use crate::compare::{below, differences, first_of_two, joined};
+use crate::compare::{difference_tables, differences, first_of_two, join_texts};
 use crate::experiment::unfinished_runs_note;
 
 /// Writes everything that compares finished runs, with `plots` also as figures. Returns the text to be printed.
@@ -47,12 +47,12 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     );
     // The same differences as those of `peernet compare`.
     let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
-    let tables = below(&comparison, &differences);
+    let tables = difference_tables(&comparison, &differences);
     let forms = [
-        ("txt", joined(comparison.text(), tables.iter().map(CaptionedTable::text))),
-        ("md", joined(comparison.markdown(), tables.iter().map(CaptionedTable::markdown))),
+        ("txt", join_texts(comparison.text(), tables.iter().map(CaptionedTable::text))),
+        ("md", join_texts(comparison.markdown(), tables.iter().map(CaptionedTable::markdown))),
         ("csv", comparison.csv()),
-        ("tex", joined(comparison.latex(), tables.iter().map(CaptionedTable::latex))),
+        ("tex", join_texts(comparison.latex(), tables.iter().map(CaptionedTable::latex))),
     ];
     save(folder.path(), "compare", &forms)?;
     if plots {
