@@ -58,7 +58,7 @@ use state::Record;
 use trial::TrialResults;
 
 /// Folder for experiments without a given place.
-const RESULTS: &str = "results";
+const DEFAULT_PARENT: &str = "results";
 
 /// Executes an experiment, or continues one.
 ///
@@ -73,7 +73,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
     let path = arguments.result_loc.clone();
-    let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
+    let path = path.unwrap_or_else(|| PathBuf::from(DEFAULT_PARENT).join(file.experiment.name.as_str()));
     // A broken record can be replaced, and is no error of the file.
     let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
@@ -152,7 +152,7 @@ async fn execute_experiment(
     let Some(folder) = folder else { return Ok(()) };
     if !to_do.is_empty() && !arguments.yes && !is_confirmed(&mut signals).await {
         discard(Some(folder), &record);
-        return Err(Failure::new(Exit::Interrupted, anyhow!("not begun")));
+        return Err(Failure::new(Exit::Interrupted, anyhow!("not started")));
     }
     if arguments.restart {
         // Not earlier: results are kept if they cannot be measured again.
@@ -248,7 +248,7 @@ async fn is_confirmed(signals: &mut Signals) -> bool {
     let answer = tokio::task::spawn_blocking(|| {
         // If the question cannot be written, the answer is no.
         let mut errors = std::io::stderr();
-        let _ = write!(errors, "begin? [Y/n] ").and_then(|()| errors.flush());
+        let _ = write!(errors, "start? [Y/n] ").and_then(|()| errors.flush());
         let mut answer = String::new();
         let read = std::io::stdin().lock().read_line(&mut answer).unwrap_or_default();
         read > 0 && !answer.trim().to_lowercase().starts_with('n')

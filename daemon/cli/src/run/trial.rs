@@ -23,8 +23,8 @@ use crate::measure::Order;
 
 /// Number of iterations of a trial: the first may be slow, the others give the pace.
 const ITERATIONS: u64 = 3;
-/// Longest wait for a peer unless the file sets another; seconds. The peer may have to load its model.
-const PATIENCE_S: f64 = 30.0;
+/// Timeout for an unreachable peer unless the file sets another; seconds. The peer may have to load its model.
+const PEER_TIMEOUT_S: f64 = 30.0;
 
 /// Results of the trials.
 pub(super) struct TrialResults {
@@ -109,7 +109,7 @@ pub(super) async fn configurations(
                 configurations.iter().for_each(|index| tried.paces[*index] = pace);
             }
             Some(exit) => {
-                if took >= order.peer_timeout_s.unwrap_or(PATIENCE_S) {
+                if took >= order.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
                     away.extend(peer.map(|peer| (peer, exit.clone())));
                 }
                 tried.missing.extend(words().map(|words| (words, exit.clone())));
@@ -183,7 +183,7 @@ fn order(configuration: &Configuration) -> Order {
         network_config: None,
         user: None,
         warm_up: String::new(),
-        peer_timeout_s: Some(configuration.patience_s.unwrap_or(PATIENCE_S)),
+        peer_timeout_s: Some(configuration.patience_s.unwrap_or(PEER_TIMEOUT_S)),
     }
 }
 
