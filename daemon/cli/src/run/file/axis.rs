@@ -9,7 +9,7 @@ use toml::Value;
 use super::field::{Field, FieldError};
 
 /// Tables whose fields an axis may change.
-const TABLES: [&str; 10] = [
+const VARIABLE_TABLES: [&str; 10] = [
     "experiment",
     "network",
     "pipeline",
@@ -22,11 +22,11 @@ const TABLES: [&str; 10] = [
     "onnxruntime",
 ];
 /// Keys of `[experiment]` that may differ between configurations.
-const OWN: [&str; 7] =
+const VARIABLE_KEYS: [&str; 7] =
     ["episodes", "episode_steps", "warm_up", "iterations", "duration_s", "users", "patience_s"];
 
 /// Columns of the tables over all runs besides the axes and the latencies.
-const COLUMNS: [&str; 6] = ["runs", "count", "unanswered", "best", "tie", "edges"];
+const RESERVED_COLUMNS: [&str; 6] = ["runs", "count", "unanswered", "best", "tie", "edges"];
 
 /// `[[axis]]` as in the file.
 #[derive(Clone, Debug, Deserialize)]
@@ -91,9 +91,9 @@ pub(super) enum AxisError {
     LabelType,
     #[error(transparent)]
     Field(#[from] FieldError),
-    #[error("there is no field {0}: a path begins with {tables}, such as pipeline.placement.model", tables = TABLES.join(", "))]
+    #[error("there is no field {0}: a path begins with {tables}, such as pipeline.placement.model", tables = VARIABLE_TABLES.join(", "))]
     UnknownTable(String),
-    #[error("{0} is the same for all runs; of [experiment] only {own} may differ", own = OWN.join(", "))]
+    #[error("{0} is the same for all runs; of [experiment] only {own} may differ", own = VARIABLE_KEYS.join(", "))]
     SameForAll(String),
 }
 
@@ -112,7 +112,7 @@ impl Axis {
         if name.contains(char::is_control) {
             return Err(AxisError::NameControl(name));
         }
-        if COLUMNS.contains(&name.as_str()) {
+        if RESERVED_COLUMNS.contains(&name.as_str()) {
             return Err(AxisError::NameColumn(name));
         }
         if let Some(value) = values.iter().find(|value| value.label.contains(char::is_control)) {
@@ -172,11 +172,11 @@ fn long(value: ValueTable) -> Result<AxisValue, AxisError> {
 /// Reads a field that an axis may change.
 fn reach(text: &str) -> Result<Field, AxisError> {
     let field = Field::read(text)?;
-    if !TABLES.contains(&field.table()) {
+    if !VARIABLE_TABLES.contains(&field.table()) {
         return Err(AxisError::UnknownTable(text.to_owned()));
     }
     let within = text.strip_prefix("experiment.").map(|rest| rest.split('.').next().unwrap_or(rest));
-    if field.table() == "experiment" && !within.is_some_and(|key| OWN.contains(&key)) {
+    if field.table() == "experiment" && !within.is_some_and(|key| VARIABLE_KEYS.contains(&key)) {
         return Err(AxisError::SameForAll(text.to_owned()));
     }
     Ok(field)

@@ -19,7 +19,7 @@ use super::{AGENT, File, KeyError, convert, peers};
 use crate::run::check::without_serde_words;
 
 /// Keys of a pipeline that the experiment decides, with the keys to be used instead.
-const ELSEWHERE: [(&str, &str); 6] = [
+const REPLACED_KEYS: [(&str, &str); 6] = [
     ("name", "experiment.name"),
     ("limit", "experiment.iterations, experiment.duration_s, or experiment.episodes"),
     ("warm_up", "experiment.warm_up"),
@@ -133,7 +133,7 @@ fn read(
     let Some(Value::Table(mut pipeline)) = table(&mut document, "pipeline") else {
         return Err(ConfigurationError::NoPipeline);
     };
-    if let Some((key, instead)) = ELSEWHERE.into_iter().find(|(key, _)| pipeline.contains_key(*key)) {
+    if let Some((key, instead)) = REPLACED_KEYS.into_iter().find(|(key, _)| pipeline.contains_key(*key)) {
         return Err(ConfigurationError::DecidedElsewhere { key, instead });
     }
     let network = peers::resolve(&mut pipeline, network.as_ref(), files)?;
