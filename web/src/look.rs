@@ -11,7 +11,7 @@ pub(crate) static STACK: LazyLock<Vec<&'static str>> =
     LazyLock::new(|| STAGES.iter().map(Name::as_str).chain(["unattributed"]).collect());
 
 /// Both directions of the network together, where the clocks cannot tell them apart.
-pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_WAYS;
+pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_DIRECTIONS;
 
 /// Rest of an iteration where neither the directions nor the unattributed time are known.
 pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";

@@ -5,35 +5,38 @@ use crate::fit::{Fit, Point, theil_sen};
 /// Column of the time that an answer takes.
 pub const LATENCY: &str = "inference";
 /// Column of the length of an answer where no tokens are counted.
-const ANSWER: &str = "download-bytes";
+const ANSWER_BYTES: &str = "download-bytes";
 /// Suffix of the names of quantities that count tokens.
-const TOKENS: &str = "tokens";
+const TOKENS_SUFFIX: &str = "tokens";
 /// Words in the names of quantities that count the question and not the answer.
-const ASKED: [&str; 2] = ["prompt", "input"];
+const QUESTION_WORDS: [&str; 2] = ["prompt", "input"];
 /// Minimum ratio of the longest to the shortest answer; below it the length does not explain the latency.
-const VARIED: f64 = 1.5;
+const MIN_LENGTH_RATIO: f64 = 1.5;
 
-/// Returns the name of the quantity that is the length of an answer. Among the names that count tokens it is the first one by name, those
-/// of the answer before those of the question; `download-bytes` if no tokens are counted.
+/// Returns the name of the quantity that is the length of an answer: one that counts tokens of the answer, else one that counts tokens of
+/// the question, else `download-bytes`. Of several, the first in alphabetical order.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
-    let is_asked = |name: &str| ASKED.iter().any(|word| name.contains(word));
-    names.filter(|name| is_tokens(name)).min_by_key(|name| (is_asked(name), *name)).unwrap_or(ANSWER)
+    let is_of_question = |name: &str| QUESTION_WORDS.iter().any(|word| name.contains(word));
+    names
+        .filter(|name| is_tokens(name))
+        .min_by_key(|name| (is_of_question(name), *name))
+        .unwrap_or(ANSWER_BYTES)
 }
 
 /// Returns whether a length is counted in tokens; otherwise it is in bytes.
 pub fn is_tokens(name: &str) -> bool {
-    name.ends_with(TOKENS)
+    name.ends_with(TOKENS_SUFFIX)
 }
 
 /// Returns whether the answers' lengths differ enough for a figure of latency against length.
 pub fn varies(shortest: f64, longest: f64) -> bool {
-    longest > shortest && longest >= VARIED * shortest
+    longest > shortest && longest >= MIN_LENGTH_RATIO * shortest
 }
 
 /// Minimum number of iterations for a line.
-const FEWEST: usize = 60;
-/// Width of an interval, as a share of the slope, above which the slope is not given as one figure.
-const TELLING: f64 = 0.5;
+const MIN_ITERATIONS: usize = 60;
+/// Width of the interval, as a share of the slope, above which the slope is not reported as one number.
+const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
 /// Growth of latency with the length of answers: a line through single iterations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,26 +50,26 @@ pub struct Growth {
 impl Growth {
     /// Returns the line whose slope is the median of the slopes of all pairs of iterations, given as length and latency. This slope is
     /// robust against long tails of the latencies and any distribution of the lengths. `None` if there are too few iterations.
-    pub fn of(iterations: &[(f64, f64)]) -> Option<Self> {
-        (iterations.len() >= FEWEST).then_some(())?;
+    pub fn from_iterations(iterations: &[(f64, f64)]) -> Option<Self> {
+        (iterations.len() >= MIN_ITERATIONS).then_some(())?;
         let points: Vec<Point> = iterations.iter().map(|(x, y)| Point { x: *x, y: *y }).collect();
         let fit = theil_sen(&points)?;
         Some(Self { interval: fit.slope.interval?, fit })
     }
 
-    /// Returns whether zero lies outside the interval of the slope.
-    pub fn is_certain(&self) -> bool {
+    /// Returns whether the interval of the slope excludes zero.
+    pub fn is_significant(&self) -> bool {
         self.interval.0 > 0.0 || self.interval.1 < 0.0
     }
 
-    /// Returns whether the interval is too wide for the slope to be given as one figure.
-    pub fn is_vague(&self) -> bool {
-        self.interval.1 - self.interval.0 > TELLING * self.fit.slope.value.abs()
+    /// Returns whether the interval is too wide for the slope to be reported as one number.
+    pub fn is_imprecise(&self) -> bool {
+        self.interval.1 - self.interval.0 > MAX_RELATIVE_WIDTH * self.fit.slope.value.abs()
     }
 
-    /// Returns intercept and slope if the slope is certain.
+    /// Returns intercept and slope if the slope is significant.
     pub fn line(&self) -> Option<(f64, f64)> {
-        self.is_certain().then_some((self.fit.intercept.value, self.fit.slope.value))
+        self.is_significant().then_some((self.fit.intercept.value, self.fit.slope.value))
     }
 }
 
@@ -75,18 +78,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn growth_is_certain_only_where_latency_follows_length() {
+    fn growth_is_significant_if_latency_follows_length() {
         let iterations = |slope: f64| -> Vec<(f64, f64)> {
             (0..200).map(|n| (f64::from(n), 5.0 + slope * f64::from(n) + f64::from(n * 37 % 11))).collect()
         };
-        let growing = Growth::of(&iterations(0.5)).expect("enough");
-        assert!(growing.is_certain() && !growing.is_vague() && (growing.fit.slope.value - 0.5).abs() < 0.02);
-        assert_eq!(Growth::of(&iterations(0.0)).expect("enough").line(), None);
-        assert_eq!(Growth::of(&iterations(0.5)[..59]), None, "too few");
+        let growing = Growth::from_iterations(&iterations(0.5)).expect("enough");
+        assert!(
+            growing.is_significant()
+                && !growing.is_imprecise()
+                && (growing.fit.slope.value - 0.5).abs() < 0.02
+        );
+        assert_eq!(Growth::from_iterations(&iterations(0.0)).expect("enough").line(), None);
+        assert_eq!(Growth::from_iterations(&iterations(0.5)[..59]), None, "too few");
     }
 
     #[test]
-    fn length_is_counted_in_tokens_of_answer_where_there_are_some() {
+    fn length_is_answer_tokens_if_counted() {
         let names = ["a-prompt-tokens", "zeta-tokens", "total", "completion-tokens", "input-tokens"];
         assert_eq!(answer_length(names.into_iter()), "completion-tokens");
         assert_eq!(answer_length(["total", "tokens-per-second"].into_iter()), "download-bytes");

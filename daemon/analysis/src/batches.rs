@@ -37,7 +37,7 @@ pub(crate) trait Series {
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Cuts the series into at most `parts` parts of about the same number of values, none of them empty. Buckets are not divided.
+    /// Splits the series into at most `parts` non-empty ranges of about the same number of values. Buckets are not divided.
     fn parts(&self, parts: u64) -> Vec<Range<usize>> {
         let all = self.total_count();
         let (mut ranges, mut from, mut count) = (Vec::new(), 0, 0);
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_have_about_the_same_count_and_cover_all_places() {
+    fn parts_have_similar_counts_and_cover_series() {
         let values = vec![1.0; 103];
         let ranges = values.as_slice().parts(10);
         assert_eq!((ranges.len(), ranges[0].start, ranges[9].end), (10, 0, 103));

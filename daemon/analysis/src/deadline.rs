@@ -13,29 +13,31 @@ pub const DEADLINE_MISSED: &str = "deadline-missed";
 pub struct Misses {
     /// Number of iterations that took longer than the deadline or have no answer.
     pub missed: u64,
-    /// Number of all iterations.
-    pub of: u64,
+    /// Number of all iterations, warm-up left out.
+    #[serde(rename = "of")]
+    pub iterations: u64,
 }
 
 impl Misses {
     /// Counts `late` of the `answered` iterations, and all `unanswered` ones.
     pub fn new(answered: u64, late: u64, unanswered: u64) -> Self {
-        Self { missed: late.min(answered) + unanswered, of: answered + unanswered }
+        Self { missed: late.min(answered) + unanswered, iterations: answered + unanswered }
     }
 
     /// Returns the sum over several runs; `None` without runs.
-    pub fn together(runs: impl IntoIterator<Item = Self>) -> Option<Self> {
-        runs.into_iter().reduce(|a, b| Self { missed: a.missed + b.missed, of: a.of + b.of })
+    pub fn sum(runs: impl IntoIterator<Item = Self>) -> Option<Self> {
+        runs.into_iter()
+            .reduce(|a, b| Self { missed: a.missed + b.missed, iterations: a.iterations + b.iterations })
     }
 
     /// Counts rows; `None` if no row has the column of missed deadlines.
-    pub fn of_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Option<Self> {
+    pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Option<Self> {
         let mut has_deadline = false;
         let (mut answered, mut late, mut unanswered) = (0, 0, 0);
         for row in rows.into_iter().filter(|row| !row.warm_up()) {
             let missed = row.value(DEADLINE_MISSED);
             has_deadline |= missed.is_some();
-            if row.counts() {
+            if row.is_counted() {
                 answered += 1;
                 late += u64::from(missed == Some(1.0));
             } else {
@@ -47,7 +49,7 @@ impl Misses {
 
     /// Returns the miss rate: the share of iterations that missed their deadline, 0 to 1; `None` before the first iteration.
     pub fn rate(self) -> Option<f64> {
-        (self.of > 0).then(|| self.missed as f64 / self.of as f64)
+        (self.iterations > 0).then(|| self.missed as f64 / self.iterations as f64)
     }
 }
 
@@ -72,25 +74,25 @@ mod tests {
     }
 
     #[test]
-    fn late_and_unanswered_rows_miss_warm_up_left_out() {
+    fn late_and_unanswered_rows_miss_deadline() {
         let ends = [(Outcome::Ok, 1.0), (Outcome::Ok, 0.0), (Outcome::Ok, 1.0), (Outcome::Lost, 1.0)];
         let rows: Rows =
             (1..).zip(ends).map(|(at, (outcome, missed))| row(at, outcome, Some(missed))).collect();
-        let misses = Misses::of_rows(&rows).expect("there is a deadline");
-        assert_eq!((misses, misses.rate()), (Misses { missed: 2, of: 3 }, Some(2.0 / 3.0)));
+        let misses = Misses::from_rows(&rows).expect("there is a deadline");
+        assert_eq!((misses, misses.rate()), (Misses { missed: 2, iterations: 3 }, Some(2.0 / 3.0)));
     }
 
     #[test]
     fn rows_without_deadline_have_no_miss_rate() {
         let rows: Rows = (1..5).map(|at| row(at, Outcome::Timeout, None)).collect();
-        assert_eq!(Misses::of_rows(&rows), None);
+        assert_eq!(Misses::from_rows(&rows), None);
         assert_eq!(Misses::new(0, 0, 0).rate(), None);
-        assert_eq!(Misses::together([]), None);
+        assert_eq!(Misses::sum([]), None);
     }
 
     #[test]
     fn misses_of_several_runs_add_up() {
-        let runs = [Misses { missed: 1, of: 10 }, Misses { missed: 3, of: 30 }];
-        assert_eq!(Misses::together(runs), Some(Misses { missed: 4, of: 40 }));
+        let runs = [Misses { missed: 1, iterations: 10 }, Misses { missed: 3, iterations: 30 }];
+        assert_eq!(Misses::sum(runs), Some(Misses { missed: 4, iterations: 40 }));
     }
 }

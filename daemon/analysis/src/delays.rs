@@ -7,7 +7,7 @@ use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 const WORST_OF: u64 = 20;
 
 /// Returns a rank of the verdict; the largest is the worst.
-pub const fn severity(verdict: Verdict) -> u8 {
+pub const fn severity_rank(verdict: Verdict) -> u8 {
     match verdict {
         Verdict::Ok => 0,
         Verdict::Limited => 1,
@@ -20,11 +20,11 @@ pub const fn severity(verdict: Verdict) -> u8 {
 
 /// Returns the verdict on many delays from the number of delays by verdict: the worst verdict for which at least a twentieth of the delays
 /// have it or a worse one. `None` without delays.
-pub fn prevailing(verdicts: &[(Verdict, u64)]) -> Option<Verdict> {
+pub fn prevailing_verdict(verdicts: &[(Verdict, u64)]) -> Option<Verdict> {
     let all: u64 = verdicts.iter().map(|(_, count)| count).sum();
     let mut by_severity: Vec<(Verdict, u64)> =
         verdicts.iter().copied().filter(|(_, count)| *count > 0).collect();
-    by_severity.sort_by_key(|(verdict, _)| std::cmp::Reverse(severity(*verdict)));
+    by_severity.sort_by_key(|(verdict, _)| std::cmp::Reverse(severity_rank(*verdict)));
     let mut worse = 0;
     let found = by_severity.into_iter().find(|(_, count)| {
         worse += count;
@@ -77,7 +77,7 @@ impl DelaySum {
 
     /// Returns the verdict on all delays; `None` if none was judged.
     pub fn verdict(&self) -> Option<Verdict> {
-        prevailing(&self.verdicts)
+        prevailing_verdict(&self.verdicts)
     }
 
     /// Returns all seconds as one; `None` if no delay was judged.
@@ -98,7 +98,7 @@ impl<'a> FromIterator<&'a DelaySecond> for DelaySum {
 
 /// Returns the round trips of several seconds as one: the smallest, and the median of their medians, of two in the middle the smaller.
 /// `None` without any.
-pub fn round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
+pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
     let (mut smallest, mut medians): (Option<Span>, Vec<Span>) = (None, Vec::new());
     for RoundTrip { min, median } in seconds {
         smallest = Some(smallest.map_or(min, |known| known.min(min)));
@@ -139,20 +139,23 @@ mod tests {
 
     #[test]
     fn verdict_of_many_ignores_few_bad_ones() {
-        let of = |bad: u64| prevailing(&[(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
-        assert_eq!((of(4), of(5), prevailing(&[])), (Some(Verdict::Ok), Some(Verdict::Stepped), None));
+        let of = |bad: u64| prevailing_verdict(&[(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
+        assert_eq!(
+            (of(4), of(5), prevailing_verdict(&[])),
+            (Some(Verdict::Ok), Some(Verdict::Stepped), None)
+        );
         let together = [(Verdict::Ok, 94), (Verdict::Stale, 3), (Verdict::Inconsistent, 3)];
-        assert_eq!(prevailing(&together), Some(Verdict::Stale), "stale or worse");
+        assert_eq!(prevailing_verdict(&together), Some(Verdict::Stale), "stale or worse");
     }
 
     #[test]
-    fn round_trip_of_seconds_has_smallest_and_lower_middle() {
+    fn merged_round_trip_has_minimum_and_lower_median() {
         let trips = [(3, 5), (1, 9), (2, 4), (4, 6)].map(|(min, median)| RoundTrip {
             min: Span::from_millis(min),
             median: Span::from_millis(median),
         });
-        let found = round_trip(trips).expect("known");
+        let found = merged_round_trip(trips).expect("known");
         assert_eq!((found.min, found.median), (Span::from_millis(1), Span::from_millis(5)));
-        assert_eq!(round_trip([]), None);
+        assert_eq!(merged_round_trip([]), None);
     }
 }

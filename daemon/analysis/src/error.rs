@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 pub struct WriteError {
     /// Path of the file.
     pub path: PathBuf,
-    /// Why.
+    /// Cause, as text.
     pub reason: String,
 }
 
@@ -19,10 +19,10 @@ impl WriteError {
     }
 }
 
-/// Writes a file whole.
+/// Writes a complete file, replacing an existing one.
 ///
 /// # Errors
-/// When the file cannot be written.
+/// If the file cannot be written.
 pub fn write_file(path: &Path, content: &[u8]) -> Result<(), WriteError> {
     std::fs::write(path, content).map_err(WriteError::at(path))
 }

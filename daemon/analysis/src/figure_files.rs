@@ -1,4 +1,4 @@
-//! Which files of a folder are figures.
+//! Recognition of figure files by their names.
 
 use std::fs::{File, read_dir};
 use std::io::{BufRead, BufReader, Read};
@@ -14,14 +14,14 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// Endings of a figure's files. The text is one of them, because its name says that it belongs to a figure.
-const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
-/// Figures of which there is one.
-const SINGLE: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
-/// Figures of which there may be several, numbered from the second on.
-const NUMBERED: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
-/// Bytes of the longest header that is read.
-const LONGEST_HEADER: u64 = 1 << 20;
+/// Name endings of a figure's files. The caption is one of them.
+const FILE_ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
+/// Names of figures of which there is at most one.
+const SINGLE_FIGURES: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
+/// Names of figures of which there may be several, numbered from the second on.
+const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
+/// Maximum length of the header of `data.csv` that is read, bytes.
+const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Returns the names of the files in a result folder that are figures of its results, of every kind.
 pub fn figure_files(dir: &Path) -> Vec<String> {
@@ -33,9 +33,9 @@ pub fn figure_files(dir: &Path) -> Vec<String> {
 }
 
 fn is_figure(name: &str, columns: &[String]) -> bool {
-    let Some(stem) = ENDINGS.iter().find_map(|ending| name.strip_suffix(ending)) else { return false };
+    let Some(stem) = FILE_ENDINGS.iter().find_map(|ending| name.strip_suffix(ending)) else { return false };
     let is_numbered = || {
-        let number = NUMBERED.iter().find_map(|figure| stem.strip_prefix(figure));
+        let number = NUMBERED_FIGURES.iter().find_map(|figure| stem.strip_prefix(figure));
         number.is_some_and(|rest| {
             rest.is_empty() || rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok())
         })
@@ -44,7 +44,7 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
         let column = stem.strip_suffix("-histogram").or_else(|| stem.strip_suffix("-cumulative"));
         column.is_some_and(|column| columns.iter().any(|known| known == column))
     };
-    SINGLE.contains(&stem)
+    SINGLE_FIGURES.contains(&stem)
         || HISTOGRAMS.iter().any(|(published, ..)| *published == stem)
         || is_numbered()
         || is_column()
@@ -54,7 +54,7 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
 fn columns(data: &Path) -> Vec<String> {
     let header = || -> Option<String> {
         let file = data.is_file().then(|| File::open(data).ok())??;
-        BufReader::new(file.take(LONGEST_HEADER)).lines().next()?.ok()
+        BufReader::new(file.take(MAX_HEADER_BYTES)).lines().next()?.ok()
     };
     let header = header().unwrap_or_default();
     header.split(',').map(|column| column.trim_matches('"').to_owned()).collect()
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_known_by_their_names_and_other_files_are_not_touched() {
+    fn only_figure_files_are_recognised() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,total\n1,2\n").expect("writable");
         let figures = [

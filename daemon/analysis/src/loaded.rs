@@ -7,11 +7,11 @@ use peernet_statistics::number::counted;
 use crate::accuracy::UnknownLabels;
 use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
-use crate::run_trust_input::cut_short;
+use crate::run_trust_input::early_end;
 
 /// Reason for the end of a run that has rows but no record. The record is written last.
 pub const NO_RECORD: &str =
-    "there is no run.json: the run is under way or was killed, or data.csv came here alone";
+    "run.json is missing: the run is in progress or was killed, or data.csv was copied without it";
 
 /// Results that were read back.
 #[derive(Clone, Debug)]
@@ -44,25 +44,25 @@ impl Loaded {
     /// Returns the reason why the rows are not those of a whole run, in one clause: some measurements are missing, or the run was
     /// interrupted, broke off, was killed or is still in progress. `None` if they are complete, or if this is not known, as for files of
     /// other programs.
-    pub fn lacking(&self) -> Option<String> {
+    pub fn incompleteness(&self) -> Option<String> {
         let has_no_record = self.record.reason.failure() == Some(NO_RECORD);
         self.damage().map(|damage| damage.to_string()).or_else(|| match has_no_record {
             true => Some(NO_RECORD.to_owned()),
-            false => cut_short(&self.record, &self.rows).map(|end| format!("the run {end}")),
+            false => early_end(&self.record, &self.rows).map(|end| format!("the run {end}")),
         })
     }
 
     /// Returns the reason why the rows are not all that were measured: their number in `data.csv` differs from the count in `run.json`, as
     /// when the file was truncated or changed. `None` if they agree, or if there is no count.
     pub fn damage(&self) -> Option<RowsDamage> {
-        let said = self.record.counts;
-        let is = Counts::of(&self.rows, said.unseen);
-        let is_known = self.record.format > 0 && said != Counts::default();
+        let counts_of_record = self.record.counts;
+        let is = Counts::from_rows(&self.rows, counts_of_record.unseen);
+        let is_known = self.record.format > 0 && counts_of_record != Counts::default();
         let all = |counts: Counts| {
             let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
             counts.into_iter().fold(0, u64::saturating_add)
         };
-        (is_known && is != said).then(|| match (all(is), all(said)) {
+        (is_known && is != counts_of_record).then(|| match (all(is), all(counts_of_record)) {
             (rows, measured) if rows == measured => RowsDamage::Outcomes,
             (rows, measured) => RowsDamage::Length { rows, measured },
         })
@@ -70,7 +70,7 @@ impl Loaded {
 
     /// Returns samples that are neither right nor wrong, because their label is not a class of the model.
     fn unknown_labels(&self) -> Option<UnknownLabels> {
-        UnknownLabels::of(&self.rows, &self.record.facts)
+        UnknownLabels::from_rows(&self.rows, &self.record.facts)
     }
 }
 

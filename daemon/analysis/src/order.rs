@@ -1,18 +1,18 @@
 //! Order statistics, which describe delays, because their distribution has a long tail.
 
 /// Minimum number of values for p5 and p95, everywhere in PEERNet.
-pub const ENOUGH_FOR_P95: usize = 60;
+pub const MIN_VALUES_FOR_P95: usize = 60;
 /// Minimum number of values for p99.
-pub const ENOUGH_FOR_P99: usize = 300;
+pub const MIN_VALUES_FOR_P99: usize = 300;
 
 /// The normal quantile of a 95 % interval.
 pub(crate) const Z95: f64 = 1.959_963_984_540_054;
 
 /// Values in order.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Ordered(Vec<f64>);
+pub struct SortedValues(Vec<f64>);
 
-impl FromIterator<f64> for Ordered {
+impl FromIterator<f64> for SortedValues {
     /// Collects and sorts the values. NaN is left out.
     fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
         let mut values: Vec<f64> = values.into_iter().filter(|value| !value.is_nan()).collect();
@@ -21,7 +21,7 @@ impl FromIterator<f64> for Ordered {
     }
 }
 
-impl Ordered {
+impl SortedValues {
     /// Returns the values, smallest first.
     pub fn values(&self) -> &[f64] {
         &self.0
@@ -58,12 +58,12 @@ impl Ordered {
 
     /// Returns the 95th percentile; `None` with fewer than 60 values.
     pub fn p95(&self) -> Option<f64> {
-        self.quantile(0.95).filter(|_| self.0.len() >= ENOUGH_FOR_P95)
+        self.quantile(0.95).filter(|_| self.0.len() >= MIN_VALUES_FOR_P95)
     }
 
     /// Returns the 99th percentile; `None` with fewer than 300 values.
     pub fn p99(&self) -> Option<f64> {
-        self.quantile(0.99).filter(|_| self.0.len() >= ENOUGH_FOR_P99)
+        self.quantile(0.99).filter(|_| self.0.len() >= MIN_VALUES_FOR_P99)
     }
 
     /// Returns the standard error of the median, from the order statistics that bound it with 95 % confidence (McKean and Schrader 1984):
@@ -81,31 +81,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_those_of_the_usual_definition() {
-        let values: Ordered = [4.0, 1.0, f64::NAN, 3.0, 2.0].into_iter().collect();
+    fn quantiles_follow_definition_seven() {
+        let values: SortedValues = [4.0, 1.0, f64::NAN, 3.0, 2.0].into_iter().collect();
         assert_eq!(
             (values.median(), values.quantile(0.1), values.quantile(1.0)),
             (Some(2.5), Some(1.3), Some(4.0))
         );
-        assert_eq!(Ordered::default().median(), None);
+        assert_eq!(SortedValues::default().median(), None);
         assert_eq!(
-            [1.0, f64::INFINITY, f64::INFINITY].into_iter().collect::<Ordered>().median(),
+            [1.0, f64::INFINITY, f64::INFINITY].into_iter().collect::<SortedValues>().median(),
             Some(f64::INFINITY)
         );
     }
 
     #[test]
-    fn what_needs_more_values_is_not_said() {
-        let few: Ordered = (0..59).map(f64::from).collect();
-        let enough: Ordered = (0..=100).map(f64::from).collect();
+    fn few_values_have_no_tails() {
+        let few: SortedValues = (0..59).map(f64::from).collect();
+        let enough: SortedValues = (0..=100).map(f64::from).collect();
         assert_eq!((few.tails(), enough.tails()), (None, Some((5.0, 95.0))));
-        assert_eq!((0..5).map(f64::from).collect::<Ordered>().median_error(), None);
+        assert_eq!((0..5).map(f64::from).collect::<SortedValues>().median_error(), None);
     }
 
     #[test]
-    fn the_median_of_a_hundred_uniform_values_is_known_to_a_twentieth_of_their_range() {
+    fn median_error_matches_uniform_density() {
         // 1 / (2 f √n) with density f = 1/101: 5.05.
-        let error = (0..=100).map(f64::from).collect::<Ordered>().median_error().expect("enough");
+        let error = (0..=100).map(f64::from).collect::<SortedValues>().median_error().expect("enough");
         assert!((4.5..5.6).contains(&error), "{error}");
     }
 }

@@ -17,15 +17,15 @@ pub struct Passage {
 impl Passage {
     /// Returns the message from edge to cloud; `None` when it was never sent or never judged.
     pub fn up(tree: &Tree) -> Option<Self> {
-        Self::of(tree, [stage::UPLOAD, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES])
+        Self::from_tree(tree, [stage::UPLOAD, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES])
     }
 
     /// Returns the message from cloud to edge.
     pub fn down(tree: &Tree) -> Option<Self> {
-        Self::of(tree, [stage::DOWNLOAD, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES])
+        Self::from_tree(tree, [stage::DOWNLOAD, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES])
     }
 
-    fn of(tree: &Tree, [transit, payload, metadata]: [Name; 3]) -> Option<Self> {
+    fn from_tree(tree: &Tree, [transit, payload, metadata]: [Name; 3]) -> Option<Self> {
         let Measure::Transit(transit) = &tree.find(&[transit.as_str()])?.1.measure else { return None };
         let value = |name: &str| tree.find(&[name])?.1.measure.value();
         Some(Self {

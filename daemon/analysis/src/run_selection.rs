@@ -26,7 +26,7 @@ pub enum RunState {
 
 impl RunState {
     /// Returns the state of a run that began, by the reason for its end; `None` for one without an end.
-    pub fn of_end(reason: Option<&EndReason>) -> Self {
+    pub fn from_end_reason(reason: Option<&EndReason>) -> Self {
         match reason {
             None | Some(EndReason::Unknown) => Self::Open,
             Some(EndReason::Finished) => Self::Finished,
@@ -44,7 +44,7 @@ impl RunState {
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Pending => "to do",
-            Self::Open => "under way or killed",
+            Self::Open => "in progress or killed",
             Self::Finished => "finished",
             Self::Interrupted => "interrupted",
             Self::Failed(_) => "failed",
@@ -75,7 +75,7 @@ pub enum Exclusion {
 
 impl Exclusion {
     /// Returns the reason in words; `name` names another run.
-    pub fn said(&self, name: impl Fn(usize) -> String) -> String {
+    pub fn describe(&self, name: impl Fn(usize) -> String) -> String {
         match self {
             Self::Unfinished(state) => state.to_string(),
             Self::MeasuredAgain(by) => format!("measured again as {}", name(*by)),
@@ -122,12 +122,12 @@ impl Repeat {
 impl Candidate {
     /// Returns the candidate of results that were read. Results outside of experiments have no state, because such runs are not repeated
     /// after a failure.
-    pub fn of_results(run: &Loaded) -> Self {
+    pub fn from_results(run: &Loaded) -> Self {
         let record = &run.record;
         let place = record.experiment.as_ref();
         Self {
             id: record.run,
-            state: place.map(|_| RunState::of_end(Some(&record.reason))),
+            state: place.map(|_| RunState::from_end_reason(Some(&record.reason))),
             repeat: place.zip(record.edge.id).map(|(place, edge)| Repeat::new(place, edge, &record.name)),
             sequence: record.started.and_then(|at| at.timestamp_nanos_opt()).unwrap_or_default(),
             is_named: false,
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn named_run_counts_whatever_became_of_it() {
+    fn named_run_counts_in_any_state() {
         let edge = HostId::random();
         let mut runs = [
             run(0, edge, RunState::Failed(None), 1),

@@ -3,12 +3,12 @@
 use peernet_statistics::Moments;
 use peernet_statistics::number::{counted, fixed, milliseconds, significant};
 
-use crate::order::{ENOUGH_FOR_P95, Ordered};
+use crate::order::{MIN_VALUES_FOR_P95, SortedValues};
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::table::Table;
 
 /// Suffix of the columns in which sensors report their dropped samples.
-const DROPPED: &str = "dropped-samples";
+const DROPPED_SAMPLES_SUFFIX: &str = "dropped-samples";
 
 /// Periods and jitter of a sensor, from the samples of a run. Seconds, and samples per second.
 ///
@@ -53,19 +53,19 @@ struct SampleTime {
 
 impl SensorStudy {
     /// Returns the study of these rows, in any order; `None` with fewer than two samples that follow each other.
-    pub fn of(rows: &Rows) -> Option<Self> {
+    pub fn from_rows(rows: &Rows) -> Option<Self> {
         let measured = || rows.iter().filter(|row| !row.warm_up());
         let mut taken: Vec<SampleTime> = measured().filter_map(taken).collect();
         taken.sort_unstable_by_key(|taken| taken.iteration);
         let follow = |pair: &&[SampleTime]| pair[1].iteration == pair[0].iteration + 1;
         let length = |pair: &[SampleTime]| pair[1].at - pair[0].at;
-        let periods: Ordered = taken.windows(2).filter(follow).map(length).collect();
+        let periods: SortedValues = taken.windows(2).filter(follow).map(length).collect();
         let median = periods.median()?;
         let mut moments = Moments::default();
         periods.values().iter().for_each(|period| moments.record(*period));
-        let jitter: Ordered = periods.values().iter().map(|period| (period - median).abs()).collect();
+        let jitter: SortedValues = periods.values().iter().map(|period| (period - median).abs()).collect();
         let gap = taken.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
-        let sensing: Ordered = measured().filter_map(|row| row.value("sensing")).collect();
+        let sensing: SortedValues = measured().filter_map(|row| row.value("sensing")).collect();
         Some(Self {
             samples: taken.len() as u64,
             failed: measured().filter(|row| row.outcome() != Outcome::Ok).count() as u64,
@@ -101,7 +101,7 @@ impl SensorStudy {
                 milliseconds(value),
             ),
             None => format!(
-                "Its period was within {} ms of the median ({} ms) for half of the samples; {ENOUGH_FOR_P95} are needed to \
+                "Its period was within {} ms of the median ({} ms) for half of the samples; {MIN_VALUES_FOR_P95} are needed to \
                  say more.",
                 milliseconds(self.jitter_median),
                 milliseconds(self.median),
@@ -167,7 +167,7 @@ fn taken(row: RowRef<'_>) -> Option<SampleTime> {
 }
 
 fn dropped(rows: &Rows) -> Option<u64> {
-    let columns = rows.names().iter().filter(|column| column.ends_with(DROPPED));
+    let columns = rows.names().iter().filter(|column| column.ends_with(DROPPED_SAMPLES_SUFFIX));
     let measured = || rows.iter().filter(|row| !row.warm_up());
     let told = columns.flat_map(|column| measured().filter_map(move |row| row.value(column)));
     told.reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)
@@ -199,7 +199,7 @@ mod tests {
     }
 
     fn study(rows: Vec<Row>) -> Option<SensorStudy> {
-        SensorStudy::of(&rows.into_iter().collect())
+        SensorStudy::from_rows(&rows.into_iter().collect())
     }
 
     fn close(a: f64, b: f64) -> bool {
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn rate_period_and_jitter() {
+    fn study_has_rate_period_and_jitter() {
         let study = study(rows(403)).expect("samples");
         assert_eq!((study.samples, study.failed, study.dropped), (400, 0, None));
         assert!(close(study.median, 0.02) && (study.rate - 50.0).abs() < 0.1, "{study:?}");
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_sample_is_a_gap_and_no_period() {
+    fn failed_sample_is_gap_without_period() {
         let mut rows = rows(20);
         rows[9].outcome = Outcome::Failed;
         let study = study(rows).expect("samples");
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn dropped_samples_are_added_up_where_the_sensor_numbers_them() {
+    fn reported_dropped_samples_are_summed() {
         let mut rows = rows(103);
         for row in &mut rows {
             let dropped = if row.iteration.is_multiple_of(10) { 3.0 } else { 0.0 };
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn fewer_than_two_samples_show_nothing() {
+    fn fewer_than_two_samples_give_no_study() {
         assert_eq!(study(rows(4)), None);
         assert_eq!(study(Vec::new()), None);
     }

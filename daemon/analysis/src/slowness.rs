@@ -6,10 +6,10 @@ use serde::Serialize;
 use crate::rows::LATENESS;
 
 /// Name of both directions of the network, for runs in which only their sum is known.
-pub const BOTH_WAYS: &str = "upload + download";
+pub const BOTH_DIRECTIONS: &str = "upload + download";
 
 /// Share of an iteration's excess that the causes explain together.
-const EXPLAINED: f64 = 0.8;
+const MIN_EXPLAINED_SHARE: f64 = 0.8;
 
 /// Part of an iteration that took longer than it usually does in its run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -33,7 +33,7 @@ impl Cause {
 /// their medians, largest first, until they explain 80 % of the total's excess. Parts must not overlap. Empty if the iteration was no
 /// slower than the median.
 pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -> Vec<Cause> {
-    let wanted = EXPLAINED * (total - median);
+    let wanted = MIN_EXPLAINED_SHARE * (total - median);
     let mut slower: Vec<Cause> = parts.into_iter().filter(|part| part.excess() > 0.0).collect();
     slower.sort_by(|a, b| b.excess().total_cmp(&a.excess()));
     let mut explained = 0.0;
@@ -54,7 +54,7 @@ pub fn both_ways(total: f64, others: impl Iterator<Item = f64>, unattributed: f6
 
 /// Durations of an iteration and its parts, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Times<'a> {
+pub struct IterationTimes<'a> {
     /// Duration from the intended start to the end.
     pub total: Option<f64>,
     /// Durations in the order of the stages.
@@ -89,14 +89,14 @@ impl Medians {
     }
 
     /// Returns the ratio of a total to the run's median.
-    pub fn factor(&self, total: Option<f64>) -> Option<f64> {
+    pub fn ratio_to_median(&self, total: Option<f64>) -> Option<f64> {
         let median = self.median(&stage::TOTAL).filter(|median| *median > 0.0)?;
         Some(total? / median)
     }
 
     /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage, and the late start is separated from it
     /// if it is known. Both directions of the network replace each of them if only their sum is known.
-    pub fn causes(&self, times: &Times<'_>) -> Vec<Cause> {
+    pub fn causes(&self, times: &IterationTimes<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
         let late = Name::from_static(LATENESS);
         let usually_late = self.median(&late).unwrap_or(0.0);
@@ -117,8 +117,9 @@ impl Medians {
                 median.map(|median| on_time(median, usually_late)),
             )
         });
-        let network =
-            times.both_ways.and_then(|value| cause(&Name::from_static(BOTH_WAYS), value, self.both_ways()));
+        let network = times
+            .both_ways
+            .and_then(|value| cause(&Name::from_static(BOTH_DIRECTIONS), value, self.both_ways()));
         causes(total, median, stages.chain(start).chain(rest).chain(network))
     }
 }
@@ -136,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn causes_are_named_until_most_of_excess_is_explained() {
+    fn causes_explain_most_of_excess() {
         let parts = [
             part("sensing", 0.021, 0.020),
             part("lateness", 0.124, 0.002),
@@ -148,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn single_cause_suffices_where_it_explains_most() {
+    fn single_cause_suffices_if_it_explains_most() {
         let parts = [part("upload", 0.0204, 0.0063), part("inference", 0.0121, 0.0105)];
         assert_eq!(names(&causes(0.0335, 0.0178, parts)), ["upload"]);
     }
@@ -176,11 +177,11 @@ mod tests {
     }
 
     #[test]
-    fn late_start_is_told_apart_from_rest_of_unattributed() {
+    fn late_start_is_separated_from_unattributed_time() {
         let run =
             medians(&[("total", 0.055), ("inference", 0.012), ("unattributed", 0.004), ("lateness", 0.002)]);
         let stages = [(stage::INFERENCE, 0.231)];
-        let times = Times {
+        let times = IterationTimes {
             total: Some(0.4),
             stages: &stages,
             lateness: Some(0.124),
@@ -191,16 +192,16 @@ mod tests {
     }
 
     #[test]
-    fn both_directions_together_take_place_of_each() {
+    fn sum_of_directions_replaces_each() {
         let run = medians(&[("total", 0.1), ("upload", 0.02), ("download", 0.01), ("unattributed", 0.0)]);
         let stages = [(stage::UPLOAD, 0.3)];
-        let times = Times {
+        let times = IterationTimes {
             total: Some(0.45),
             stages: &stages,
             lateness: None,
             unattributed: Some(0.001),
             both_ways: Some(0.38),
         };
-        assert_eq!(named(&run.causes(&times)), [(BOTH_WAYS, 350.0)]);
+        assert_eq!(named(&run.causes(&times)), [(BOTH_DIRECTIONS, 350.0)]);
     }
 }

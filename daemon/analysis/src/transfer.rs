@@ -21,7 +21,7 @@ pub struct Transfer {
 impl Transfer {
     /// Returns the sums of a direction, or `None` when nothing was sent in it. `of` returns the number of samples of a name and
     /// their mean in its SI unit.
-    pub fn of(direction: Direction, of: impl Fn(&Name) -> Option<(u64, f64)>) -> Option<Self> {
+    pub fn from_statistics(direction: Direction, of: impl Fn(&Name) -> Option<(u64, f64)>) -> Option<Self> {
         let (payload, metadata, delay) = match direction {
             Direction::Up => (stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD),
             Direction::Down => (stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES, stage::DOWNLOAD),
@@ -64,9 +64,12 @@ pub struct Transfers {
 }
 
 impl Transfers {
-    /// Returns the sums of both directions; `of` as for [`Transfer::of`].
-    pub fn of(of: impl Fn(&Name) -> Option<(u64, f64)>) -> Self {
-        Self { up: Transfer::of(Direction::Up, &of), down: Transfer::of(Direction::Down, &of) }
+    /// Returns the sums of both directions; `of` as for [`Transfer::from_statistics`].
+    pub fn from_statistics(of: impl Fn(&Name) -> Option<(u64, f64)>) -> Self {
+        Self {
+            up: Transfer::from_statistics(Direction::Up, &of),
+            down: Transfer::from_statistics(Direction::Down, &of),
+        }
     }
 }
 
@@ -88,7 +91,7 @@ mod tests {
 
     #[test]
     fn speed_is_total_bytes_per_total_transfer_time() {
-        let Transfers { up, down } = Transfers::of(means);
+        let Transfers { up, down } = Transfers::from_statistics(means);
         let up = up.expect("something was sent");
         let speed = up.speed().expect("delays are known") / 8e6;
         assert!((speed - 34.63).abs() < 0.01, "{speed} MB/s; the mean of the ratios is 1,017");
@@ -97,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn speed_has_no_upper_end_where_delay_may_be_nothing() {
+    fn speed_is_unbounded_if_delay_may_be_zero() {
         assert_eq!(speed_between(8e6, 0.004, 0.001), (6.4e6, Some(8e6 * 0.004 / 0.003)));
         assert_eq!(speed_between(8e6, 0.004, 0.004), (4e6, None));
     }
@@ -110,9 +113,9 @@ mod tests {
             "download" => Some((4, 0.001)),
             _ => None,
         };
-        let down = Transfer::of(Direction::Down, of).expect("something was sent");
+        let down = Transfer::from_statistics(Direction::Down, of).expect("something was sent");
         assert_eq!((down.bytes, down.timed_bytes, down.seconds), (12_000.0, 4_800.0, 0.004));
         let unknown = |name: &Name| of(name).filter(|_| name.as_str() != "download");
-        assert_eq!(Transfer::of(Direction::Down, unknown).and_then(|down| down.speed()), None);
+        assert_eq!(Transfer::from_statistics(Direction::Down, unknown).and_then(|down| down.speed()), None);
     }
 }

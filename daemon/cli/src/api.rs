@@ -10,9 +10,9 @@ use serde::de::DeserializeOwned;
 use crate::foreground::duration;
 
 /// Time limit for stored answers, from the lookup of the host's name to the last byte.
-const KNOWN: Duration = Duration::from_secs(5);
+const STORED_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time limit for answers that the aggregator has to compute.
-const COMPUTED: Duration = Duration::from_secs(60);
+const COMPUTED_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Address of the API.
 #[derive(Debug, clap::Args)]
@@ -34,7 +34,7 @@ impl Api {
     /// # Errors
     /// When no server answers, or not in the expected form (69).
     pub(crate) fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
-        self.ask(path, KNOWN).map_err(|error| Failure::new(Exit::Unavailable, error))
+        self.request(path, STORED_TIMEOUT).map_err(|error| Failure::new(Exit::Unavailable, error))
     }
 
     /// Requests a document that has to be computed; otherwise as [`Self::get`].
@@ -42,16 +42,16 @@ impl Api {
     /// # Errors
     /// The same as for [`Self::get`].
     pub(crate) fn compute<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
-        self.ask(path, COMPUTED).map_err(|error| Failure::new(Exit::Unavailable, error))
+        self.request(path, COMPUTED_TIMEOUT).map_err(|error| Failure::new(Exit::Unavailable, error))
     }
 
-    fn ask<T: DeserializeOwned>(&self, path: &str, within: Duration) -> anyhow::Result<T> {
-        let config = ureq::Agent::config_builder().timeout_global(Some(within)).http_status_as_error(false);
+    fn request<T: DeserializeOwned>(&self, path: &str, timeout: Duration) -> anyhow::Result<T> {
+        let config = ureq::Agent::config_builder().timeout_global(Some(timeout)).http_status_as_error(false);
         let agent: ureq::Agent = config.build().into();
         let url = format!("{}{path}", self.url.trim_end_matches('/'));
         let why = |error: ureq::Error| match error {
             ureq::Error::Timeout(_) => {
-                anyhow!("waited {} for the whole answer", duration(within.as_secs_f64()))
+                anyhow!("no complete answer within {}", duration(timeout.as_secs_f64()))
             }
             // The library would put a word before the cause.
             ureq::Error::Io(error) => error.into(),
@@ -60,7 +60,7 @@ impl Api {
         let mut response = agent.get(&url).call().map_err(|error| {
             let cause = why(error);
             anyhow!(
-                "cannot ask {url}: {cause}; start an aggregator with a table [web] there (`peernetd run FILE`), or give the address of one \
+                "cannot reach {url}: {cause}; start an aggregator with a table [web] there (`peernetd run FILE`), or give the address of one \
                  with --url"
             )
         })?;
@@ -103,9 +103,9 @@ mod tests {
                 std::thread::sleep(Duration::from_millis(50));
             }
         });
-        let error = Api { url }.ask::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
+        let error = Api { url }.request::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
         answering.join().expect("no panic");
-        assert!(format!("{error:#}").contains("waited 0.3 s for the whole answer"), "{error:#}");
+        assert!(format!("{error:#}").contains("no complete answer within 0.3 s"), "{error:#}");
     }
 
     #[test]
@@ -113,8 +113,8 @@ mod tests {
         // The system accepts the connection for the server.
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));
-        let error = Api { url }.ask::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
+        let error = Api { url }.request::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
         let message = format!("{error:#}");
-        assert!(message.starts_with("cannot ask") && message.contains("waited 0.3 s"), "{message}");
+        assert!(message.starts_with("cannot reach") && message.contains("waited 0.3 s"), "{message}");
     }
 }

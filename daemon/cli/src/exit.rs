@@ -54,13 +54,13 @@ impl Failure {
 impl fmt::Display for Failure {
     /// Writes the error and its causes in one line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&in_one_line(&self.error))
+        f.write_str(&error_line(&self.error))
     }
 }
 
 /// Returns an error and its causes in one line, each text once: many errors contain the text of their cause, because they are
 /// mostly read without the chain.
-pub fn in_one_line(error: &anyhow::Error) -> String {
+pub fn error_line(error: &anyhow::Error) -> String {
     let mut parts: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
         if parts.iter().any(|text| text.contains(&cause)) {
@@ -83,11 +83,11 @@ mod tests {
     #[test]
     fn repeated_cause_is_printed_once() {
         let cause = anyhow!("No such file").context("cannot open x: No such file; make it");
-        assert_eq!(in_one_line(&cause), "cannot open x: No such file; make it");
+        assert_eq!(error_line(&cause), "cannot open x: No such file; make it");
         let cause =
             anyhow!("it is in use").context("cannot start it: it is in use").context("cannot start it");
-        assert_eq!(in_one_line(&cause), "cannot start it: it is in use");
+        assert_eq!(error_line(&cause), "cannot start it: it is in use");
         let cause = anyhow!("the reason").context("what failed").context("what was wanted");
-        assert_eq!(in_one_line(&cause), "what was wanted: what failed: the reason");
+        assert_eq!(error_line(&cause), "what was wanted: what failed: the reason");
     }
 }

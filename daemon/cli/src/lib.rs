@@ -61,18 +61,17 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Show what runs where and how it fares: the last ten seconds of every pipeline, with quantiles of the total and means
-    /// of the stages, and the hosts.
+    /// Show the last ten seconds of every pipeline, with quantiles of the total and means of the stages, and the state of the hosts.
     Status(status::Arguments),
-    /// Study a link: one-way delay against payload size, both ways, and whether the clocks can be trusted.
+    /// Study a link: one-way delay against payload size, in both directions, and whether the clocks can be trusted.
     Calibrate(calibrate::Arguments),
-    /// Carry out an experiment: a matrix of runs from one file, with tables and figures at the end.
+    /// Run an experiment: a matrix of runs from one file, with tables and figures at the end.
     Run(run::Arguments),
-    /// Put runs side by side: the paper's table, and how far differences between two runs are known.
+    /// Compare runs: the paper's table, and differences between runs with their uncertainty.
     Compare(compare::Arguments),
     /// Draw figures of results, as PNG, SVG and PDF.
     Plot(plot::Arguments),
-    /// Compute the one-way delays of a stored run again, with what was learnt of the clocks after it.
+    /// Compute the one-way delays of a stored run again, with all clock exchanges during and after the run.
     Recompute(recompute::Arguments),
     /// List, show, check and measure the models on this machine.
     Models(models::Arguments),
@@ -100,12 +99,12 @@ impl Command {
 }
 
 /// Subcommands that only `peernetd` has.
-const OF_DAEMON: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollups", "clear-host-secret"];
+const DAEMON_COMMANDS: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollups", "clear-host-secret"];
 
 /// Adds the name of the program with the command to an error about an unknown subcommand.
 fn with_program(mut error: clap::Error) -> clap::Error {
     let Some(ContextValue::String(wanted)) = error.get(ContextKind::InvalidSubcommand) else { return error };
-    if OF_DAEMON.contains(&wanted.as_str()) {
+    if DAEMON_COMMANDS.contains(&wanted.as_str()) {
         let tip = format!("the daemon has this command: peernetd {wanted}");
         let _no_other = error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
     }
@@ -116,7 +115,7 @@ fn with_program(mut error: clap::Error) -> clap::Error {
 pub fn main() -> ExitCode {
     let line = match Cli::try_parse() {
         Ok(line) => line,
-        Err(error) => return output::explain(with_program(error)).into(),
+        Err(error) => return output::report_parser_message(with_program(error)).into(),
     };
     let done = match line {
         Cli { command: Some(command), .. } => command.run(),
@@ -124,7 +123,7 @@ pub fn main() -> ExitCode {
         // The parser requires one of the two.
         Cli { .. } => Ok(()),
     };
-    output::end(done).into()
+    output::report_result(done).into()
 }
 
 #[cfg(test)]

@@ -11,18 +11,18 @@ use crate::exit::{Exit, Failure};
 use crate::short;
 
 /// `true` if a part of the result could not be written.
-static UNWRITTEN: AtomicBool = AtomicBool::new(false);
+static IS_OUTPUT_LOST: AtomicBool = AtomicBool::new(false);
 
 /// Prints a result that the user asked for to standard output.
 ///
-/// When the reader has gone, as `head` after its lines, the rest is dropped without an error. Any other error is printed once
-/// and changes the exit code ([`end`]).
+/// If the reader has closed the pipe, as `head` does after its lines, the rest is dropped without an error. Any other error is printed
+/// once and changes the exit code ([`with_output_errors`]).
 pub fn say(text: impl Display) {
-    note(write(&mut io::stdout().lock(), &text));
+    record_write(write(&mut io::stdout().lock(), &text));
 }
 
 /// Prints a message of the command line's parser and returns the exit code: help that was asked for, or an error (64).
-pub fn explain(error: clap::Error) -> Exit {
+pub fn report_parser_message(error: clap::Error) -> Exit {
     let error = with_short_values(error);
     let plain = error.render().to_string();
     if error.use_stderr() {
@@ -34,8 +34,8 @@ pub fn explain(error: clap::Error) -> Exit {
         }
         return Exit::Usage;
     }
-    note(error.print().and_then(|()| io::stdout().flush()).or_else(unless_gone));
-    end(Ok(()))
+    record_write(error.print().and_then(|()| io::stdout().flush()).or_else(ignore_closed_reader));
+    report_result(Ok(()))
 }
 
 /// Shortens the typed values in the error.
@@ -57,9 +57,9 @@ fn with_short_values(mut error: clap::Error) -> clap::Error {
 }
 
 /// Prints the error, if any, and returns the exit code: 73 on success if the result could not be written.
-pub fn end(done: Result<(), Failure>) -> Exit {
+pub fn report_result(done: Result<(), Failure>) -> Exit {
     match done {
-        Ok(()) => kept(Exit::Ok),
+        Ok(()) => with_output_errors(Exit::Ok),
         Err(failure) => {
             complain(&failure);
             failure.exit
@@ -68,13 +68,13 @@ pub fn end(done: Result<(), Failure>) -> Exit {
 }
 
 /// Returns `exit`, but 73 in place of success if the result could not be written.
-pub fn kept(exit: Exit) -> Exit {
-    if exit == Exit::Ok && UNWRITTEN.load(Ordering::Relaxed) { Exit::Unwritten } else { exit }
+pub fn with_output_errors(exit: Exit) -> Exit {
+    if exit == Exit::Ok && IS_OUTPUT_LOST.load(Ordering::Relaxed) { Exit::Unwritten } else { exit }
 }
 
-fn note(written: io::Result<()>) {
+fn record_write(written: io::Result<()>) {
     let Err(error) = written else { return };
-    if !UNWRITTEN.swap(true, Ordering::Relaxed) {
+    if !IS_OUTPUT_LOST.swap(true, Ordering::Relaxed) {
         complain(format_args!("cannot write the result: {error}"));
     }
 }
@@ -85,13 +85,13 @@ pub fn complain(text: impl Display) {
     let _ = write(&mut io::stderr().lock(), &short::lines(&text.to_string()));
 }
 
-/// Writes a line. A reader that has gone is no error.
+/// Writes a line. A pipe that the reader has closed is no error.
 fn write(stream: &mut impl Write, text: &dyn Display) -> io::Result<()> {
     let written = writeln!(stream, "{text}").and_then(|()| stream.flush());
-    written.or_else(unless_gone)
+    written.or_else(ignore_closed_reader)
 }
 
-fn unless_gone(error: io::Error) -> io::Result<()> {
+fn ignore_closed_reader(error: io::Error) -> io::Result<()> {
     if error.kind() == ErrorKind::BrokenPipe { Ok(()) } else { Err(error) }
 }
 

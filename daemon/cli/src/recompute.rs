@@ -16,7 +16,7 @@ pub(crate) struct Arguments {
     run: i64,
     #[command(flatten)]
     api: Api,
-    /// Print what the aggregator answers, as JSON in SI units.
+    /// Print the answer of the aggregator: JSON in SI units.
     #[arg(long)]
     json: bool,
 }
@@ -109,7 +109,7 @@ fn rehearsal(facts: &[Fact]) -> Option<String> {
 fn describe(run: i64, recomputed: &Recomputed) -> String {
     let Recomputed { samples, clocks, stages } = recomputed;
     if stages.is_empty() {
-        return format!("run {run} has no one-way delays: nothing of it travelled between two hosts");
+        return format!("run {run} has no one-way delays: it sent no message between two hosts");
     }
     let header = ["delay", "", "mean ± std ms", "median ms", "p95 ms", "bound ms", "verdicts"];
     let rows: Vec<Vec<String>> = stages
@@ -123,12 +123,10 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         .collect();
     let table = text(&header, &rows);
     let learnt = match samples {
-        _ if is_exact(stages) => {
-            "both hosts read one clock, so that its delays are exact: there was nothing to learn".to_owned()
-        }
-        0 => "nothing was learnt of the two clocks that could be used".to_owned(),
+        _ if is_exact(stages) => "both hosts use one clock, so its delays are exact".to_owned(),
+        0 => "no usable exchanges of the two clocks are stored".to_owned(),
         samples => format!(
-            "computed again {} with {samples} seconds of what was learnt of the two clocks, during the run and after it",
+            "computed again {} with {samples} seconds of exchanges of the two clocks, during the run and after it",
             by(clocks)
         ),
     };
@@ -206,7 +204,7 @@ delay           mean ± std ms  median ms  p95 ms  bound ms          verdicts
 upload  before              —          —       —         —  40 unsynchronised
          after   6.310 ± 0.400    6.200       —    ±0.060   39 ok, 1 limited
 
-run 7: computed again by free-running clocks with 60 seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed";
+run 7: computed again by free-running clocks with 60 seconds of exchanges of the two clocks, during the run and after it; nothing stored was changed";
         let squeeze = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert_eq!(squeeze(&describe(7, &recomputed)), squeeze(expected));
 
@@ -227,7 +225,10 @@ run 7: computed again by free-running clocks with 60 seconds of what was learnt 
         }
         let one_clock = describe(7, &Recomputed { samples: 0, clocks: Vec::new(), stages });
         assert!(one_clock.contains("1.200 ± 15.020") && one_clock.contains(" 0.060 "), "{one_clock}");
-        assert!(one_clock.contains(" exact ") && one_clock.contains("nothing to learn"), "{one_clock}");
+        assert!(
+            one_clock.contains(" exact ") && one_clock.contains("both hosts use one clock"),
+            "{one_clock}"
+        );
         assert!(!one_clock.contains("0 seconds"), "{one_clock}");
         let empty = Recomputed { samples: 0, clocks: Vec::new(), stages: Vec::new() };
         assert!(describe(7, &empty).contains("no one-way delays"));

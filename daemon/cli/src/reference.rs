@@ -12,7 +12,7 @@ const FILE: &str = "docs/cli.md";
 /// Line above the generated part.
 const MARK: &str = "<!-- From here on made from the program's own words: PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference -->\n";
 /// Options that every command has, which the document leaves out.
-const USUAL: [&str; 2] = ["help", "version"];
+const IMPLICIT_OPTIONS: [&str; 2] = ["help", "version"];
 
 #[test]
 fn command_line_is_well_formed() {
@@ -48,7 +48,7 @@ fn section(text: &mut String, command: &Command, path: &str) {
     let level = "#".repeat(1 + path.split(' ').count());
     let about = command.get_long_about().or(command.get_about()).map(ToString::to_string);
     let _ = write!(text, "\n{level} `{path}`\n\n{}.\n", about.unwrap_or_default().trim_end_matches('.'));
-    let shown = |arg: &&Arg| !arg.is_hide_set() && !USUAL.contains(&arg.get_id().as_str());
+    let shown = |arg: &&Arg| !arg.is_hide_set() && !IMPLICIT_OPTIONS.contains(&arg.get_id().as_str());
     let arguments: Vec<&Arg> = command.get_arguments().filter(shown).collect();
     if !arguments.is_empty() {
         text.push_str("\n| argument | what | default |\n| --- | --- | --- |\n");

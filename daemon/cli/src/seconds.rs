@@ -3,16 +3,16 @@
 use std::num::ParseFloatError;
 
 /// Longest duration in seconds: a day.
-const MOST: f64 = 86_400.0;
+const MAX_SECONDS: f64 = 86_400.0;
 
 /// A text that is no duration within its limits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum SecondsError {
-    /// It is not a number.
+    /// The text is not a number.
     #[error(transparent)]
     NotANumber(#[from] ParseFloatError),
-    /// It is too short or too long.
-    #[error("from {least} to {MOST}")]
+    /// The duration is outside the range.
+    #[error("from {least} to {MAX_SECONDS}")]
     OutOfRange {
         /// Shortest duration in seconds.
         least: f64,
@@ -22,7 +22,11 @@ pub(crate) enum SecondsError {
 /// Reads a duration between `least` seconds and a day.
 pub(crate) fn seconds(text: &str, least: f64) -> Result<f64, SecondsError> {
     let seconds = text.parse::<f64>()?;
-    if (least..=MOST).contains(&seconds) { Ok(seconds) } else { Err(SecondsError::OutOfRange { least }) }
+    if (least..=MAX_SECONDS).contains(&seconds) {
+        Ok(seconds)
+    } else {
+        Err(SecondsError::OutOfRange { least })
+    }
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ pub fn value(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// Shortens a text in its middle: the subject is at its begin, the expected value at its end.
+/// Shortens a text in its middle: its start names the subject, its end the expected value.
 fn cut(text: &str, most: usize) -> Cow<'_, str> {
     let all = text.chars().count();
     if all <= most {

@@ -6,7 +6,7 @@ use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 
 /// Size in bytes of the largest file that people write by hand.
-pub const LARGEST: u64 = 1 << 20;
+pub const MAX_BYTES: u64 = 1 << 20;
 
 /// Reads a regular file or a pipe of at most `largest` bytes.
 ///
@@ -42,7 +42,7 @@ fn text(path: &Path, largest: u64) -> io::Result<String> {
     if bytes.len() as u64 > largest {
         return Err(io::Error::other(format!("it is larger than {largest} bytes: is this the right file?")));
     }
-    String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is no UTF-8 text"))
+    String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8 text"))
 }
 
 #[cfg(test)]
@@ -71,7 +71,7 @@ mod tests {
         let missing = read(&folder.path().join("b"), 3).expect_err("not there");
         assert_eq!(missing.kind(), io::ErrorKind::NotFound);
         std::fs::write(&file, [0xff, 0xfe]).expect("writable");
-        assert!(error_text(&file).contains("no UTF-8"), "{}", error_text(&file));
+        assert!(error_text(&file).contains("not UTF-8"), "{}", error_text(&file));
     }
 
     #[test]

@@ -11,7 +11,7 @@ use peernet_stream::PlacementKind;
 use serde::Deserialize;
 
 use crate::api::Api;
-use rehearsed::{Clock, Links, Rehearsed, marked, rehearsed};
+use rehearsed::{Clock, Links, Rehearsed, rehearsed, with_rehearsal_mark};
 
 /// Arguments of `peernet status`.
 #[derive(Debug, clap::Args)]
@@ -154,7 +154,7 @@ fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
     vec![
         format!("{}/{}", pipeline.host, pipeline.name),
         place,
-        marked(&pipeline.state, is_rehearsed),
+        with_rehearsal_mark(&pipeline.state, is_rehearsed),
         known(window.map(|window| number::rate(window.rate_hz))),
         known(window.and_then(|window| window.lost_fraction).map(number::share)),
         known(window.and_then(|window| window.miss_rate).map(number::share)),
@@ -175,7 +175,7 @@ fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
     let now = host.now.as_ref();
     vec![
         host.name.clone(),
-        marked(&state, rehearsed.contains_key(&host.name)),
+        with_rehearsal_mark(&state, rehearsed.contains_key(&host.name)),
         known(now.and_then(|now| now.cpu).map(number::share)),
         known(now.map(|now| now.events.waiting.to_string())),
         known(now.map(|now| now.events.dropped.to_string())),

@@ -17,7 +17,7 @@ use tokio::time::{Instant, timeout_at};
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
-use peernet_cli::exit::{Exit, in_one_line};
+use peernet_cli::exit::{Exit, error_line};
 use peernet_cli::shutdown_request::ShutdownRequests;
 
 /// The table `[lifecycle]` of the configuration.
@@ -196,7 +196,7 @@ async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
         match timeout_at(end.checked_sub(reserved).unwrap_or(end), &mut part.task).await {
             Ok(Ok(Ok(()))) => debug!("the {} has stopped", part.name),
             Ok(Ok(Err(problem))) => {
-                error!("the {} failed: {}", part.name, in_one_line(&problem));
+                error!("the {} failed: {}", part.name, error_line(&problem));
                 exit = Exit::Software;
             }
             Ok(Err(panic)) => {

@@ -21,10 +21,10 @@ fn main() {
     println!("{:>10}  {:32}  {:>9}  {:>9}", "iterations", "what", "seconds", "peak MiB");
     for iterations in [10_005, 100_000, 500_000] {
         let timed = |what: &str, work: &mut dyn FnMut()| {
-            forget_peak();
-            let begun = clock.mono();
+            reset_peak();
+            let started = clock.mono();
             work();
-            let seconds = (clock.mono() - begun).seconds();
+            let seconds = (clock.mono() - started).seconds();
             println!("{iterations:>10}  {what:32}  {seconds:>9.3}  {:>9.1}", peak_kib() as f64 / 1024.0);
         };
         let temporary = tempfile::tempdir().expect("a temporary folder");
@@ -32,14 +32,14 @@ fn main() {
         let mut rows = Rows::default();
         timed("rows of trees, data.csv", &mut || {
             let mut writer = folder.writer().expect("writable");
-            for row in (1..=iterations).map(|number| Row::of(&iteration(number))) {
+            for row in (1..=iterations).map(|number| Row::from_iteration(&iteration(number))) {
                 writer.write(&row);
                 rows.push(&row);
             }
-            writer.end().expect("writable");
+            writer.finish().expect("writable");
         });
-        timed("summary", &mut || drop(black_box(Summary::of(&rows))));
-        timed("trust report", &mut || drop(black_box(Report::of(&TrustInput::of_rows(&rows, &[])))));
+        timed("summary", &mut || drop(black_box(Summary::from_rows(&rows))));
+        timed("trust report", &mut || drop(black_box(Report::new(&TrustInput::from_rows(&rows, &[])))));
         timed("run.json, summary.*, check", &mut || {
             folder.finish(&RunRecord::default(), &rows).expect("writable");
         });
@@ -50,15 +50,15 @@ fn main() {
             let open = || ResultFolder::open_columns(temporary.path(), &is_compared).expect("readable");
             loaded = vec![open(), Loaded { folder: "another".into(), ..open() }];
         });
-        timed("table of two, ties", &mut || drop(black_box(Comparison::of(&loaded))));
+        timed("table of two, ties", &mut || drop(black_box(Comparison::new(&loaded))));
         timed("differences of every stage", &mut || {
-            drop(black_box(Differences::of(&loaded[0], &loaded[1], 1)));
+            drop(black_box(Differences::between_runs(&loaded[0], &loaded[1], 1)));
         });
     }
 }
 
 /// Resets the peak memory, if the system permits it.
-fn forget_peak() {
+fn reset_peak() {
     // proc(5): "5" resets the peak resident set size to the current one.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }

@@ -11,21 +11,21 @@ use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
 #[derive(Clone, Debug)]
 pub struct Header {
     names: Vec<Column>,
-    known: HashSet<Column>,
+    name_set: HashSet<Column>,
 }
 
 impl Default for Header {
     fn default() -> Self {
         let names: Vec<Column> = FIXED_COLUMNS.iter().map(|(name, _)| Column::Borrowed(*name)).collect();
-        Self { known: names.iter().cloned().collect(), names }
+        Self { name_set: names.iter().cloned().collect(), names }
     }
 }
 
 impl Header {
     /// Returns the columns that these rows need.
-    pub(crate) fn of(rows: &Rows) -> Self {
+    pub(crate) fn for_rows(rows: &Rows) -> Self {
         let names = rows.names().to_vec();
-        Self { known: names.iter().cloned().collect(), names }
+        Self { name_set: names.iter().cloned().collect(), names }
     }
 
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
@@ -34,44 +34,44 @@ impl Header {
 
     /// Returns whether every value of the row has a column.
     pub(crate) fn covers(&self, row: &Row) -> bool {
-        row.values.iter().all(|(name, _)| self.known.contains(name))
+        row.values.iter().all(|(name, _)| self.name_set.contains(name))
     }
 
     /// Appends the columns of the row that are missing.
     pub fn add(&mut self, row: &Row) {
         for (name, _) in &row.values {
-            if self.known.insert(name.clone()) {
+            if self.name_set.insert(name.clone()) {
                 self.names.push(name.clone());
             }
         }
     }
 
     /// Returns the columns after the fixed ones.
-    pub(crate) fn further(&self) -> &[Column] {
+    pub(crate) fn run_columns(&self) -> &[Column] {
         self.names.get(FIXED_COLUMNS.len()..).unwrap_or_default()
     }
 
     /// Appends the line of column names to `out`.
-    pub fn write(&self, out: &mut Vec<u8>) {
-        line(out, self.names());
+    pub fn write_header(&self, out: &mut Vec<u8>) {
+        write_line(out, self.names());
     }
 
     /// Appends the line of a row to `out`; values without a column are left out.
-    pub fn row(&self, out: &mut Vec<u8>, row: &Row) {
+    pub fn write_row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
-            ColumnKind::Place => place(row, name),
-            ColumnKind::Delay => delay(row, name),
-            ColumnKind::Node => number(row.value(name)),
+            ColumnKind::Place => position_cell(row, name),
+            ColumnKind::Delay => delay_cell(row, name),
+            ColumnKind::Node => number_cell(row.value(name)),
         });
-        line(out, fixed.chain(self.further().iter().map(|name| number(row.value(name)))));
+        write_line(out, fixed.chain(self.run_columns().iter().map(|name| number_cell(row.value(name)))));
     }
 }
 
 /// Appends a line of cells to `out`. A cell that would break the line is quoted.
-fn line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
-    for (place, cell) in cells.enumerate() {
+fn write_line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
+    for (index, cell) in cells.enumerate() {
         let cell = cell.as_ref();
-        if place > 0 {
+        if index > 0 {
             out.push(b',');
         }
         if cell.contains([',', '"', '\n', '\r']) {
@@ -85,42 +85,42 @@ fn line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
     out.push(b'\n');
 }
 
-fn place(row: &Row, name: &str) -> String {
+fn position_cell(row: &Row, name: &str) -> String {
     match name {
         "outcome" => row.outcome.name().to_owned(),
         "reason" => row.reason.clone().unwrap_or_default(),
-        _ => number(row.value(name)),
+        _ => number_cell(row.value(name)),
     }
 }
 
-fn delay(row: &Row, name: &str) -> String {
+fn delay_cell(row: &Row, name: &str) -> String {
     let word = |passage: Option<&Passage>, of: fn(&Passage) -> &'static str| {
         passage.map(of).unwrap_or_default().to_owned()
     };
     match name {
-        "upload-verdict" => word(row.upload.as_ref(), |way| way.delay.verdict.name()),
-        "upload-source" => word(row.upload.as_ref(), |way| way.delay.source.name()),
-        "download-verdict" => word(row.download.as_ref(), |way| way.delay.verdict.name()),
-        "download-source" => word(row.download.as_ref(), |way| way.delay.source.name()),
-        _ => number(row.value(name)),
+        "upload-verdict" => word(row.upload.as_ref(), |passage| passage.delay.verdict.name()),
+        "upload-source" => word(row.upload.as_ref(), |passage| passage.delay.source.name()),
+        "download-verdict" => word(row.download.as_ref(), |passage| passage.delay.verdict.name()),
+        "download-source" => word(row.download.as_ref(), |passage| passage.delay.source.name()),
+        _ => number_cell(row.value(name)),
     }
 }
 
 /// Returns the shortest text that reads back as the same number; empty for an unknown number.
-fn number(value: Option<f64>) -> String {
+fn number_cell(value: Option<f64>) -> String {
     value.map(|value| value.to_string()).unwrap_or_default()
 }
 
 /// Copies a file of rows and fills up its lines to the length of the header.
-pub(crate) fn widen(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
+pub(crate) fn pad_rows(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
     let mut out = BufWriter::new(std::fs::File::create(to)?);
     let mut bytes = Vec::new();
-    header.write(&mut bytes);
+    header.write_header(&mut bytes);
     for record in reader.records().skip(1) {
         let record = record?;
         let missing = header.names.len().saturating_sub(record.len());
-        line(&mut bytes, record.iter().chain(std::iter::repeat_n("", missing)));
+        write_line(&mut bytes, record.iter().chain(std::iter::repeat_n("", missing)));
         out.write_all(&bytes)?;
         bytes.clear();
     }

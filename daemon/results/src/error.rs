@@ -9,26 +9,26 @@ use peernet_analysis::WriteError;
 pub enum FolderError {
     /// The folder is not empty, and nothing may be replaced.
     #[error(
-        "{} holds files already; name another folder with --result-loc, add --overwrite to replace results in it, or remove it",
+        "the folder {} is not empty; name another folder with --result-loc, add --overwrite to replace results in it, or remove it",
         .0.display()
     )]
     NotEmpty(PathBuf),
     /// Another program writes its results there.
-    #[error("another peernet is writing its results to {}; wait for it, end it or name another folder", .0.display())]
+    #[error("another peernet is writing its results to {}; wait until it ends, stop it or name another folder", .0.display())]
     Busy(PathBuf),
     /// The path leads to a file.
-    #[error("{} is no folder", .0.display())]
-    NoFolder(PathBuf),
+    #[error("{} is not a folder", .0.display())]
+    NotAFolder(PathBuf),
     /// The folder cannot be created.
-    #[error("cannot make the folder {}: {reason}", path.display())]
-    Make {
+    #[error("cannot create the folder {}: {reason}", path.display())]
+    Create {
         /// Path of the folder.
         path: PathBuf,
         /// Reason.
         reason: String,
     },
     /// The folder has no `data.csv`.
-    #[error("{} holds no results: there is no data.csv in it", .0.display())]
+    #[error("{} contains no results: it has no data.csv", .0.display())]
     NoResults(PathBuf),
     /// A file in the folder cannot be read.
     #[error("cannot read {}: {reason}", path.display())]

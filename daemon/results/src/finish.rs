@@ -23,32 +23,33 @@ pub struct WrittenResults {
     /// The files in it.
     pub files: Vec<PathBuf>,
     /// Reason that the requested folder cannot be written.
-    pub trouble: Option<WriteError>,
+    pub write_error: Option<WriteError>,
 }
 
 /// Permission bits of users who are neither the owner nor in the group.
 const OTHERS: u32 = 0o007;
 
 pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<WrittenResults, WriteError> {
-    let trouble = match write_files(folder, record, rows) {
-        Ok(files) => return Ok(WrittenResults { folder: folder.to_owned(), files, trouble: None }),
-        Err(trouble) => trouble,
+    let write_error = match write_files(folder, record, rows) {
+        Ok(files) => return Ok(WrittenResults { folder: folder.to_owned(), files, write_error: None }),
+        Err(write_error) => write_error,
     };
-    let elsewhere = tempfile::Builder::new().prefix("peernet-results-").tempdir();
-    let elsewhere =
-        elsewhere.map_err(|error| join_errors(&trouble, &std::env::temp_dir(), &error.to_string()))?.keep();
-    match write_files(&elsewhere, record, rows) {
-        Ok(files) => Ok(WrittenResults { folder: elsewhere, files, trouble: Some(trouble) }),
+    let fallback = tempfile::Builder::new().prefix("peernet-results-").tempdir();
+    let fallback = fallback
+        .map_err(|error| combine_errors(&write_error, &std::env::temp_dir(), &error.to_string()))?
+        .keep();
+    match write_files(&fallback, record, rows) {
+        Ok(files) => Ok(WrittenResults { folder: fallback, files, write_error: Some(write_error) }),
         Err(error) => {
             // The folder is empty unless all rows were written; a folder with rows stays.
-            let _ = std::fs::remove_dir(&elsewhere);
-            Err(join_errors(&trouble, &error.path, &error.reason))
+            let _ = std::fs::remove_dir(&fallback);
+            Err(combine_errors(&write_error, &error.path, &error.reason))
         }
     }
 }
 
 /// Joins the errors of both folders.
-fn join_errors(first: &WriteError, path: &Path, reason: &str) -> WriteError {
+fn combine_errors(first: &WriteError, path: &Path, reason: &str) -> WriteError {
     let reason = format!("{}; nor {}: {reason}", first.reason, path.display());
     WriteError { path: first.path.clone(), reason }
 }
@@ -61,7 +62,7 @@ fn write_files(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<Pat
     let json = folder.join(RECORD);
     let text = serde_json::to_vec_pretty(record).map_err(WriteError::at(&json))?;
     write_private(&json, &text).map_err(WriteError::at(&json))?;
-    let summary = Summary::of(rows).about(record);
+    let summary = Summary::from_rows(rows).with_record(record);
     let mut files = vec![data, json];
     for (name, text) in SUMMARIES.into_iter().zip([markdown(&summary), csv(&summary), latex(&summary)]) {
         let path = folder.join(name);
@@ -79,11 +80,11 @@ fn is_complete(path: &Path, rows: &Rows) -> bool {
         return false;
     }
     let mut reader = csv::Reader::from_reader(file);
-    let header = Header::of(rows);
+    let header = Header::for_rows(rows);
     let is_row = |record: &csv::ByteRecord, row: RowRef<'_>| {
-        let further = header.further().iter().zip(record.iter().skip(FIXED_COLUMNS.len()));
+        let run_columns = header.run_columns().iter().zip(record.iter().skip(FIXED_COLUMNS.len()));
         record.get(0) == Some(row.iteration().to_string().as_bytes())
-            && further.into_iter().all(|(name, cell)| cell.is_empty() == row.value(name).is_none())
+            && run_columns.into_iter().all(|(name, cell)| cell.is_empty() == row.value(name).is_none())
     };
     let mut expected = rows.iter();
     reader.byte_headers().is_ok_and(|names| names.iter().eq(header.names().map(str::as_bytes)))
@@ -96,20 +97,20 @@ fn is_complete(path: &Path, rows: &Rows) -> bool {
 /// Writes a new file and renames it, so that the file is always complete.
 fn replace(path: &Path, rows: &Rows) -> Result<(), WriteError> {
     let new_file = path.with_extension("csv.new");
-    let written = put(&new_file, rows).and_then(|()| std::fs::rename(&new_file, path));
+    let written = write_rows(&new_file, rows).and_then(|()| std::fs::rename(&new_file, path));
     written.map_err(WriteError::at(path)).inspect_err(|_| {
         // The new file does not exist if it could not be created.
         let _ = std::fs::remove_file(&new_file);
     })
 }
 
-fn put(path: &Path, rows: &Rows) -> std::io::Result<()> {
-    let header = Header::of(rows);
+fn write_rows(path: &Path, rows: &Rows) -> std::io::Result<()> {
+    let header = Header::for_rows(rows);
     let mut out = BufWriter::new(File::create(path)?);
     let mut bytes = Vec::new();
-    header.write(&mut bytes);
+    header.write_header(&mut bytes);
     for row in rows.iter().map(RowRef::to_row) {
-        header.row(&mut bytes, &row);
+        header.write_row(&mut bytes, &row);
         out.write_all(&bytes)?;
         bytes.clear();
     }

@@ -44,8 +44,8 @@ impl ResultFolder {
     }
 
     /// Returns the names of the files that [`Overwrite::Replace`] removes from a folder, whether they exist or not.
-    pub fn replaced(dir: &Path) -> impl Iterator<Item = String> {
-        super::preparation::replaced(dir)
+    pub fn replaced_files(dir: &Path) -> impl Iterator<Item = String> {
+        super::preparation::replaced_files(dir)
     }
 
     /// Returns the path of the folder.
@@ -58,7 +58,7 @@ impl ResultFolder {
     /// # Errors
     /// If the file cannot be written.
     pub fn writer(&self) -> Result<RowWriter, FolderError> {
-        Ok(RowWriter::begin(self.path.join(DATA))?)
+        Ok(RowWriter::create(self.path.join(DATA))?)
     }
 
     /// Writes `run.json` and `summary.{md,csv,tex}`, and `data.csv` if it is incomplete. If the folder cannot be

@@ -13,14 +13,14 @@ const PUBLISHED_STAGES: [&str; 6] =
 
 /// Defect of a file of rows.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum Malformed {
+pub(crate) enum ParseError {
     #[error("{0}")]
     Io(#[from] std::io::Error),
     #[error("{0}")]
     Csv(#[from] csv::Error),
-    #[error("no column of it is one of a run's, such as sensing, inference or total")]
-    Foreign,
-    #[error("line {line}, column {column}: {cell:?} is no {expected}")]
+    #[error("it has no column of a run, such as sensing, inference or total")]
+    NoRunColumn,
+    #[error("line {line}, column {column}: {cell:?} is not {expected}")]
     Cell { line: u64, column: String, cell: String, expected: &'static str },
 }
 
@@ -48,11 +48,11 @@ impl RowParser {
     /// otherwise the first `warm_up` rows are.
     ///
     /// A truncated last line is left out: the program was ended while it wrote the line.
-    pub(crate) fn of(
+    pub(crate) fn read_rows(
         path: &Path,
         warm_up: usize,
         wanted: &dyn Fn(&str) -> bool,
-    ) -> Result<(Rows, bool), Malformed> {
+    ) -> Result<(Rows, bool), ParseError> {
         let mut file = File::open(path)?;
         let ends_with_line = ends_with_line(&mut file)?;
         let mut reader = csv::Reader::from_reader(file);
@@ -67,14 +67,14 @@ impl RowParser {
         let columns: Vec<ColumnParser> = reader.headers()?.iter().map(cells).collect();
         let has = |wanted: &str| columns.iter().any(|cells| cells.name == wanted);
         if !columns.iter().any(|cells| matches!(cells.kind, Some(ColumnKind::Node))) {
-            return Err(Malformed::Foreign);
+            return Err(ParseError::NoRunColumn);
         }
-        let (has_warm_up_column, ours, needs_sum) = (has("warm-up"), has("outcome"), !has("stages-total"));
+        let (has_warm_up_column, is_ours, needs_sum) = (has("warm-up"), has("outcome"), !has("stages-total"));
         let mut parser = Self { columns, needs_sum, rows: Rows::default() };
-        let cut_off = ours && !ends_with_line;
+        let is_truncated = is_ours && !ends_with_line;
         let mut records = reader.into_records().peekable();
         while let Some(record) = records.next() {
-            if cut_off && records.peek().is_none() {
+            if is_truncated && records.peek().is_none() {
                 break;
             }
             let is_warm_up = !has_warm_up_column && parser.rows.len() < warm_up;
@@ -83,28 +83,28 @@ impl RowParser {
         Ok((parser.rows, has_warm_up_column))
     }
 
-    fn row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), Malformed> {
+    fn row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), ParseError> {
         let line = record.position().map_or(0, csv::Position::line);
         let Self { columns, rows, .. } = self;
         let mut row = rows.build_row();
         row.warm_up = is_warm_up;
-        let mut judged = [(None, None); 2];
+        let mut verdicts = [(None, None); 2];
         let mut stages = [None; PUBLISHED_STAGES.len()];
         for (cells, text) in columns.iter_mut().zip(record) {
             let cell = text.trim();
             if cell.is_empty() || cells.is_ignored() {
                 continue;
             }
-            let wrong = |expected| Malformed::Cell {
+            let invalid_cell = |expected| ParseError::Cell {
                 line,
                 column: cells.name.to_string(),
                 cell: cell.to_owned(),
                 expected,
             };
             if cells.is_text() {
-                let way = &mut judged[usize::from(cells.name.starts_with("download"))];
-                store_text(&mut row, way, &cells.name, text)
-                    .ok_or_else(|| wrong("outcome, verdict or source"))?;
+                let direction = &mut verdicts[usize::from(cells.name.starts_with("download"))];
+                store_text(&mut row, direction, &cells.name, text)
+                    .ok_or_else(|| invalid_cell("an outcome, verdict or source"))?;
                 continue;
             }
             let number = match cell.parse::<f64>() {
@@ -115,7 +115,7 @@ impl RowParser {
                 }
                 // A text that a user added to the numbers is ignored.
                 Err(_) if cells.kind.is_none() => continue,
-                Err(_) => return Err(wrong("number")),
+                Err(_) => return Err(invalid_cell("a number")),
             };
             if let Some(stage) = cells.stage {
                 stages[stage] = Some(number);
@@ -131,7 +131,7 @@ impl RowParser {
                 _ => {}
             }
         }
-        row.judged = judged.map(|(verdict, source)| verdict.zip(source));
+        row.verdicts = verdicts.map(|(verdict, source)| verdict.zip(source));
         let number = rows.len() as f64 + 1.0;
         let iteration = row.place(rows, &column("iteration"));
         row.numbers[iteration].get_or_insert(number);
@@ -168,15 +168,15 @@ impl ColumnParser {
 /// Stores the text of a cell; returns `None` if the column does not permit it.
 fn store_text(
     row: &mut RowBuilder,
-    way: &mut (Option<Verdict>, Option<DelaySource>),
+    direction: &mut (Option<Verdict>, Option<DelaySource>),
     column: &str,
     text: &str,
 ) -> Option<()> {
     let cell = text.trim();
     match column.rsplit_once('-').map_or(column, |(_, last)| last) {
         "outcome" => row.outcome = Some(Outcome::from_name(cell)?),
-        "verdict" => way.0 = Some(Verdict::from_name(cell)?),
-        "source" => way.1 = Some(DelaySource::from_name(cell)?),
+        "verdict" => direction.0 = Some(Verdict::from_name(cell)?),
+        "source" => direction.1 = Some(DelaySource::from_name(cell)?),
         _ => row.reason = Some(text.to_owned()),
     }
     Some(())

@@ -32,23 +32,23 @@ pub(crate) type LockedFolder = (PathBuf, File);
 
 /// Finds the folder that `overwrite` permits and locks it for this program; its contents are left unchanged.
 pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, FolderError> {
-    let failed = |path: &Path| {
+    let creation_error = |path: &Path| {
         let path = path.to_owned();
-        move |error: std::io::Error| FolderError::Make { path, reason: error.to_string() }
+        move |error: std::io::Error| FolderError::Create { path, reason: error.to_string() }
     };
     if dir.exists() && !dir.is_dir() {
-        return Err(FolderError::NoFolder(dir.to_owned()));
+        return Err(FolderError::NotAFolder(dir.to_owned()));
     }
-    std::fs::create_dir_all(dir).map_err(failed(dir))?;
+    std::fs::create_dir_all(dir).map_err(creation_error(dir))?;
     let lock = lock(dir);
     if overwrite == Overwrite::Replace {
         return Ok((dir.to_owned(), lock?));
     }
-    let mut entries = std::fs::read_dir(dir).map_err(failed(dir))?;
+    let mut entries = std::fs::read_dir(dir).map_err(creation_error(dir))?;
     match (entries.next().is_none(), lock, overwrite) {
         (true, Ok(lock), _) => Ok((dir.to_owned(), lock)),
         (_, _, Overwrite::Subfolder) => {
-            let path = subfolder(dir).map_err(failed(dir))?;
+            let path = subfolder(dir).map_err(creation_error(dir))?;
             let lock = self::lock(&path)?;
             Ok((path, lock))
         }
@@ -59,9 +59,9 @@ pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, 
 
 /// Locks a folder itself: that needs no file in it, and the lock ends with the program, for whatever reason.
 fn lock(dir: &Path) -> Result<File, FolderError> {
-    let make_error =
-        |error: std::io::Error| FolderError::Make { path: dir.to_owned(), reason: error.to_string() };
-    let folder = File::open(dir).map_err(make_error)?;
+    let creation_error =
+        |error: std::io::Error| FolderError::Create { path: dir.to_owned(), reason: error.to_string() };
+    let folder = File::open(dir).map_err(creation_error)?;
     match folder.try_lock() {
         Err(TryLockError::WouldBlock) => Err(FolderError::Busy(dir.to_owned())),
         // Not every network file system can lock a folder. Results are more important there than the protection.
@@ -71,14 +71,14 @@ fn lock(dir: &Path) -> Result<File, FolderError> {
 
 /// Returns the names of the files that an earlier run may have left in a folder: its results, and figures of any
 /// kind, which would show results that no longer exist.
-pub(crate) fn replaced(dir: &Path) -> impl Iterator<Item = String> {
+pub(crate) fn replaced_files(dir: &Path) -> impl Iterator<Item = String> {
     let results = [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned);
     results.chain(figure_files(dir))
 }
 
 /// Removes the files of an earlier run.
 pub(crate) fn clear(dir: &Path) -> Result<(), FolderError> {
-    for path in replaced(dir).map(|name| dir.join(name)) {
+    for path in replaced_files(dir).map(|name| dir.join(name)) {
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
                 return Err(WriteError::at(&path)(error).into());
@@ -108,11 +108,11 @@ pub(crate) fn find(dir: &Path) -> Vec<PathBuf> {
     found
 }
 
-fn search(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
+fn search(dir: &Path, remaining_depth: usize, found: &mut Vec<PathBuf>) {
     if dir.join(DATA).is_file() {
         found.push(dir.to_owned());
     }
-    let Some(levels) = levels.checked_sub(1) else { return };
+    let Some(remaining_depth) = remaining_depth.checked_sub(1) else { return };
     // A folder that cannot be read contains nothing that could be read.
     let entries = std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
     let mut folders: Vec<PathBuf> = entries
@@ -124,7 +124,7 @@ fn search(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
     folders.sort_by_cached_key(|path| {
         natural_order_key(&path.file_name().unwrap_or_default().to_string_lossy())
     });
-    folders.iter().for_each(|folder| search(folder, levels, found));
+    folders.iter().for_each(|folder| search(folder, remaining_depth, found));
 }
 
 /// Returns a sort key by which `run-2` precedes `run-10`: texts and numbers alternate.

@@ -13,7 +13,7 @@ use super::file_names::{DATA, RECORD};
 use super::parse::RowParser;
 
 /// Number of rows at the beginning that the published figures leave out.
-const PUBLISHED_WARM_UP: usize = 5;
+const PUBLISHED_WARM_UP_ROWS: usize = 5;
 
 pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
     let (folder, data) = if path.is_file() {
@@ -27,11 +27,12 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     // The record belongs to `data.csv` only, not to other files in the folder.
     let record = if data.ends_with(DATA) { record(&folder.join(RECORD))? } else { None };
     // A program that writes a record marks the warm-up rows.
-    let warm_up = if record.is_none() { PUBLISHED_WARM_UP } else { 0 };
-    let (rows, flagged) = RowParser::of(&data, warm_up, wanted).map_err(failed(&data))?;
+    let warm_up = if record.is_none() { PUBLISHED_WARM_UP_ROWS } else { 0 };
+    let (rows, has_warm_up_flags) =
+        RowParser::read_rows(&data, warm_up, wanted).map_err(read_error(&data))?;
     let record = record.unwrap_or_else(|| {
-        let reason = if flagged && data.ends_with(DATA) { NO_RECORD } else { "" };
-        RunRecord { reason: reason.into(), ..record_without_file(path, &rows, flagged) }
+        let reason = if has_warm_up_flags && data.ends_with(DATA) { NO_RECORD } else { "" };
+        RunRecord { reason: reason.into(), ..record_without_file(path, &rows, has_warm_up_flags) }
     });
     Ok(Loaded { folder, record, rows })
 }
@@ -42,36 +43,36 @@ fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
         _ => Err(std::io::Error::other("it is not a regular file")),
     };
     match read() {
-        Ok(text) => Ok(Some(serde_json::from_slice(&text).map_err(failed(path))?)),
+        Ok(text) => Ok(Some(serde_json::from_slice(&text).map_err(read_error(path))?)),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(failed(path)(error)),
+        Err(error) => Err(read_error(path)(error)),
     }
 }
 
 /// Returns the record of rows without a record file.
-fn record_without_file(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
+fn record_without_file(path: &Path, rows: &Rows, has_warm_up_flags: bool) -> RunRecord {
     let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_file() { name.file_stem() } else { name.file_name() };
     let name = name.unwrap_or_default().to_string_lossy().into_owned();
-    let warm_up = if flagged {
+    let warm_up = if has_warm_up_flags {
         String::new()
     } else {
-        format!("the first {PUBLISHED_WARM_UP} rows, as the published figures leave them out")
+        format!("the first {PUBLISHED_WARM_UP_ROWS} rows, as the published figures leave them out")
     };
     RunRecord {
         title: name.clone(),
         name,
         edge: HostRecord::default(),
         warm_up,
-        counts: Counts::of(rows, 0),
-        clocks: Clocks::of(rows),
-        misses: Misses::of_rows(rows),
-        accuracy: Accuracy::of_each(rows),
+        counts: Counts::from_rows(rows, 0),
+        clocks: Clocks::from_rows(rows),
+        misses: Misses::from_rows(rows),
+        accuracy: Accuracy::by_column(rows),
         ..RunRecord::default()
     }
 }
 
-fn failed<E: std::fmt::Display>(path: &Path) -> impl Fn(E) -> FolderError {
+fn read_error<E: std::fmt::Display>(path: &Path) -> impl Fn(E) -> FolderError {
     let path = PathBuf::from(path);
     move |error| FolderError::Read { path: path.clone(), reason: error.to_string() }
 }

@@ -14,7 +14,7 @@ use peernet_statistics::number::{bound_ms, column_decimals, decimals, duration, 
 /// Text for an unknown value.
 const UNKNOWN: &str = "—";
 /// The Tabulated Metrics in the paper's appendix, then both totals, with their names there.
-const TABULATED: [(&str, &str); 10] = [
+const PAPER_METRICS: [(&str, &str); 10] = [
     ("sensing", "Sensing Time"),
     ("upload-bytes", "Upload Size"),
     ("upload", "Upload Latency"),
@@ -27,9 +27,9 @@ const TABULATED: [(&str, &str); 10] = [
     ("total", "Total (measured)"),
 ];
 /// Names of columns that are not named after their stage.
-const NAMED: [(&str, &str); 5] = [
-    ("ipc", "Border to the model's process"),
-    ("capture_capture-ipc", "Border to the sensor's process"),
+const COLUMN_NAMES: [(&str, &str); 5] = [
+    ("ipc", "IPC with the model's process"),
+    ("capture_capture-ipc", "IPC with the sensor's process"),
     ("restart", "Restart of the model's process"),
     ("capture_capture-restart", "Restart of the sensor's process"),
     ("actuation_actuation-restart", "Restart of the actuator's process"),
@@ -66,20 +66,20 @@ pub fn csv(summary: &Summary) -> String {
 
 /// Returns the table: the paper's metrics first, then all others.
 fn table(summary: &Summary) -> Table {
-    let named = TABULATED.iter().filter_map(|(column, name)| Some((summary.quantity(column)?, *name)));
+    let named = PAPER_METRICS.iter().filter_map(|(column, name)| Some((summary.quantity(column)?, *name)));
     let rest = summary
         .quantities
         .iter()
-        .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column))
+        .filter(|quantity| PAPER_METRICS.iter().all(|(name, _)| *name != quantity.column))
         // The sentences report these.
         .filter(|quantity| {
             ![UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED].contains(&quantity.column.as_ref())
         });
     let rest = rest.map(|quantity| {
         let column = quantity.column.as_ref();
-        (quantity, NAMED.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
+        (quantity, COLUMN_NAMES.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
     });
-    let digits = Digits::of(summary);
+    let digits = Digits::for_summary(summary);
     let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
     Table {
         header: header.map(str::to_owned).to_vec(),
@@ -94,8 +94,8 @@ fn table(summary: &Summary) -> Table {
 
 /// Returns the sentences about the basis of the table, one per line.
 fn sentences(summary: &Summary) -> String {
-    let is_open = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
-    let bounds = summary.quantities.iter().any(is_open);
+    let has_width = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
+    let bounds = summary.quantities.iter().any(has_width);
     let bounds = if bounds { "Clock bounds contain the median of the true values." } else { "" };
     let unknown = summary.unknown_labels.as_ref().map(|unknown| unknown.sentence(summary.counts.ok));
     let parts = [
@@ -111,19 +111,20 @@ fn sentences(summary: &Summary) -> String {
 
 fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<String> {
     let unit = units.of(&quantity.column);
-    let scale = Scale::of(&quantity.column, unit);
-    let figure = figure_of(scale, quantity, digits);
+    let scale = Scale::for_column(&quantity.column, unit);
+    let format_number = number_format(scale, quantity, digits);
     // The mean of values that are right or wrong is the share; a quantile has no meaning.
     let is_share = ACCURACIES.contains(&quantity.column.as_ref());
-    let known = |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &figure);
+    let known =
+        |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &format_number);
     let mean = match quantity.std {
-        Some(std) => format!("{} ± {}", figure(quantity.mean), figure(std)),
-        None => figure(quantity.mean),
+        Some(std) => format!("{} ± {}", format_number(quantity.mean), format_number(std)),
+        None => format_number(quantity.mean),
     };
     let bounds = match quantity.bounds {
         None => String::new(),
         Some((lo, hi)) if lo == hi => "exact".to_owned(),
-        Some((lo, hi)) => interval([figure(lo), figure(hi)]),
+        Some((lo, hi)) => interval([format_number(lo), format_number(hi)]),
     };
     vec![
         name.to_owned(),
@@ -156,10 +157,10 @@ struct Digits {
 }
 
 impl Digits {
-    fn of(summary: &Summary) -> Self {
+    fn for_summary(summary: &Summary) -> Self {
         let of = |scale: Scale| {
             let is = move |quantity: &&Quantity| {
-                Scale::of(&quantity.column, summary.units.of(&quantity.column)) == scale
+                Scale::for_column(&quantity.column, summary.units.of(&quantity.column)) == scale
             };
             summary.quantities.iter().filter(is)
         };
@@ -174,7 +175,7 @@ impl Digits {
 }
 
 /// Returns the formatter of a row's numbers, which all have the same number of decimals.
-fn figure_of(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f64) -> String {
+fn number_format(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f64) -> String {
     let (factor, decimals) = match scale {
         Scale::Milliseconds => (1e3, digits.milliseconds),
         Scale::MegabytesPerSecond => (1.0 / 8e6, digits.megabytes_per_second),
@@ -206,13 +207,13 @@ fn deadline(summary: &Summary) -> String {
     };
     let deadline =
         summary.deadline_s.map_or_else(String::new, |seconds| format!(" of {}", duration(seconds).plain()));
-    let [missed, of] = [misses.missed, misses.of].map(|count| fixed(count as f64, 0));
+    let [missed, of] = [misses.missed, misses.iterations].map(|count| fixed(count as f64, 0));
     format!("Deadline{deadline}: missed by {missed} of {of} iterations ({} %).", percent(rate))
 }
 
 /// Returns the sentence about skipped starts; empty if there are none.
 fn starts(starts: &Starts) -> String {
-    starts.told().map_or_else(String::new, |told| format!("Skipped: {told}."))
+    starts.skipped_text().map_or_else(String::new, |text| format!("Skipped: {text}."))
 }
 
 /// Returns the sentence about the clock verdicts of the delays; empty if there are no delays.
@@ -221,7 +222,7 @@ fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
         let items = counts.iter().map(|(what, count)| format!("{} {what}", fixed(*count as f64, 0)));
         items.collect::<Vec<_>>().join(", ")
     };
-    let way = |name: &str, counts: &ClockCounts| {
+    let direction = |name: &str, counts: &ClockCounts| {
         let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
         let width = counts.median_width.map(|width| bound_ms(width / 2.0));
         let width = width.map(|width| if width == "exact" { width } else { format!("{width} ms") });
@@ -229,6 +230,7 @@ fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
         let known = !counts.verdicts.is_empty();
         known.then(|| format!("{name} {} ({})", list(&counts.verdicts), basis.join(", ")))
     };
-    let ways: Vec<String> = [way("upload", up), way("download", down)].into_iter().flatten().collect();
-    if ways.is_empty() { String::new() } else { format!("Clock verdicts: {}.", ways.join("; ")) }
+    let directions: Vec<String> =
+        [direction("upload", up), direction("download", down)].into_iter().flatten().collect();
+    if directions.is_empty() { String::new() } else { format!("Clock verdicts: {}.", directions.join("; ")) }
 }

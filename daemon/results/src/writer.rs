@@ -12,7 +12,7 @@ use super::cells::{self, Header};
 /// Longest time between two writes, seconds of the rows' own time.
 const WRITE_INTERVAL_S: f64 = 1.0;
 /// Number of waiting bytes after which rows are written before that time is over.
-const MAX_WAITING_BYTES: usize = 256 * 1024;
+const MAX_PENDING_BYTES: usize = 256 * 1024;
 
 /// Writes rows to `data.csv` as they come: at least once a second, and at the end.
 ///
@@ -24,39 +24,39 @@ pub struct RowWriter {
     file: File,
     header: Header,
     /// Length of the file's complete rows, bytes.
-    whole: u64,
+    complete_bytes: u64,
     /// Rows that are not in the file yet, each with as many cells as the header.
-    waiting: Vec<u8>,
+    pending: Vec<u8>,
     /// Number of rows at the last attempt to rewrite the file, and current number of rows.
     rows: (u64, u64),
     written_at: f64,
     /// Number of bytes that were still waiting after the last attempt.
-    waiting_after_attempt: usize,
+    pending_after_attempt: usize,
     /// `true` if part of a row may follow the complete rows.
-    torn: bool,
-    trouble: Option<WriteError>,
+    has_partial_row: bool,
+    write_error: Option<WriteError>,
 }
 
 impl RowWriter {
     /// Creates the file with its header.
-    pub(crate) fn begin(path: PathBuf) -> Result<Self, WriteError> {
+    pub(crate) fn create(path: PathBuf) -> Result<Self, WriteError> {
         let header = Header::default();
         let file = File::create(&path).map_err(WriteError::at(&path))?;
-        let mut waiting = Vec::new();
-        header.write(&mut waiting);
+        let mut pending = Vec::new();
+        header.write_header(&mut pending);
         let mut writer = Self {
             path,
             file,
             header,
-            whole: 0,
-            waiting,
+            complete_bytes: 0,
+            pending,
             rows: (0, 0),
             written_at: 0.0,
-            waiting_after_attempt: 0,
-            torn: false,
-            trouble: None,
+            pending_after_attempt: 0,
+            has_partial_row: false,
+            write_error: None,
         };
-        writer.write_waiting().map_err(WriteError::at(&writer.path))?;
+        writer.write_pending().map_err(WriteError::at(&writer.path))?;
         Ok(writer)
     }
 
@@ -74,10 +74,10 @@ impl RowWriter {
         if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
             self.add_columns(row);
         }
-        self.header.row(&mut self.waiting, row);
+        self.header.write_row(&mut self.pending, row);
         self.rows.1 += 1;
         // The absolute difference, because a clock that was set back must not stop the writing.
-        let has_many_bytes = self.waiting.len() >= self.waiting_after_attempt + MAX_WAITING_BYTES;
+        let has_many_bytes = self.pending.len() >= self.pending_after_attempt + MAX_PENDING_BYTES;
         if has_many_bytes || (row.at - self.written_at).abs() >= WRITE_INTERVAL_S {
             self.flush();
             self.written_at = row.at;
@@ -86,13 +86,13 @@ impl RowWriter {
 
     /// Writes the waiting rows; to be called when no rows come.
     pub fn flush(&mut self) {
-        self.trouble = self.write_waiting().map_err(WriteError::at(&self.path)).err();
-        self.waiting_after_attempt = self.waiting.len();
+        self.write_error = self.write_pending().map_err(WriteError::at(&self.path)).err();
+        self.pending_after_attempt = self.pending.len();
     }
 
     /// Returns the reason that rows wait in memory; `None` if they were written.
-    pub fn trouble(&self) -> Option<&WriteError> {
-        self.trouble.as_ref()
+    pub fn write_error(&self) -> Option<&WriteError> {
+        self.write_error.as_ref()
     }
 
     /// Writes the waiting rows a last time and syncs the file.
@@ -100,32 +100,32 @@ impl RowWriter {
     /// # Errors
     /// If rows cannot be written. The file then ends with the last row that was written;
     /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all rows.
-    pub fn end(mut self) -> Result<PathBuf, WriteError> {
-        let written = self.write_waiting().and_then(|()| self.file.sync_all());
+    pub fn finish(mut self) -> Result<PathBuf, WriteError> {
+        let written = self.write_pending().and_then(|()| self.file.sync_all());
         written.map_err(WriteError::at(&self.path))?;
         Ok(self.path)
     }
 
-    fn write_waiting(&mut self) -> std::io::Result<()> {
-        self.truncate_torn_row()?;
-        let (written, outcome) = write_on(&mut self.file, &self.waiting);
-        let whole = whole_rows(&self.waiting[..written]);
-        self.whole += whole as u64;
-        self.waiting.drain(..whole);
+    fn write_pending(&mut self) -> std::io::Result<()> {
+        self.truncate_partial_row()?;
+        let (written, outcome) = write_counted(&mut self.file, &self.pending);
+        let complete_bytes = complete_rows_len(&self.pending[..written]);
+        self.complete_bytes += complete_bytes as u64;
+        self.pending.drain(..complete_bytes);
         if outcome.is_err() {
-            self.torn = true;
+            self.has_partial_row = true;
             // The first error is the one to report. This is tried again before the next write.
-            let _ = self.truncate_torn_row();
+            let _ = self.truncate_partial_row();
         }
         outcome
     }
 
     /// Removes the part of a row that a failed write may have left. Truncating works on a full disk as well.
-    fn truncate_torn_row(&mut self) -> std::io::Result<()> {
-        if self.torn {
-            self.file.set_len(self.whole)?;
-            self.file.seek(SeekFrom::Start(self.whole))?;
-            self.torn = false;
+    fn truncate_partial_row(&mut self) -> std::io::Result<()> {
+        if self.has_partial_row {
+            self.file.set_len(self.complete_bytes)?;
+            self.file.seek(SeekFrom::Start(self.complete_bytes))?;
+            self.has_partial_row = false;
         }
         Ok(())
     }
@@ -135,24 +135,26 @@ impl RowWriter {
     fn add_columns(&mut self, row: &Row) {
         self.rows.0 = self.rows.1;
         self.flush();
-        if self.trouble.is_some() {
+        if self.write_error.is_some() {
             return;
         }
         let mut header = self.header.clone();
         header.add(row);
         match self.rewrite(&header) {
-            Ok((file, whole)) => (self.file, self.whole, self.header) = (file, whole, header),
-            Err(error) => self.trouble = Some(WriteError::at(&self.path)(error)),
+            Ok((file, complete_bytes)) => {
+                (self.file, self.complete_bytes, self.header) = (file, complete_bytes, header)
+            }
+            Err(error) => self.write_error = Some(WriteError::at(&self.path)(error)),
         }
     }
 
     fn rewrite(&self, header: &Header) -> std::io::Result<(File, u64)> {
         let new_file = self.path.with_extension("csv.new");
-        let made = cells::widen(&self.path, &new_file, header).and_then(|()| {
+        let made = cells::pad_rows(&self.path, &new_file, header).and_then(|()| {
             std::fs::rename(&new_file, &self.path)?;
             let mut file = OpenOptions::new().write(true).open(&self.path)?;
-            let whole = file.seek(SeekFrom::End(0))?;
-            Ok((file, whole))
+            let complete_bytes = file.seek(SeekFrom::End(0))?;
+            Ok((file, complete_bytes))
         });
         made.inspect_err(|_| {
             // The new file does not exist if it could not be created.
@@ -162,7 +164,7 @@ impl RowWriter {
 }
 
 /// Writes like `write_all`, but returns the number of written bytes also after an error.
-fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) {
+fn write_counted(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) {
     let mut written = 0;
     while written < bytes.len() {
         match out.write(&bytes[written..]) {
@@ -176,16 +178,16 @@ fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) 
 }
 
 /// Returns the length of the complete rows. A line feed within quotes does not end a row.
-fn whole_rows(bytes: &[u8]) -> usize {
-    let (mut quoted, mut end) = (false, 0);
+fn complete_rows_len(bytes: &[u8]) -> usize {
+    let (mut quoted, mut complete) = (false, 0);
     for (at, byte) in bytes.iter().enumerate() {
         match byte {
             b'"' => quoted = !quoted,
-            b'\n' if !quoted => end = at + 1,
+            b'\n' if !quoted => complete = at + 1,
             _ => {}
         }
     }
-    end
+    complete
 }
 
 #[cfg(test)]
@@ -211,20 +213,20 @@ mod tests {
     #[test]
     fn rows_are_written_after_full_disk_has_space() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
+        let mut writer = RowWriter::create(folder.path().join("data.csv")).expect("writable");
         writer.write(&row(1));
         let disk = std::mem::replace(
             &mut writer.file,
             OpenOptions::new().write(true).open("/dev/full").expect("there is one"),
         );
         writer.write(&row(2));
-        let trouble = writer.trouble().expect("it is full").to_string();
-        assert!(trouble.contains("data.csv: No space left on device"), "{trouble}");
+        let write_error = writer.write_error().expect("it is full").to_string();
+        assert!(write_error.contains("data.csv: No space left on device"), "{write_error}");
         writer.write(&row(3));
         writer.file = disk;
         writer.write(&row(4));
-        assert!(writer.trouble().is_none());
-        let path = writer.end().expect("there is room");
+        assert!(writer.write_error().is_none());
+        let path = writer.finish().expect("there is room");
         let text = std::fs::read_to_string(path).expect("text");
         let numbers: Vec<_> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
         assert_eq!(numbers, ["1", "2", "3", "4"]);
@@ -235,9 +237,9 @@ mod tests {
         let rows = b"1,ok\n2,\"a \"\"b\"\"\nc\"\n3,ok\n";
         let kept = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|room| {
             let mut room = vec![0; room];
-            let (written, outcome) = write_on(&mut room.as_mut_slice(), rows);
+            let (written, outcome) = write_counted(&mut room.as_mut_slice(), rows);
             assert_eq!((written, outcome.is_ok()), (room.len(), room.len() == rows.len()));
-            whole_rows(&rows[..written])
+            complete_rows_len(&rows[..written])
         });
         assert_eq!(kept, [0, 5, 5, 5, rows.len() - 5, rows.len()]);
     }
@@ -245,10 +247,10 @@ mod tests {
     #[test]
     fn permanently_full_disk_is_reported_at_end() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
+        let mut writer = RowWriter::create(folder.path().join("data.csv")).expect("writable");
         writer.file = OpenOptions::new().write(true).open("/dev/full").expect("there is one");
         writer.write(&row(1));
-        let error = writer.end().expect_err("it is full").to_string();
+        let error = writer.finish().expect_err("it is full").to_string();
         assert!(error.contains("data.csv"), "{error}");
     }
 }

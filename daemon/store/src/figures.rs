@@ -1,6 +1,6 @@
 //! Figures of a summary, without quantiles that its samples do not support.
 
-use peernet_analysis::order::{ENOUGH_FOR_P95, ENOUGH_FOR_P99};
+use peernet_analysis::order::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::Summary;
@@ -8,9 +8,9 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 /// Samples below which a 95th percentile is not given.
-pub const MIN_P95_SAMPLES: u64 = ENOUGH_FOR_P95 as u64;
+pub const MIN_P95_SAMPLES: u64 = MIN_VALUES_FOR_P95 as u64;
 /// Samples below which a 99th percentile is not given.
-pub const MIN_P99_SAMPLES: u64 = ENOUGH_FOR_P99 as u64;
+pub const MIN_P99_SAMPLES: u64 = MIN_VALUES_FOR_P99 as u64;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
 // The REST API sends this type as it is: these comments are its documentation, where an absent number is null.

@@ -262,7 +262,7 @@ fn peer_with_new_clock_ends_the_calibration() {
     let _other = hosts.start("other.toml", &CLOUD.replace("offset_ms = 1000", "offset_ms = 300"));
     let ended = running.ended();
     assert_eq!(ended.code(), 69, "{}", ended.log);
-    for part in ["came back with another clock", "made wrong on purpose (offset +300 ms)"] {
+    for part in ["returned with another clock", "made wrong on purpose (offset +300 ms)"] {
         assert!(ended.log.contains(part), "{part} is missing in\n{}", ended.log);
     }
     let study = hosts.results();

@@ -72,12 +72,12 @@ fn comparison_errors_are_named() {
     let deployment = folders();
     let nothing = compare(&deployment, &["nowhere"]);
     assert_eq!(nothing.code(), 66, "{}", nothing.log);
-    assert!(nothing.log.contains("no results in nowhere: it is not there"), "{}", nothing.log);
+    assert!(nothing.log.contains("no results in nowhere: it does not exist"), "{}", nothing.log);
     std::fs::write(deployment.folder().join("all/small/data.csv"), "iteration,sensing\n1,fast\n")
         .expect("written");
     let broken = compare(&deployment, &["all"]);
     assert_eq!(broken.code(), 65, "{}", broken.log);
-    assert!(broken.log.contains("line 2, column sensing: \"fast\" is no number"), "{}", broken.log);
+    assert!(broken.log.contains("line 2, column sensing: \"fast\" is not a number"), "{}", broken.log);
     let unwritten = compare(&deployment, &["all/large", "--out", "nowhere/table.txt"]);
     assert_eq!(unwritten.code(), 73, "{}", unwritten.log);
 }

@@ -66,7 +66,7 @@ async fn table(
             let mut text = Vec::new();
             let Some(Begun { header, after, through }) = begun else {
                 let (header, through) = columns(app.store(), &run).await?;
-                header.write(&mut text);
+                header.write_header(&mut text);
                 return Ok(Some((Bytes::from(text), Some(Begun { header, after: 0, through }))));
             };
             if after >= through {
@@ -76,7 +76,7 @@ async fn table(
                 return Ok(None);
             };
             for iteration in iterations.iter().filter(|iteration| iteration.number <= through) {
-                header.row(&mut text, &Row::of(iteration));
+                header.write_row(&mut text, &Row::from_iteration(iteration));
             }
             Ok(Some((Bytes::from(text), Some(Begun { header, after: last, through }))))
         }
@@ -100,7 +100,7 @@ struct Begun {
 async fn columns(store: &Store, run: &RunSummary) -> Result<(Header, u64), WebError> {
     let (mut header, mut through) = (Header::default(), 0);
     while let Some((last, firsts)) = store.iterations_by_shape(run, through).await? {
-        firsts.iter().for_each(|iteration| header.add(&Row::of(iteration)));
+        firsts.iter().for_each(|iteration| header.add(&Row::from_iteration(iteration)));
         through = last;
     }
     Ok((header, through))

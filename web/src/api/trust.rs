@@ -31,7 +31,7 @@ async fn get(
     let number = path(number)?;
     let store = app.store();
     let run = store.run(number).await?.ok_or_else(|| WebError::no_run(number))?;
-    Ok(Json(Trust::from(&Report::of(&store.trust_input(&run).await?))))
+    Ok(Json(Trust::from(&Report::new(&store.trust_input(&run).await?))))
 }
 
 /// The answer to "can I publish this run?".
@@ -67,7 +67,7 @@ impl From<&Report> for Trust {
         Self {
             verdict: report.verdict.name(),
             answer: report.answer(),
-            sentences: report.sentences.iter().map(sentence).collect(),
+            sentences: report.findings.iter().map(sentence).collect(),
         }
     }
 }

@@ -166,7 +166,7 @@ async fn show(
         unanswered: &unanswered,
         episodes: &episodes,
     };
-    let report = Report::of(&trust);
+    let report = Report::new(&trust);
     page(&assemble(&app, &stored, distribution, &report)?)
 }
 
@@ -196,7 +196,7 @@ fn missed(run: &RunSummary) -> Option<(String, String)> {
     let words = format!(
         "{} of {} later than {} or without an answer",
         count(misses.missed),
-        count(misses.of),
+        count(misses.iterations),
         duration(deadline)
     );
     Some((rate, words))
@@ -334,7 +334,7 @@ mod tests {
     fn missed_deadlines_are_share_and_count() {
         let run = crate::view::compare::tests::run(1, PlacementKind::Remote);
         assert_eq!(missed(&run), None);
-        let misses = Some(Misses { missed: 12, of: 1_000 });
+        let misses = Some(Misses { missed: 12, iterations: 1_000 });
         let run = RunSummary { deadline_s: Some(0.1), misses, ..run };
         let (rate, words) = missed(&run).expect("a deadline");
         assert_eq!(rate, "1.2\u{202f}%");
@@ -343,7 +343,7 @@ mod tests {
 
     #[test]
     fn skipped_starts_are_a_sum_and_a_share() {
-        let of = |skipped| Starts { kept: 155, skipped, ..Starts::default() };
+        let of = |skipped| Starts { started: 155, skipped, ..Starts::default() };
         assert_eq!(skipped(&of(0)), None);
         let said = skipped(&of(161)).expect("there are some");
         assert_eq!(said, ("161".to_owned(), "51\u{202f}% of those that came due".to_owned()));

@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whisker_has_two_caps_and_a_dot_no_length() {
+    fn whisker_has_caps_and_dot_has_no_length() {
         assert_eq!(whiskers([(0.5, 0.2, 0.4)], 0.01).matches('M').count(), 3);
         assert_eq!(dots([(0.5, 0.5)]), "M500.0 500.0h0");
     }

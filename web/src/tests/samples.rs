@@ -80,7 +80,7 @@ const MEANS: [(&str, f64); 11] = [
 
 /// Returns the sums of messages of 150 kB and more that take `upload` seconds each, if that is known.
 fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
-    Transfers::of(|name| match name.as_str() {
+    Transfers::from_statistics(|name| match name.as_str() {
         "upload-bytes" => (messages > 0).then_some((messages, 149_625.0)),
         "upload" => Some((messages, upload?)),
         _ => None,

@@ -6,7 +6,7 @@ use peernet_store::Figures;
 
 /// Returns the accuracy that the figures of a score tell.
 pub(crate) fn of(scores: &Figures) -> Option<Accuracy> {
-    Accuracy::of_mean(scores.mean, scores.count, scores.count)
+    Accuracy::from_mean(scores.mean, scores.count, scores.count)
 }
 
 /// Returns the 95 % interval in percent: `79.1 – 88.2`.

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
-use peernet_analysis::delays::prevailing;
+use peernet_analysis::delays::prevailing_verdict;
 use peernet_analysis::transfer::{Transfer, Transfers, speed_between};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
@@ -57,7 +57,7 @@ pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], way: NetworkDirection) -> 
         (*verdict, of_way.map(|(.., count)| count).sum())
     };
     let verdicts: Vec<(Verdict, u64)> = Verdict::ALL.iter().map(given).collect();
-    told(prevailing(&verdicts), minute().map(|second| second.counts.ok).sum())
+    told(prevailing_verdict(&verdicts), minute().map(|second| second.counts.ok).sum())
 }
 
 fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {

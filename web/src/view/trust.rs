@@ -25,7 +25,7 @@ pub(crate) struct Line {
 impl From<&Report> for Trust {
     fn from(report: &Report) -> Self {
         let (worse, rest) =
-            report.sentences.iter().partition::<Vec<_>, _>(|sentence| sentence.grade > Grade::Unknown);
+            report.findings.iter().partition::<Vec<_>, _>(|sentence| sentence.grade > Grade::Unknown);
         let lines = |sentences: Vec<&Finding>| {
             let line = |sentence: &Finding| Line {
                 chip: chip(sentence.grade),

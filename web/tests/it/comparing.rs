@@ -58,7 +58,7 @@ async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhe
     };
     assert_eq!((counts(0), counts(1)), ((Some(380), Some(0)), (Some(170), Some(70))), "{compared}");
     let doubt = compared["doubts"][0].as_str().expect("a sentence");
-    assert!(doubt.ends_with(" of the rate that was ordered: #2: 70 of 170 starts (41.2 %)."), "{doubt}");
+    assert!(doubt.ends_with(" of the configured rate: #2: 70 of 170 starts (41.2 %)."), "{doubt}");
     assert!(bed.get("/compare?runs=1,2").await.text().contains(doubt));
     assert_eq!(bed.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
 }
@@ -221,8 +221,8 @@ async fn files_of_runs_and_store_give_the_same_comparison() {
         std::fs::write(&file, exported.text()).expect("the folder is writable");
         runs.push(ResultFolder::open(&file).expect("a file of results"));
     }
-    let of_files = Comparison::of(&runs);
-    let differences = Differences::of(&runs[0], &runs[1], 1);
+    let of_files = Comparison::new(&runs);
+    let differences = Differences::between_runs(&runs[0], &runs[1], 1);
     let of_store = bed.get("/api/v1/compare?runs=1,2").await.json();
     for (at, line) in of_files.lines.iter().enumerate() {
         for name in ["sensing", "inference", "total"] {

@@ -63,7 +63,7 @@ impl SecondFigures {
 
     /// Returns the data rates of both directions.
     fn transfers(&self) -> Transfers {
-        Transfers::of(|name| {
+        Transfers::from_statistics(|name| {
             let (_, summary) = self.values.iter().find(|(known, _)| known == name)?;
             Some((summary.count(), summary.moments.mean))
         })

@@ -1,8 +1,8 @@
 //! Accuracy of a model: the share of answers that were right.
 
-mod unknown;
+mod unknown_labels;
 
-pub use unknown::{UNKNOWN_LABEL, UnknownLabels};
+pub use unknown_labels::{UNKNOWN_LABEL, UnknownLabels};
 
 use std::collections::BTreeMap;
 
@@ -23,39 +23,39 @@ pub struct Accuracy {
     pub interval: (f64, f64),
     /// Number of scored iterations.
     pub count: u64,
-    /// Number of further iterations that count but have no score of 0 or 1: no label was known, the label is [no class of the
+    /// Number of further counted iterations without a score of 0 or 1. Either no label was known, the label is [not a class of the
     /// model](UnknownLabels), the answer named no class, or the score is not a number.
     pub unscored: u64,
 }
 
 impl Accuracy {
     /// Returns the accuracy from a column of [`ACCURACIES`] over the rows that count; `None` if none of them has a score.
-    pub fn of<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, column: &str) -> Option<Self> {
+    pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, column: &str) -> Option<Self> {
         let (mut right, mut count, mut unscored) = (0, 0, 0);
-        for row in rows.into_iter().filter(|row| row.counts()) {
+        for row in rows.into_iter().filter(|row| row.is_counted()) {
             match score(row, column) {
                 Some(is_right) => (right, count) = (right + u64::from(is_right), count + 1),
                 None => unscored += 1,
             }
         }
-        Self::of_counts(right, count, unscored)
+        Self::from_counts(right, count, unscored)
     }
 
     /// Returns the accuracy of each column of [`ACCURACIES`] that has scores.
-    pub fn of_each(rows: &Rows) -> BTreeMap<String, Self> {
-        let of = |column: &str| Some((column.to_owned(), Self::of(rows, column)?));
+    pub fn by_column(rows: &Rows) -> BTreeMap<String, Self> {
+        let of = |column: &str| Some((column.to_owned(), Self::from_rows(rows, column)?));
         ACCURACIES.into_iter().filter_map(of).collect()
     }
 
-    /// Returns the accuracy from the mean of `count` scores that are 0 or 1, of `answered` iterations with an answer; `None` without a
-    /// score, and where no such scores have this mean.
-    pub fn of_mean(mean: f64, count: u64, answered: u64) -> Option<Self> {
+    /// Returns the accuracy from the mean of `count` scores that are 0 or 1. `answered` is the number of iterations with an answer.
+    /// `None` without a score, or if the mean is not between 0 and 1.
+    pub fn from_mean(mean: f64, count: u64, answered: u64) -> Option<Self> {
         (0.0..=1.0).contains(&mean).then_some(())?;
-        Self::of_counts((mean * count as f64).round() as u64, count, answered.saturating_sub(count))
+        Self::from_counts((mean * count as f64).round() as u64, count, answered.saturating_sub(count))
     }
 
     /// Returns the accuracy of `right` answers out of `count` scored ones; `None` if `count` is 0.
-    pub fn of_counts(right: u64, count: u64, unscored: u64) -> Option<Self> {
+    pub fn from_counts(right: u64, count: u64, unscored: u64) -> Option<Self> {
         (count > 0).then(|| {
             let share = right as f64 / count as f64;
             Self { share, interval: wilson(share, count), count, unscored }
@@ -116,33 +116,33 @@ mod tests {
             (1, 29, 0.0061, 0.1718),
         ];
         for (right, count, lo, hi) in cases {
-            let found = Accuracy::of_counts(right, count, 0).expect("there are answers").interval;
+            let found = Accuracy::from_counts(right, count, 0).expect("there are answers").interval;
             assert!(
                 (found.0 - lo).abs() < 5e-5 && (found.1 - hi).abs() < 5e-5,
                 "{right} of {count}: {found:?}"
             );
         }
         assert_eq!(wilson(1.0, 20).1, 1.0);
-        assert_eq!(Accuracy::of_counts(0, 0, 3), None);
+        assert_eq!(Accuracy::from_counts(0, 0, 3), None);
     }
 
     #[test]
-    fn mean_of_scores_tells_what_scores_tell() {
-        let found = Accuracy::of_mean(81.0 / 263.0, 263, 300).expect("a share");
-        assert_eq!(Some(found), Accuracy::of_counts(81, 263, 37));
-        assert_eq!(Accuracy::of_mean(7.0, 263, 263), None, "no score is 7");
+    fn mean_of_scores_gives_same_accuracy_as_scores() {
+        let found = Accuracy::from_mean(81.0 / 263.0, 263, 300).expect("a share");
+        assert_eq!(Some(found), Accuracy::from_counts(81, 263, 37));
+        assert_eq!(Accuracy::from_mean(7.0, 263, 263), None, "no score is 7");
     }
 
     #[test]
-    fn what_has_no_valid_score_is_counted() {
+    fn iterations_without_valid_score_are_counted() {
         let scores = [Some(1.0), Some(0.0), Some(f64::NAN), Some(f64::INFINITY), Some(0.5), Some(7.0), None];
         let mut rows: Vec<Row> = scores.into_iter().map(row).collect();
         rows.push(Row { warm_up: true, ..row(None) });
         rows.push(Row { outcome: Outcome::Lost, ..row(None) });
         let rows: Rows = rows.into_iter().collect();
-        let found = Accuracy::of_each(&rows);
+        let found = Accuracy::by_column(&rows);
         let top = found["top-1"];
         assert_eq!((top.share, top.count, top.unscored, found.len()), (0.5, 2, 5, 1));
-        assert_eq!(Accuracy::of(rows.iter().skip(2), "top-1"), None, "nobody knew what is right");
+        assert_eq!(Accuracy::from_rows(rows.iter().skip(2), "top-1"), None, "no label is known");
     }
 }

@@ -38,12 +38,12 @@ impl Clocks {
         // The counter belongs to a relation: it starts at zero again after the peer came back.
         let restarts = seconds.iter().map(|second| u64::from(second.exchanges.restarts));
         let before = std::iter::once(0).chain(restarts.clone());
-        let announced: u64 = restarts.zip(before).map(|(now, before)| now.saturating_sub(before)).sum();
+        let reported_steps: u64 = restarts.zip(before).map(|(now, before)| now.saturating_sub(before)).sum();
         let known: Vec<&ClockSample> = seconds.iter().filter(|second| second.offset.is_some()).collect();
-        let another = known.windows(2).filter(|pair| is_another(pair[0], pair[1])).count() as u64;
+        let contradictions = known.windows(2).filter(|pair| is_contradicted(pair[0], pair[1])).count() as u64;
         Self {
             seconds: seconds.len() as u64,
-            steps: announced + another,
+            steps: reported_steps + contradictions,
             clocks: seconds.last().map(ClockSample::clocks),
             max_drift_ppm: seconds.last().map(|second| second.max_drift_ppm),
             max_drift_change_ppm_per_s: seconds
@@ -58,7 +58,7 @@ impl Clocks {
 
 /// Returns whether a new relation of the two clocks excludes the one before it: a clock was set between the two samples, or the peer that
 /// came back reads a different clock.
-fn is_another(before: &ClockSample, after: &ClockSample) -> bool {
+fn is_contradicted(before: &ClockSample, after: &ClockSample) -> bool {
     let is_new = before.window != after.window
         && after.exchanges.restarts <= before.exchanges.restarts
         && before.clocks() == after.clocks();

@@ -8,10 +8,10 @@ use serde::Serialize;
 use super::sample::Sample;
 use crate::Passage;
 use crate::fit::{Estimate, Fit, Point, Weighted, least_squares, theil_sen};
-use crate::order::{Ordered, Z95};
+use crate::order::{SortedValues, Z95};
 
 /// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
-const CLOCK_READ: f64 = 1e-7;
+const CLOCK_RESOLUTION_S: f64 = 1e-7;
 
 /// Statistics of one direction of the link.
 #[derive(Clone, Debug, Serialize)]
@@ -59,16 +59,16 @@ pub struct SizeSummary {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fits {
     /// Fit to the medians of the sizes. Least squares are weighted by the precision of each median; the verdict depends on this fit.
-    pub medians: Pair,
+    pub medians: FitPair,
     /// Fit to every sample.
-    pub samples: Pair,
+    pub samples: FitPair,
     /// Least squares over every raw difference of stamps, as in the published study.
     pub raw: Fit,
 }
 
 /// Two fits to one set of points.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Pair {
+pub struct FitPair {
     /// Fit by least squares.
     pub least_squares: Fit,
     /// Theil–Sen.
@@ -104,7 +104,7 @@ impl DirectionStudy {
     pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
         let passages: Vec<(u64, &Passage)> = samples
             .iter()
-            .filter(|sample| sample.counts())
+            .filter(|sample| sample.is_counted())
             .filter_map(|sample| Some((sample.payload_bytes, sample.passage(direction)?)))
             .collect();
         let mut verdicts = BTreeMap::new();
@@ -121,7 +121,7 @@ impl DirectionStudy {
         Self {
             direction,
             claimed: sizes.first().and_then(|smallest| Claim::new(smallest, main.as_ref())),
-            throughput: main.and_then(|fit| Throughput::new(fit.slope, &sizes)),
+            throughput: main.and_then(|fit| Throughput::with_bounds(fit.slope, &sizes)),
             sizes,
             fits,
             verdicts,
@@ -143,7 +143,7 @@ impl DirectionStudy {
     }
 
     /// Returns the number of delays that have any of these verdicts.
-    pub(super) fn judged(&self, verdicts: &[peernet_clock::Verdict]) -> u64 {
+    pub(super) fn count_verdicts(&self, verdicts: &[peernet_clock::Verdict]) -> u64 {
         verdicts.iter().filter_map(|verdict| self.verdicts.get(verdict.name())).sum()
     }
 }
@@ -154,12 +154,13 @@ impl SizeSummary {
         let of_this =
             || passages.iter().filter(|(payload, _)| *payload == payload_bytes).map(|(_, passage)| *passage);
         let known = || of_this().filter(|passage| passage.seconds().is_some());
-        let delays: Ordered = known().filter_map(Passage::seconds).collect();
+        let delays: SortedValues = known().filter_map(Passage::seconds).collect();
         let bounds = || known().filter_map(Passage::bounds);
-        let lo = bounds().map(|bounds| bounds.0).collect::<Ordered>().median();
-        let hi = bounds().map(|bounds| bounds.1).collect::<Ordered>().median();
+        let lo = bounds().map(|bounds| bounds.0).collect::<SortedValues>().median();
+        let hi = bounds().map(|bounds| bounds.1).collect::<SortedValues>().median();
         let bounds = lo.zip(hi);
-        let wire_bytes = known().map(|passage| passage.wire_bytes() as f64).collect::<Ordered>().median()?;
+        let wire_bytes =
+            known().map(|passage| passage.wire_bytes() as f64).collect::<SortedValues>().median()?;
         let median = delays.median()?;
         let rate = |seconds: f64| (seconds > 0.0).then(|| wire_bytes * 8.0 / seconds);
         Some(Self {
@@ -185,8 +186,9 @@ impl Fits {
         let medians: Vec<Point> = sizes.iter().map(SizeSummary::point).collect();
         // With few samples of a size the precision of its median is unknown: all sizes get the same weight.
         let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.median_error).collect();
-        let weight =
-            |index: usize| errors.as_ref().map_or(1.0, |errors| errors[index].max(CLOCK_READ).powi(-2));
+        let weight = |index: usize| {
+            errors.as_ref().map_or(1.0, |errors| errors[index].max(CLOCK_RESOLUTION_S).powi(-2))
+        };
         let weighted: Vec<Weighted> = medians
             .iter()
             .enumerate()
@@ -202,8 +204,8 @@ impl Fits {
             |points: &[Point]| least_squares(&points.iter().copied().map(Weighted::from).collect::<Vec<_>>());
         let samples = points(&Passage::seconds);
         Some(Self {
-            medians: Pair { least_squares: least_squares(&weighted)?, theil_sen: theil_sen(&medians)? },
-            samples: Pair { least_squares: unweighted(&samples)?, theil_sen: theil_sen(&samples)? },
+            medians: FitPair { least_squares: least_squares(&weighted)?, theil_sen: theil_sen(&medians)? },
+            samples: FitPair { least_squares: unweighted(&samples)?, theil_sen: theil_sen(&samples)? },
             raw: unweighted(&points(&|passage| Some(passage.delay.raw.seconds())))?,
         })
     }
@@ -222,17 +224,17 @@ impl Claim {
 
 impl Throughput {
     /// Returns the throughput of a slope in seconds per byte; `None` when delays do not grow with size.
-    pub(super) fn of(slope: Estimate) -> Option<Self> {
+    pub(super) fn from_slope(slope: Estimate) -> Option<Self> {
         Some(Self { value: rate(slope.value)?, interval: slope.interval.and_then(rates), bounds: None })
     }
 
-    fn new(slope: Estimate, sizes: &[SizeSummary]) -> Option<Self> {
+    fn with_bounds(slope: Estimate, sizes: &[SizeSummary]) -> Option<Self> {
         let (first, last) = (sizes.first()?, sizes.last()?);
         let bytes = last.wire_bytes - first.wire_bytes;
         let lines = first.bounds.zip(last.bounds).map(|((first_lo, first_hi), (last_lo, last_hi))| {
             ((last_lo - first_hi) / bytes, (last_hi - first_lo) / bytes)
         });
-        Some(Self { bounds: lines.and_then(rates), ..Self::of(slope)? })
+        Some(Self { bounds: lines.and_then(rates), ..Self::from_slope(slope)? })
     }
 }
 

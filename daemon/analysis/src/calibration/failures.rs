@@ -20,9 +20,9 @@ pub struct Failures {
 
 impl Failures {
     /// Returns the failures among all samples, the most frequent outcome first.
-    pub(super) fn of(samples: &[Sample]) -> Vec<Self> {
+    pub(super) fn by_outcome(samples: &[Sample]) -> Vec<Self> {
         let mut reasons: BTreeMap<&'static str, BTreeMap<Option<&str>, u64>> = BTreeMap::new();
-        for sample in samples.iter().filter(|sample| !sample.warm_up && !sample.counts()) {
+        for sample in samples.iter().filter(|sample| !sample.warm_up && !sample.is_counted()) {
             *reasons.entry(sample.outcome).or_default().entry(sample.reason.as_deref()).or_default() += 1;
         }
         let mut failures: Vec<Self> = reasons
@@ -38,9 +38,9 @@ impl Failures {
         failures
     }
 
-    fn words(&self) -> String {
+    fn description(&self) -> String {
         let what = match self.outcome {
-            "timeout" => "not in time",
+            "timeout" => "timed out",
             outcome => outcome,
         };
         let reason = match &self.commonest_reason {
@@ -58,6 +58,6 @@ pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
         return String::new();
     }
     let count: u64 = failures.iter().map(|failures| failures.count).sum();
-    let parts: Vec<String> = failures.iter().map(Failures::words).collect();
+    let parts: Vec<String> = failures.iter().map(Failures::description).collect();
     format!("{count} of {sent} payloads were not answered: {}", parts.join(", "))
 }

@@ -13,7 +13,7 @@ mod tables;
 mod verdict;
 
 pub use clocks::Clocks;
-pub use direction::{Claim, DirectionStudy, Fits, Pair, SizeSummary, Throughput};
+pub use direction::{Claim, DirectionStudy, FitPair, Fits, SizeSummary, Throughput};
 pub use failures::Failures;
 pub use sample::Sample;
 pub use verdict::{Kind, Verdict};
@@ -93,15 +93,15 @@ impl Study {
     pub fn new(setting: Setting, samples: Vec<Sample>, clocks: &[ClockSample]) -> Self {
         let count = |of: &dyn Fn(&Sample) -> bool| samples.iter().filter(|sample| of(sample)).count() as u64;
         let counts = Counts {
-            measured: count(&Sample::counts),
+            measured: count(&Sample::is_counted),
             warm_up: count(&|sample| sample.warm_up),
-            failed: count(&|sample| !sample.warm_up && !sample.counts()),
+            failed: count(&|sample| !sample.warm_up && !sample.is_counted()),
         };
         let up = DirectionStudy::new(Direction::Up, &samples);
         let down = DirectionStudy::new(Direction::Down, &samples);
         let clocks = Clocks::new(clocks, &samples);
-        let verdict = Verdict::of(&up, &down, &clocks).reconnected(setting.reconnections);
-        Self { failures: Failures::of(&samples), setting, counts, clocks, up, down, verdict, samples }
+        let verdict = Verdict::new(&up, &down, &clocks).with_reconnections(setting.reconnections);
+        Self { failures: Failures::by_outcome(&samples), setting, counts, clocks, up, down, verdict, samples }
     }
 
     /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder; returns the files that were written.
@@ -120,7 +120,7 @@ impl Study {
 
     /// Returns the text for a terminal: a table of sizes, a table of fits, reasons for payloads without an answer, and the verdict.
     pub fn text(&self) -> String {
-        let rehearsal = "rehearsal: the clock of one of the hosts was made wrong on purpose";
+        let rehearsal = "clock fault injection: the clock of one of the hosts was made wrong on purpose";
         let rehearsal = if self.setting.rehearsed { rehearsal } else { "" };
         let failures = failures::sentence(&self.failures, self.counts.measured + self.counts.failed);
         let (sizes, fits) = (tables::sizes_text(self), tables::fits_text(self));

@@ -48,7 +48,7 @@ impl Sample {
     }
 
     /// Returns whether the study uses it.
-    pub fn counts(&self) -> bool {
+    pub fn is_counted(&self) -> bool {
         !self.warm_up && self.outcome == Outcome::Ok.name()
     }
 

@@ -12,13 +12,14 @@ use crate::table::{csv, decimals_of, interval, text};
 use crate::{Passage, WriteError};
 
 /// Maximum number of decimals of a number of ms: a tenth of a microsecond.
-const MOST_IN_MS: usize = 4;
-const PASSAGE: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
+const MAX_MS_DECIMALS: usize = 4;
+const PASSAGE_COLUMNS: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
 /// Writes one row per iteration: seconds, bytes.
 pub(super) fn samples(samples: &[Sample], path: &Path) -> Result<(), WriteError> {
     let columns = |stage: &str| {
-        PASSAGE.map(|column| if column.is_empty() { stage.to_owned() } else { format!("{stage}-{column}") })
+        PASSAGE_COLUMNS
+            .map(|column| if column.is_empty() { stage.to_owned() } else { format!("{stage}-{column}") })
     };
     let mut header =
         ["iteration", "at", "payload-bytes", "warm-up", "outcome", "total"].map(str::to_owned).to_vec();
@@ -40,7 +41,9 @@ fn sample_row(sample: &Sample) -> Vec<String> {
     ];
     for direction in [Direction::Up, Direction::Down] {
         row.extend(
-            sample.passage(direction).map_or_else(|| vec![String::new(); PASSAGE.len()], passage_cells),
+            sample
+                .passage(direction)
+                .map_or_else(|| vec![String::new(); PASSAGE_COLUMNS.len()], passage_cells),
         );
     }
     row.push(cell(sample.reason.clone()));
@@ -144,7 +147,12 @@ fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>
     let cells = |size: &SizeSummary| {
         let bounds = if direction.same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(range) };
         let rate = size.throughput.map(|rate| measured(rate / 8e6, in_mb));
-        vec![fixed(size.median * 1e3, in_ms), known(size.tails.map(range)), known(bounds), known(rate)]
+        vec![
+            fixed(size.median * 1e3, in_ms),
+            or_unknown(size.tails.map(range)),
+            or_unknown(bounds),
+            or_unknown(rate),
+        ]
     };
     let of = |payload: &u64| sizes.iter().find(|size| size.payload_bytes == *payload).map(cells);
     payloads.iter().map(|payload| of(payload).unwrap_or_else(|| vec![UNKNOWN.to_owned(); 4])).collect()
@@ -160,16 +168,16 @@ pub(super) fn fits_text(study: &Study) -> String {
 /// Returns the rows of one direction: its fitted lines and the clock bounds; all numbers of a column have the same number of decimals.
 fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
     let Some(fits) = &direction.fits else { return Vec::new() };
-    let ways = [
+    let methods = [
         ("least squares, medians", &fits.medians.least_squares),
         ("Theil–Sen, medians", &fits.medians.theil_sen),
         ("least squares, all samples", &fits.samples.least_squares),
         ("Theil–Sen, all samples", &fits.samples.theil_sen),
         ("as published: raw stamps", &fits.raw),
     ];
-    let rates = ways.map(|(_, fit)| Throughput::of(fit.slope));
-    let margins = ways.iter().filter_map(|(_, fit)| fit.intercept.margin());
-    let digits = |seconds: f64| decimals(seconds * 1e3, 2).min(MOST_IN_MS);
+    let rates = methods.map(|(_, fit)| Throughput::from_slope(fit.slope));
+    let margins = methods.iter().filter_map(|(_, fit)| fit.intercept.margin());
+    let digits = |seconds: f64| decimals(seconds * 1e3, 2).min(MAX_MS_DECIMALS);
     let in_ms =
         margins.map(digits).max().unwrap_or_else(|| digits(fits.medians.least_squares.intercept.value));
     let in_mb = decimals_of(rates.iter().flatten().map(|rate| rate.value / 8e6));
@@ -180,18 +188,18 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
         None => format!("≥ {}", mb(lo)),
         Some(hi) => interval([mb(lo), mb(hi)]),
     };
-    let mut rows: Vec<Vec<String>> = ways
+    let mut rows: Vec<Vec<String>> = methods
         .iter()
         .zip(rates)
-        .map(|((way, fit), rate)| {
+        .map(|((method, fit), rate)| {
             let margin =
                 fit.intercept.margin().map_or_else(String::new, |margin| format!(" ± {}", ms(margin)));
             vec![
-                format!("{}: {way}", direction.name()),
+                format!("{}: {method}", direction.name()),
                 format!("{}{margin}", ms(fit.intercept.value)),
-                known(fit.intercept.interval.map(delays)),
-                known(rate.map(|rate| mb(rate.value))),
-                known(rate.and_then(|rate| rate.interval).map(speeds)),
+                or_unknown(fit.intercept.interval.map(delays)),
+                or_unknown(rate.map(|rate| mb(rate.value))),
+                or_unknown(rate.and_then(|rate| rate.interval).map(speeds)),
             ]
         })
         .collect();
@@ -201,12 +209,12 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
         let bounds = direction.throughput.and_then(|throughput| throughput.bounds);
         [direction.claimed.map(|claim| delays(claim.at_zero)), bounds.map(speeds)]
     };
-    let [delay, speed] = allowed.map(known);
+    let [delay, speed] = allowed.map(or_unknown);
     let name = format!("{}: what the clock bounds allow", direction.name());
     rows.push(vec![name, String::new(), delay, String::new(), speed]);
     rows
 }
 
-fn known(figure: Option<String>) -> String {
+fn or_unknown(figure: Option<String>) -> String {
     figure.unwrap_or_else(|| UNKNOWN.to_owned())
 }

@@ -17,17 +17,22 @@ const HALF: f64 = 50e-6;
 #[derive(Clone, Copy)]
 struct Link {
     /// Error of the estimate within its bounds or beyond them: added to upload, subtracted from download.
-    wrong: f64,
+    estimate_error: f64,
     /// Offset of the raw stamps.
     raw: f64,
     /// Seconds per byte squared.
-    bend: f64,
+    curvature: f64,
     verdict: Delay,
     source: DelaySource,
 }
 
-const GOOD: Link =
-    Link { wrong: 0.0, raw: 1.0, bend: 0.0, verdict: Delay::Limited, source: DelaySource::InBand };
+const GOOD: Link = Link {
+    estimate_error: 0.0,
+    raw: 1.0,
+    curvature: 0.0,
+    verdict: Delay::Limited,
+    source: DelaySource::InBand,
+};
 
 /// Returns the queueing time of a message: skewed, with every tenth message late by up to ten times as much; from 0 to 1 steps.
 fn waiting(number: u64) -> f64 {
@@ -39,8 +44,8 @@ fn waiting(number: u64) -> f64 {
 fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
     let wire = payload + 120;
     let bytes = wire as f64;
-    let true_delay = FIXED + PER_BYTE * bytes + link.bend * bytes * bytes + waiting(number);
-    let value = true_delay + sign * link.wrong;
+    let true_delay = FIXED + PER_BYTE * bytes + link.curvature * bytes * bytes + waiting(number);
+    let value = true_delay + sign * link.estimate_error;
     let span = |seconds: f64| Span::from_seconds_f64(seconds);
     let known = matches!(link.verdict, Delay::Ok | Delay::Limited);
     let bounds = Interval { lo: span((true_delay - HALF).max(0.0)), hi: span(true_delay + HALF) };
@@ -86,7 +91,7 @@ fn study(samples: Vec<Sample>) -> Study {
 }
 
 #[test]
-fn a_good_link_is_found_good_and_its_line_is_found() {
+fn good_link_is_trusted_and_line_is_fitted() {
     let study = study(sweep(GOOD));
     assert_eq!(study.counts, Counts { measured: 792, warm_up: 8, failed: 0 });
     assert_eq!(study.verdict.kind, Kind::Trusted, "{}", study.verdict.sentence);
@@ -113,20 +118,20 @@ fn a_good_link_is_found_good_and_its_line_is_found() {
 }
 
 #[test]
-fn a_wrong_clock_relation_is_told_from_a_bent_line() {
-    let wrong = study(sweep(Link { wrong: 130e-6, ..GOOD }));
+fn wrong_clock_relation_is_distinguished_from_bent_line() {
+    let wrong = study(sweep(Link { estimate_error: 130e-6, ..GOOD }));
     assert_eq!(wrong.verdict.kind, Kind::Contradicted, "{}", wrong.verdict.sentence);
     assert!(wrong.verdict.sentence.contains("the clocks are at fault"), "{}", wrong.verdict.sentence);
     // The fitted delay of an empty message is negative, which is impossible.
     assert!(wrong.down.main_fit().expect("a line").intercept.value < 0.0);
 
-    let bent = study(sweep(Link { bend: 4e-15, ..GOOD }));
+    let bent = study(sweep(Link { curvature: 4e-15, ..GOOD }));
     assert_eq!(bent.verdict.kind, Kind::Inconclusive, "{}", bent.verdict.sentence);
     assert!(bent.verdict.sentence.contains("straight line"), "{}", bent.verdict.sentence);
 }
 
 #[test]
-fn what_cannot_be_said_is_not_said() {
+fn unsuitable_sweeps_have_no_trusted_verdict() {
     let kind = |link: Link| study(sweep(link)).verdict.kind;
     assert_eq!(kind(Link { verdict: Delay::Stepped, ..GOOD }), Kind::Stepped);
     assert_eq!(kind(Link { verdict: Delay::Inconsistent, ..GOOD }), Kind::Inconsistent);
@@ -139,7 +144,7 @@ fn what_cannot_be_said_is_not_said() {
 }
 
 #[test]
-fn lost_answers_are_counted_and_kept_in_the_file() {
+fn lost_answers_are_counted_and_written() {
     let mut samples = sweep(GOOD);
     let lost = samples.last_mut().expect("there are some");
     (lost.outcome, lost.up, lost.down) = ("lost", None, None);
@@ -156,10 +161,10 @@ fn lost_answers_are_counted_and_kept_in_the_file() {
 }
 
 #[test]
-fn why_payloads_were_not_answered_is_counted_and_said() {
+fn reasons_for_unanswered_payloads_are_counted() {
     let mut samples = sweep(GOOD);
     let fail = |samples: &mut [Sample], count: usize, outcome: &'static str, reason: Option<&str>| {
-        let answered = samples.iter_mut().filter(|sample| sample.counts());
+        let answered = samples.iter_mut().filter(|sample| sample.is_counted());
         for sample in answered.take(count) {
             (sample.outcome, sample.up, sample.down) = (outcome, None, None);
             sample.reason = reason.map(str::to_owned);
@@ -176,12 +181,12 @@ fn why_payloads_were_not_answered_is_counted_and_said() {
         commonest_reason: reason.map(str::to_owned),
     });
     assert_eq!(study.failures, failures);
-    let said = "6 of 792 payloads were not answered: 4 failed (most often: too large), 2 not in time";
+    let said = "6 of 792 payloads were not answered: 4 failed (most often: too large), 2 timed out";
     assert!(study.text().contains(said), "{}", study.text());
 }
 
 #[test]
-fn on_one_clock_nothing_has_bounds_to_print() {
+fn same_clock_study_prints_exact_instead_of_bounds() {
     let study = study(sweep(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }));
     let text = study.text();
     let rows: Vec<&str> = text.lines().filter(|line| line.contains("exact")).collect();
@@ -190,7 +195,7 @@ fn on_one_clock_nothing_has_bounds_to_print() {
 }
 
 /// Returns a clock sample at second `at` that says that the cloud's clock is ahead by `ahead_ms` milliseconds.
-fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
+fn clock_sample(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
     let at = WallTime::from_unix_nanos(at * 1_000_000_000);
     let estimate = Span::from_millis(ahead_ms);
     let offset = Offset {
@@ -224,23 +229,23 @@ fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
 }
 
 #[test]
-fn a_peer_that_was_away_is_told_and_trusted_only_if_its_clock_is_the_same() {
+fn returned_peer_is_trusted_only_with_same_clock() {
     let study = |seconds: &[ClockSample]| {
         Study::new(Setting { reconnections: 1, ..Setting::default() }, sweep(GOOD), seconds)
     };
-    let same = study(&[second(1, 7, 1_000), second(2, 7, 1_000), second(9, 8, 1_000)]);
+    let same = study(&[clock_sample(1, 7, 1_000), clock_sample(2, 7, 1_000), clock_sample(9, 8, 1_000)]);
     assert_eq!((same.verdict.kind, same.clocks.steps), (Kind::Trusted, 0), "{}", same.verdict.sentence);
     assert!(same.verdict.sentence.contains("the peer went away once"), "{}", same.verdict.sentence);
-    assert!(same.verdict.sentence.contains("related anew"), "{}", same.verdict.sentence);
+    assert!(same.verdict.sentence.contains("related again"), "{}", same.verdict.sentence);
     // Ten minutes of drift by 50 ppm are 30 ms.
-    let drifted = study(&[second(1, 7, 1_000), second(601, 8, 1_029)]);
+    let drifted = study(&[clock_sample(1, 7, 1_000), clock_sample(601, 8, 1_029)]);
     assert_eq!(drifted.clocks.steps, 0);
-    let another = study(&[second(1, 7, 1_000), second(9, 8, 1_001)]);
+    let another = study(&[clock_sample(1, 7, 1_000), clock_sample(9, 8, 1_001)]);
     assert_eq!((another.verdict.kind, another.clocks.steps), (Kind::Stepped, 1));
 }
 
 #[test]
-fn all_files_are_written_and_say_their_units() {
+fn all_study_files_are_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let written = study(sweep(GOOD)).write(folder.path()).expect("writes");
     let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
@@ -252,7 +257,7 @@ fn all_files_are_written_and_say_their_units() {
 }
 
 #[test]
-fn the_terminal_shows_every_size_and_line() {
+fn text_shows_every_size_and_line() {
     let text = study(sweep(GOOD)).text();
     for part in [
         "100 B ",

@@ -49,7 +49,7 @@ pub struct Verdict {
 }
 
 /// Values of one direction that the comparison needs.
-struct Compared {
+struct InterceptCheck {
     name: &'static str,
     intercept: Estimate,
     claim: Claim,
@@ -58,51 +58,51 @@ struct Compared {
 }
 
 impl Verdict {
-    pub(super) fn of(up: &DirectionStudy, down: &DirectionStudy, clocks: &Clocks) -> Self {
-        let judged = |verdict| up.judged(&[verdict]) + down.judged(&[verdict]);
-        let say = |kind, sentence: String| Self { kind, within: None, sentence };
-        if clocks.steps > 0 || judged(Delay::Stepped) > 0 {
-            let unusable = match judged(Delay::Stepped) {
+    pub(super) fn new(up: &DirectionStudy, down: &DirectionStudy, clocks: &Clocks) -> Self {
+        let count = |verdict| up.count_verdicts(&[verdict]) + down.count_verdicts(&[verdict]);
+        let without_bound = |kind, sentence: String| Self { kind, within: None, sentence };
+        if clocks.steps > 0 || count(Delay::Stepped) > 0 {
+            let unusable = match count(Delay::Stepped) {
                 0 => String::new(),
                 stepped => format!(" ({stepped} delays are unusable)"),
             };
-            return say(
+            return without_bound(
                 Kind::Stepped,
                 format!(
-                    "the clocks were stepped during the study, or one is another than before{unusable}; calibrate again when they are quiet"
+                    "a clock was stepped or replaced during the study{unusable}; calibrate again when the clocks are stable"
                 ),
             );
         }
-        if judged(Delay::Inconsistent) > 0 {
+        if count(Delay::Inconsistent) > 0 {
             let sentence = "the hosts' time daemons and the messages between the hosts exclude each other: one clock is wrong by more than its daemon claims, or they drift apart faster than max_drift_ppm";
-            return say(Kind::Inconsistent, sentence.to_owned());
+            return without_bound(Kind::Inconsistent, sentence.to_owned());
         }
         if up.sizes.is_empty() && down.sizes.is_empty() {
-            return match judged(Delay::Unsynchronised) {
-                0 => say(Kind::Insufficient, "nothing was measured: no payload was answered".to_owned()),
-                _ => say(
+            return match count(Delay::Unsynchronised) {
+                0 => without_bound(Kind::Insufficient, "nothing was measured: no payload was answered".to_owned()),
+                _ => without_bound(
                     Kind::Unsynchronised,
-                    "nothing is known of the two clocks: no exchange related them, so that no delay has a value"
+                    "the offset of the two clocks is unknown: no exchange related them, so no delay has a value"
                         .to_owned(),
                 ),
             };
         }
         let (Some(up_fit), Some(down_fit)) = (up.main_fit(), down.main_fit()) else {
-            return say(
+            return without_bound(
                 Kind::Insufficient,
-                "too few sizes were answered for a line: it needs three".to_owned(),
+                "fewer than three sizes were answered: a line needs three".to_owned(),
             );
         };
         let intercepts = format!("{} up and {} down", with_margin(up_fit), with_margin(down_fit));
         if up.same_clock && down.same_clock {
             let sentence = format!(
-                "both ends read one clock: delays are exact, and the intercepts, {intercepts}, are what the link itself takes"
+                "both ends read one clock: delays are exact, and the intercepts, {intercepts}, are the delays of the link itself"
             );
             return Self { kind: Kind::Exact, within: Some(0.0), sentence };
         }
-        match (Compared::new(up, up_fit), Compared::new(down, down_fit)) {
+        match (InterceptCheck::new(up, up_fit), InterceptCheck::new(down, down_fit)) {
             (Some(up), Some(down)) => Self::compare(&up, &down, &intercepts, clocks),
-            _ => say(
+            _ => without_bound(
                 Kind::Unsynchronised,
                 format!(
                     "the delays have no bounds: nothing says how far the intercepts, {intercepts}, can be trusted"
@@ -112,7 +112,7 @@ impl Verdict {
     }
 
     /// Adds the number of times that the peer was away, and the consequence for the clocks.
-    pub(super) fn reconnected(mut self, times: u64) -> Self {
+    pub(super) fn with_reconnections(mut self, times: u64) -> Self {
         let times = match times {
             0 => return self,
             1 => "once".to_owned(),
@@ -120,7 +120,7 @@ impl Verdict {
         };
         let clocks = match self.kind {
             Kind::Exact | Kind::Unsynchronised | Kind::Insufficient => "",
-            _ => ", and the clocks were related anew: each delay is judged by the relation of its own time",
+            _ => ", and the clocks were related again: each delay uses the relation at its time",
         };
         self.sentence.push_str(&format!(
             "; the peer went away {times} during the study and came back (restarted, or the network broke){clocks}"
@@ -128,16 +128,16 @@ impl Verdict {
         self
     }
 
-    fn compare(up: &Compared, down: &Compared, intercepts: &str, clocks: &Clocks) -> Self {
+    fn compare(up: &InterceptCheck, down: &InterceptCheck, intercepts: &str, clocks: &Clocks) -> Self {
         let allowed =
             format!("{} ms up, {} ms down", range_ms(up.claim.at_zero), range_ms(down.claim.at_zero));
-        if up.is_vague() || down.is_vague() {
+        if up.is_imprecise() || down.is_imprecise() {
             let sentence = format!(
-                "the intercepts, {intercepts}, are less certain than what they are compared with, the clock bounds ({allowed}): the delay does not grow in a straight line with size over this link (see latency.png), or it needs more repeats; the bounds do not depend on this line"
+                "the intercepts, {intercepts}, are less certain than the clock bounds that they are compared with ({allowed}): the delay does not grow in a straight line with size over this link (see latency.png), or it needs more repeats; the bounds do not depend on this line"
             );
             return Self { kind: Kind::Inconclusive, within: None, sentence };
         }
-        let (above, below) = (up.outside(), down.outside());
+        let (above, below) = (up.distance_outside(), down.distance_outside());
         if above == 0.0 && below == 0.0 {
             let within = up.within.max(down.within);
             let sentence = format!(
@@ -158,7 +158,7 @@ impl Verdict {
                 "one is too long by what the other is too short, so the clocks are at fault: they drift apart faster{limit} (max_drift_ppm), or a stamp is wrong"
             )
         } else {
-            "the clocks alone cannot do that: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
+            "errors of the clocks alone cannot cause this: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
         };
         let sentence = format!(
             "of the intercepts, {intercepts}, {named} lies outside what the clock bounds allow ({allowed}); {reason}"
@@ -167,7 +167,7 @@ impl Verdict {
     }
 }
 
-impl Compared {
+impl InterceptCheck {
     fn new(direction: &DirectionStudy, fit: &Fit) -> Option<Self> {
         let claim = direction.claimed?;
         let median = direction.sizes.first()?.median;
@@ -176,15 +176,15 @@ impl Compared {
     }
 
     /// Returns whether the intercept's margin is wider than the bounds that it would be compared with.
-    fn is_vague(&self) -> bool {
-        let (least, most) = self.claim.at_zero;
-        self.intercept.margin().is_none_or(|margin| margin > most - least)
+    fn is_imprecise(&self) -> bool {
+        let (lowest, highest) = self.claim.at_zero;
+        self.intercept.margin().is_none_or(|margin| margin > highest - lowest)
     }
 
     /// Returns the distance of the intercept's interval from the allowed bounds: positive if it lies above them, negative if below.
-    fn outside(&self) -> f64 {
-        let ((lo, hi), (least, most)) = (self.intercept.span(), self.claim.at_zero);
-        (lo - most).max(0.0) + (hi - least).min(0.0)
+    fn distance_outside(&self) -> f64 {
+        let ((lo, hi), (lowest, highest)) = (self.intercept.span(), self.claim.at_zero);
+        (lo - highest).max(0.0) + (hi - lowest).min(0.0)
     }
 }
 

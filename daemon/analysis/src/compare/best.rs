@@ -3,64 +3,64 @@
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
 
-use super::ranking::{Ranking, computes};
-use super::render::{WHAT_IT_DOES_NOT, WHAT_IT_SAYS_OF_MEANS, in_milliseconds, with_interval};
-use super::{Comparison, Line, MeanEstimate, NOTHING, values};
+use super::ranking::{Ranking, model_computes};
+use super::render::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds, with_interval};
+use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, values};
 use crate::loaded::Loaded;
-use crate::table::{Captioned, Table};
+use crate::table::{CaptionedTable, Table};
 
 /// Ranks the lines, and stores the differences of the others to the best. Lines whose model computes nothing are ranked only if there are
 /// no other lines.
-pub(super) fn mark(comparison: &mut Comparison, runs: &[Loaded]) {
-    let computes = |line: &Line| line.runs.iter().all(|run| computes(&runs[*run].record.facts));
+pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
+    let computes = |line: &Line| line.runs.iter().all(|run| model_computes(&runs[*run].record.facts));
     let some_compute = comparison.lines.iter().any(computes);
     let ranked = comparison.lines.iter().enumerate().filter(|(_, line)| computes(line) == some_compute);
     let estimate = |(at, line): (usize, &Line)| {
-        let of_line = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.by));
-        (at, MeanEstimate::of_values(&of_line.collect::<Vec<_>>()))
+        let of_line = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.total_column));
+        (at, MeanEstimate::from_values(&of_line.collect::<Vec<_>>()))
     };
     let ranked: Vec<_> = ranked.map(estimate).collect();
     let is_ranked = |at: usize| ranked.iter().any(|(place, _)| *place == at);
     let unranked = (0..comparison.lines.len()).filter(|at| !is_ranked(*at)).collect();
-    let Some(ranking) = Ranking::of(&ranked) else { return };
+    let Some(ranking) = Ranking::from_means(&ranked) else { return };
     (comparison.ties, comparison.untested) = (ranking.ties(), ranking.untested());
     (comparison.best, comparison.unranked) = (Some(ranking.best), unranked);
-    for (at, difference) in ranking.beyond {
-        comparison.lines[at].beyond_best = difference;
+    for (at, difference) in ranking.differences {
+        comparison.lines[at].difference_to_best = difference;
     }
 }
 
 /// Returns how much larger the means of the other lines are than the best's. A comparison of three or more lines has this table instead of
 /// [`Differences`](super::Differences). `None` if no line is the best, or no other line has a mean.
-pub fn against_best(comparison: &Comparison) -> Option<Captioned> {
+pub fn differences_to_best(comparison: &Comparison) -> Option<CaptionedTable> {
     let best = comparison.best.filter(|_| comparison.lines.len() > 2)?;
-    comparison.lines.iter().find(|line| line.beyond_best.is_some())?;
+    comparison.lines.iter().find(|line| line.difference_to_best.is_some())?;
     let name = comparison.lines[best].name();
-    Some(Captioned {
+    Some(CaptionedTable {
         heading: printable_line(&format!(
             "Mean total ({}) against the smallest, {name}.",
             comparison.total()
         ))
         .into_owned(),
-        table: beyond_best(comparison),
+        table: differences_table(comparison),
         notes: format!(
-            "In ms. {WHAT_IT_SAYS_OF_MEANS} Each holds for itself: they are not corrected for their number. \
-             {WHAT_IT_DOES_NOT}"
+            "In ms. {MEAN_INTERVAL_MEANING} Each interval is computed alone: they are not corrected for their number. \
+             {INTERVAL_LIMITATION}"
         ),
     })
 }
 
-fn beyond_best(comparison: &Comparison) -> Table {
-    let Comparison { axes, lines, by, .. } = comparison;
-    let others = || lines.iter().filter_map(|line| Some((line, line.beyond_best?)));
+fn differences_table(comparison: &Comparison) -> Table {
+    let Comparison { axes, lines, total_column, .. } = comparison;
+    let others = || lines.iter().filter_map(|line| Some((line, line.difference_to_best?)));
     // One number of decimals for the whole column, so that its figures are easy to compare.
     let decimals = others().map(|(_, difference)| column_decimals(difference.margin()));
     let decimals = decimals.max().unwrap_or_default();
     let mut header = axes.clone();
     header.extend(["mean", "beyond the smallest", "95 % confidence"].map(str::to_owned));
     let rows = others().map(|(line, difference)| {
-        let mean = line.latency(by).map(|latency| in_milliseconds(latency.mean, decimals));
-        let mean = mean.unwrap_or_else(|| NOTHING.to_owned());
+        let mean = line.latency(total_column).map(|latency| in_milliseconds(latency.mean, decimals));
+        let mean = mean.unwrap_or_else(|| EMPTY_CELL.to_owned());
         line.labels.iter().cloned().chain([mean]).chain(with_interval(difference, decimals)).collect()
     });
     Table { header, labels: axes.len(), rows: rows.collect(), marked: Vec::new() }
@@ -74,9 +74,9 @@ mod tests {
     use crate::rows::Outcome;
 
     #[test]
-    fn every_other_line_is_compared_with_the_best() {
-        let comparison = Comparison::of(&paper());
-        let against = against_best(&comparison).expect("three lines");
+    fn other_lines_are_compared_with_the_best() {
+        let comparison = Comparison::new(&paper());
+        let against = differences_to_best(&comparison).expect("three lines");
         let expected = "\
 Mean total (measured) against the smallest, orin.
 
@@ -87,35 +87,35 @@ cuda:0  can      105.550              +85.290          +85.290
         assert!(against.text().starts_with(expected), "{}", against.text());
         assert!(against.text().contains(" they are not corrected for their number. "), "{}", against.text());
         assert!(against.latex().contains("+3.130") && against.markdown().contains("| +3.130 |"));
-        let ends = comparison.lines[1].beyond_best.expect("known").ends();
+        let ends = comparison.lines[1].difference_to_best.expect("known").ends();
         let csv = comparison.csv();
         let cells = csv.lines().nth(2).into_iter().flat_map(|line| line.rsplit(',').skip(1).take(3));
         assert_eq!(
             cells.map(|cell| cell.parse().ok()).collect::<Vec<Option<f64>>>(),
             [ends[2], ends[1], ends[0]]
         );
-        assert!(against_best(&Comparison::of(&paper()[..2])).is_none(), "two have their stages");
+        assert!(differences_to_best(&Comparison::new(&paper()[..2])).is_none(), "two have their stages");
     }
 
     #[test]
-    fn a_line_of_too_few_iterations_has_no_interval() {
+    fn line_of_few_iterations_has_no_interval() {
         let mut runs = paper();
         runs[1].rows.change(|row| row.warm_up = row.iteration > 20);
-        let comparison = Comparison::of(&runs);
-        let text = against_best(&comparison).expect("three lines").text();
+        let comparison = Comparison::new(&runs);
+        let text = differences_to_best(&comparison).expect("three lines").text();
         let lan = text.lines().find(|line| line.contains("lan")).expect("a line");
         assert!(lan.contains("+3.13") && lan.ends_with('—'), "{text}");
         assert_eq!(comparison.untested, [1]);
     }
 
     #[test]
-    fn nothing_is_known_of_a_line_that_measured_nothing() {
+    fn line_without_measurements_is_untested() {
         let mut runs = paper();
         runs[1].rows.change(|row| row.outcome = Outcome::Lost);
         for (runs, repeats) in
-            [(&runs[..2], Repeats::Pooled), (&runs[..2], Repeats::Apart), (&runs[..], Repeats::Pooled)]
+            [(&runs[..2], Repeats::Pooled), (&runs[..2], Repeats::Separate), (&runs[..], Repeats::Pooled)]
         {
-            let comparison = Comparison::with(runs, repeats);
+            let comparison = Comparison::with_repeats(runs, repeats);
             assert_eq!((comparison.best, comparison.untested.as_slice()), (Some(0), [1].as_slice()));
             let told = "too few iterations to tell whether it differs from cuda:0";
             assert!(comparison.text().contains(told), "{}", comparison.text());

@@ -57,20 +57,20 @@ mod tests {
 
     use super::*;
 
-    /// Returns a first-order autoregressive series with the coefficient `keeps`.
-    fn autoregressive(keeps: f64, count: usize) -> Vec<f64> {
+    /// Returns a first-order autoregressive series with the coefficient `correlation`.
+    fn autoregressive(correlation: f64, count: usize) -> Vec<f64> {
         let mut random = StdRng::seed_from_u64(5);
         let mut last = 0.0;
         let next = |_| {
-            last = keeps * last + random.random_range(-1.0..1.0);
+            last = correlation * last + random.random_range(-1.0..1.0);
             last
         };
         (0..count).map(next).collect()
     }
 
     #[test]
-    fn blocks_grow_with_the_memory_of_the_values() {
-        let lengths = [0.0, 0.5, 0.9].map(|keeps| length(&autoregressive(keeps, 4000)));
+    fn block_length_grows_with_autocorrelation() {
+        let lengths = [0.0, 0.5, 0.9].map(|correlation| length(&autoregressive(correlation, 4000)));
         assert!(lengths[0] < 6.0, "{lengths:?}");
         // (2 φ / (1 − φ²))² n to the third: 19.2 and 71 for infinitely many values.
         assert!((12.0..30.0).contains(&lengths[1]), "{lengths:?}");
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn values_without_variance_need_no_blocks() {
+    fn constant_values_have_block_length_one() {
         assert_eq!((length(&[2.0; 50]), length(&[1.0]), length(&[])), (1.0, 1.0, 1.0));
     }
 }

@@ -9,11 +9,11 @@ use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
 /// Cell of a run that has no such fact.
-pub(super) const NOTHING: &str = "—";
+pub(super) const EMPTY_CELL: &str = "—";
 /// Facts that follow from a run's model or data set, which has a column already.
-const IMPLIED: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
+const IMPLIED_FACTS: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
 /// Maximum number of labels of one group that are written side by side.
-const MOST_TOGETHER: usize = 3;
+const MAX_JOINED_LABELS: usize = 3;
 
 /// Configurations of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -30,52 +30,53 @@ impl Configurations {
     /// Runs of one experiment are distinguished by all of its fields, as the experiment's author declared them. Other runs have as few
     /// columns as are needed to distinguish them. Runs that are alike, or of which nothing is known, are named after their folders or
     /// files. Repeats and edges of one configuration always have the same labels.
-    pub fn of(runs: &[Loaded]) -> Self {
-        Self::and_the_rest(runs).0
+    pub fn from_runs(runs: &[Loaded]) -> Self {
+        Self::with_other_differences(runs).0
     }
 
     /// Returns the configurations, and sentences about their other differences.
-    pub(super) fn and_the_rest(runs: &[Loaded]) -> (Self, Vec<String>) {
+    pub(super) fn with_other_differences(runs: &[Loaded]) -> (Self, Vec<String>) {
         let places: Vec<Vec<(String, String)>> = runs.iter().map(|run| place(&run.record)).collect();
         let names =
             |place: &Vec<(String, String)>| place.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
         let same_axes = places.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
         if same_axes && runs.iter().all(|run| run.record.experiment.is_some()) {
-            (Self::declared(runs, &places), Vec::new())
+            (Self::from_experiment_fields(runs, &places), Vec::new())
         } else {
-            Self::found(runs, &places)
+            Self::from_records(runs, &places)
         }
     }
 
-    fn declared(runs: &[Loaded], places: &[Vec<(String, String)>]) -> Self {
+    fn from_experiment_fields(runs: &[Loaded], places: &[Vec<(String, String)>]) -> Self {
         let mut this = Self::tabulate(places);
         let executions = executions(runs);
         if differ(&executions) {
             this.add("execution", executions);
         }
-        if this.has_strangers_alike(runs) {
+        if this.has_unrelated_duplicates(runs) {
             let groups = groups(runs);
             let names = folders(runs, &groups);
-            this.add("run", of_each(runs.len(), &groups, &names));
+            this.add("run", labels_by_run(runs.len(), &groups, &names));
         }
-        this.name_if_nothing_does(runs);
+        this.add_names_if_unlabelled(runs);
         this
     }
 
-    fn found(runs: &[Loaded], places: &[Vec<(String, String)>]) -> (Self, Vec<String>) {
+    fn from_records(runs: &[Loaded], places: &[Vec<(String, String)>]) -> (Self, Vec<String>) {
         let groups = groups(runs);
         let pairs = runs.iter().zip(places).zip(executions(runs)).map(|((run, place), execution)| {
             [place.clone(), vec![("execution".to_owned(), execution)], found(&run.record)].concat()
         });
         let all = Self::tabulate(&pairs.collect::<Vec<_>>());
         let column = |(at, axis): (usize, String)| {
-            let labels = groups.iter().map(|group| together(group.iter().map(|run| &all.labels[*run][at])));
+            let labels =
+                groups.iter().map(|group| join_labels(group.iter().map(|run| &all.labels[*run][at])));
             Column { axis, labels: labels.collect() }
         };
         let columns = all.axes.iter().cloned().enumerate().map(column);
         let ChosenColumns { mut columns, rest } =
             columns::choose_columns(columns.filter(|column| differ(&column.labels)).collect());
-        let nameless = |group: usize| columns.iter().all(|column| column.labels[group] == NOTHING);
+        let nameless = |group: usize| columns.iter().all(|column| column.labels[group] == EMPTY_CELL);
         let named = (0..groups.len()).all(|group| !nameless(group));
         let name = |place: usize, columns: &mut Vec<Column>| {
             let column = Column { axis: "run".to_owned(), labels: folders(runs, &groups) };
@@ -84,24 +85,24 @@ impl Configurations {
         if groups.len() > 1 {
             if !named {
                 name(0, &mut columns);
-            } else if !columns::tell_apart(&columns, groups.len()) {
+            } else if !columns::are_distinct(&columns, groups.len()) {
                 name(columns.len(), &mut columns);
             }
         }
         let sentences = columns::sentences(&columns, &rest);
         let mut this = Self { axes: Vec::new(), labels: vec![Vec::new(); runs.len()] };
         for Column { axis, labels } in &columns {
-            this.add(axis, of_each(runs.len(), &groups, labels));
+            this.add(axis, labels_by_run(runs.len(), &groups, labels));
         }
-        this.name_if_nothing_does(runs);
+        this.add_names_if_unlabelled(runs);
         (this, sentences)
     }
 
-    fn name_if_nothing_does(&mut self, runs: &[Loaded]) {
+    fn add_names_if_unlabelled(&mut self, runs: &[Loaded]) {
         if self.axes.is_empty() {
             let groups = groups(runs);
             let names = groups.iter().map(|group| runs[group[0]].record.name.clone()).collect::<Vec<_>>();
-            self.add("run", of_each(runs.len(), &groups, &names));
+            self.add("run", labels_by_run(runs.len(), &groups, &names));
         }
     }
 
@@ -119,7 +120,7 @@ impl Configurations {
                 .iter()
                 .find(|(name, _)| name.eq_ignore_ascii_case(axis))
                 .map(|(_, label)| label.clone());
-            found.filter(|label| !label.is_empty()).unwrap_or_else(|| NOTHING.to_owned())
+            found.filter(|label| !label.is_empty()).unwrap_or_else(|| EMPTY_CELL.to_owned())
         };
         let labels = pairs.iter().map(|pairs| axes.iter().map(|axis| label(pairs, axis)).collect()).collect();
         Self { axes, labels }
@@ -135,7 +136,7 @@ impl Configurations {
         let repeat = |run: &Loaded| match &run.record.experiment {
             // Repeats are shown from 1.
             Some(place) => (place.repeat + 1).to_string(),
-            None => NOTHING.to_owned(),
+            None => EMPTY_CELL.to_owned(),
         };
         let repeats: Vec<String> = runs.iter().map(repeat).collect();
         if differ(&repeats) {
@@ -145,7 +146,7 @@ impl Configurations {
 
     /// Gives each of the chosen runs a separate line, next to the other repeats of its configuration. Edges that were measured at the same
     /// time stay together.
-    pub(super) fn set_apart(&mut self, runs: &[Loaded], chosen: &[usize]) {
+    pub(super) fn separate_runs(&mut self, runs: &[Loaded], chosen: &[usize]) {
         let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|place| place.repeat);
         let label = |run: usize| {
             let siblings = chosen.iter().filter(|other| self.labels[**other] == self.labels[run]);
@@ -153,7 +154,7 @@ impl Configurations {
             repeats.sort();
             repeats.dedup();
             match (repeats.contains(&repeat(run)), repeats.as_slice()) {
-                (_, []) => NOTHING.to_owned(),
+                (_, []) => EMPTY_CELL.to_owned(),
                 (false, _) => "the other repeats".to_owned(),
                 // Repeats are shown from 1.
                 (true, [Some(repeat)]) => format!("repeat {}", repeat + 1),
@@ -167,7 +168,7 @@ impl Configurations {
     }
 
     /// Returns whether two runs have the same labels without being declared repeats of each other.
-    fn has_strangers_alike(&self, runs: &[Loaded]) -> bool {
+    fn has_unrelated_duplicates(&self, runs: &[Loaded]) -> bool {
         let pairs = (0..runs.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
         let mut alike = pairs.filter(|(a, b)| self.labels[*a] == self.labels[*b]);
         alike.any(|(a, b)| !are_repeats(&runs[a].record, &runs[b].record))
@@ -200,7 +201,7 @@ fn found(record: &RunRecord) -> Vec<(String, String)> {
         pair("edge", Some(&record.edge.name)),
         pair("cloud", record.cloud.as_ref().map(|cloud| cloud.name.as_str())),
     ];
-    let implied = |fact: &str| IMPLIED.iter().any(|name| name.eq_ignore_ascii_case(fact));
+    let implied = |fact: &str| IMPLIED_FACTS.iter().any(|name| name.eq_ignore_ascii_case(fact));
     pairs.extend(record.facts.iter().filter(|(fact, _)| !implied(fact)).cloned());
     pairs
 }
@@ -209,12 +210,12 @@ fn found(record: &RunRecord) -> Vec<(String, String)> {
 fn executions(runs: &[Loaded]) -> Vec<String> {
     let experiments = || runs.iter().map(|run| run.record.experiment.as_ref());
     let names: Vec<String> =
-        experiments().map(|place| place.map_or(NOTHING, |place| &place.name).to_owned()).collect();
+        experiments().map(|place| place.map_or(EMPTY_CELL, |place| &place.name).to_owned()).collect();
     if differ(&names) {
         return names;
     }
     let short = |id: &str| id.chars().take(8).collect::<String>();
-    experiments().map(|place| place.map_or_else(|| NOTHING.to_owned(), |place| short(&place.id))).collect()
+    experiments().map(|place| place.map_or_else(|| EMPTY_CELL.to_owned(), |place| short(&place.id))).collect()
 }
 
 /// Returns the runs as groups of repeats and edges of one configuration.
@@ -233,8 +234,8 @@ fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
 }
 
 /// Returns the label of each run, from the labels of the groups.
-fn of_each(runs: usize, groups: &[Vec<usize>], labels: &[String]) -> Vec<String> {
-    let mut all = vec![NOTHING.to_owned(); runs];
+fn labels_by_run(runs: usize, groups: &[Vec<usize>], labels: &[String]) -> Vec<String> {
+    let mut all = vec![EMPTY_CELL.to_owned(); runs];
     for (group, label) in groups.iter().zip(labels) {
         group.iter().for_each(|run| all[*run].clone_from(label));
     }
@@ -242,14 +243,14 @@ fn of_each(runs: usize, groups: &[Vec<usize>], labels: &[String]) -> Vec<String>
 }
 
 /// Returns the labels of the runs of a group as one label.
-fn together<'a>(labels: impl Iterator<Item = &'a String>) -> String {
+fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     let mut distinct: Vec<&str> = Vec::new();
     for label in labels {
         if !distinct.contains(&label.as_str()) {
             distinct.push(label);
         }
     }
-    if distinct.len() > MOST_TOGETHER {
+    if distinct.len() > MAX_JOINED_LABELS {
         return format!("{} different", distinct.len());
     }
     distinct.join(" + ")
@@ -268,7 +269,7 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     };
     let of_group = |group: &Vec<usize>| {
         let paths: Vec<Vec<String>> = group.iter().map(parts).collect();
-        let mut parts = paths[0][..common(&paths)].to_vec();
+        let mut parts = paths[0][..common_prefix_len(&paths)].to_vec();
         if paths.len() > 1 {
             parts.pop_if(|last| *last == "runs");
         }
@@ -277,12 +278,12 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let all: Vec<Vec<String>> = groups.iter().map(of_group).collect();
     let shortest = all.iter().map(Vec::len).min().unwrap_or_default();
     // The last part of a path is always shown.
-    let front = common(&all).min(shortest.saturating_sub(1));
+    let front = common_prefix_len(&all).min(shortest.saturating_sub(1));
     all.iter().map(|parts| parts[front..].iter().collect::<PathBuf>().display().to_string()).collect()
 }
 
 /// Returns the number of leading parts that all paths have in common.
-fn common(paths: &[Vec<String>]) -> usize {
+fn common_prefix_len(paths: &[Vec<String>]) -> usize {
     let shortest = paths.iter().map(Vec::len).min().unwrap_or_default();
     (0..shortest).take_while(|at| paths.iter().all(|parts| parts[*at] == paths[0][*at])).count()
 }
@@ -297,13 +298,13 @@ mod tests {
     use crate::rows::Rows;
 
     #[test]
-    fn runs_are_named_by_their_folders_wherever_these_are() {
+    fn runs_are_named_by_folders_without_common_prefix() {
         let run = |folder: &str| Loaded {
             folder: PathBuf::from(folder),
             record: RunRecord { format: 1, ..RunRecord::default() },
             rows: Rows::default(),
         };
-        let named = |folders: [&str; 2]| Configurations::of(&folders.map(run)).labels.concat();
+        let named = |folders: [&str; 2]| Configurations::from_runs(&folders.map(run)).labels.concat();
         assert_eq!(named(["a/x", "a/y"]), ["x", "y"]);
         assert_eq!(named(["near", "/tmp/far"]), ["near", "/tmp/far"]);
         assert_eq!(named(["/near", "/tmp/far"]), ["near", "tmp/far"]);

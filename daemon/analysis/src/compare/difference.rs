@@ -25,7 +25,7 @@ impl Difference {
     ///
     /// The interval is Welch's (Biometrika 34, 1947), for unequal variances, of the means of batches. Both means are exact: batches
     /// need not have the same length, so that the mean of their means is not quite the mean of all.
-    pub fn of_means(first: &MeanEstimate, second: &MeanEstimate) -> Self {
+    pub fn between_means(first: &MeanEstimate, second: &MeanEstimate) -> Self {
         let value = second.mean - first.mean;
         let half_width = first.error().zip(second.error()).and_then(|(a, b)| half_width(&a, &b));
         Self { value, interval: half_width.map(|half| (value - half, value + half)) }
@@ -57,17 +57,17 @@ pub struct MeanEstimate {
 
 impl MeanEstimate {
     /// Returns the estimate from the values of each run in the order in which they were measured; `None` without any value.
-    pub fn of_values(runs: &[Vec<f64>]) -> Option<Self> {
-        Self::of_series(runs.iter().map(Vec::as_slice))
+    pub fn from_values(runs: &[Vec<f64>]) -> Option<Self> {
+        Self::from_series(runs.iter().map(Vec::as_slice))
     }
 
     /// Returns the estimate from buckets of each run in the order of time, which have the count and the mean of their values; `None`
     /// without any value.
-    pub fn of_buckets(runs: &[Vec<(u64, f64)>]) -> Option<Self> {
-        Self::of_series(runs.iter().map(Vec::as_slice))
+    pub fn from_buckets(runs: &[Vec<(u64, f64)>]) -> Option<Self> {
+        Self::from_series(runs.iter().map(Vec::as_slice))
     }
 
-    fn of_series<'a, S: Series + ?Sized + 'a>(runs: impl Iterator<Item = &'a S> + Clone) -> Option<Self> {
+    fn from_series<'a, S: Series + ?Sized + 'a>(runs: impl Iterator<Item = &'a S> + Clone) -> Option<Self> {
         let measured = runs.filter(|run| run.total_count() > 0);
         let (mut count, mut sum) = (0, 0.0);
         for run in measured.clone() {
@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     fn of_values(runs: &[Vec<f64>]) -> MeanEstimate {
-        MeanEstimate::of_values(runs).expect("values")
+        MeanEstimate::from_values(runs).expect("values")
     }
 
     /// The expected values were calculated by hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so 2.5 ± 2.26255 ×
@@ -139,7 +139,7 @@ mod tests {
             batches: values.to_vec(),
         };
         let found =
-            Difference::of_means(&of(&[1.0, 2.0, 3.0, 4.0, 5.0]), &of(&[3.0, 5.0, 4.0, 6.0, 7.0, 8.0]));
+            Difference::between_means(&of(&[1.0, 2.0, 3.0, 4.0, 5.0]), &of(&[3.0, 5.0, 4.0, 6.0, 7.0, 8.0]));
         assert!((found.value - 2.5).abs() < 1e-12 && found.is_distinct() == Some(true));
         let (lo, hi) = found.interval.expect("enough batches");
         assert!((lo - 0.145_05).abs() < 1e-4 && (hi - 4.854_95).abs() < 1e-4, "{lo} {hi}");
@@ -147,54 +147,54 @@ mod tests {
 
     #[test]
     fn interval_contains_truth_as_often_as_it_says() {
-        for (count, keeps) in [(30, 0.0), (300, 0.0), (300, 0.6), (4_000, 0.6)] {
+        for (count, correlation) in [(30, 0.0), (300, 0.0), (300, 0.6), (4_000, 0.6)] {
             let contains = |seed: &u64| {
                 let [a, b] = [(10.0, 2 * seed), (10.5, 2 * seed + 1)]
-                    .map(|(mean, seed)| of_values(&[run(keeps, count, mean, seed)]));
-                let (lo, hi) = Difference::of_means(&a, &b).interval.expect("enough values");
+                    .map(|(mean, seed)| of_values(&[run(correlation, count, mean, seed)]));
+                let (lo, hi) = Difference::between_means(&a, &b).interval.expect("enough values");
                 lo <= 0.5 && 0.5 <= hi
             };
             let share = (0..400_u64).filter(contains).count() / 4;
-            assert!((89..=99).contains(&share), "{share} % of {count} values with correlation {keeps}");
+            assert!((89..=99).contains(&share), "{share} % of {count} values with correlation {correlation}");
         }
     }
 
     #[test]
-    fn buckets_tell_what_their_values_tell() {
+    fn buckets_give_same_interval_as_values() {
         let runs = [run(0.6, 3_000, 10.0, 1), run(0.6, 1_000, 10.1, 2)];
         let buckets = runs.clone().map(|values| {
             let mean = |bucket: &[f64]| bucket.iter().sum::<f64>() / bucket.len() as f64;
             values.chunks(25).map(|bucket| (bucket.len() as u64, mean(bucket))).collect::<Vec<_>>()
         });
         let of_buckets = |buckets: &Vec<(u64, f64)>| {
-            MeanEstimate::of_buckets(std::slice::from_ref(buckets)).expect("values")
+            MeanEstimate::from_buckets(std::slice::from_ref(buckets)).expect("values")
         };
-        let exact = Difference::of_means(&of_values(&runs[..1]), &of_values(&runs[1..]));
-        let stored = Difference::of_means(&of_buckets(&buckets[0]), &of_buckets(&buckets[1]));
+        let exact = Difference::between_means(&of_values(&runs[..1]), &of_values(&runs[1..]));
+        let stored = Difference::between_means(&of_buckets(&buckets[0]), &of_buckets(&buckets[1]));
         assert!((exact.value - stored.value).abs() < 1e-9);
         let [exact, stored] = [exact, stored].map(|found| found.margin().expect("enough values"));
         assert!((exact / stored - 1.0).abs() < 0.1, "{exact} {stored}");
     }
 
     #[test]
-    fn too_few_values_of_a_run_have_no_interval() {
+    fn run_of_few_values_has_no_interval() {
         let long = run(0.0, 300, 1.0, 1);
         for runs in [vec![vec![1.0; 29]], vec![long.clone(), vec![1.0; 29]]] {
-            let found = Difference::of_means(&of_values(std::slice::from_ref(&long)), &of_values(&runs));
+            let found = Difference::between_means(&of_values(std::slice::from_ref(&long)), &of_values(&runs));
             assert_eq!((found.interval, found.is_distinct()), (None, None));
         }
         let with_empty = of_values(&[long.clone(), Vec::new()]);
         assert_eq!(with_empty, of_values(std::slice::from_ref(&long)), "a run without values says nothing");
-        assert_eq!(MeanEstimate::of_values(&[Vec::new()]), None);
-        let few_buckets = MeanEstimate::of_buckets(&[vec![(100, 1.0); 4]]).expect("values");
+        assert_eq!(MeanEstimate::from_values(&[Vec::new()]), None);
+        let few_buckets = MeanEstimate::from_buckets(&[vec![(100, 1.0); 4]]).expect("values");
         assert_eq!((few_buckets.batches(), few_buckets.mean()), (4, 1.0));
-        assert_eq!(Difference::of_means(&few_buckets, &few_buckets).interval, None);
+        assert_eq!(Difference::between_means(&few_buckets, &few_buckets).interval, None);
     }
 
     #[test]
-    fn equal_values_differ_by_exactly_nothing() {
+    fn equal_values_have_zero_difference() {
         let same = of_values(&[vec![2.0; 40]]);
-        let found = Difference::of_means(&same, &same);
+        let found = Difference::between_means(&same, &same);
         assert_eq!((found.interval, found.is_distinct()), (Some((0.0, 0.0)), Some(false)));
     }
 }

@@ -52,13 +52,13 @@ pub struct StageDifference {
 
 impl Differences {
     /// Compares a run with a baseline.
-    pub fn of(baseline: &Loaded, other: &Loaded, seed: u64) -> Self {
+    pub fn between_runs(baseline: &Loaded, other: &Loaded, seed: u64) -> Self {
         let name = |run: &Loaded| run.record.title.clone();
-        Self::between((name(baseline), &[baseline]), (name(other), &[other]), seed)
+        Self::between_groups((name(baseline), &[baseline]), (name(other), &[other]), seed)
     }
 
     /// Compares a line of a comparison of `runs` with another one.
-    pub fn of_lines(
+    pub fn between_lines(
         comparison: &Comparison,
         runs: &[Loaded],
         baseline: usize,
@@ -71,15 +71,15 @@ impl Differences {
             (line.name(), runs)
         };
         let (baseline, other) = (line(baseline), line(other));
-        Self::between((baseline.0, &baseline.1), (other.0, &other.1), seed)
+        Self::between_groups((baseline.0, &baseline.1), (other.0, &other.1), seed)
     }
 
-    fn between(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
+    fn between_groups(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
         let (a, b) = (baseline.1, other.1);
         // The stages are computed in parallel, but not all at once, because each computation holds the values of a stage in memory.
         let share = STAGES.len().div_ceil(available_parallelism().map_or(1, NonZero::get));
         let of = |stages: &[&str]| {
-            let found = stages.iter().filter_map(|stage| StageDifference::of(stage, a, b, seed));
+            let found = stages.iter().filter_map(|stage| StageDifference::new(stage, a, b, seed));
             found.collect::<Vec<_>>()
         };
         let stages = std::thread::scope(|scope| {
@@ -95,16 +95,16 @@ impl Differences {
 }
 
 impl StageDifference {
-    fn of(stage: &str, baseline: &[&Loaded], other: &[&Loaded], seed: u64) -> Option<Self> {
+    fn new(stage: &str, baseline: &[&Loaded], other: &[&Loaded], seed: u64) -> Option<Self> {
         let values_of =
             |runs: &[&Loaded]| -> Vec<Vec<f64>> { runs.iter().map(|run| values(&run.rows, stage)).collect() };
         let (a, b) = (values_of(baseline), values_of(other));
-        let means = (MeanEstimate::of_values(&a)?, MeanEstimate::of_values(&b)?);
+        let means = (MeanEstimate::from_values(&a)?, MeanEstimate::from_values(&b)?);
         let samples = (Sample::new(&a), Sample::new(&b));
         Some(Self {
             stage: stage.to_owned(),
             means: (means.0.mean(), means.1.mean()),
-            mean: Difference::of_means(&means.0, &means.1),
+            mean: Difference::between_means(&means.0, &means.1),
             medians: (samples.0.median()?, samples.1.median()?),
             median: median_difference(&samples.0, &samples.1, seed)?,
             clocks: half_width(baseline, stage).zip(half_width(other, stage)).map(|(a, b)| a + b),
@@ -117,7 +117,7 @@ fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
     let width =
         |row: RowRef<'_>| Some(row.value(&format!("{stage}-hi"))? - row.value(&format!("{stage}-lo"))?);
-    let rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts());
+    let rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted());
     let (sum, count) = rows.filter_map(width).fold((0.0, 0_u64), |(sum, n), width| (sum + width, n + 1));
     (count > 0).then(|| sum / count as f64 / 2.0)
 }

@@ -5,19 +5,19 @@ use rand::{Rng, SeedableRng};
 
 use super::blocks;
 use super::difference::{Difference, MIN_VALUES};
-use crate::order::Ordered;
+use crate::order::SortedValues;
 
 /// Resamples: the ends of a 95 % interval are then the 50th from either side.
 const RESAMPLES: usize = 2000;
 /// Maximum number of pieces of a run. Neighbouring values of a longer run are joined before the bootstrap. With this number the width of an
 /// interval is known to 2 %, as precisely as [`RESAMPLES`] resamples determine its ends, and a draw takes the same time for a run of any
 /// length.
-const PIECES: usize = 2000;
+const MAX_PIECES: usize = 2000;
 
 /// Values of pooled runs, each run's in the order in which they were measured.
 pub(super) struct Sample<'a> {
     runs: &'a [Vec<f64>],
-    sorted: Ordered,
+    sorted: SortedValues,
 }
 
 impl<'a> Sample<'a> {
@@ -45,24 +45,29 @@ impl<'a> Sample<'a> {
 /// computed from *that* series, and the median of a resample is the quantile that is as far from the middle as the resample has more values
 /// on one side. A resample is therefore a sum, and prefix sums of the run give it without reading the values.
 pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
-    resampled(a, b, seed, RESAMPLES)
+    difference_from_resamples(a, b, seed, RESAMPLES)
 }
 
-fn resampled(a: &Sample<'_>, b: &Sample<'_>, seed: u64, resamples: usize) -> Option<Difference> {
-    let (first, second) = (Group::new(a)?, Group::new(b)?);
+fn difference_from_resamples(
+    a: &Sample<'_>,
+    b: &Sample<'_>,
+    seed: u64,
+    resamples: usize,
+) -> Option<Difference> {
+    let (first, second) = (BootstrapSample::new(a)?, BootstrapSample::new(b)?);
     let value = second.median - first.median;
     let interval = (a.is_enough() && b.is_enough()).then(|| {
         let mut random = StdRng::seed_from_u64(seed);
         let drawn = (0..resamples).map(|_| second.draw(&mut random) - first.draw(&mut random));
-        let drawn: Ordered = drawn.collect();
+        let drawn: SortedValues = drawn.collect();
         Some((drawn.quantile(0.025)?, drawn.quantile(0.975)?))
     });
     Some(Difference { value, interval: interval.flatten() })
 }
 
 /// Sample in a form from which resamples are drawn quickly.
-struct Group<'a> {
-    sorted: &'a Ordered,
+struct BootstrapSample<'a> {
+    sorted: &'a SortedValues,
     median: f64,
     runs: Vec<Run>,
 }
@@ -75,15 +80,15 @@ struct Run {
     block: f64,
 }
 
-impl<'a> Group<'a> {
+impl<'a> BootstrapSample<'a> {
     fn new(sample: &'a Sample<'_>) -> Option<Self> {
         let Sample { runs, sorted } = sample;
         let median = sample.median()?;
         let above = sorted.len() - sorted.values().partition_point(|value| *value <= median);
-        let usual = above as f64 / sorted.len() as f64;
-        let excess = |of: &f64| f64::from(u8::from(*of > median)) - usual;
+        let expected_share = above as f64 / sorted.len() as f64;
+        let excess = |of: &f64| f64::from(u8::from(*of > median)) - expected_share;
         let run = |values: &Vec<f64>| {
-            let pieces = values.chunks(values.len().div_ceil(PIECES));
+            let pieces = values.chunks(values.len().div_ceil(MAX_PIECES));
             let pieces: Vec<f64> = pieces.map(|piece| piece.iter().map(excess).sum()).collect();
             let mut sums = vec![0.0];
             sums.extend(pieces.iter().scan(0.0, |sum, piece| {
@@ -140,11 +145,12 @@ mod tests {
     }
 
     /// Returns how many of 100 intervals of runs of `count` values contain the true difference of 0.5, in percent.
-    fn coverage(count: usize, keeps: f64) -> usize {
+    fn coverage(count: usize, correlation: f64) -> usize {
         let contains = |seed: u64| {
-            let [a, b] =
-                [(10.0, 2 * seed), (10.5, 2 * seed + 1)].map(|(mean, seed)| [run(keeps, count, mean, seed)]);
-            let difference = resampled(&Sample::new(&a), &Sample::new(&b), seed, 300).expect("values");
+            let [a, b] = [(10.0, 2 * seed), (10.5, 2 * seed + 1)]
+                .map(|(mean, seed)| [run(correlation, count, mean, seed)]);
+            let difference =
+                difference_from_resamples(&Sample::new(&a), &Sample::new(&b), seed, 300).expect("values");
             let (lo, hi) = difference.interval.expect("enough");
             lo <= 0.5 && 0.5 <= hi
         };
@@ -156,7 +162,7 @@ mod tests {
         let (independent, dependent) = (coverage(300, 0.0), coverage(300, 0.6));
         assert!(independent >= 90, "{independent} % of independent values");
         assert!(dependent >= 88, "{dependent} % of dependent values");
-        let in_pieces = coverage(2 * PIECES + 1, 0.6);
+        let in_pieces = coverage(2 * MAX_PIECES + 1, 0.6);
         assert!(in_pieces >= 88, "{in_pieces} % of values in pieces");
     }
 
@@ -193,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_values_have_a_difference_and_no_interval() {
+    fn few_values_have_difference_without_interval() {
         let few = difference(&[vec![1.0; 29]], &[vec![2.0; 300]], 1).expect("values");
         assert_eq!((few.value, few.interval, few.is_distinct()), (1.0, None, None));
         assert_eq!(difference(&[Vec::new()], &[vec![1.0]], 1), None);

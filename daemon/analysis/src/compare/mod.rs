@@ -9,11 +9,11 @@
 
 mod best;
 mod blocks;
+mod caveats;
 mod columns;
 mod configuration;
 mod difference;
 mod differences;
-mod doubts;
 mod median_bootstrap;
 mod pairwise;
 mod ranking;
@@ -21,14 +21,14 @@ mod render;
 #[cfg(test)]
 mod testing;
 
-pub use best::against_best;
+pub use best::differences_to_best;
+pub use caveats::skipped_starts;
 pub use columns::{ChosenColumns, Column, choose_columns};
 pub use configuration::Configurations;
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
-pub use doubts::skipped_starts;
 pub use pairwise::PairwiseDifference;
-pub use ranking::{Ranking, computes};
+pub use ranking::{Ranking, model_computes};
 
 use peernet_statistics::{Moments, Summary};
 
@@ -37,7 +37,7 @@ use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::loaded::{Loaded, unknown_labels};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::trust::Starts;
-use configuration::NOTHING;
+use configuration::EMPTY_CELL;
 
 /// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
@@ -55,10 +55,10 @@ pub enum Repeats<'a> {
     #[default]
     Pooled,
     /// Each repeat is a line.
-    Apart,
+    Separate,
     /// Repeats are pooled, except for the runs with these indices: each of them has a separate line, next to the other repeats of its
     /// configuration.
-    Beside(&'a [usize]),
+    PooledExcept(&'a [usize]),
 }
 
 /// Runs side by side.
@@ -68,7 +68,7 @@ pub struct Comparison {
     pub axes: Vec<String>,
     /// One line for each configuration, in the order of the input.
     pub lines: Vec<Line>,
-    /// Line with the smallest mean of [`by`](Self::by); `None` for a single line, or when none was measured.
+    /// Line with the smallest mean of [`total_column`](Self::total_column); `None` for a single line, or when none was measured.
     pub best: Option<usize>,
     /// Lines that do not differ from the best with 95 % confidence.
     pub ties: Vec<usize>,
@@ -77,11 +77,11 @@ pub struct Comparison {
     /// Lines that are not ranked, because their model computes nothing.
     pub unranked: Vec<usize>,
     /// Column that the best line is found by: `total`, or `stages-total` if not all runs have a total.
-    pub by: &'static str,
+    pub total_column: &'static str,
     /// Other differences among the runs, in sentences.
-    pub rest: Vec<String>,
+    pub other_differences: Vec<String>,
     /// Defects of the results, in sentences: incomplete files, invalid numbers.
-    pub doubts: Vec<String>,
+    pub caveats: Vec<String>,
 }
 
 /// Statistics of one configuration.
@@ -109,10 +109,10 @@ pub struct Line {
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
     /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
-    /// Difference of its mean of [`by`](Comparison::by) to the best's; `None` for the best itself, or without a mean.
-    pub beyond_best: Option<Difference>,
+    /// Difference of its mean of [`total_column`](Comparison::total_column) to the best's; `None` for the best itself, or without a mean.
+    pub difference_to_best: Option<Difference>,
     /// Moments of the column that the best is found by, one for each repeat.
-    deciding: Vec<Moments>,
+    repeat_moments: Vec<Moments>,
 }
 
 /// Latency of a configuration, seconds.
@@ -128,21 +128,22 @@ pub struct Latency {
 
 impl Comparison {
     /// Compares runs; repeats are pooled.
-    pub fn of(runs: &[Loaded]) -> Self {
-        Self::with(runs, Repeats::Pooled)
+    pub fn new(runs: &[Loaded]) -> Self {
+        Self::with_repeats(runs, Repeats::Pooled)
     }
 
     /// Compares runs.
-    pub fn with(runs: &[Loaded], repeats: Repeats<'_>) -> Self {
-        let (mut configurations, rest) = Configurations::and_the_rest(runs);
+    pub fn with_repeats(runs: &[Loaded], repeats: Repeats<'_>) -> Self {
+        let (mut configurations, other_differences) = Configurations::with_other_differences(runs);
         match repeats {
             Repeats::Pooled => {}
-            Repeats::Apart => configurations.add_repeats(runs),
-            Repeats::Beside(chosen) => configurations.set_apart(runs, chosen),
+            Repeats::Separate => configurations.add_repeats(runs),
+            Repeats::PooledExcept(chosen) => configurations.separate_runs(runs, chosen),
         }
         let Configurations { axes, labels } = configurations;
-        let mut measured = runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts());
-        let by = if measured.all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+        let mut measured = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted());
+        let total_column =
+            if measured.all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
         let mut lines: Vec<Line> = Vec::new();
         for (number, labels) in labels.into_iter().enumerate() {
             match lines.iter_mut().find(|line| line.labels == labels) {
@@ -150,10 +151,20 @@ impl Comparison {
                 None => lines.push(Line::new(labels, number)),
             }
         }
-        lines.iter_mut().for_each(|line| line.fill(runs, by));
+        lines.iter_mut().for_each(|line| line.fill(runs, total_column));
         let (ties, untested, unranked) = (Vec::new(), Vec::new(), Vec::new());
-        let doubts = doubts::sentences(runs, &lines);
-        let mut this = Self { axes, lines, best: None, ties, untested, unranked, by, rest, doubts };
+        let caveats = caveats::sentences(runs, &lines);
+        let mut this = Self {
+            axes,
+            lines,
+            best: None,
+            ties,
+            untested,
+            unranked,
+            total_column,
+            other_differences,
+            caveats,
+        };
         best::mark(&mut this, runs);
         this
     }
@@ -173,40 +184,40 @@ impl Line {
             latencies: [None; LATENCIES.len()],
             accuracies: [None; ACCURACIES.len()],
             unknown_labels: None,
-            beyond_best: None,
-            deciding: Vec::new(),
+            difference_to_best: None,
+            repeat_moments: Vec::new(),
         }
     }
 
-    fn fill(&mut self, runs: &[Loaded], by: &str) {
+    fn fill(&mut self, runs: &[Loaded], total_column: &str) {
         // One entry for each repeat: its number, and the number of its results (edges).
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
-            self.count += rows.iter().filter(|row| row.counts()).count() as u64;
-            self.unanswered += rows.iter().filter(|row| !row.warm_up() && !row.counts()).count() as u64;
-            let starts = Starts::of_rows(rows);
-            self.starts.kept += starts.kept;
+            self.count += rows.iter().filter(|row| row.is_counted()).count() as u64;
+            self.unanswered += rows.iter().filter(|row| !row.warm_up() && !row.is_counted()).count() as u64;
+            let starts = Starts::from_rows(rows);
+            self.starts.started += starts.started;
             self.starts.skipped += starts.skipped;
             let repeat = record.experiment.as_ref().map(|place| place.repeat);
             let known = repeats.iter().position(|(other, _)| *other == repeat);
             let at = known.unwrap_or_else(|| {
                 repeats.push((repeat, 0));
-                self.deciding.push(Moments::default());
+                self.repeat_moments.push(Moments::default());
                 repeats.len() - 1
             });
             repeats[at].1 += 1;
-            values(rows, by).iter().for_each(|value| self.deciding[at].record(*value));
+            values(rows, total_column).iter().for_each(|value| self.repeat_moments[at].record(*value));
         }
         self.repeats = repeats.len();
         self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
         let of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || of_line().flat_map(|run| &run.rows);
-        self.misses = Misses::of_rows(rows());
-        self.accuracies = ACCURACIES.map(|column| Accuracy::of(rows(), column));
+        self.misses = Misses::from_rows(rows());
+        self.accuracies = ACCURACIES.map(|column| Accuracy::from_rows(rows(), column));
         self.unknown_labels = unknown_labels(of_line());
         self.latencies = LATENCIES.map(|name| {
             let mut moments = Moments::default();
-            let numbers = of_line().flat_map(|run| run.rows.counted(name));
+            let numbers = of_line().flat_map(|run| run.rows.counted_values(name));
             numbers.filter(|number| Summary::accepts(*number)).for_each(|number| moments.record(number));
             let Moments { mean, count, .. } = moments;
             (count > 0).then(|| Latency { mean, std: moments.std(), count })
@@ -226,7 +237,7 @@ impl Line {
 
 /// Returns a column's finite numbers in the rows that count, in order.
 fn values(rows: &Rows, column: &str) -> Vec<f64> {
-    rows.counted(column).filter(|value| Summary::accepts(*value)).collect()
+    rows.counted_values(column).filter(|value| Summary::accepts(*value)).collect()
 }
 
 /// Returns whether a comparison needs a column, so that `peernet_results::ResultFolder::open_columns` reads it.

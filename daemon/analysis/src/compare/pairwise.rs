@@ -14,12 +14,12 @@ pub struct PairwiseDifference {
     /// Share of the pairs in which the second is smaller, from 0 to 1 (the statistic of Mann and Whitney, *On a test of whether one of
     /// two random variables is stochastically larger than the other*, Annals of Mathematical Statistics 18, 1947, over the number of
     /// pairs).
-    pub smaller: f64,
+    pub share_smaller: f64,
 }
 
 impl PairwiseDifference {
     /// Returns the distribution from the distributions of both; `None` if one has no values.
-    pub fn of(first: &Summary, second: &Summary) -> Option<Self> {
+    pub fn between(first: &Summary, second: &Summary) -> Option<Self> {
         let points = |values: &Summary| -> Option<Vec<f64>> {
             (0..POINTS).map(|at| values.quantile((f64::from(at) + 0.5) / f64::from(POINTS))).collect()
         };
@@ -31,7 +31,7 @@ impl PairwiseDifference {
             .sketch
             .bins()
             .filter_map(|(value, count)| Some(second.sketch.fraction_below(value)? * count as f64 / all));
-        Some(Self { smaller: below.sum::<f64>().clamp(0.0, 1.0), differences })
+        Some(Self { share_smaller: below.sum::<f64>().clamp(0.0, 1.0), differences })
     }
 }
 
@@ -47,13 +47,13 @@ mod tests {
     }
 
     #[test]
-    fn pairs_of_two_distributions_are_those_of_their_values() {
+    fn quantile_pairs_match_pairs_of_values() {
         let (a, b) = (run(0.0, 2_000, 10.0, 1), run(0.0, 2_000, 9.5, 2));
-        let found = PairwiseDifference::of(&summary(&a), &summary(&b)).expect("values");
+        let found = PairwiseDifference::between(&summary(&a), &summary(&b)).expect("values");
         let mut pairs: Vec<f64> = a.iter().flat_map(|a| b.iter().map(move |b| b - a)).collect();
         pairs.sort_unstable_by(f64::total_cmp);
         let smaller = pairs.iter().filter(|value| **value < 0.0).count() as f64 / pairs.len() as f64;
-        assert!((found.smaller - smaller).abs() < 0.02, "{} {smaller}", found.smaller);
+        assert!((found.share_smaller - smaller).abs() < 0.02, "{} {smaller}", found.share_smaller);
         for share in [0.1, 0.5, 0.9] {
             let exact = pairs[(share * pairs.len() as f64) as usize];
             let known = found.differences.quantile(share).expect("values");
@@ -64,8 +64,8 @@ mod tests {
     #[test]
     fn equal_distributions_are_smaller_in_half_of_pairs() {
         let one = summary(&run(0.0, 500, 10.0, 3));
-        let found = PairwiseDifference::of(&one, &one).expect("values");
-        assert!((found.smaller - 0.5).abs() < 0.02, "{}", found.smaller);
-        assert_eq!(PairwiseDifference::of(&one, &Summary::default()), None);
+        let found = PairwiseDifference::between(&one, &one).expect("values");
+        assert!((found.share_smaller - 0.5).abs() < 0.02, "{}", found.share_smaller);
+        assert_eq!(PairwiseDifference::between(&one, &Summary::default()), None);
     }
 }

@@ -8,21 +8,21 @@ pub struct Ranking {
     /// Place of the configuration with the smallest mean.
     pub best: usize,
     /// Index of each other configuration, and the difference of its mean to the best; `None` if it has no mean.
-    pub beyond: Vec<(usize, Option<Difference>)>,
+    pub differences: Vec<(usize, Option<Difference>)>,
 }
 
 impl Ranking {
     /// Ranks configurations by their means. Each has an index; one without measurements has no estimate. Returns `None` for fewer than two
     /// configurations, and if none has an estimate.
-    pub fn of(configurations: &[(usize, Option<MeanEstimate>)]) -> Option<Self> {
+    pub fn from_means(configurations: &[(usize, Option<MeanEstimate>)]) -> Option<Self> {
         (configurations.len() > 1).then_some(())?;
         let measured = configurations.iter().filter_map(|(place, one)| Some((*place, one.as_ref()?)));
         let (best, smallest) = measured.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
         let others = configurations.iter().filter(|(place, _)| *place != best);
-        let beyond = others
-            .map(|(place, one)| (*place, one.as_ref().map(|one| Difference::of_means(smallest, one))))
+        let differences = others
+            .map(|(place, one)| (*place, one.as_ref().map(|one| Difference::between_means(smallest, one))))
             .collect();
-        Some(Self { best, beyond })
+        Some(Self { best, differences })
     }
 
     /// Returns the configurations whose means are larger than the smallest by no more than chance.
@@ -36,10 +36,11 @@ impl Ranking {
     }
 
     fn places(&self, is_distinct: Option<bool>) -> Vec<usize> {
-        let verdict = |beyond: &Option<Difference>| beyond.and_then(|difference| difference.is_distinct());
-        self.beyond
+        let verdict =
+            |difference: &Option<Difference>| difference.and_then(|difference| difference.is_distinct());
+        self.differences
             .iter()
-            .filter(|(_, beyond)| verdict(beyond) == is_distinct)
+            .filter(|(_, difference)| verdict(difference) == is_distinct)
             .map(|(place, _)| *place)
             .collect()
     }
@@ -47,7 +48,7 @@ impl Ranking {
 
 /// Returns whether a model computes something, by the facts of a run: one that only returns its input is not ranked with those that
 /// compute.
-pub fn computes(facts: &[(String, String)]) -> bool {
+pub fn model_computes(facts: &[(String, String)]) -> bool {
     // The model kind `echo` describes itself by one of these facts.
     let is_echo = |fact: &str| fact == "echo" || fact.starts_with("echo, ");
     !facts.iter().any(|(name, fact)| name.eq_ignore_ascii_case("model") && is_echo(fact))
@@ -59,29 +60,29 @@ mod tests {
 
     /// Returns the estimate of values that vary by one about a mean.
     fn estimate(mean: f64, count: usize) -> Option<MeanEstimate> {
-        MeanEstimate::of_values(&[(0..count).map(|n| mean + (n as f64).sin()).collect()])
+        MeanEstimate::from_values(&[(0..count).map(|n| mean + (n as f64).sin()).collect()])
     }
 
     #[test]
     fn configurations_are_distinct_alike_or_untested() {
         let all = [(0, estimate(5.0, 300)), (2, estimate(1.01, 300)), (4, estimate(1.0, 300))];
         let few = [(5, None), (7, estimate(3.0, 20))];
-        let ranking = Ranking::of(&[&all[..], &few].concat()).expect("several have a mean");
+        let ranking = Ranking::from_means(&[&all[..], &few].concat()).expect("several have a mean");
         assert_eq!((ranking.best, ranking.ties(), ranking.untested()), (4, vec![2], vec![5, 7]));
-        let (place, beyond) = ranking.beyond[0];
-        assert_eq!((place, beyond.and_then(|beyond| beyond.is_distinct())), (0, Some(true)));
+        let (place, difference) = ranking.differences[0];
+        assert_eq!((place, difference.and_then(|difference| difference.is_distinct())), (0, Some(true)));
     }
 
     #[test]
     fn one_configuration_is_not_ranked() {
-        assert_eq!(Ranking::of(&[(0, estimate(1.0, 300))]), None);
-        assert_eq!(Ranking::of(&[(0, None), (1, None)]), None);
+        assert_eq!(Ranking::from_means(&[(0, estimate(1.0, 300))]), None);
+        assert_eq!(Ranking::from_means(&[(0, None), (1, None)]), None);
     }
 
     #[test]
     fn model_that_only_echoes_computes_nothing() {
         let facts = |fact: &str| [("Model".to_owned(), fact.to_owned())];
-        assert!(!computes(&facts("echo")) && !computes(&facts("echo, answers with 10 bytes")));
-        assert!(computes(&facts("echo-cancellation 1.0")) && computes(&[]));
+        assert!(!model_computes(&facts("echo")) && !model_computes(&facts("echo, answers with 10 bytes")));
+        assert!(model_computes(&facts("echo-cancellation 1.0")) && model_computes(&[]));
     }
 }

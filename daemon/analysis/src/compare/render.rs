@@ -4,25 +4,25 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, measured, percent, range_ms};
 
 use super::{
-    Comparison, Difference, Differences, LATENCIES, Latency, Line, MIN_VALUES, NEARLY_ALL, NOTHING,
+    Comparison, Difference, Differences, EMPTY_CELL, LATENCIES, Latency, Line, MIN_VALUES, NEARLY_ALL,
     StageDifference,
 };
 use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::deadline::Misses;
-use crate::table::{Captioned, Table, csv_text, interval};
+use crate::table::{CaptionedTable, Table, csv_text, interval};
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
 /// Decimals of a number of ms to the microsecond, which no clock of another host is known beyond.
-const MICROSECONDS: usize = 3;
+const MAX_MS_DECIMALS: usize = 3;
 /// Explanation of an interval.
-pub(super) const WHAT_IT_SAYS: &str = "The interval says how far the difference would vary if the same minutes were measured again \
+pub(super) const INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were measured again \
      (of means: Welch, from batch means; of medians: stationary bootstrap).";
 /// Explanation of an interval of means.
-pub(super) const WHAT_IT_SAYS_OF_MEANS: &str = "The interval says how far the difference would vary if the same minutes were \
+pub(super) const MEAN_INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were \
      measured again (Welch, from batch means).";
-pub(super) const WHAT_IT_DOES_NOT: &str =
-    "What changes from day to day is not in it: only repeats show that.";
+pub(super) const INTERVAL_LIMITATION: &str =
+    "Changes from day to day are not part of it; only repeats show them.";
 const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
 
 impl Comparison {
@@ -57,7 +57,7 @@ impl Comparison {
         let row = |(at, line): (usize, &Line)| {
             let flag = |is: bool| u8::from(is).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
-            let label = |label: &String| if label == NOTHING { String::new() } else { label.clone() };
+            let label = |label: &String| if label == EMPTY_CELL { String::new() } else { label.clone() };
             let mut cells: Vec<String> = line.labels.iter().map(label).collect();
             cells.extend([line.repeats as u64, line.count, line.unanswered].map(|count| count.to_string()));
             let untested = self.untested.contains(&at);
@@ -77,7 +77,7 @@ impl Comparison {
                 });
                 figures.map_or([None; 4], |figures| figures.map(Some)).map(number)
             }));
-            cells.extend(line.beyond_best.map_or([None; 3], Difference::ends).map(number));
+            cells.extend(line.difference_to_best.map_or([None; 3], Difference::ends).map(number));
             cells.push(number(line.misses.and_then(Misses::rate)));
             cells
         };
@@ -109,7 +109,7 @@ impl Comparison {
             cells.push(count(line.count));
             cells.extend(unanswered.then(|| count(line.unanswered)));
             let missed = line.misses.and_then(Misses::rate);
-            let missed = missed.map_or_else(|| NOTHING.to_owned(), |rate| fixed(rate * 100.0, 2));
+            let missed = missed.map_or_else(|| EMPTY_CELL.to_owned(), |rate| fixed(rate * 100.0, 2));
             cells.extend(deadlines.then_some(missed));
             cells.extend(
                 line.latencies.iter().zip(&decimals).map(|(latency, decimals)| cell(*latency, *decimals)),
@@ -153,7 +153,7 @@ impl Comparison {
         }
         notes.extend(self.unknown_labels());
         notes.extend(self.verdict());
-        notes.extend(self.rest.iter().cloned());
+        notes.extend(self.other_differences.iter().cloned());
         let edges: Vec<String> = self
             .lines
             .iter()
@@ -161,18 +161,19 @@ impl Comparison {
             .map(|line| line.told(&format!("{} edges", line.edges)))
             .collect();
         if !edges.is_empty() {
-            notes.push(format!("Edges that were measured at once are taken together: {}.", edges.join("; ")));
+            notes
+                .push(format!("Edges that were measured at the same time are pooled: {}.", edges.join("; ")));
         }
-        let spread: Vec<String> = self.lines.iter().filter_map(Line::spread).collect();
-        if !spread.is_empty() {
-            notes.push(format!("Repeats are taken together; their mean totals: {} ms.", spread.join("; ")));
+        let repeat_range: Vec<String> = self.lines.iter().filter_map(Line::repeat_range).collect();
+        if !repeat_range.is_empty() {
+            notes.push(format!("Repeats are pooled; their mean totals: {} ms.", repeat_range.join("; ")));
         }
         let unknown: Vec<String> = self.lines.iter().flat_map(Line::unknown).collect();
         if !unknown.is_empty() {
             notes
-                .push(format!("Delays are known of a part of the iterations alone: {}.", unknown.join("; ")));
+                .push(format!("Delays are known for only a part of the iterations: {}.", unknown.join("; ")));
         }
-        notes.extend(self.doubts.iter().cloned());
+        notes.extend(self.caveats.iter().cloned());
         notes.iter().map(|note| printable_line(note).into_owned()).collect()
     }
 
@@ -200,7 +201,7 @@ impl Comparison {
         let tested = others - self.untested.len();
         let mut told = Vec::new();
         if !self.ties.is_empty() {
-            told.push(format!("with 95 % confidence it cannot be told from {}", names(&self.ties)));
+            told.push(format!("with 95 % confidence it cannot be distinguished from {}", names(&self.ties)));
         } else if tested == others && others > 0 {
             let all = if others == 1 { "the other" } else { "every other" };
             told.push(format!("{all} differs from it with 95 % confidence"));
@@ -220,7 +221,7 @@ impl Comparison {
 
     /// Returns the column of totals by which the best line is found.
     pub(super) fn total(&self) -> &'static str {
-        if self.by == "total" { "measured" } else { "stages" }
+        if self.total_column == "total" { "measured" } else { "stages" }
     }
 }
 
@@ -228,19 +229,20 @@ impl Line {
     /// Returns its labels as one text.
     pub fn name(&self) -> String {
         let labels: Vec<&str> =
-            self.labels.iter().map(String::as_str).filter(|label| *label != NOTHING).collect();
+            self.labels.iter().map(String::as_str).filter(|label| *label != EMPTY_CELL).collect();
         labels.join(", ")
     }
 
     /// Returns a sentence about the line that begins with its name.
     pub(super) fn told(&self, text: &str) -> String {
-        named(&self.name(), text)
+        with_name(&self.name(), text)
     }
 
     /// Returns the smallest and the largest mean of its repeats.
-    fn spread(&self) -> Option<String> {
+    fn repeat_range(&self) -> Option<String> {
         (self.repeats > 1).then_some(())?;
-        let means = self.deciding.iter().filter(|moments| moments.count > 0).map(|moments| moments.mean);
+        let means =
+            self.repeat_moments.iter().filter(|moments| moments.count > 0).map(|moments| moments.mean);
         let means: Vec<f64> = means.collect();
         let ends = (means.iter().copied().reduce(f64::min)?, means.iter().copied().reduce(f64::max)?);
         Some(self.told(&range_ms(ends)))
@@ -267,7 +269,7 @@ impl Line {
 }
 
 /// Returns a sentence that begins with a name, or without one if there is only one line.
-pub(super) fn named(name: &str, text: &str) -> String {
+pub(super) fn with_name(name: &str, text: &str) -> String {
     if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
 }
 
@@ -278,7 +280,7 @@ fn count(count: u64) -> String {
 fn cell(latency: Option<Latency>, decimals: usize) -> String {
     let figure = |seconds: f64| in_milliseconds(seconds, decimals);
     match latency {
-        None => NOTHING.to_owned(),
+        None => EMPTY_CELL.to_owned(),
         Some(Latency { mean, std: None, .. }) => figure(mean),
         Some(Latency { mean, std: Some(std), .. }) => format!("{} ± {}", figure(mean), figure(std)),
     }
@@ -288,7 +290,7 @@ fn cell(latency: Option<Latency>, decimals: usize) -> String {
 fn share(accuracy: Option<Accuracy>) -> String {
     let percent = |share: f64| fixed(share * 100.0, 1);
     accuracy.map_or_else(
-        || NOTHING.to_owned(),
+        || EMPTY_CELL.to_owned(),
         |Accuracy { share, interval: (lo, hi), .. }| {
             format!("{} ({})", percent(share), interval([percent(lo), percent(hi)]))
         },
@@ -297,8 +299,8 @@ fn share(accuracy: Option<Accuracy>) -> String {
 
 impl Differences {
     /// Returns the table for people, with a caption.
-    pub fn captioned(&self) -> Captioned {
-        Captioned { heading: self.heading(), table: self.table(), notes: self.notes() }
+    pub fn captioned(&self) -> CaptionedTable {
+        CaptionedTable { heading: self.heading(), table: self.table(), notes: self.notes() }
     }
 
     /// Returns CSV for programs: seconds, all digits; one row for each pair and stage.
@@ -362,7 +364,8 @@ impl Differences {
         };
         let (means, medians) = (most(|stage| stage.mean), most(|stage| stage.median));
         let bounds = stages().filter_map(|stage| stage.clocks).filter(|bound| *bound > 0.0);
-        let clocks = bounds.map(|bound| decimals(bound * 1e3, 2).min(MICROSECONDS)).max().unwrap_or_default();
+        let clocks =
+            bounds.map(|bound| decimals(bound * 1e3, 2).min(MAX_MS_DECIMALS)).max().unwrap_or_default();
         let four = |of: (f64, f64), difference: Difference, decimals: usize| {
             let figure = |seconds: f64| in_milliseconds(seconds, decimals);
             let [difference, interval] = with_interval(difference, decimals);
@@ -383,11 +386,11 @@ impl Differences {
 
     fn notes(&self) -> String {
         let clocks = if self.stages.iter().any(|stage| stage.clocks.is_some_and(|clocks| clocks > 0.0)) {
-            " What the clocks of the hosts leave open comes on top of it."
+            " The column clocks adds the uncertainty of the clock offset, which the interval does not contain."
         } else {
             ""
         };
-        format!("In ms. {WHAT_IT_SAYS}{clocks} {WHAT_IT_DOES_NOT}")
+        format!("In ms. {INTERVAL_MEANING}{clocks} {INTERVAL_LIMITATION}")
     }
 }
 
@@ -400,7 +403,7 @@ pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
 pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
     let figure = |seconds: f64| signed(seconds, decimals);
     let ends = difference.interval.map(|(lo, hi)| interval([figure(lo), figure(hi)]));
-    [figure(difference.value), ends.unwrap_or_else(|| NOTHING.to_owned())]
+    [figure(difference.value), ends.unwrap_or_else(|| EMPTY_CELL.to_owned())]
 }
 
 /// Formats seconds as milliseconds with a sign, also above zero.

@@ -4,13 +4,13 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
 /// Returns values of which each keeps a share of the one before.
-pub(super) fn run(keeps: f64, count: usize, mean: f64, seed: u64) -> Vec<f64> {
+pub(super) fn run(correlation: f64, count: usize, mean: f64, seed: u64) -> Vec<f64> {
     let mut random = StdRng::seed_from_u64(seed);
     let mut last = 0.0;
     let next = |_| {
         // The sum of three uniform values is nearly normal.
         let noise: f64 = (0..3).map(|_| random.random_range(-1.0..1.0)).sum();
-        last = keeps * last + noise;
+        last = correlation * last + noise;
         mean + last
     };
     (0..count).map(next).collect()

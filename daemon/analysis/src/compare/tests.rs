@@ -68,8 +68,8 @@ pub(super) fn paper() -> Vec<Loaded> {
 }
 
 #[test]
-fn the_papers_table_is_what_comes_out() {
-    let comparison = Comparison::of(&paper());
+fn comparison_gives_table_of_paper() {
+    let comparison = Comparison::new(&paper());
     assert_eq!(
         comparison.text(),
         "\
@@ -80,13 +80,13 @@ cuda:0  can        100           1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0
 
 Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all stages, those without a column too; the paper calls it Total.
 The smallest mean total (measured) is that of orin; every other differs from it with 95 % confidence.
-Besides, they differ in where: local (orin), remote (cuda:0)."
+They also differ in where: local (orin), remote (cuda:0)."
     );
 }
 
 #[test]
 fn every_format_has_every_line() {
-    let comparison = Comparison::of(&paper());
+    let comparison = Comparison::new(&paper());
     let markdown = comparison.markdown();
     assert!(markdown.starts_with("| device | network | count | unanswered | sensing |"), "{markdown}");
     assert!(markdown.contains("| **orin** | **—** | **100** |"), "{markdown}");
@@ -103,14 +103,14 @@ fn every_format_has_every_line() {
 }
 
 #[test]
-fn repeats_are_taken_together_and_others_are_not() {
+fn only_repeats_are_pooled() {
     let lan = |folder: &str, inference: f64| run(folder, [Some(1.0), Some(5.0), Some(inference), Some(0.5)]);
     let runs = [
         placed(&[("resize", "no"), ("network", "LAN")], 0, lan("a", 10.0)),
         placed(&[("resize", "yes"), ("network", "LAN")], 0, lan("b", 4.0)),
         placed(&[("resize", "no"), ("network", "LAN")], 1, lan("c", 12.0)),
     ];
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(
         comparison.axes,
         ["resize", "network"],
@@ -124,20 +124,17 @@ fn repeats_are_taken_together_and_others_are_not() {
     assert!((inference.mean - 0.011).abs() < 1e-9 && inference.count == 200, "{inference:?}");
     assert_eq!((comparison.best, comparison.ties.as_slice()), (Some(1), [].as_slice()));
     let text = comparison.text();
-    assert!(
-        text.contains("Repeats are taken together; their mean totals: no, LAN: 17.5 – 19.5 ms."),
-        "{text}"
-    );
-    let apart = Comparison::with(&runs, Repeats::Apart);
+    assert!(text.contains("Repeats are pooled; their mean totals: no, LAN: 17.5 – 19.5 ms."), "{text}");
+    let apart = Comparison::with_repeats(&runs, Repeats::Separate);
     assert_eq!(apart.axes, ["resize", "network", "repeat"]);
     assert_eq!(apart.lines.len(), 3);
 }
 
 #[test]
-fn folders_tell_runs_apart_that_nothing_else_does() {
+fn equal_configurations_are_distinguished_by_folder() {
     let one =
         |folder: &str, total: f64| of("s", "cpu", None, run(folder, [Some(1.0), None, Some(total), None]));
-    let comparison = Comparison::of(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
+    let comparison = Comparison::new(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
     assert_eq!(comparison.axes, ["run"]);
     assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["before/run-2", "after/run-2"]);
     assert_eq!(
@@ -145,37 +142,37 @@ fn folders_tell_runs_apart_that_nothing_else_does() {
         (Some(0), [1].as_slice()),
         "the same twice is a tie"
     );
-    assert!(comparison.text().contains("cannot be told from after/run-2"), "{}", comparison.text());
-    let alone = Comparison::of(&[one("x", 7.0)]);
+    assert!(comparison.text().contains("cannot be distinguished from after/run-2"), "{}", comparison.text());
+    let alone = Comparison::new(&[one("x", 7.0)]);
     assert_eq!((alone.axes.as_slice(), alone.best), (["run".to_owned()].as_slice(), None));
 }
 
 #[test]
-fn executions_of_one_experiment_are_told_apart() {
+fn executions_of_one_experiment_are_distinguished() {
     let mut runs = [0, 1].map(|_| placed(&[("model", "s")], 0, run("a", [Some(1.0), None, Some(2.0), None])));
     runs[1].record.experiment.as_mut().expect("placed").id = "b2".to_owned();
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes, ["model", "execution"]);
     assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["s, a1", "s, b2"]);
 }
 
 #[test]
-fn without_a_measured_total_the_stages_decide() {
+fn sum_of_stages_ranks_runs_without_total() {
     let mut runs = paper();
     for run in &mut runs {
         run.rows.change(|row| row.values.retain(|(name, _)| name != "total"));
     }
-    let comparison = Comparison::of(&runs);
-    assert_eq!((comparison.by, comparison.best), ("stages-total", Some(0)));
+    let comparison = Comparison::new(&runs);
+    assert_eq!((comparison.total_column, comparison.best), ("stages-total", Some(0)));
     assert!(comparison.lines[0].latency("total").is_none());
     assert!(comparison.text().contains("The smallest mean total (stages) is that of orin;"));
 }
 
 #[test]
-fn a_run_without_a_single_answer_is_a_line_and_never_the_best() {
+fn unanswered_run_is_never_the_best() {
     let mut runs = paper();
     runs[0].rows.change(|row| row.outcome = Outcome::Lost);
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(
         (comparison.best, comparison.lines[0].count, comparison.lines[0].unanswered),
         (Some(1), 0, 101)
@@ -183,9 +180,9 @@ fn a_run_without_a_single_answer_is_a_line_and_never_the_best() {
 }
 
 #[test]
-fn differences_are_told_stage_by_stage() {
+fn differences_are_computed_per_stage() {
     let runs = paper();
-    let differences = Differences::of(&runs[1], &runs[2], 5);
+    let differences = Differences::between_runs(&runs[1], &runs[2], 5);
     let stages: Vec<&str> = differences.stages.iter().map(|stage| stage.stage.as_str()).collect();
     assert_eq!(stages, ["sensing", "upload", "inference", "download", "stages-total", "total"]);
     let upload = &differences.stages[1];
@@ -195,17 +192,17 @@ fn differences_are_told_stage_by_stage() {
     let text = differences.captioned().text();
     assert!(text.starts_with("A: lan. B: can.\n\nstage"), "{text}");
     assert!(text.contains("+80.750"), "{text}");
-    assert_eq!(differences, Differences::of(&runs[1], &runs[2], 5), "the same seed");
+    assert_eq!(differences, Differences::between_runs(&runs[1], &runs[2], 5), "the same seed");
     let csv = Differences::csv(&[differences]);
     assert!(csv.lines().nth(2).is_some_and(|line| line.starts_with("lan,can,upload,0.0175")), "{csv}");
-    let comparison = Comparison::of(&runs);
-    let local = Differences::of_lines(&comparison, &runs, 1, 0, 5);
+    let comparison = Comparison::new(&runs);
+    let local = Differences::between_lines(&comparison, &runs, 1, 0, 5);
     assert_eq!((local.baseline.as_str(), local.other.as_str()), ("cuda:0, lan", "orin"));
     assert!(local.stages.iter().all(|stage| stage.stage != "upload"), "one of them has none");
 }
 
 #[test]
-fn columns_of_differences_have_one_number_of_decimals() {
+fn difference_columns_have_equal_decimals() {
     let difference =
         |value: f64, half: f64| Difference { value, interval: Some((value - half, value + half)) };
     let stage = |stage: &str, value: f64, half: f64| StageDifference {
@@ -229,16 +226,16 @@ fn columns_of_differences_have_one_number_of_decimals() {
 }
 
 #[test]
-fn chosen_repeat_has_line_of_its_own() {
+fn chosen_repeat_has_separate_line() {
     let of =
         |load: &str, repeat| placed(&[("load", load)], repeat, run("r", [Some(1.0), None, Some(2.0), None]));
     let runs = [of("a", 0), of("a", 1), of("a", 2), of("b", 0), of("b", 1)];
-    let comparison = Comparison::with(&runs, Repeats::Beside(&[1]));
+    let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(&[1]));
     let lines: Vec<_> = comparison.lines.iter().map(|line| (line.name(), line.runs.clone())).collect();
     let expected = [("a, the other repeats", vec![0, 2]), ("a, repeat 2", vec![1]), ("b", vec![3, 4])];
     assert_eq!(lines, expected.map(|(name, runs)| (name.to_owned(), runs)));
     let edges = [edge("user-1", 0, "1/user-1"), edge("user-2", 0, "1/user-2"), edge("user-1", 1, "2/user-1")];
-    let comparison = Comparison::with(&edges, Repeats::Beside(&[0]));
+    let comparison = Comparison::with_repeats(&edges, Repeats::PooledExcept(&[0]));
     assert_eq!(comparison.lines[0].runs, [0, 1], "measured at once");
 }
 
@@ -249,31 +246,31 @@ fn published(file: &str, run: Loaded) -> Loaded {
 }
 
 #[test]
-fn runs_of_which_nothing_is_known_are_named_after_their_files() {
+fn unknown_runs_are_named_after_files() {
     let stages = [Some(1.0), None, Some(2.0), None];
     let faster = [Some(1.0), None, Some(1.0), None];
     let runs = [of("s", "cpu", None, run("mine", stages)), published("theirs", run("x", faster))];
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes[0], "run");
     assert!(comparison.lines.iter().all(|line| line.labels[0] != "—"), "{}", comparison.text());
     assert_eq!(comparison.lines[1].name(), "theirs");
     assert!(comparison.text().contains("is that of theirs; the other differs"), "{}", comparison.text());
-    let alone = Comparison::of(&[published("theirs", run("x", stages))]);
+    let alone = Comparison::new(&[published("theirs", run("x", stages))]);
     assert_eq!((alone.axes[0].as_str(), alone.lines[0].name().as_str()), ("run", "theirs"));
 }
 
 #[test]
-fn what_was_not_tested_is_said_to_be_unknown() {
+fn untested_line_is_reported() {
     let mut runs = paper();
     runs[1].rows = runs[1].rows.iter().take(30).map(RowRef::to_row).collect();
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!((comparison.ties.as_slice(), comparison.untested.as_slice()), ([].as_slice(), [1].as_slice()));
     let text = comparison.text();
     assert!(
         text.contains("is that of orin; too few iterations to tell whether it differs from cuda:0, lan (30 of each run are needed)."),
         "{text}"
     );
-    assert!(!text.contains("cannot be told") && !text.contains("other differs"), "{text}");
+    assert!(!text.contains("cannot be distinguished") && !text.contains("other differs"), "{text}");
     assert!(comparison.csv().lines().nth(2).is_some_and(|line| line.starts_with("cuda:0,lan,1,24,1,0,,")));
 }
 
@@ -285,9 +282,9 @@ fn edge(name: &str, repeat: u32, folder: &str) -> Loaded {
 }
 
 #[test]
-fn edges_of_one_run_are_no_repeats() {
+fn edges_of_one_run_are_not_repeats() {
     let mut runs = vec![edge("user-1", 0, "e/runs/1/user-1"), edge("user-2", 0, "e/runs/1/user-2")];
-    let one = Comparison::of(&runs);
+    let one = Comparison::new(&runs);
     assert_eq!((one.lines.len(), one.lines[0].repeats, one.lines[0].edges), (1, 1, 2));
     let text = one.text();
     assert!(text.contains("edges") && !text.contains("Repeats are"), "{text}");
@@ -296,7 +293,7 @@ fn edges_of_one_run_are_no_repeats() {
     // They are not split either if other runs are compared with them.
     runs.extend([edge("user-1", 1, "e/runs/2/user-1"), edge("user-2", 1, "e/runs/2/user-2")]);
     runs.push(of("s", "cpu", None, run("alone", [Some(1.0), None, Some(2.0), None])));
-    let mixed = Comparison::of(&runs);
+    let mixed = Comparison::new(&runs);
     assert_eq!(
         mixed.lines.iter().map(|line| line.runs.clone()).collect::<Vec<_>>(),
         [vec![0, 1, 2, 3], vec![4]]
@@ -306,7 +303,7 @@ fn edges_of_one_run_are_no_repeats() {
 }
 
 #[test]
-fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
+fn dissimilar_runs_have_fewest_distinguishing_columns() {
     let hash = |digit: &str| ("Model SHA-256".to_owned(), digit.repeat(64));
     let with = |model: &str, device: &str, network: Option<&str>, facts: [(String, String); 2]| {
         let run = of(model, device, network, run(model, [Some(1.0), None, Some(2.0), None]));
@@ -318,13 +315,13 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
         with("m", "cuda:0", Some("lan"), [hash("b"), library("b")]),
         with("l", "cuda:0", Some("lan"), [hash("c"), library("c")]),
     ];
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes, ["model"]);
     assert_eq!(
-        comparison.rest,
+        comparison.other_differences,
         [
-            "Besides, they differ in device: cpu (s), cuda:0 (m; l); where: local (s), remote (m; l); network: lan (m; l).",
-            "Their run.json tells what else differs: Model SHA-256, ONNX Runtime.",
+            "They also differ in device: cpu (s), cuda:0 (m; l); where: local (s), remote (m; l); network: lan (m; l).",
+            "Further differences, recorded in their run.json: Model SHA-256, ONNX Runtime.",
         ]
     );
     for text in [comparison.text(), comparison.markdown(), comparison.latex(), comparison.csv()] {
@@ -337,7 +334,7 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
         let record = RunRecord { format: 1, ..run.record };
         Loaded { folder: PathBuf::from("results").join(at), record, ..run }
     });
-    let comparison = Comparison::of(&alike);
+    let comparison = Comparison::new(&alike);
     assert_eq!(
         (comparison.axes.as_slice(), comparison.lines[1].name().as_str()),
         (["run".to_owned()].as_slice(), "b")
@@ -345,16 +342,16 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
 }
 
 #[test]
-fn miss_rate_stands_beside_unanswered() {
+fn miss_rate_is_shown_beside_unanswered() {
     let mut runs = paper();
     runs[1].rows.change(|row| {
         let is_late = row.outcome != Outcome::Ok || row.iteration % 10 == 0;
         row.values.push(("deadline-missed".into(), f64::from(u8::from(is_late))));
     });
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     let misses = comparison.lines[1].misses.expect("a deadline");
     // The iterations are 6 to 106; the tenth was lost.
-    assert_eq!((misses.missed, misses.of, comparison.lines[0].misses), (10, 101, None));
+    assert_eq!((misses.missed, misses.iterations, comparison.lines[0].misses), (10, 101, None));
     let text = comparison.text();
     assert!(
         text.contains("missed (%)") && text.contains(" 9.90 ") && text.contains("Missed: the share"),
@@ -365,17 +362,17 @@ fn miss_rate_stands_beside_unanswered() {
         |line: usize| csv.lines().nth(line).and_then(|line| line.rsplit(',').next().map(str::to_owned));
     assert_eq!((last(0).as_deref(), last(1).as_deref()), (Some("miss-rate"), Some("")));
     assert!(last(2).is_some_and(|rate| rate.starts_with("0.0990")), "{csv}");
-    assert!(!Comparison::of(&paper()).text().contains("missed"), "there is no deadline");
+    assert!(!Comparison::new(&paper()).text().contains("missed"), "there is no deadline");
 }
 
 #[test]
-fn accuracy_stands_beside_latency() {
+fn accuracy_is_shown_beside_latency() {
     let mut runs = paper();
     runs[1].rows.change(|row| {
         row.values.push(("top-1".into(), if row.iteration % 4 == 0 { 0.0 } else { 1.0 }));
         row.values.push(("top-5".into(), 1.0));
     });
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     let accuracy = comparison.lines[1].accuracy("top-1").expect("known");
     assert_eq!((accuracy.share, accuracy.count), (0.75, 100));
     assert_eq!(comparison.lines[0].accuracy("top-1"), None);
@@ -392,14 +389,14 @@ fn accuracy_stands_beside_latency() {
     );
     assert!(csv.lines().nth(2).is_some_and(|line| line.contains(",1,0.75,0.65")), "{csv}");
     assert!(!text.contains("valid score"), "{text}");
-    assert!(!Comparison::of(&paper()).text().contains("Top-1"), "nobody knew what is right");
+    assert!(!Comparison::new(&paper()).text().contains("Top-1"), "nobody knew what is right");
     let broken = |row: &mut Row| match row.iteration {
         20 => row.values.retain(|(name, _)| name != "top-1"),
         21 | 22 => row.values.iter_mut().filter(|(name, _)| name == "top-1").for_each(|(_, v)| *v = f64::NAN),
         _ => {}
     };
     runs[1].rows.change(broken);
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     let told =
         format!("left out of the accuracy: top-1 of {}: 3 of 100 iterations.", comparison.lines[1].name());
     assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
@@ -407,16 +404,16 @@ fn accuracy_stands_beside_latency() {
 }
 
 #[test]
-fn labels_that_are_no_classes_of_the_model_are_told_and_not_scored() {
+fn labels_outside_model_classes_are_not_scored() {
     let mut runs = paper();
     for run in &mut runs[..2] {
         run.rows.change(|row| row.values.push(("unknown-label".into(), 1.0)));
         run.record.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
     }
-    let comparison = Comparison::of(&runs);
+    let comparison = Comparison::new(&runs);
     let names = [0, 1].map(|at: usize| format!("{}: 100 of 100", comparison.lines[at].name()));
     let told = format!(
-        "Not scored, because the label is no class of the model (the model knows good, dented): {}.",
+        "Not scored, because the label is not a class of the model (classes: good, dented): {}.",
         names.join("; ")
     );
     assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
@@ -425,9 +422,9 @@ fn labels_that_are_no_classes_of_the_model_are_told_and_not_scored() {
 }
 
 #[test]
-fn what_is_wrong_with_the_results_is_told() {
+fn defects_of_results_are_noted() {
     let mut broken = run("broken\nline", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
-    assert!(Comparison::of(std::slice::from_ref(&broken)).doubts.is_empty());
+    assert!(Comparison::new(std::slice::from_ref(&broken)).caveats.is_empty());
     let mut value = |iteration: u64, name: &str, to: Option<f64>| {
         broken.rows.change(|row| {
             if row.iteration == iteration {
@@ -440,12 +437,12 @@ fn what_is_wrong_with_the_results_is_told() {
     value(22, "upload", Some(f64::INFINITY));
     value(23, "sensing", Some(f64::NEG_INFINITY));
     broken.record.format = 1;
-    broken.record.counts = crate::record::Counts::of(&broken.rows, 0);
+    broken.record.counts = crate::record::Counts::from_rows(&broken.rows, 0);
     broken.record.counts.ok += 4;
     let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
-    let text = Comparison::of(&[broken, other]).text();
+    let text = Comparison::new(&[broken, other]).text();
     for told in [
-        "Results are not whole: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
+        "Incomplete results: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
         "sensing of broken line 1 of 100 iterations; upload of broken line 2 of 100 iterations",
     ] {
         assert!(text.contains(told), "{told}: {text}");

@@ -2,7 +2,7 @@
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::{CONFIDENCE, Estimate, Fit, Point, fits};
+use super::{CONFIDENCE, Estimate, Fit, Point, can_be_fitted};
 
 /// Point with its weight: the reciprocal of the variance of `y`, in any unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,7 @@ impl From<Point> for Weighted {
 /// `None` when there are fewer than three points or all have the same x.
 pub fn least_squares(points: &[Weighted]) -> Option<Fit> {
     let usable = points.iter().all(|point| point.weight.is_finite() && point.weight > 0.0);
-    if !usable || !fits(points.iter().map(|point| point.point)) {
+    if !usable || !can_be_fitted(points.iter().map(|point| point.point)) {
         return None;
     }
     let sum =

@@ -3,9 +3,9 @@
 use super::{Fit, Point, Weighted, least_squares};
 
 /// Sizes within this factor are one size.
-pub(crate) const ALIKE: f64 = 1.1;
+pub(crate) const SAME_SIZE_RATIO: f64 = 1.1;
 /// Minimum number of sizes for a line.
-pub const FEWEST_SIZES: usize = 3;
+pub const MIN_SIZES: usize = 3;
 
 /// Mean of a quantity at one size.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,7 @@ pub struct MeanAtSize {
 pub fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
     let mut distinct: Vec<f64> = Vec::new();
     for size in sizes {
-        if distinct.iter().all(|known| *known > size * ALIKE || size > known * ALIKE) {
+        if distinct.iter().all(|known| *known > size * SAME_SIZE_RATIO || size > known * SAME_SIZE_RATIO) {
             distinct.push(size);
         }
     }
@@ -34,7 +34,7 @@ pub fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
 /// Returns the line through means, each weighted by the reciprocal of its variance, or all alike if one variance is not known. `None`
 /// through fewer than three sizes.
 pub fn line_through_means(means: &[MeanAtSize]) -> Option<Fit> {
-    (distinct_sizes(means.iter().map(|mean| mean.size)) >= FEWEST_SIZES).then_some(())?;
+    (distinct_sizes(means.iter().map(|mean| mean.size)) >= MIN_SIZES).then_some(())?;
     let weight = |mean: &MeanAtSize| {
         let std = mean.std.filter(|std| *std > 0.0)?;
         Some(mean.count as f64 / (std * std))
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn mean_that_is_not_known_well_hardly_moves_line() {
+    fn uncertain_mean_hardly_moves_line() {
         let uncertain = MeanAtSize { count: 2, std: Some(5.0), ..at(4.0, 30.0) };
         let fit = line_through_means(&[at(1.0, 3.0), at(2.0, 5.0), at(3.0, 7.0), uncertain]).expect("sizes");
         assert!((fit.slope.value - 2.0).abs() < 0.1, "{fit:?}");

@@ -16,7 +16,7 @@ mod means;
 mod theil_sen;
 
 pub use least_squares::{Weighted, least_squares};
-pub use means::{FEWEST_SIZES, MeanAtSize, distinct_sizes, line_through_means};
+pub use means::{MIN_SIZES, MeanAtSize, distinct_sizes, line_through_means};
 use serde::Serialize;
 pub use theil_sen::theil_sen;
 
@@ -74,18 +74,18 @@ impl Fit {
 }
 
 /// Width of a rate's interval, as a share of the rate, above which no rate is given.
-const TELLING: f64 = 0.5;
+const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
 /// Returns the bits per second of a slope in seconds per byte, and the margin of its 95 % interval; `None` if the interval reaches zero or
 /// is wider than half the rate.
 pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
     let (flat, steep) = slope.interval.filter(|(flat, _)| *flat > 0.0)?;
     let [rate, low, high] = [slope.value, steep, flat].map(|slope| 8.0 / slope);
-    (high - low <= TELLING * rate).then(|| (rate, (high - rate).max(rate - low)))
+    (high - low <= MAX_RELATIVE_WIDTH * rate).then(|| (rate, (high - rate).max(rate - low)))
 }
 
 /// Returns whether a line can be fitted: at least three points with two different x, all of them numbers.
-fn fits(points: impl IntoIterator<Item = Point>) -> bool {
+fn can_be_fitted(points: impl IntoIterator<Item = Point>) -> bool {
     let points: Vec<Point> = points.into_iter().collect();
     points.len() >= 3
         && points.iter().all(|point| point.x.is_finite() && point.y.is_finite())

@@ -71,7 +71,7 @@ fn interval(estimate: Estimate, expected: (f64, f64)) {
 }
 
 #[test]
-fn least_squares_gives_the_certified_values() {
+fn least_squares_gives_certified_values() {
     let fit = unweighted(&norris()).expect("a line");
     near(fit.intercept.value, -0.262323073774029);
     near(fit.intercept.standard_error.expect("given"), 0.232818234301152);
@@ -83,7 +83,7 @@ fn least_squares_gives_the_certified_values() {
 }
 
 #[test]
-fn weights_count_as_the_textbook_says() {
+fn weighted_fit_matches_textbook() {
     let y = [1.1, 1.9, 3.2, 3.9, 5.3];
     let weights = [4.0, 1.0, 9.0, 1.0, 0.25];
     let points = points(&[1., 2., 3., 4., 5.], &y);
@@ -97,7 +97,7 @@ fn weights_count_as_the_textbook_says() {
 
 /// Values of SciPy's `theilslopes`; intercept as the median of y − slope · x.
 #[test]
-fn theil_sen_gives_what_others_get() {
+fn theil_sen_matches_reference_implementation() {
     let fit = theil_sen(&norris()).expect("a line");
     near(fit.slope.value, 1.0021968365553604);
     interval(fit.slope, (1.0011153245594469, 1.0030534351145037));
@@ -124,14 +124,14 @@ fn theil_sen_gives_what_others_get() {
 }
 
 #[test]
-fn an_outlier_moves_least_squares_and_not_theil_sen() {
+fn outlier_moves_least_squares_only() {
     let points = points(&ANSCOMBE_X, &ANSCOMBE_THIRD);
     let (pulled, steady) = (unweighted(&points).expect("a line"), theil_sen(&points).expect("a line"));
     assert!((pulled.slope.value - 0.4997).abs() < 1e-4 && (steady.slope.value - 0.3456).abs() < 1e-4);
 }
 
 #[test]
-fn too_few_points_give_no_line_or_no_interval() {
+fn few_points_give_no_line_or_interval() {
     let two = points(&[1., 2.], &[1., 2.]);
     let one_x = points(&[1., 1., 1., 1.], &[1., 2., 3., 4.]);
     let not_a_number = points(&[1., 2., 3.], &[1., f64::NAN, 3.]);
@@ -144,7 +144,7 @@ fn too_few_points_give_no_line_or_no_interval() {
 
 proptest! {
     #[test]
-    fn the_line_is_found_again(a in -1e3..1e3_f64, b in -1e3..1e3_f64, xs in prop::collection::vec(0.0..1e3_f64, 4..40)) {
+    fn exact_line_is_recovered(a in -1e3..1e3_f64, b in -1e3..1e3_f64, xs in prop::collection::vec(0.0..1e3_f64, 4..40)) {
         prop_assume!(xs.iter().any(|x: &f64| (x - xs[0]).abs() > 1.0));
         let points: Vec<Point> = xs.iter().map(|&x| Point { x, y: a + b * x }).collect();
         for fit in [unweighted(&points).expect("a line"), theil_sen(&points).expect("a line")] {
@@ -155,11 +155,11 @@ proptest! {
 
     /// Compares with the definition: all slopes listed and sorted.
     #[test]
-    fn the_median_slope_is_that_of_the_list(ys in prop::collection::vec((0_u8..6, -1e2..1e2_f64), 4..40)) {
+    fn median_slope_equals_median_of_sorted_list(ys in prop::collection::vec((0_u8..6, -1e2..1e2_f64), 4..40)) {
         let points: Vec<Point> = ys.iter().map(|&(x, y)| Point { x: f64::from(x), y }).collect();
         let pair = |a: &Point, b: &Point| (a.x != b.x).then(|| (b.y - a.y) / (b.x - a.x));
         let slopes = points.iter().enumerate().flat_map(|(i, a)| points[i + 1..].iter().filter_map(move |b| pair(a, b)));
-        let expected = slopes.collect::<crate::order::Ordered>().median();
+        let expected = slopes.collect::<crate::order::SortedValues>().median();
         let found = theil_sen(&points).map(|fit| fit.slope.value);
         match (expected, found) {
             (Some(expected), Some(found)) => prop_assert!((expected - found).abs() < 1e-9, "{expected} {found}"),
@@ -169,7 +169,7 @@ proptest! {
 
     /// A quarter of the points are late by an arbitrary time.
     #[test]
-    fn late_messages_do_not_move_theil_sen(late in 1.0..1e6_f64) {
+    fn late_quarter_of_points_moves_no_theil_sen(late in 1.0..1e6_f64) {
         let y = |k: usize| 5.0 + 2.0 * k as f64 + if k % 4 == 1 { late * (k as f64).sqrt() } else { 0.0 };
         let points: Vec<Point> = (0..40).map(|k| Point { x: k as f64, y: y(k) }).collect();
         let fit = theil_sen(&points).expect("a line");
@@ -178,7 +178,7 @@ proptest! {
 }
 
 #[test]
-fn a_rate_is_told_where_its_interval_is_narrow() {
+fn rate_is_given_if_interval_is_narrow() {
     let slope = |value: f64, interval| Estimate { value, standard_error: None, interval };
     // 10 ns per byte are 800 Mbit/s.
     let (value, margin) = rate(slope(1e-8, Some((0.8e-8, 1.2e-8)))).expect("known well enough");

@@ -2,8 +2,8 @@
 
 use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal};
 
-use super::{CONFIDENCE, Estimate, Fit, Point, fits};
-use crate::order::Ordered;
+use super::{CONFIDENCE, Estimate, Fit, Point, can_be_fitted};
+use crate::order::SortedValues;
 
 /// Halvings of the range of slopes: more than a double has bits.
 const HALVINGS: usize = 80;
@@ -17,13 +17,13 @@ const HALVINGS: usize = 80;
 ///
 /// Each count of the pairs takes O(n log n) time, and the pairs are not stored, so that 100,000 samples are possible.
 pub fn theil_sen(points: &[Point]) -> Option<Fit> {
-    if !fits(points.iter().copied()) {
+    if !can_be_fitted(points.iter().copied()) {
         return None;
     }
     let pairs = Pairs::new(points);
     let (below, above) = ((pairs.count - 1) / 2, pairs.count / 2);
     let slope = f64::midpoint(pairs.slope(below), pairs.slope(above));
-    let left = |slope: f64| points.iter().map(|point| point.y - slope * point.x).collect::<Ordered>();
+    let left = |slope: f64| points.iter().map(|point| point.y - slope * point.x).collect::<SortedValues>();
     let intercept = left(slope).median()?;
 
     let half_risk = f64::midpoint(1.0, CONFIDENCE);
@@ -82,12 +82,12 @@ impl Pairs {
             if middle <= lo || middle >= hi {
                 break;
             }
-            if self.not_steeper_than(middle) > rank { hi = middle } else { lo = middle }
+            if self.count_not_steeper(middle) > rank { hi = middle } else { lo = middle }
         }
         f64::midpoint(lo, hi)
     }
 
-    fn not_steeper_than(&self, slope: f64) -> u64 {
+    fn count_not_steeper(&self, slope: f64) -> u64 {
         let level = |(x, group): &(f64, Vec<f64>)| group.iter().map(|y| y - slope * x).collect::<Vec<_>>();
         let mut runs: Vec<Vec<f64>> = self.groups.iter().map(level).collect();
         let mut count = 0;

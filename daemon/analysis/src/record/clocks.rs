@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::Passage;
-use crate::order::Ordered;
+use crate::order::SortedValues;
 use crate::rows::Rows;
 
 /// Quality of the delays of a run, warm-up left out.
@@ -50,17 +50,19 @@ pub struct Bounded {
 
 impl Clocks {
     /// Returns the quality of the delays in these rows.
-    pub fn of(rows: &Rows) -> Self {
-        let counted = || rows.iter().filter(|row| row.counts());
+    pub fn from_rows(rows: &Rows) -> Self {
+        let counted = || rows.iter().filter(|row| row.is_counted());
         Self {
-            upload: ClockCounts::of(counted().filter_map(|row| Some((row.at(), row.upload()?)))),
-            download: ClockCounts::of(counted().filter_map(|row| Some((row.at(), row.download()?)))),
+            upload: ClockCounts::from_passages(counted().filter_map(|row| Some((row.at(), row.upload()?)))),
+            download: ClockCounts::from_passages(
+                counted().filter_map(|row| Some((row.at(), row.download()?))),
+            ),
         }
     }
 }
 
 impl ClockCounts {
-    fn of(passages: impl Iterator<Item = (f64, Passage)>) -> Self {
+    fn from_passages(passages: impl Iterator<Item = (f64, Passage)>) -> Self {
         let (mut verdicts, mut sources) = (BTreeMap::new(), BTreeMap::new());
         let mut widths: Vec<f64> = Vec::new();
         let (mut first, mut last) = (None, None);
@@ -80,7 +82,7 @@ impl ClockCounts {
         Self {
             verdicts: named(verdicts),
             sources: named(sources),
-            median_width: widths.into_iter().collect::<Ordered>().median(),
+            median_width: widths.into_iter().collect::<SortedValues>().median(),
             first_offset: first.map(|(_, offset)| offset),
             last_offset: last.map(|(_, offset)| offset),
             skew: first.zip(last).and_then(|(first, last)| skew(first, last)),

@@ -38,27 +38,27 @@ pub struct RunRecord {
     pub started: Option<DateTime<Utc>>,
     /// End of the run.
     pub ended: Option<DateTime<Utc>>,
-    /// Why it ended.
+    /// Reason for the end of the run.
     pub reason: EndReason,
     /// Version of the program that measured.
     pub version: String,
-    /// The command that was typed.
+    /// Command line that started the run.
     pub command: String,
-    /// Folder in which it was typed: relative paths of the command and of the configuration are relative to it.
+    /// Working directory of the command: relative paths of the command and of the configuration start there.
     pub folder: String,
-    /// Environment variables that influence which files it finds and how fast it computes, if they were set.
+    /// Environment variables that influence file lookup and speed, if they were set.
     pub environment: BTreeMap<String, String>,
     /// The file of devices that the command or the experiment names.
     pub network_config: Option<NetworkConfig>,
-    /// Host that sensed.
+    /// Edge host, which ran the sensor.
     pub edge: HostRecord,
-    /// Host that served; `None` if there was none, or it was not reached.
+    /// Cloud host, which ran the model; `None` if there was none, or it was not reached.
     pub cloud: Option<HostRecord>,
     /// Place of the computation.
     pub placement: Placement,
     /// Model; `None` if a sensor ran alone.
     pub model: Option<ModelRecord>,
-    /// Sensor, transforms, load and so on, as pairs for people.
+    /// Facts about sensor, transforms, load and so on, as pairs of name and text for display.
     pub facts: Vec<(String, String)>,
     /// The pipeline's table of the configuration.
     pub pipeline: Value,
@@ -68,13 +68,14 @@ pub struct RunRecord {
     pub experiment: Option<ExperimentPlace>,
     /// Number of this edge, if several edges used the cloud at the same time.
     pub user: Option<User>,
-    /// Time that a missing peer was to be waited for, before the run and during it; seconds.
-    pub patience_s: Option<f64>,
+    /// Longest wait for a missing peer, before the run and during it; seconds.
+    #[serde(rename = "patience_s")]
+    pub peer_timeout_s: Option<f64>,
     /// Seeds of random quantities, by their purpose.
     pub seeds: BTreeMap<String, u64>,
     /// Iterations that are warm-up, in words.
     pub warm_up: String,
-    /// Number of iterations by how they ended.
+    /// Number of iterations by outcome.
     pub counts: Counts,
     /// Deadline of an iteration, seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
@@ -92,16 +93,16 @@ pub struct RunRecord {
 
 impl RunRecord {
     /// Returns whether nothing was computed: a sensor ran alone.
-    pub fn is_sensor_alone(&self) -> bool {
+    pub fn is_sensor_only(&self) -> bool {
         self.placement.is(PlacementKind::None)
     }
 }
 
-/// File of devices, as it was when the command was typed.
+/// File of devices, as it was when the command started.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct NetworkConfig {
-    /// Path of the file, as it was typed.
+    /// Path of the file, as given on the command line.
     pub file: String,
     /// Content of the file.
     pub text: String,
@@ -114,7 +115,8 @@ pub struct User {
     /// Number, from 1.
     pub number: u32,
     /// Number of users.
-    pub of: u32,
+    #[serde(rename = "of")]
+    pub count: u32,
 }
 
 /// Host that took part in a run.
@@ -123,13 +125,13 @@ pub struct User {
 pub struct HostRecord {
     /// Name for people.
     pub name: String,
-    /// Decides.
+    /// Random identifier of the host, which stays the same when the host is renamed.
     pub id: Option<HostId>,
     /// Version of its program.
     pub version: String,
     /// Hardware of the host.
     pub hardware: Option<Hardware>,
-    /// Discipline of its clock, in words: `chrony, stratum 2, to 10.0.0.1`; empty if it was not asked for.
+    /// Clock discipline in words, such as `chrony, stratum 2, to 10.0.0.1`; empty if it was not inspected.
     pub clock: String,
     /// Conditions of the host that were found before the run.
     pub conditions: Vec<Condition>,
@@ -143,7 +145,7 @@ pub struct Placement {
     pub kind: String,
     /// Kind of network, such as `zmq-tcp`, for a remote one.
     pub network: Option<String>,
-    /// Address of the peer, likewise.
+    /// Address of the peer, for a remote one.
     pub address: Option<String>,
 }
 
@@ -166,32 +168,32 @@ pub struct ModelRecord {
     pub sha256: Option<String>,
 }
 
-/// Number of iterations by how they ended. Warm-up is counted separately, whatever its outcome.
+/// Number of iterations by outcome. Warm-up is counted separately, whatever its outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counts {
-    /// Answered iterations, the input of statistics.
+    /// Number of answered iterations, the input of statistics.
     pub ok: u64,
-    /// The sample or the model failed.
+    /// Number of iterations whose sample or model failed.
     pub failed: u64,
-    /// The connection broke.
+    /// Number of iterations whose connection broke.
     pub lost: u64,
-    /// The answer did not come in time.
+    /// Number of iterations without an answer in time.
     pub timeout: u64,
-    /// Warm-up.
+    /// Number of warm-up iterations.
     pub warm_up: u64,
-    /// Iterations that were measured but not received by this program, because it was too busy.
+    /// Number of iterations that were measured but not received by this program, because it was too busy.
     pub unseen: u64,
 }
 
-/// Returns a wall time in the form that `run.json` has.
-pub fn instant(at: WallTime) -> DateTime<Utc> {
+/// Converts a wall time to the form in `run.json`.
+pub fn to_utc(at: WallTime) -> DateTime<Utc> {
     DateTime::from_timestamp_nanos(at.unix_nanos())
 }
 
 impl Counts {
     /// Counts rows; `unseen` more iterations are known to have been measured.
-    pub fn of(rows: &Rows, unseen: u64) -> Self {
+    pub fn from_rows(rows: &Rows, unseen: u64) -> Self {
         let mut counts = Self { unseen, ..Self::default() };
         for row in rows {
             let count = match row.outcome() {

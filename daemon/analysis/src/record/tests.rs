@@ -14,21 +14,22 @@ fn near(found: Option<Bounded>, expected: [f64; 3]) {
 }
 
 #[test]
-fn offset_and_skew_are_what_was_taken_from_the_stamps() {
+fn offset_and_skew_are_recovered_from_stamps() {
     let mut rows = rows(10);
     for row in &mut rows {
         row.at = 1000.0 + row.iteration as f64;
     }
     // Warm-up is not counted, nor is a message between contradicting sources.
-    let upload = |row: &mut Row, of: fn(&mut OneWayDelay)| row.upload.as_mut().map(|way| of(&mut way.delay));
+    let upload =
+        |row: &mut Row, of: fn(&mut OneWayDelay)| row.upload.as_mut().map(|passage| of(&mut passage.delay));
     upload(&mut rows[0], |delay| delay.raw = Span::from_seconds(9)).expect("was sent");
     upload(&mut rows[2], |delay| delay.verdict = Verdict::Inconsistent).expect("was sent");
     upload(&mut rows[9], |delay| delay.raw += Span::from_micros(18)).expect("was sent");
-    let clocks = Clocks::of(&kept(&rows));
+    let clocks = Clocks::from_rows(&kept(&rows));
     near(clocks.upload.first_offset, [0.005, 0.00499, 0.00501]);
     near(clocks.upload.last_offset, [0.005_018, 0.005_008, 0.005_028]);
     near(clocks.upload.skew, [3e-6, -2e-6 / 6.0, 38e-6 / 6.0]);
     near(clocks.download.skew, [0.0, -20e-6 / 7.0, 20e-6 / 7.0]);
     rows.iter_mut().for_each(|row| row.at = 0.0);
-    assert_eq!(Clocks::of(&kept(&rows)).upload.skew, None, "nobody wrote down when");
+    assert_eq!(Clocks::from_rows(&kept(&rows)).upload.skew, None, "nobody wrote down when");
 }

@@ -3,7 +3,7 @@
 use std::ops::Index;
 
 /// Number of elements in one chunk.
-const CHUNK: usize = 4096;
+const CHUNK_LEN: usize = 4096;
 
 /// List that only grows. Unlike a vector it needs no more memory than its elements, and it leaves no freed blocks behind: a run has dozens
 /// of columns, and vectors that grow at the same time take twice their size.
@@ -18,14 +18,14 @@ impl<T> Default for Chunks<T> {
 
 impl<T> Chunks<T> {
     pub(super) fn len(&self) -> usize {
-        self.0.last().map_or(0, |last| (self.0.len() - 1) * CHUNK + last.len())
+        self.0.last().map_or(0, |last| (self.0.len() - 1) * CHUNK_LEN + last.len())
     }
 
     pub(super) fn push(&mut self, value: T) {
-        match self.0.last_mut().filter(|last| last.len() < CHUNK) {
+        match self.0.last_mut().filter(|last| last.len() < CHUNK_LEN) {
             Some(last) => last.push(value),
             None => {
-                let mut chunk = Vec::with_capacity(CHUNK);
+                let mut chunk = Vec::with_capacity(CHUNK_LEN);
                 chunk.push(value);
                 self.0.push(chunk);
             }
@@ -37,7 +37,7 @@ impl<T> Index<usize> for Chunks<T> {
     type Output = T;
 
     fn index(&self, at: usize) -> &T {
-        &self.0[at / CHUNK][at % CHUNK]
+        &self.0[at / CHUNK_LEN][at % CHUNK_LEN]
     }
 }
 
@@ -54,8 +54,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_is_where_it_was_put() {
-        for count in [0, 1, CHUNK, CHUNK + 1, 3 * CHUNK] {
+    fn every_element_is_found_at_its_index() {
+        for count in [0, 1, CHUNK_LEN, CHUNK_LEN + 1, 3 * CHUNK_LEN] {
             let list: Chunks<usize> = (0..count).collect();
             assert_eq!(list.len(), count);
             assert!((0..count).all(|at| list[at] == at), "{count}");

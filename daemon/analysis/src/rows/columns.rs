@@ -23,7 +23,7 @@ pub enum ColumnKind {
 }
 
 /// Number of columns that the published program has.
-pub const PUBLISHED: usize = 13;
+pub const PUBLISHED_COLUMN_COUNT: usize = 13;
 
 /// Columns that every file has: the published ones in their order, then those of this program. Further measurements of a run follow them.
 pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
@@ -77,8 +77,8 @@ pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
 ];
 
 /// Returns the names of the published columns, in their order.
-pub fn published() -> impl Iterator<Item = &'static str> {
-    FIXED_COLUMNS[..PUBLISHED].iter().map(|(name, _)| *name)
+pub fn published_columns() -> impl Iterator<Item = &'static str> {
+    FIXED_COLUMNS[..PUBLISHED_COLUMN_COUNT].iter().map(|(name, _)| *name)
 }
 
 /// Returns the position of a column that every file has.
@@ -98,24 +98,24 @@ pub fn column(name: &str) -> Column {
 /// that every file has are excepted: their names never change, so that `sensing` is `sensing` with any children, and its parts are
 /// `capture` and `transform`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
-    Found::of(tree).values()
+    TreeValues::from_tree(tree).values()
 }
 
 /// Measurements of a tree.
-pub(super) struct Found<'a> {
+pub(super) struct TreeValues<'a> {
     fixed: [Option<f64>; FIXED_COLUMNS.len()],
     further: Vec<(Column, f64, Unit)>,
     /// Number of times that a parent had a child of that name.
     siblings: HashMap<(NodeId, &'a str), usize>,
 }
 
-impl<'a> Found<'a> {
-    pub(super) fn of(tree: &'a Tree) -> Self {
+impl<'a> TreeValues<'a> {
+    pub(super) fn from_tree(tree: &'a Tree) -> Self {
         let mut found =
-            Found { fixed: [None; FIXED_COLUMNS.len()], further: Vec::new(), siblings: HashMap::new() };
+            TreeValues { fixed: [None; FIXED_COLUMNS.len()], further: Vec::new(), siblings: HashMap::new() };
         let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            labels[id.index()] = found.take(tree, id, node, &labels);
+            labels[id.index()] = found.add_node(tree, id, node, &labels);
         }
         found
     }
@@ -132,7 +132,7 @@ impl<'a> Found<'a> {
     }
 
     /// Adds a node's value; returns the label that its children's names begin with.
-    fn take(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
+    fn add_node(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());
         if let Some(at) = place(tree, parent, &node.name) {
@@ -157,7 +157,7 @@ impl<'a> Found<'a> {
         if let Some(value) = value {
             let name =
                 if tree.children(id).next().is_some() { format!("{label}_val") } else { label.clone() };
-            let name = self.free(name);
+            let name = self.unique_name(name);
             self.further.push((Column::Owned(name), value, node.measure.unit()));
         }
         Column::Owned(label)
@@ -173,7 +173,7 @@ impl<'a> Found<'a> {
     }
 
     /// Returns the name, with a number behind it if another column of the row has it.
-    fn free(&self, name: String) -> String {
+    fn unique_name(&self, name: String) -> String {
         let taken =
             |name: &str| fixed(name).is_some() || self.further.iter().any(|(other, ..)| other == name);
         if !taken(&name) {

@@ -13,7 +13,9 @@ mod row_ref;
 mod tests;
 mod units;
 
-pub use columns::{ColumnKind, FIXED_COLUMNS, LATENESS, PUBLISHED, SKIPPED_STARTS, column, published};
+pub use columns::{
+    ColumnKind, FIXED_COLUMNS, LATENESS, PUBLISHED_COLUMN_COUNT, SKIPPED_STARTS, column, published_columns,
+};
 pub use row::{Column, Outcome, Row};
 pub use row_ref::RowRef;
 pub use units::Units;
@@ -34,16 +36,16 @@ use numbers::Numbers;
 pub struct Rows {
     names: Vec<Column>,
     places: HashMap<Column, usize>,
-    /// Columns of numbers, one for each of `names`, each as long as `ends`.
+    /// Columns of numbers, one for each of `names`, each as long as `outcomes`.
     numbers: Vec<Numbers>,
     /// Outcome of each iteration, and whether it is warm-up.
-    ends: Chunks<(Outcome, bool)>,
+    outcomes: Chunks<(Outcome, bool)>,
     /// Verdicts on the delays, upload and download.
-    judged: [Chunks<Option<JudgedDelay>>; 2],
+    verdicts: [Chunks<Option<JudgedDelay>>; 2],
     /// Reasons by row, in order, of the rows that have one. Consecutive ones are mostly the same.
     reasons: Vec<(usize, Arc<str>)>,
     /// Row that is being appended.
-    line: RowBuilder,
+    builder: RowBuilder,
 }
 
 /// Column of a flag that is stored separately, because every statistic reads it.
@@ -64,7 +66,7 @@ pub struct RowBuilder {
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
     /// Verdicts on the delays, upload and download.
-    pub judged: [Option<JudgedDelay>; 2],
+    pub verdicts: [Option<JudgedDelay>; 2],
 }
 
 impl Default for Rows {
@@ -73,10 +75,10 @@ impl Default for Rows {
             names: Vec::new(),
             places: HashMap::new(),
             numbers: Vec::new(),
-            ends: Chunks::default(),
-            judged: [Chunks::default(), Chunks::default()],
+            outcomes: Chunks::default(),
+            verdicts: [Chunks::default(), Chunks::default()],
             reasons: Vec::new(),
-            line: RowBuilder::default(),
+            builder: RowBuilder::default(),
         };
         for (name, _) in FIXED_COLUMNS {
             rows.place(&Column::Borrowed(name));
@@ -88,7 +90,7 @@ impl Default for Rows {
 impl Rows {
     /// Returns the number of rows.
     pub fn len(&self) -> usize {
-        self.ends.len()
+        self.outcomes.len()
     }
 
     /// Returns whether there are no rows.
@@ -98,45 +100,45 @@ impl Rows {
 
     /// Appends a row.
     pub fn push(&mut self, row: &Row) {
-        let mut line = self.build_row();
+        let mut builder = self.build_row();
         for (name, kind) in FIXED_COLUMNS {
             if kind != ColumnKind::Node && name != WARM_UP {
-                line.numbers[self.places[name]] = row.value(name);
+                builder.numbers[self.places[name]] = row.value(name);
             }
         }
         for (name, value) in &row.values {
             // Of two values with one name, the first one counts.
-            let place = line.place(self, name);
-            line.numbers[place] = line.numbers[place].or(Some(*value));
+            let place = builder.place(self, name);
+            builder.numbers[place] = builder.numbers[place].or(Some(*value));
         }
-        (line.outcome, line.warm_up) = (Some(row.outcome), row.warm_up);
-        line.reason.clone_from(&row.reason);
-        let judged = |way: &crate::Passage| (way.delay.verdict, way.delay.source);
-        line.judged = [&row.upload, &row.download].map(|way| way.as_ref().map(judged));
-        self.push_built(line);
+        (builder.outcome, builder.warm_up) = (Some(row.outcome), row.warm_up);
+        builder.reason.clone_from(&row.reason);
+        let verdicts = |passage: &crate::Passage| (passage.delay.verdict, passage.delay.source);
+        builder.verdicts = [&row.upload, &row.download].map(|passage| passage.as_ref().map(verdicts));
+        self.push_built(builder);
     }
 
     /// Returns an empty row, to be filled and given to [`Self::push_built`].
     pub fn build_row(&mut self) -> RowBuilder {
-        let mut line = std::mem::take(&mut self.line);
-        line.numbers.clear();
-        line.numbers.resize(self.names.len(), None);
-        RowBuilder { numbers: line.numbers, ..RowBuilder::default() }
+        let mut builder = std::mem::take(&mut self.builder);
+        builder.numbers.clear();
+        builder.numbers.resize(self.names.len(), None);
+        RowBuilder { numbers: builder.numbers, ..RowBuilder::default() }
     }
 
     /// Appends a row that was built.
-    pub fn push_built(&mut self, mut line: RowBuilder) {
-        for (numbers, number) in self.numbers.iter_mut().zip(&line.numbers) {
+    pub fn push_built(&mut self, mut builder: RowBuilder) {
+        for (numbers, number) in self.numbers.iter_mut().zip(&builder.numbers) {
             numbers.push(*number);
         }
-        if let Some(reason) = line.reason.take() {
+        if let Some(reason) = builder.reason.take() {
             let last = self.reasons.last().map(|(_, last)| last).filter(|last| ***last == *reason);
             let reason = last.map_or_else(|| Arc::from(reason), Arc::clone);
-            self.reasons.push((self.ends.len(), reason));
+            self.reasons.push((self.outcomes.len(), reason));
         }
-        self.judged.iter_mut().zip(line.judged).for_each(|(all, judged)| all.push(judged));
-        self.ends.push((line.outcome.unwrap_or(Outcome::Ok), line.warm_up));
-        self.line = line;
+        self.verdicts.iter_mut().zip(builder.verdicts).for_each(|(all, verdicts)| all.push(verdicts));
+        self.outcomes.push((builder.outcome.unwrap_or(Outcome::Ok), builder.warm_up));
+        self.builder = builder;
     }
 
     /// Returns the place of a column, which is appended if no column has that name.
@@ -144,7 +146,7 @@ impl Rows {
         if let Some(place) = self.places.get(name) {
             return *place;
         }
-        self.numbers.push(Numbers::missing(self.ends.len()));
+        self.numbers.push(Numbers::missing(self.outcomes.len()));
         self.places.insert(name.clone(), self.names.len());
         self.names.push(name.clone());
         self.names.len() - 1
@@ -171,10 +173,10 @@ impl Rows {
     }
 
     /// Returns the numbers of a column in the rows that count, in order: the input of statistics.
-    pub fn counted(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
+    pub fn counted_values(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
         let place = self.places.get(column);
         let numbers = place.map(|place| &self.numbers[*place]);
-        let counted = self.iter().filter(|row| row.counts());
+        let counted = self.iter().filter(|row| row.is_counted());
         numbers
             .into_iter()
             .flat_map(move |numbers| counted.clone().filter_map(|row| numbers.get(row.place())))

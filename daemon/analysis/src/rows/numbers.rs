@@ -2,10 +2,10 @@
 
 use super::chunks::Chunks;
 
-/// Element of [`Numbers::Parts`] that stands for a missing number.
+/// Element of [`Numbers::Multiples`] that stands for a missing number.
 const MISSING: i32 = i32::MIN;
 /// Parts of a whole that are tried: whole numbers, and durations, which are counted in nanoseconds.
-const PARTS: [f64; 2] = [1.0, 1e9];
+const UNITS_PER_WHOLE: [f64; 2] = [1.0, 1e9];
 
 /// Numbers, one for each row, any of which may be missing.
 ///
@@ -15,50 +15,50 @@ const PARTS: [f64; 2] = [1.0, 1e9];
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
     /// Numbers with a constant difference, or all of them missing.
-    Even { first: Option<f64>, step: f64, count: usize },
+    Linear { first: Option<f64>, step: f64, count: usize },
     /// Multiples of a fraction of the unit: seconds as whole nanoseconds.
-    Parts { per: f64, counts: Chunks<i32> },
+    Multiples { per: f64, counts: Chunks<i32> },
     /// Unchanged numbers; NaN stands for a missing one.
-    Full(Chunks<f64>),
+    Exact(Chunks<f64>),
 }
 
 impl Numbers {
     /// Returns `count` numbers, all of them missing.
     pub(super) const fn missing(count: usize) -> Self {
-        Self::Even { first: None, step: 0.0, count }
+        Self::Linear { first: None, step: 0.0, count }
     }
 
     pub(super) fn len(&self) -> usize {
         match self {
-            Self::Even { count, .. } => *count,
-            Self::Parts { counts, .. } => counts.len(),
-            Self::Full(numbers) => numbers.len(),
+            Self::Linear { count, .. } => *count,
+            Self::Multiples { counts, .. } => counts.len(),
+            Self::Exact(numbers) => numbers.len(),
         }
     }
 
     /// Returns the number of a row; `None` if it is missing.
     pub(super) fn get(&self, at: usize) -> Option<f64> {
         match self {
-            Self::Even { first, step, .. } => first.map(|first| first + step * at as f64),
-            Self::Parts { per, counts } => {
+            Self::Linear { first, step, .. } => first.map(|first| first + step * at as f64),
+            Self::Multiples { per, counts } => {
                 Some(counts[at]).filter(|count| *count != MISSING).map(|count| f64::from(count) / per)
             }
-            Self::Full(numbers) => Some(numbers[at]).filter(|number| !number.is_nan()),
+            Self::Exact(numbers) => Some(numbers[at]).filter(|number| !number.is_nan()),
         }
     }
 
     /// Appends a number. NaN is stored as missing.
     pub(super) fn push(&mut self, number: Option<f64>) {
         let number = number.filter(|number| !number.is_nan());
-        if !self.takes(number) {
-            *self = Self::wide_enough((0..self.len()).map(|at| self.get(at)).chain([number]));
+        if !self.try_push(number) {
+            *self = Self::narrowest_form((0..self.len()).map(|at| self.get(at)).chain([number]));
         }
     }
 
     /// Appends a number if it can be read back exactly; otherwise changes nothing.
-    fn takes(&mut self, number: Option<f64>) -> bool {
+    fn try_push(&mut self, number: Option<f64>) -> bool {
         match self {
-            Self::Even { first, step, count } => {
+            Self::Linear { first, step, count } => {
                 match (*count, *first, number) {
                     (0, ..) => *first = number,
                     (1, Some(first), Some(number)) if (number - first).is_finite() => *step = number - first,
@@ -73,12 +73,12 @@ impl Numbers {
                 }
                 fits
             }
-            Self::Parts { per, counts } => {
+            Self::Multiples { per, counts } => {
                 let part = part(number, *per);
                 part.into_iter().for_each(|part| counts.push(part));
                 part.is_some()
             }
-            Self::Full(numbers) => {
+            Self::Exact(numbers) => {
                 numbers.push(number.unwrap_or(f64::NAN));
                 true
             }
@@ -86,13 +86,13 @@ impl Numbers {
     }
 
     /// Returns the narrowest form that can represent these numbers.
-    fn wide_enough(numbers: impl Iterator<Item = Option<f64>> + Clone) -> Self {
+    fn narrowest_form(numbers: impl Iterator<Item = Option<f64>> + Clone) -> Self {
         let fits = |per: &f64| numbers.clone().all(|number| part(number, *per).is_some());
-        match PARTS.into_iter().find(fits) {
+        match UNITS_PER_WHOLE.into_iter().find(fits) {
             Some(per) => {
-                Self::Parts { per, counts: numbers.filter_map(|number| part(number, per)).collect() }
+                Self::Multiples { per, counts: numbers.filter_map(|number| part(number, per)).collect() }
             }
-            None => Self::Full(numbers.map(|number| number.unwrap_or(f64::NAN)).collect()),
+            None => Self::Exact(numbers.map(|number| number.unwrap_or(f64::NAN)).collect()),
         }
     }
 }
@@ -124,15 +124,15 @@ mod tests {
 
     fn bytes(numbers: &[Option<f64>]) -> f64 {
         let bytes = match of(numbers) {
-            Numbers::Even { .. } => 0,
-            Numbers::Parts { counts, .. } => counts.len() * 4,
-            Numbers::Full(numbers) => numbers.len() * 8,
+            Numbers::Linear { .. } => 0,
+            Numbers::Multiples { counts, .. } => counts.len() * 4,
+            Numbers::Exact(numbers) => numbers.len() * 8,
         };
         bytes as f64 / numbers.len() as f64
     }
 
     #[test]
-    fn what_is_seen_in_runs_takes_little_room() {
+    fn typical_columns_need_few_bytes() {
         let column = |value: fn(u32) -> Option<f64>| bytes(&(1..=300).map(value).collect::<Vec<_>>());
         assert_eq!(column(|_| None), 0.0);
         assert_eq!(column(|_| Some(150_528.0)), 0.0, "a size");
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_form_that_is_too_narrow_gives_way_in_the_middle() {
+    fn column_widens_when_number_does_not_fit() {
         let steps: [&[f64]; 4] =
             [&[2.0, 2.0], &[1.0, -1.0], &[0.25, 1e-9], &[3.0, f64::INFINITY, -0.0, 1e-300]];
         let mut all = Vec::new();
@@ -152,15 +152,15 @@ mod tests {
             let column = of(&all);
             assert!((0..all.len()).all(|at| is_same(column.get(at), all[at])), "{all:?}: {column:?}");
         }
-        assert!(matches!(of(&all[..2]), Numbers::Even { .. }));
-        assert!(matches!(of(&all[..4]), Numbers::Parts { per: 1.0, .. }));
-        assert!(matches!(of(&all[..6]), Numbers::Parts { per: 1e9, .. }));
-        assert!(matches!(of(&all), Numbers::Full(_)));
+        assert!(matches!(of(&all[..2]), Numbers::Linear { .. }));
+        assert!(matches!(of(&all[..4]), Numbers::Multiples { per: 1.0, .. }));
+        assert!(matches!(of(&all[..6]), Numbers::Multiples { per: 1e9, .. }));
+        assert!(matches!(of(&all), Numbers::Exact(_)));
     }
 
     proptest! {
         #[test]
-        fn every_number_comes_back_to_the_last_bit(
+        fn every_number_is_read_back_exactly(
             numbers in prop::collection::vec(
                 prop::option::of(prop_oneof![
                     prop::num::f64::NORMAL | prop::num::f64::ZERO | prop::num::f64::SUBNORMAL | prop::num::f64::INFINITE,

@@ -85,11 +85,11 @@ impl From<&stream::Outcome> for Outcome {
 
 impl Row {
     /// Returns the measurements of an iteration.
-    pub fn of(iteration: &stream::Iteration) -> Self {
-        Self::with(iteration, columns::values(&iteration.tree))
+    pub fn from_iteration(iteration: &stream::Iteration) -> Self {
+        Self::from_values(iteration, columns::values(&iteration.tree))
     }
 
-    pub(super) fn with(iteration: &stream::Iteration, values: Vec<(Column, f64)>) -> Self {
+    pub(super) fn from_values(iteration: &stream::Iteration, values: Vec<(Column, f64)>) -> Self {
         let tree = &iteration.tree;
         Self {
             iteration: iteration.number,
@@ -117,18 +117,18 @@ impl Row {
             "episode" => Some(f64::from(self.episode)),
             "step" => Some(f64::from(self.step)),
             "warm-up" => Some(f64::from(u8::from(self.warm_up))),
-            "upload-lo" => bound(up, |way| way.delay.bounds.map(|bounds| bounds.lo)),
-            "upload-hi" => bound(up, |way| way.delay.bounds.map(|bounds| bounds.hi)),
-            "upload-raw" => bound(up, |way| Some(way.delay.raw)),
-            "download-lo" => bound(down, |way| way.delay.bounds.map(|bounds| bounds.lo)),
-            "download-hi" => bound(down, |way| way.delay.bounds.map(|bounds| bounds.hi)),
-            "download-raw" => bound(down, |way| Some(way.delay.raw)),
+            "upload-lo" => bound(up, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
+            "upload-hi" => bound(up, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
+            "upload-raw" => bound(up, |passage| Some(passage.delay.raw)),
+            "download-lo" => bound(down, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
+            "download-hi" => bound(down, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
+            "download-raw" => bound(down, |passage| Some(passage.delay.raw)),
             _ => self.values.iter().find(|(name, _)| name == column).map(|(_, value)| *value),
         }
     }
 
     /// Returns whether statistics include it: answered, and not warm-up.
-    pub fn counts(&self) -> bool {
+    pub fn is_counted(&self) -> bool {
         self.outcome == Outcome::Ok && !self.warm_up
     }
 }

@@ -59,16 +59,16 @@ impl<'a> RowRef<'a> {
 
     /// Returns whether it is warm-up: kept, but left out of statistics.
     pub fn warm_up(&self) -> bool {
-        self.rows.ends[self.place].1
+        self.rows.outcomes[self.place].1
     }
 
     /// Returns the outcome of the iteration.
     pub fn outcome(&self) -> Outcome {
-        self.rows.ends[self.place].0
+        self.rows.outcomes[self.place].0
     }
 
     /// Returns whether statistics include it: answered, and not warm-up.
-    pub fn counts(&self) -> bool {
+    pub fn is_counted(&self) -> bool {
         self.outcome() == Outcome::Ok && !self.warm_up()
     }
 
@@ -102,11 +102,11 @@ impl<'a> RowRef<'a> {
 
     /// Returns the verdicts on both delays, upload and download.
     pub fn verdicts(&self) -> [Option<Verdict>; 2] {
-        [0, 1].map(|way: usize| self.rows.judged[way][self.place].map(|(verdict, _)| verdict))
+        [0, 1].map(|direction: usize| self.rows.verdicts[direction][self.place].map(|(verdict, _)| verdict))
     }
 
-    fn passage(&self, way: usize, columns: [&str; 6]) -> Option<Passage> {
-        let (verdict, source) = self.rows.judged[way][self.place]?;
+    fn passage(&self, direction: usize, columns: [&str; 6]) -> Option<Passage> {
+        let (verdict, source) = self.rows.verdicts[direction][self.place]?;
         let [value, payload, metadata, raw, lo, hi] = columns.map(|column| self.value(column));
         let bounds = lo
             .zip(hi)

@@ -15,7 +15,7 @@ pub struct Units(BTreeMap<String, String>);
 impl Units {
     /// Returns an iteration as a row, and stores the units of its columns.
     pub fn row(&mut self, iteration: &Iteration) -> Row {
-        let found = columns::Found::of(&iteration.tree);
+        let found = columns::TreeValues::from_tree(&iteration.tree);
         for (column, unit) in found.units() {
             match self.0.get_mut(column) {
                 Some(known) if known != unit.symbol() => known.clear(),
@@ -24,7 +24,7 @@ impl Units {
                 None => drop(self.0.insert(column.to_owned(), unit.symbol().to_owned())),
             }
         }
-        Row::with(iteration, found.values())
+        Row::from_values(iteration, found.values())
     }
 
     /// Returns a column's unit; `None` for a plain number, and if iterations did not agree or the unit is not known.

@@ -5,25 +5,25 @@ use serde::Deserialize;
 
 use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
-use crate::trust::{EndedEarly, Limits, Load, Missing, Progress, Starts, TrustInput, lasted};
+use crate::trust::{EndedEarly, Limits, Load, MissingEvents, Progress, Starts, TrustInput, measured_seconds};
 
 impl TrustInput {
     /// Collects the input from the rows of a run and its record: conditions of both hosts, the end of the run, and missing measurements.
-    pub fn of_run(record: &RunRecord, rows: &Rows) -> Self {
+    pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
         let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
         let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
-        let unseen = Missing {
+        let unseen = MissingEvents {
             count: record.counts.unseen,
             reason: "measured, but this program was too busy to take them".to_owned(),
         };
-        let rows_say = Self::of_rows(rows, &conditions);
+        let rows_say = Self::from_rows(rows, &conditions);
         Self {
             starts: Starts { hz: load(record).hz, ..rows_say.starts },
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
             ended_early: ended_early(record, rows),
             ..rows_say
         }
-        .ended(Some(&record.reason))
+        .with_end_reason(Some(&record.reason))
         .with_facts(&record.facts)
     }
 }
@@ -40,22 +40,24 @@ fn load(record: &RunRecord) -> Load {
 
 /// Compares a run with its limits, by its rows and the number of iterations that have none.
 fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
-    let counts = Counts::of(rows, record.counts.unseen);
+    let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {
         measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
         warm_up: counts.warm_up,
-        seconds: lasted(rows),
+        seconds: measured_seconds(rows),
     };
-    EndedEarly::of(&limits(record), &progress, &record.reason)
+    EndedEarly::from_progress(&limits(record), &progress, &record.reason)
 }
 
 /// Describes the end of a run that was ended early or broke off: `was interrupted after 57 of 120 iterations`. `None` for one that was
 /// complete, or whose end is not known.
-pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
+pub(crate) fn early_end(record: &RunRecord, rows: &Rows) -> Option<String> {
     match (record.reason.failure(), ended_early(record, rows)) {
-        (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.how_far())),
+        (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.progress_text())),
         (Some(reason), None) => Some(format!("broke off: {reason}")),
-        (None, Some(early)) if early.interrupted => Some(format!("was interrupted {}", early.how_far())),
+        (None, Some(early)) if early.interrupted => {
+            Some(format!("was interrupted {}", early.progress_text()))
+        }
         (None, _) => None,
     }
 }

@@ -8,7 +8,7 @@ use crate::trust::testing::{about, governor, quiet, rows};
 use crate::trust::{Publish, Report};
 
 #[test]
-fn starts_that_were_skipped_are_told_and_weighed() {
+fn skipped_starts_are_reported_and_graded() {
     let judged = |load: serde_json::Value, skipped: u64| {
         let record = RunRecord { pipeline: serde_json::json!({ "load": load }), ..RunRecord::default() };
         let mut rows = rows(quiet(1005));
@@ -22,15 +22,15 @@ fn starts_that_were_skipped_are_told_and_weighed() {
             }
             _ => {}
         });
-        let report = Report::of(&TrustInput::of_run(&record, &rows));
-        let found = report.sentences.iter().find(|sentence| sentence.about == "skipped starts");
-        found.map(|sentence| (sentence.grade, sentence.text.clone()))
+        let report = Report::new(&TrustInput::from_run(&record, &rows));
+        let found = report.findings.iter().find(|finding| finding.about == "skipped starts");
+        found.map(|finding| (finding.grade, finding.text.clone()))
     };
     let rate = serde_json::json!({ "mode": "rate", "hz": 40 });
     let poisson = serde_json::json!({ "mode": "poisson", "hz": 40.0, "seed": 7 });
     for load in [&rate, &poisson] {
-        let text = "1,041 of 2,041 starts (51\u{202f}%) were skipped, because the pipeline was too far behind: \
-                    40.0\u{202f}Hz were ordered, 1.00 starts a second were made. The latency is that of a system at its limit.";
+        let text = "1,041 of 2,041 starts (51\u{202f}%) were skipped because the pipeline could not keep up: \
+                    40.0\u{202f}Hz were configured, 1.00\u{202f}Hz achieved. The latency is that of a system at its limit.";
         assert_eq!(judged(load.clone(), 1041), Some((Grade::Bad, text.to_owned())));
     }
     let (grade, text) = judged(rate.clone(), 20).expect("told");
@@ -38,23 +38,23 @@ fn starts_that_were_skipped_are_told_and_weighed() {
     let (grade, text) = judged(rate.clone(), 1).expect("told");
     assert!(grade == Grade::Good && text.starts_with("1 of 1,001 starts (0.10\u{202f}%) was"), "{text}");
     let (_, text) = judged(serde_json::json!(null), 1041).expect("told");
-    assert!(text.contains("too far behind. The latency"), "{text}");
+    assert!(text.contains("could not keep up. The latency"), "{text}");
     let kept = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
-    let report = Report::of(&TrustInput::of_run(&kept, &rows(quiet(205))));
-    let text = "No start was skipped: 40.0\u{202f}Hz were ordered and kept.";
+    let report = Report::new(&TrustInput::from_run(&kept, &rows(quiet(205))));
+    let text = "No start was skipped: 40.0\u{202f}Hz were configured and achieved.";
     assert_eq!(about(&report, "skipped starts"), (Grade::Good, text));
 }
 
 #[test]
-fn the_record_adds_what_rows_cannot_know() {
+fn record_adds_findings_without_rows() {
     let mut record = RunRecord { reason: "the model crashed".into(), ..RunRecord::default() };
     record.edge.conditions = vec![governor(Grade::Doubtful)];
     record.counts.unseen = 3;
     record.facts = vec![("Rehearsal of cloud".to_owned(), "+137 ms".to_owned())];
-    let report = Report::of(&TrustInput::of_run(&record, &rows(quiet(1005))));
+    let report = Report::new(&TrustInput::from_run(&record, &rows(quiet(1005))));
     assert_eq!(report.verdict, Publish::No);
-    let grades: Vec<Grade> = report.sentences.iter().map(|sentence| sentence.grade).collect();
-    assert_eq!(report.sentences[0].about, "end", "that a run broke off stands before all else");
+    let grades: Vec<Grade> = report.findings.iter().map(|finding| finding.grade).collect();
+    assert_eq!(report.findings[0].about, "end", "that a run broke off stands before all else");
     assert!(grades[1..].is_sorted_by(|a, b| a >= b), "then the most harmful first: {grades:?}");
     assert_eq!(about(&report, "rehearsal").0, Grade::Bad);
     assert_eq!(about(&report, "missing events").0, Grade::Doubtful);
@@ -64,7 +64,7 @@ fn the_record_adds_what_rows_cannot_know() {
 }
 
 #[test]
-fn a_run_that_is_not_what_was_ordered_says_so_first() {
+fn incomplete_run_is_reported_first() {
     let judged = |limit: serde_json::Value, reason: &str| {
         let record = RunRecord {
             reason: reason.into(),
@@ -72,8 +72,8 @@ fn a_run_that_is_not_what_was_ordered_says_so_first() {
             ..RunRecord::default()
         };
         // 5 iterations of warm-up and 200 measured ones, one each second.
-        let report = Report::of(&TrustInput::of_run(&record, &rows(quiet(205))));
-        (report.verdict, report.sentences[0].text.clone())
+        let report = Report::new(&TrustInput::from_run(&record, &rows(quiet(205))));
+        (report.verdict, report.findings[0].text.clone())
     };
     let iterations = |count: u32| serde_json::json!({ "iterations": count });
     let total = serde_json::json!({ "total": 205 });
@@ -100,7 +100,7 @@ fn a_run_that_is_not_what_was_ordered_says_so_first() {
             250,
             "finished",
             Publish::WithRemarks,
-            "The run came to its end after 200 of 250 iterations: there was nothing more to measure.",
+            "The run finished after 200 of 250 iterations: there was nothing more to measure.",
         ),
     ];
     for (ordered, reason, verdict, text) in cases {

@@ -8,7 +8,7 @@ use peernet_statistics::{self as statistics, Moments};
 
 use crate::accuracy::UnknownLabels;
 use crate::deadline::{DEADLINE_MISSED, Misses};
-use crate::order::Ordered;
+use crate::order::SortedValues;
 use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
 use crate::trust::Starts;
@@ -62,7 +62,7 @@ pub struct Quantity {
 
 impl Summary {
     /// Returns the summary of these rows.
-    pub fn of(rows: &Rows) -> Self {
+    pub fn from_rows(rows: &Rows) -> Self {
         let measured = rows.names().iter().enumerate().filter(|(place, name)| {
             FIXED_COLUMNS.get(*place).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
@@ -70,28 +70,28 @@ impl Summary {
             // This column includes unanswered iterations, so that its mean is the miss rate.
             if *name == DEADLINE_MISSED {
                 let all = rows.iter().filter(|row| !row.warm_up());
-                return Quantity::of(name.clone(), all.filter_map(|row| row.value(name)));
+                return Quantity::from_values(name.clone(), all.filter_map(|row| row.value(name)));
             }
-            let quantity = Quantity::of(name.clone(), rows.counted(name))?;
+            let quantity = Quantity::from_values(name.clone(), rows.counted_values(name))?;
             Some(Quantity { bounds: bounds(rows, name), ..quantity })
         };
         Self {
             title: String::new(),
             quantities: measured.filter_map(quantity).collect(),
-            counts: Counts::of(rows, 0),
+            counts: Counts::from_rows(rows, 0),
             deadline_s: None,
-            misses: Misses::of_rows(rows),
-            starts: Starts::of_rows(rows),
-            clocks: Clocks::of(rows),
-            unknown_labels: UnknownLabels::of(rows, &[]),
+            misses: Misses::from_rows(rows),
+            starts: Starts::from_rows(rows),
+            clocks: Clocks::from_rows(rows),
+            unknown_labels: UnknownLabels::from_rows(rows, &[]),
             units: Units::default(),
         }
     }
 
-    /// Adds facts from the run's record: its title, the units of its further columns, the words of its labels and classes, and the facts about
-    /// iterations that have no row.
+    /// Adds facts from the run's record: its title, the units of its further columns, the words of its labels and classes, and the facts
+    /// about iterations that have no row.
     #[must_use]
-    pub fn about(mut self, record: &RunRecord) -> Self {
+    pub fn with_record(mut self, record: &RunRecord) -> Self {
         self.title.clone_from(&record.title);
         self.units.clone_from(&record.units);
         self.counts.unseen = record.counts.unseen;
@@ -117,10 +117,11 @@ fn is_bound(column: &str) -> bool {
 fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let bounded = ["upload", "download", "upload-throughput", "download-throughput"];
     bounded.contains(&column).then_some(())?;
-    let counted = || rows.iter().filter(|row| row.counts() && row.value(column).is_some());
+    let counted = || rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
     let end = |end: &str| {
         let name = format!("{column}-{end}");
-        let ends: Option<Ordered> = counted().map(|row| row.value(&name)).collect::<Option<Ordered>>();
+        let ends: Option<SortedValues> =
+            counted().map(|row| row.value(&name)).collect::<Option<SortedValues>>();
         ends.and_then(|ends| ends.median())
     };
     Some((end("lo")?, end("hi")?))
@@ -129,10 +130,10 @@ fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
 impl Quantity {
     /// Returns the summary of these numbers; `None` if there are none. Numbers that are not finite, or too large for statistics, are left
     /// out.
-    pub fn of(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
+    pub fn from_values(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut moments = Moments::default();
         let values = values.into_iter().filter(|value| statistics::Summary::accepts(*value));
-        let ordered: Ordered = values.inspect(|value| moments.record(*value)).collect();
+        let ordered: SortedValues = values.inspect(|value| moments.record(*value)).collect();
         Some(Self {
             column,
             count: moments.count,

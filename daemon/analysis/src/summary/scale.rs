@@ -3,7 +3,7 @@
 use peernet_logger::Unit;
 
 /// Columns that are times, at any place in the tree and in the files of any program.
-const TIMES: [&str; 17] = [
+const DURATION_COLUMNS: [&str; 17] = [
     "sensing",
     "upload",
     "preprocessing",
@@ -24,7 +24,7 @@ const TIMES: [&str; 17] = [
 ];
 
 /// Suffix of a further column that holds a node's own value and not the sum of its children.
-const OWN_VALUE: &str = "_val";
+const VALUE_SUFFIX: &str = "_val";
 
 /// Form in which numbers of a column are shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,11 +41,11 @@ pub enum Scale {
 
 impl Scale {
     /// Returns the scale of a standard column by its name, and of another one by the unit that it was logged with.
-    pub fn of(column: &str, unit: Option<&str>) -> Self {
+    pub fn for_column(column: &str, unit: Option<&str>) -> Self {
         let total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
         let logged_in = |known: &Unit| unit == Some(known.symbol());
         match column {
-            _ if total || TIMES.contains(&last_part(column)) => Self::Milliseconds,
+            _ if total || DURATION_COLUMNS.contains(&node_name(column)) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
             _ if column.ends_with("-bytes") => Self::Bytes,
             _ if logged_in(&Unit::SECONDS) => Self::Milliseconds,
@@ -57,8 +57,8 @@ impl Scale {
 }
 
 /// Returns the name of the node that a column belongs to, without the names of its parents and without an appended number.
-fn last_part(column: &str) -> &str {
-    let column = column.strip_suffix(OWN_VALUE).unwrap_or(column);
+fn node_name(column: &str) -> &str {
+    let column = column.strip_suffix(VALUE_SUFFIX).unwrap_or(column);
     let number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());
     let column = column.rsplit_once('_').filter(|(_, last)| number(last)).map_or(column, |(front, _)| front);
     column.rsplit_once('_').map_or(column, |(_, last)| last)

@@ -4,7 +4,7 @@ use super::*;
 use crate::testing::{kept, rows};
 
 #[test]
-fn a_quantity_has_the_usual_figures() {
+fn quantity_matches_reference_statistics() {
     // Python: v = [n**1.5 for n in range(1, 301)]; fmean(v), stdev(v), median(v), quantiles(v, n=100,
     // method="inclusive")[94::4], max(v); numpy's mean, std(ddof=1) and percentile are the same.
     const PYTHON: [f64; 6] = [
@@ -15,7 +15,8 @@ fn a_quantity_has_the_usual_figures() {
         5118.664040859593,
         5196.152422706632,
     ];
-    let quantity = Quantity::of("x".into(), (1..=300).map(|n| f64::from(n).powf(1.5))).expect("numbers");
+    let quantity =
+        Quantity::from_values("x".into(), (1..=300).map(|n| f64::from(n).powf(1.5))).expect("numbers");
     let close = |value: f64, expected: f64| (value - expected).abs() < 1e-9 * expected;
     assert!(close(quantity.mean, PYTHON[0]), "{}", quantity.mean);
     assert!(close(quantity.std.expect("many"), PYTHON[1]), "{:?}", quantity.std);
@@ -26,9 +27,9 @@ fn a_quantity_has_the_usual_figures() {
 }
 
 #[test]
-fn numbers_beyond_all_reason_spoil_no_mean() {
+fn extreme_numbers_are_left_out_of_mean() {
     let values = [1.0, f64::MAX, -f64::MAX, f64::INFINITY, f64::NAN, 3.0];
-    let quantity = Quantity::of("x".into(), values).expect("numbers");
+    let quantity = Quantity::from_values("x".into(), values).expect("numbers");
     assert_eq!((quantity.count, quantity.mean, quantity.max), (2, 2.0, 3.0));
     assert!(quantity.std.is_some_and(f64::is_finite), "{quantity:?}");
 }
@@ -36,7 +37,7 @@ fn numbers_beyond_all_reason_spoil_no_mean() {
 #[test]
 fn percentiles_need_enough_numbers() {
     let of = |count: u32| {
-        let quantity = Quantity::of("x".into(), (0..count).map(f64::from)).expect("numbers");
+        let quantity = Quantity::from_values("x".into(), (0..count).map(f64::from)).expect("numbers");
         (quantity.std.is_some(), quantity.p95.is_some(), quantity.p99.is_some())
     };
     assert_eq!(
@@ -49,12 +50,12 @@ fn percentiles_need_enough_numbers() {
             (true, true, true),
         ]
     );
-    assert_eq!(Quantity::of("x".into(), [f64::NAN, f64::INFINITY]), None);
+    assert_eq!(Quantity::from_values("x".into(), [f64::NAN, f64::INFINITY]), None);
 }
 
 #[test]
-fn warm_up_and_what_was_lost_are_left_out() {
-    let summary = Summary::of(&kept(&rows(10)));
+fn warm_up_and_lost_rows_are_excluded() {
+    let summary = Summary::from_rows(&kept(&rows(10)));
     let upload = summary.quantity("upload").expect("measured");
     assert_eq!((upload.count, upload.max), (7, 0.01701));
     assert_eq!(upload.bounds, Some((0.016997, 0.017017)));

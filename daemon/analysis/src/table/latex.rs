@@ -41,7 +41,7 @@ const GREEK: [(char, &str); 34] = [
 ];
 
 /// Scales a table down to the width of the page if it is wider, so that names of any length fit.
-const FIT: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%";
+const RESIZE_TO_PAGE: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%";
 
 pub(super) fn table(table: &Table, caption: &str) -> String {
     let columns: String =
@@ -58,7 +58,7 @@ pub(super) fn table(table: &Table, caption: &str) -> String {
     let (header, caption) = (line(&table.header, false), escape(caption));
     let fonts = fonts([&header, &rows, &caption].into_iter().flat_map(|text| text.chars()));
     format!(
-        "% needs \\usepackage{{booktabs,graphicx}}\n{fonts}\\begin{{table*}}\n\\centering\n\\setlength{{\\tabcolsep}}{{4pt}}\n{FIT}\n\
+        "% needs \\usepackage{{booktabs,graphicx}}\n{fonts}\\begin{{table*}}\n\\centering\n\\setlength{{\\tabcolsep}}{{4pt}}\n{RESIZE_TO_PAGE}\n\
          \\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}}}\n\
          \\caption{{{caption}}}\n\\end{{table*}}\n"
     )
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_is_set_as_it_reads() {
+    fn special_characters_are_escaped() {
         assert_eq!(
             escape("a_b & 50 % {#1} ~x^2 \\n"),
             "a\\_b \\& 50 \\% \\{\\#1\\} \\textasciitilde{}x\\textasciicircum{}2 \\textbackslash{}n"
@@ -154,13 +154,13 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_an_argument_or_a_ligature() {
+    fn escaped_text_has_no_arguments_or_ligatures() {
         assert_eq!(escape("[x] *"), "{[}x{]} {*}", "after \\\\ they would be");
         assert_eq!(escape("a--b --- ''x'' ``y`` ,, ?`"), "a-{}-b -{}-{}- '{}'x'{}' `{}`y`{}` ,{}, ?{}`");
     }
 
     #[test]
-    fn what_is_not_seen_is_not_set() {
+    fn invisible_characters_are_removed() {
         assert_eq!(escape("tab\tnew\nline\r\u{1b}[2J\u{0}\u{7}\u{7f}\u{85}."), "tab new line  {[}2J    .");
         assert_eq!(
             escape("\u{feff}zero\u{200b}width\u{202e}\u{2028}, soft\u{ad}hyphen"),
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_is_one_of_booktabs() {
+    fn table_uses_booktabs() {
         assert_eq!(
             rows(&[["a_1", "1.0 ± 0.1"], ["b", "2.0"]]).latex("Two & more"),
             "% needs \\usepackage{booktabs,graphicx}\n\\begin{table*}\n\\centering\n\\setlength{\\tabcolsep}{4pt}\n\
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_that_are_not_in_every_font_are_named() {
+    fn required_fonts_are_named() {
         let second =
             |name: &str| rows(&[[name, "1"]]).latex("").lines().nth(1).unwrap_or_default().to_owned();
         assert_eq!(second("5 µm, Ω → 2 × θ"), "\\begin{table*}");

@@ -65,13 +65,13 @@ impl Table {
 
 /// Table with a title above it and explanations below it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Captioned {
+pub struct CaptionedTable {
     pub(crate) heading: String,
     pub(crate) table: Table,
     pub(crate) notes: String,
 }
 
-impl Captioned {
+impl CaptionedTable {
     /// Returns the text for a terminal.
     pub fn text(&self) -> String {
         format!("{}\n\n{}\n\n{}", self.heading, self.table.text(), self.notes)
@@ -93,14 +93,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn columns_numbers_have_as_many_decimals() {
+    fn column_has_equal_decimals() {
         assert_eq!(decimals_of([0.000_34, 6.5].into_iter()), 4, "0.0003 and 6.5000");
         assert_eq!(decimals_of([0.041_8, 0.394].into_iter()), 4);
         assert_eq!(decimals_of([640.1, 16.2, 0.0, f64::INFINITY].into_iter()), 1);
     }
 
     #[test]
-    fn interval_of_no_width_is_one_number() {
+    fn zero_width_interval_is_one_number() {
         let of = |lo: &str, hi: &str| interval([lo, hi].map(str::to_owned));
         assert_eq!(of("3.13", "3.13"), "3.13");
         assert_eq!(of("3.13", "3.14"), "3.13 – 3.14");

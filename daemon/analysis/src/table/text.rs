@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn columns_line_up_whatever_the_cells() {
+    fn columns_are_aligned() {
         let rows = [vec!["edge/full".to_owned(), "21.60".to_owned()], vec!["ä".to_owned(), "—".to_owned()]];
         assert_eq!(
             text(&["pipeline", "p50 ms"], &rows),
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_stand_to_the_left_and_a_mark_moves_no_figure() {
+    fn labels_are_left_aligned_and_marks_keep_alignment() {
         let cells = |cells: [&str; 3]| cells.map(str::to_owned).to_vec();
         let table = Table {
             header: cells(["model", "network", "total"]),

@@ -8,7 +8,7 @@ use crate::rows::{Row, Rows};
 
 /// Returns [`iterations`] as rows.
 pub(crate) fn rows(count: u64) -> Vec<Row> {
-    iterations(count).iter().map(Row::of).collect()
+    iterations(count).iter().map(Row::from_iteration).collect()
 }
 
 /// Returns the rows in the form in which they are stored.

@@ -53,7 +53,7 @@ pub enum Unit {
 
 impl EndedEarly {
     /// Compares a run that ended for `reason` with its limits; `None` if it reached them, or had none.
-    pub fn of(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
+    pub fn from_progress(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
         let interrupted = *reason == EndReason::Stopped;
         let limits_and_reached = [
             (limits.iterations, progress.measured as f64, Unit::Iterations),
@@ -77,7 +77,7 @@ impl EndedEarly {
     }
 
     /// Describes the progress of the run: `after 57 of 120 iterations`.
-    pub(crate) fn how_far(&self) -> String {
+    pub(crate) fn progress_text(&self) -> String {
         let Self { reached, ordered, unit, .. } = self;
         match unit {
             Unit::Iterations => {
@@ -89,7 +89,7 @@ impl EndedEarly {
 }
 
 /// Returns the time from the first to the last iteration that is not warm-up, seconds.
-pub(crate) fn lasted(rows: &Rows) -> f64 {
+pub(crate) fn measured_seconds(rows: &Rows) -> f64 {
     let at = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
     at().next_back().zip(at().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
 }

@@ -19,47 +19,47 @@ pub struct Starts {
     /// Ordered starts per second; `None` in a closed loop, and if they are not known.
     pub hz: Option<f64>,
     /// Iterations that began.
-    pub kept: u64,
+    pub started: u64,
     /// Starts that were skipped because the pipeline was too far behind.
     pub skipped: u64,
     /// Actual starts per second, from the first to the last, answered or not; `None` if their times are not known.
-    pub made_hz: Option<f64>,
+    pub actual_hz: Option<f64>,
 }
 
 impl Starts {
     /// Returns the starts of rows, which do not contain the number of ordered starts.
-    pub fn of_rows(rows: &Rows) -> Self {
+    pub fn from_rows(rows: &Rows) -> Self {
         let begun = || rows.iter().filter(|row| !row.warm_up());
         let skipped = begun().filter_map(|row| row.value(SKIPPED_STARTS)).filter(|value| *value > 0.0);
         Self {
             hz: None,
-            kept: begun().count() as u64,
+            started: begun().count() as u64,
             skipped: skipped.sum::<f64>() as u64,
-            made_hz: made_hz(begun().map(|row| row.at()).filter(|at| *at > 0.0)),
+            actual_hz: actual_hz(begun().map(|row| row.at()).filter(|at| *at > 0.0)),
         }
     }
 
     /// Returns the number of all ordered starts.
-    pub const fn all(&self) -> u64 {
-        self.kept + self.skipped
+    pub const fn total(&self) -> u64 {
+        self.started + self.skipped
     }
 
     /// Returns how many of all starts were skipped, in words; `None` if none were.
-    pub fn told(&self) -> Option<String> {
+    pub fn skipped_text(&self) -> Option<String> {
         let percent = fixed(self.skipped_share() * 100.0, 1);
-        let told =
-            format!("{} of {} ({percent} %)", fixed(self.skipped as f64, 0), counted(self.all(), "start"));
-        (self.skipped > 0).then_some(told)
+        let skipped_text =
+            format!("{} of {} ({percent} %)", fixed(self.skipped as f64, 0), counted(self.total(), "start"));
+        (self.skipped > 0).then_some(skipped_text)
     }
 
     /// Returns the share that was skipped, 0 to 1.
     pub fn skipped_share(&self) -> f64 {
-        if self.all() == 0 { 0.0 } else { self.skipped as f64 / self.all() as f64 }
+        if self.total() == 0 { 0.0 } else { self.skipped as f64 / self.total() as f64 }
     }
 }
 
 /// Returns the starts per second. The starts are in the order in which their iterations ended, so an earlier start can follow a later one.
-fn made_hz(starts: impl Iterator<Item = f64>) -> Option<f64> {
+fn actual_hz(starts: impl Iterator<Item = f64>) -> Option<f64> {
     let (count, first, last) = starts
         .fold((0_u64, f64::INFINITY, 0.0), |(count, first, last): (u64, f64, f64), at| {
             (count + 1, first.min(at), last.max(at))
@@ -69,11 +69,11 @@ fn made_hz(starts: impl Iterator<Item = f64>) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::made_hz;
+    use super::actual_hz;
 
     #[test]
-    fn the_rate_of_starts_is_measured_from_the_first_to_the_last() {
-        assert_eq!(made_hz([10.5, 10.0, 11.5, 12.0].into_iter()), Some(1.5));
-        assert_eq!([made_hz([10.0].into_iter()), made_hz(std::iter::empty())], [None, None]);
+    fn start_rate_spans_first_to_last_start() {
+        assert_eq!(actual_hz([10.5, 10.0, 11.5, 12.0].into_iter()), Some(1.5));
+        assert_eq!([actual_hz([10.0].into_iter()), actual_hz(std::iter::empty())], [None, None]);
     }
 }

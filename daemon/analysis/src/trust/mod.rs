@@ -19,15 +19,16 @@ mod time_series;
 mod trend;
 mod trust_input;
 
-pub(crate) use ended_early::lasted;
+pub(crate) use ended_early::measured_seconds;
 pub use ended_early::{EndedEarly, Limits, Progress, Unit};
 pub use load::{Load, Starts};
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};
-pub use trust_input::{Clocks, Counts, Missing, TrustInput};
+pub use trust_input::{Clocks, Counts, MissingEvents, TrustInput};
 
 use std::cmp::Reverse;
 
+use peernet_statistics::number::counted;
 use peernet_stream::Grade;
 use serde::{Deserialize, Serialize};
 
@@ -73,37 +74,37 @@ pub struct Report {
     /// The answer.
     pub verdict: Publish,
     /// Why, the most harmful first; before all others that a run broke off.
-    pub sentences: Vec<Finding>,
+    #[serde(rename = "sentences")]
+    pub findings: Vec<Finding>,
 }
 
 impl Report {
     /// Judges a run.
-    pub fn of(input: &TrustInput) -> Self {
-        let mut sentences = judge::sentences(input);
+    pub fn new(input: &TrustInput) -> Self {
+        let mut findings = judge::findings(input);
         // The sort is stable: findings of the same grade keep the order of the judgements.
-        sentences.sort_by_key(|sentence| (sentence.about != judge::END, Reverse(sentence.grade)));
-        let verdict = match sentences.iter().map(|sentence| sentence.grade).max() {
+        findings.sort_by_key(|finding| (finding.about != judge::END, Reverse(finding.grade)));
+        let verdict = match findings.iter().map(|finding| finding.grade).max() {
             None | Some(Grade::Good | Grade::Unknown) => Publish::Yes,
             Some(Grade::Doubtful) => Publish::WithRemarks,
             Some(Grade::Bad) => Publish::No,
         };
-        Self { verdict, sentences }
+        Self { verdict, findings }
     }
 
     /// Returns the answer in a sentence, with the number of findings against publication.
     pub fn answer(&self) -> String {
-        let count = |grade| self.sentences.iter().filter(|sentence| sentence.grade == grade).count();
-        let things = |count| format!("{count} thing{}", if count == 1 { "" } else { "s" });
+        let count = |grade| self.findings.iter().filter(|finding| finding.grade == grade).count() as u64;
         match self.verdict {
-            Publish::Yes => "Yes: nothing that was looked at speaks against it.".to_owned(),
+            Publish::Yes => "Yes: no check found a reason against it.".to_owned(),
             Publish::WithRemarks => {
                 format!(
-                    "Yes, with remarks: {} to be said beside the figures.",
-                    things(count(Grade::Doubtful))
+                    "Yes, with remarks: {} to report beside the figures.",
+                    counted(count(Grade::Doubtful), "remark")
                 )
             }
             Publish::No => {
-                format!("No: {} to be changed first, then repeat the run.", things(count(Grade::Bad)))
+                format!("No: fix {} first, then repeat the run.", counted(count(Grade::Bad), "problem"))
             }
         }
     }
@@ -111,10 +112,10 @@ impl Report {
     /// Returns the text for a terminal: the answer, then a line for each finding, with a sign before it and the advice below.
     pub fn text(&self) -> String {
         let mut lines = vec![format!("Can this run be published? {}", self.answer()), String::new()];
-        for sentence in &self.sentences {
-            lines.push(format!("  {} {}", sign(sentence.grade), sentence.text));
-            if !sentence.advice.is_empty() {
-                lines.push(format!("    → {}", sentence.advice));
+        for finding in &self.findings {
+            lines.push(format!("  {} {}", sign(finding.grade), finding.text));
+            if !finding.advice.is_empty() {
+                lines.push(format!("    → {}", finding.advice));
             }
         }
         lines.join("\n")

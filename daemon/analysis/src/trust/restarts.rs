@@ -8,7 +8,7 @@ use crate::rows::Rows;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Restarts {
     /// Owner of the process: `model`, `sensor`, `actuator`.
-    pub whose: &'static str,
+    pub owner: &'static str,
     /// Number of affected iterations among those that statistics include.
     pub count: u64,
     /// Total time that the restarts took from them.
@@ -26,16 +26,16 @@ impl Restarts {
     ];
 
     /// Returns whether the time is a part of `unattributed`: a model's is, the others' is part of the stage that waited.
-    pub(super) fn is_beside_stages(&self) -> bool {
-        self.whose == "model"
+    pub(super) fn is_unattributed(&self) -> bool {
+        self.owner == "model"
     }
 
-    pub(super) fn of_rows(rows: &Rows) -> Vec<Self> {
-        let of = |(whose, _, column): (_, Name, &str)| {
-            let waited = || rows.iter().filter(|row| row.counts() && row.value(column).is_some());
+    pub(super) fn from_rows(rows: &Rows) -> Vec<Self> {
+        let of = |(owner, _, column): (_, Name, &str)| {
+            let waited = || rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
             let iterations: Vec<u64> = waited().map(|row| row.iteration()).collect();
-            let (count, seconds) = (iterations.len() as u64, rows.counted(column).sum());
-            (count > 0).then_some(Self { whose, count, seconds, iterations })
+            let (count, seconds) = (iterations.len() as u64, rows.counted_values(column).sum());
+            (count > 0).then_some(Self { owner, count, seconds, iterations })
         };
         Self::NODES.into_iter().filter_map(of).collect()
     }

@@ -45,8 +45,8 @@ pub(crate) fn governor(grade: Grade) -> Condition {
 
 /// Returns the grade and the text of the finding about a subject.
 pub(crate) fn about<'a>(report: &'a Report, subject: &str) -> (Grade, &'a str) {
-    let mut found = report.sentences.iter().filter(|sentence| sentence.about == subject);
-    let sentence = found.next().unwrap_or_else(|| panic!("nothing about {subject}: {report:#?}"));
+    let mut found = report.findings.iter().filter(|finding| finding.about == subject);
+    let finding = found.next().unwrap_or_else(|| panic!("nothing about {subject}: {report:#?}"));
     assert!(found.next().is_none(), "more than one about {subject}");
-    (sentence.grade, &sentence.text)
+    (finding.grade, &finding.text)
 }

@@ -9,19 +9,19 @@ use crate::Passage;
 use crate::rows::{Outcome, Row, Rows};
 
 fn judged(rows: &Rows) -> Report {
-    Report::of(&TrustInput::of_rows(rows, &[governor(Grade::Good)]))
+    Report::new(&TrustInput::from_rows(rows, &[governor(Grade::Good)]))
 }
 
 #[test]
-fn a_quiet_run_can_be_published_as_it_is() {
+fn steady_run_can_be_published() {
     let report = judged(&rows(quiet(1005)));
     assert_eq!(report.verdict, Publish::Yes, "{}", report.text());
-    assert!(report.text().starts_with("Can this run be published? Yes: nothing"), "{}", report.text());
+    assert!(report.text().starts_with("Can this run be published? Yes: no check"), "{}", report.text());
     assert!(about(&report, "amount").1.contains("1,000 iterations were answered; 5 iterations of warm-up"));
 }
 
 #[test]
-fn a_run_that_gets_slower_says_by_how_much_and_where() {
+fn drift_is_reported_with_size_and_stage() {
     for (rise, grade) in [(0.02, Grade::Good), (0.2, Grade::Doubtful), (0.6, Grade::Bad)] {
         let totals =
             quiet(1005).into_iter().enumerate().map(|(at, total)| total * (1.0 + rise * at as f64 / 1005.0));
@@ -43,7 +43,7 @@ fn a_run_that_gets_slower_says_by_how_much_and_where() {
 
 /// Latency that varies slowly about its mean, as with other traffic on a link: the halves differ, the process does not.
 #[test]
-fn autocorrelation_is_not_taken_for_a_drift() {
+fn autocorrelation_is_not_reported_as_drift() {
     let mut noise = SplitMix64::new(11);
     let alarms = (0..60)
         .filter(|_| {
@@ -62,40 +62,40 @@ fn autocorrelation_is_not_taken_for_a_drift() {
 }
 
 #[test]
-fn a_short_run_is_not_judged_where_it_cannot_be() {
+fn short_run_has_unknown_stationarity() {
     let report = judged(&rows(quiet(45)));
     assert_eq!((report.verdict, about(&report, "amount").0), (Publish::WithRemarks, Grade::Doubtful));
     for subject in ["stationarity", "warm-up"] {
         assert_eq!(about(&report, subject).0, Grade::Unknown);
     }
-    let nothing = Report::of(&TrustInput::default());
+    let nothing = Report::new(&TrustInput::default());
     assert_eq!(nothing.verdict, Publish::No, "{}", nothing.text());
 }
 
 /// Buckets of a dashboard for a run whose clock was corrected: two seconds of samples, months apart.
 #[test]
-fn a_long_run_in_two_pieces_is_not_called_short() {
+fn run_in_two_buckets_is_not_called_short() {
     let totals = quiet(894);
     let piece = |values: &[f64]| {
         let mut summary = peernet_statistics::Summary::default();
         values.iter().for_each(|value| summary.record(*value));
         summary
     };
-    let total = TimeSeries::of_summaries(&[piece(&totals[..400]), piece(&totals[400..])]);
+    let total = TimeSeries::from_summaries(&[piece(&totals[..400]), piece(&totals[400..])]);
     let counts = Counts { ok: 894, ..Counts::default() };
-    let report = Report::of(&TrustInput { total, counts, ..TrustInput::default() });
+    let report = Report::new(&TrustInput { total, counts, ..TrustInput::default() });
     for subject in ["stationarity", "warm-up"] {
         let (grade, text) = about(&report, subject);
         assert!(grade == Grade::Unknown && !text.contains("too short"), "{text}");
         assert!(
-            text.contains("its 894 iterations lie in too few stretches") && text.contains("clock was set"),
+            text.contains("its 894 iterations lie in too few time buckets") && text.contains("clock was set"),
             "{text}"
         );
     }
 }
 
 #[test]
-fn a_cold_beginning_is_told_from_noise() {
+fn cold_beginning_is_distinguished_from_noise() {
     let cold =
         quiet(1005).into_iter().enumerate().map(|(at, total)| if at < 30 { total * 1.6 } else { total });
     let report = judged(&rows(cold));
@@ -114,7 +114,7 @@ fn a_cold_beginning_is_told_from_noise() {
 }
 
 #[test]
-fn outliers_matter_by_what_they_make_of_the_mean() {
+fn outliers_are_graded_by_share_of_mean() {
     let with = |every: usize, slow: f64| {
         let totals = quiet(1005).into_iter().enumerate();
         judged(&rows(totals.map(|(at, total)| if at % every == 50 { slow } else { total })))
@@ -133,7 +133,7 @@ fn outliers_matter_by_what_they_make_of_the_mean() {
 }
 
 #[test]
-fn iterations_without_an_answer_are_counted_and_weighed() {
+fn unanswered_iterations_are_counted_and_graded() {
     for (every, grade) in [(1_500, Grade::Good), (200, Grade::Doubtful), (5, Grade::Bad)] {
         let mut rows = rows(quiet(3005));
         rows.change(|row| {
@@ -146,7 +146,7 @@ fn iterations_without_an_answer_are_counted_and_weighed() {
 }
 
 #[test]
-fn what_no_stage_accounts_for_is_doubtful_unless_it_is_short() {
+fn long_unattributed_time_is_doubtful() {
     for (seconds, share, grade) in [
         (0.010, 0.04, Grade::Good),
         (0.010, 0.1, Grade::Doubtful),
@@ -161,7 +161,7 @@ fn what_no_stage_accounts_for_is_doubtful_unless_it_is_short() {
 }
 
 #[test]
-fn iterations_that_waited_for_a_new_process_are_named_and_weighed() {
+fn iterations_delayed_by_restart_are_named() {
     let judged = |column: &str, every: u64, seconds: f64| {
         let mut rows = rows(quiet(1005));
         rows.change(|row| {
@@ -173,8 +173,8 @@ fn iterations_that_waited_for_a_new_process_are_named_and_weighed() {
         judged(&rows)
     };
     let slow = judged("restart", 2_000, 2.0);
-    let text = "The model's process was started anew in 1 iteration (number 9), which waited 2,000\u{202f}ms for it: \
-                17\u{202f}% of all totals.";
+    let text = "The model's process was restarted in 1 iteration (number 9), which waited 2,000\u{202f}ms for it: \
+                17\u{202f}% of the sum of all totals.";
     assert_eq!(about(&slow, "restarts"), (Grade::Doubtful, text));
     let quick = judged("capture_capture-restart", 100, 0.001);
     let (grade, text) = about(&quick, "restarts");
@@ -184,11 +184,11 @@ fn iterations_that_waited_for_a_new_process_are_named_and_weighed() {
     );
     assert!(about(&judged("actuation_actuation-restart", 900, 0.1), "restarts").1.contains("The actuator's"));
     let none = judged("ipc", 2, 0.001);
-    assert!(none.sentences.iter().all(|sentence| sentence.about != "restarts"));
+    assert!(none.findings.iter().all(|finding| finding.about != "restarts"));
 }
 
 #[test]
-fn lateness_is_told_apart_from_what_nothing_accounts_for() {
+fn lateness_is_separated_from_unattributed_time() {
     for (lateness, grade) in [(0.085, Grade::Good), (0.070, Grade::Doubtful), (0.020, Grade::Bad)] {
         let mut rows = rows((0..200).map(|_| 0.2));
         rows.change(|row| {
@@ -199,18 +199,17 @@ fn lateness_is_told_apart_from_what_nothing_accounts_for() {
         assert_eq!(about(&report, "unattributed").0, grade, "{}", report.text());
         assert_eq!(about(&report, "lateness").0, Grade::Good);
         if grade == Grade::Good {
-            let text =
-                "0.50\u{202f}% of the total belongs to no stage, lateness aside (1.00\u{202f}ms on average).";
+            let text = "0.50\u{202f}% of the total belongs to no stage, lateness excluded (1.00\u{202f}ms on average).";
             assert_eq!(about(&report, "unattributed").1, text);
-            let text = "Iterations began 85.0\u{202f}ms after the ordered start on average: this lateness is 43\u{202f}% of the total.";
+            let text = "Iterations began 85.0\u{202f}ms after their scheduled start on average: this lateness is 43\u{202f}% of the total.";
             assert_eq!(about(&report, "lateness").1, text);
         }
     }
-    assert!(judged(&rows(quiet(200))).sentences.iter().all(|sentence| sentence.about != "lateness"));
+    assert!(judged(&rows(quiet(200))).findings.iter().all(|finding| finding.about != "lateness"));
 }
 
 #[test]
-fn the_wait_for_a_models_new_process_is_told_once() {
+fn model_restart_is_reported_once() {
     let mut rows = rows(quiet(200));
     rows.change(|row| {
         if row.iteration == 21 {
@@ -222,7 +221,7 @@ fn the_wait_for_a_models_new_process_is_told_once() {
     let report = judged(&rows);
     assert_eq!(about(&report, "restarts").0, Grade::Doubtful);
     let (grade, text) = about(&report, "unattributed");
-    assert!(grade == Grade::Good && text.contains("restarts aside"), "{text}");
+    assert!(grade == Grade::Good && text.contains("restarts excluded"), "{text}");
 }
 
 /// Adds a message of 6 ms to a row.
@@ -244,7 +243,7 @@ fn send(row: &mut Row, verdict: Verdict) {
 }
 
 #[test]
-fn verdicts_of_delays_are_weighed_per_direction() {
+fn delay_verdicts_are_graded_per_direction() {
     for (verdict, every, grade) in [
         (Verdict::Stale, 1, Grade::Doubtful),
         (Verdict::Limited, 1, Grade::Doubtful),
@@ -265,7 +264,7 @@ fn verdicts_of_delays_are_weighed_per_direction() {
 }
 
 #[test]
-fn a_report_comes_back_as_it_was_written() {
+fn report_is_read_back_unchanged() {
     let report = judged(&rows(quiet(205)));
     let json = serde_json::to_string(&report).expect("JSON");
     assert!(json.starts_with(r#"{"verdict":"yes","sentences":[{"about":"#), "{json}");

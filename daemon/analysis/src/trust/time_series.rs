@@ -5,20 +5,20 @@ use std::ops::Range;
 use peernet_statistics::Summary;
 
 use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
-use crate::order::Ordered;
+use crate::order::SortedValues;
 
 /// Iterations that count as a run's beginning, at least.
-const BEGINNING: u64 = 20;
+const MIN_BEGINNING_VALUES: u64 = 20;
 /// Maximum number of blocks that a run is cut into; the first block is its beginning.
-const MOST_BLOCKS: u64 = 200;
+const MAX_BLOCKS: u64 = 200;
 /// Change of the median between the halves, as a share of the first, that is mentioned.
-const DRIFT: f64 = 0.05;
+const MIN_NOTABLE_CHANGE: f64 = 0.05;
 /// Factor from the median distance from the median to the standard deviation of a normal distribution.
-const NORMAL: f64 = 1.4826;
+const MAD_TO_STD: f64 = 1.4826;
 /// Distances above the median, in such deviations, from which on a value is an outlier (Iglewicz and Hoaglin 1993).
-const OUTLIER: f64 = 3.5;
+const OUTLIER_DEVIATIONS: f64 = 3.5;
 /// Minimum deviation, as a share of the median: the resolution of the stored quantiles.
-const FINEST: f64 = 0.01;
+const MIN_RELATIVE_DEVIATION: f64 = 0.01;
 
 /// Statistics of a duration over the time of a run; seconds; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -49,7 +49,7 @@ pub struct Beginning {
     /// The median of the rest, seconds.
     pub rest: f64,
     /// Share of the later blocks of as many values whose median is at least as high, 0 to 1.
-    pub as_high: f64,
+    pub share_as_high: f64,
     /// Number of later blocks.
     pub blocks: usize,
 }
@@ -74,7 +74,7 @@ trait Medians: Series {
 
 impl Medians for [f64] {
     fn median(&self, range: Range<usize>) -> Option<f64> {
-        self[range].iter().copied().collect::<Ordered>().median()
+        self[range].iter().copied().collect::<SortedValues>().median()
     }
 }
 
@@ -86,11 +86,11 @@ impl Medians for [Summary] {
 
 impl TimeSeries {
     /// Returns the statistics of values in order of time; `None` without any.
-    pub fn of_values(values: &[f64]) -> Option<Self> {
+    pub fn from_values(values: &[f64]) -> Option<Self> {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
         // Sorted one after the other, so that a long run needs memory for only one of them.
-        let median = finite().collect::<Ordered>().median()?;
-        let deviation = finite().map(|value| (value - median).abs()).collect::<Ordered>().median()?;
+        let median = finite().collect::<SortedValues>().median()?;
+        let deviation = finite().map(|value| (value - median).abs()).collect::<SortedValues>().median()?;
         let limit = limit(median, deviation);
         let beyond = finite().filter(|value| *value > limit);
         let count = finite().count() as u64;
@@ -110,7 +110,7 @@ impl TimeSeries {
     }
 
     /// Returns the statistics of the summaries of buckets in order of time, quantiles within 1 %; `None` without any value.
-    pub fn of_summaries(buckets: &[Summary]) -> Option<Self> {
+    pub fn from_summaries(buckets: &[Summary]) -> Option<Self> {
         let all = merged(buckets);
         let (median, max) = (all.quantile(0.5)?, all.moments.max);
         let mut distances: Vec<(f64, u64)> =
@@ -138,8 +138,8 @@ impl TimeSeries {
     }
 
     /// Returns whether that change is large enough to be mentioned, if it is more than chance: 5 %.
-    pub fn has_moved(&self) -> bool {
-        self.change().is_some_and(|share| share.abs() >= DRIFT)
+    pub fn has_notable_change(&self) -> bool {
+        self.change().is_some_and(|share| share.abs() >= MIN_NOTABLE_CHANGE)
     }
 
     fn over_time<S: Medians + ?Sized>(series: &S) -> Self {
@@ -152,17 +152,17 @@ impl TimeSeries {
             [first, second] => Some((*first, *second)),
             _ => None,
         };
-        let blocks = series.parts((count / BEGINNING).min(MOST_BLOCKS));
+        let blocks = series.parts((count / MIN_BEGINNING_VALUES).min(MAX_BLOCKS));
         let beginning =
             blocks.split_first().filter(|(_, later)| !later.is_empty()).and_then(|(first, later)| {
                 let median = series.median(first.clone())?;
                 let others = medians(later);
-                let as_high = others.iter().filter(|other| **other >= median).count();
+                let share_as_high = others.iter().filter(|other| **other >= median).count();
                 Some(Beginning {
                     count: first.clone().map(|at| series.count(at)).sum(),
                     median,
                     rest: series.median(first.end..series.places())?,
-                    as_high: as_high as f64 / others.len() as f64,
+                    share_as_high: share_as_high as f64 / others.len() as f64,
                     blocks: others.len(),
                 })
             });
@@ -177,7 +177,7 @@ fn merged(summaries: &[Summary]) -> Summary {
 }
 
 fn limit(median: f64, deviation: f64) -> f64 {
-    median + OUTLIER * (NORMAL * deviation).max(FINEST * median.abs())
+    median + OUTLIER_DEVIATIONS * (MAD_TO_STD * deviation).max(MIN_RELATIVE_DEVIATION * median.abs())
 }
 
 #[cfg(test)]
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn values_and_their_summaries_tell_the_same() {
+    fn values_and_summaries_give_same_statistics() {
         // The values are a saw tooth with a tenth of slow values, and a slow beginning.
         let value = |n: u32| {
             let slow = if n % 10 == 9 { 0.04 } else { 0.0 };
@@ -201,8 +201,8 @@ mod tests {
         let values: Vec<f64> = (0..1200).map(value).collect();
         let buckets: Vec<Summary> = values.chunks(20).map(summary).collect();
         let (exact, stored) = (
-            TimeSeries::of_values(&values).expect("values"),
-            TimeSeries::of_summaries(&buckets).expect("values"),
+            TimeSeries::from_values(&values).expect("values"),
+            TimeSeries::from_summaries(&buckets).expect("values"),
         );
         let near = |a: f64, b: f64| (a / b - 1.0).abs() < 0.025;
         assert_eq!((exact.count, stored.count, exact.outliers.max), (1200, 1200, stored.outliers.max));
@@ -212,15 +212,15 @@ mod tests {
         assert_eq!(exact.outliers.count, stored.outliers.count, "{:?} {:?}", exact.outliers, stored.outliers);
         assert!(near(exact.outliers.influence, stored.outliers.influence));
         let (begun, kept) = (exact.beginning.expect("long enough"), stored.beginning.expect("long enough"));
-        assert_eq!((begun.count, begun.blocks, begun.as_high), (20, 59, 0.0));
+        assert_eq!((begun.count, begun.blocks, begun.share_as_high), (20, 59, 0.0));
         assert!(near(begun.median, kept.median) && near(begun.rest, kept.rest), "{begun:?} {kept:?}");
     }
 
     #[test]
-    fn a_constant_has_no_outliers_and_nothing_is_made_of_nothing() {
-        let course = TimeSeries::of_values(&[0.005; 100]).expect("values");
+    fn constant_has_no_outliers() {
+        let course = TimeSeries::from_values(&[0.005; 100]).expect("values");
         assert_eq!((course.outliers.count, course.outliers.influence), (0, 0.0));
-        assert_eq!(TimeSeries::of_values(&[f64::NAN]), None);
-        assert_eq!(TimeSeries::of_summaries(&[]), None);
+        assert_eq!(TimeSeries::from_values(&[f64::NAN]), None);
+        assert_eq!(TimeSeries::from_summaries(&[]), None);
     }
 }

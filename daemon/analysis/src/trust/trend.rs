@@ -3,10 +3,10 @@
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::fit::{Point, theil_sen};
-use crate::order::Ordered;
+use crate::order::SortedValues;
 
 /// Maximum autocorrelation for which the number of equivalent independent values is meaningful.
-const MOST_CORRELATED: f64 = 0.95;
+const MAX_AUTOCORRELATION: f64 = 0.95;
 
 /// Returns the probability that a series without a trend rises or falls as clearly as this one, two-sided: Mann (1945) and Kendall (1975),
 /// with the variance corrected for autocorrelation (Yue and Wang 2004, Water Resources Management 18). `None` with fewer than ten values.
@@ -20,8 +20,8 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
     let count = n as f64;
     let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
     let score: f64 = pairs.map(|(i, j)| sign(series[j] - series[i])).sum();
-    let ties: f64 = tied(series).into_iter().map(|t| t * (t - 1.0) * (2.0 * t + 5.0)).sum();
-    let variance = (count * (count - 1.0) * (2.0 * count + 5.0) - ties) / 18.0 * inflation(series);
+    let ties: f64 = tie_sizes(series).into_iter().map(|t| t * (t - 1.0) * (2.0 * t + 5.0)).sum();
+    let variance = (count * (count - 1.0) * (2.0 * count + 5.0) - ties) / 18.0 * variance_inflation(series);
     if variance <= 0.0 {
         return Some(1.0);
     }
@@ -37,7 +37,7 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
 /// one that explains most is used. In simulations the test finds a trend in series without one in 4 % of all cases when their values are
 /// independent, and in 9 % at an autocorrelation of 0.5, where the plain test does so in 23 %. The correction over all lags
 /// (Hamed and Rao 1998) does so in 18 %, because it underestimates the correlation of so few values.
-fn inflation(series: &[f64]) -> f64 {
+fn variance_inflation(series: &[f64]) -> f64 {
     let n = series.len();
     let count = n as f64;
     let points: Vec<Point> = series.iter().enumerate().map(|(at, y)| Point { x: at as f64, y: *y }).collect();
@@ -45,15 +45,15 @@ fn inflation(series: &[f64]) -> f64 {
     let line: Vec<f64> = points.iter().map(|point| point.y - slope * point.x).collect();
     let steps = [n / 4, n / 2, n - n / 4].map(|at| {
         let (before, after) = series.split_at(at);
-        [before, after].into_iter().flat_map(about_median).collect::<Vec<f64>>()
+        [before, after].into_iter().flat_map(deviations_from_median).collect::<Vec<f64>>()
     });
     let steps = steps.iter().map(|rest| correlation(rest, 6.0));
     let r = steps.fold(correlation(&line, 4.0), f64::min);
     1.0 + 2.0 * (r.powf(count + 1.0) - count * r * r + (count - 1.0) * r) / (count * (r - 1.0).powi(2))
 }
 
-fn about_median(part: &[f64]) -> Vec<f64> {
-    let median = part.iter().copied().collect::<Ordered>().median().unwrap_or(0.0);
+fn deviations_from_median(part: &[f64]) -> Vec<f64> {
+    let median = part.iter().copied().collect::<SortedValues>().median().unwrap_or(0.0);
     part.iter().map(|value| value - median).collect()
 }
 
@@ -67,7 +67,7 @@ fn correlation(rest: &[f64], bias: f64) -> f64 {
         return 0.0;
     }
     let products: f64 = ranks.windows(2).map(|pair| pair[0] * pair[1]).sum();
-    ((count * products / spread + 2.0) / (count - bias)).clamp(0.0, MOST_CORRELATED)
+    ((count * products / spread + 2.0) / (count - bias)).clamp(0.0, MAX_AUTOCORRELATION)
 }
 
 fn sign(difference: f64) -> f64 {
@@ -81,7 +81,7 @@ fn sign(difference: f64) -> f64 {
 }
 
 /// Returns the number of values in each group of equal values.
-fn tied(series: &[f64]) -> Vec<f64> {
+fn tie_sizes(series: &[f64]) -> Vec<f64> {
     let mut sorted = series.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
     sorted.chunk_by(|a, b| a == b).filter(|group| group.len() > 1).map(|group| group.len() as f64).collect()
@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rise_is_certain_and_a_saw_tooth_is_none() {
+    fn rise_is_trend_and_saw_tooth_is_not() {
         let rise: Vec<f64> = (0..30).map(|n| f64::from(n) + f64::from(n % 3)).collect();
         let saw: Vec<f64> = (0..30).map(|n| f64::from(n % 5)).collect();
         assert!(chance_of_trend(&rise).expect("enough") < 1e-6);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_a_trend_wherever_it_is() {
+    fn step_at_any_place_is_trend() {
         let mut noise = SplitMix64::new(3);
         for at in [8, 15, 22] {
             let series: Vec<f64> =
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn autocorrelation_is_not_taken_for_a_trend() {
+    fn autocorrelation_is_not_reported_as_trend() {
         // 5 % of 400 are 20, with a standard deviation of 4.
         let independent = false_alarms(0.0, 1);
         assert!(independent <= 33, "{independent}");

@@ -9,7 +9,7 @@ use peernet_stream::{Condition, EndReason};
 use super::{EndedEarly, Restarts, Starts, TimeSeries};
 use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
-use crate::order::Ordered;
+use crate::order::SortedValues;
 use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 
 /// Prefix of the fact of a run that says that a host's clock was made wrong on purpose.
@@ -28,9 +28,9 @@ pub struct TrustInput {
     /// Starts that an open loop ordered, by their outcome.
     pub starts: Starts,
     /// Measurements that are missing.
-    pub missing: Vec<Missing>,
+    pub missing: Vec<MissingEvents>,
     /// Reason that the run broke off: it neither finished nor was stopped.
-    pub broken: Option<String>,
+    pub failure: Option<String>,
     /// `true` if it has no end yet.
     pub open: bool,
     /// Progress of the run, if it ended before its limit.
@@ -72,7 +72,7 @@ pub struct Counts {
 
 /// Events that were dropped or never arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Missing {
+pub struct MissingEvents {
     /// Number of them; 0 if it is not known.
     pub count: u64,
     /// Why.
@@ -94,9 +94,10 @@ pub struct Clocks {
 
 impl TrustInput {
     /// Returns the input from the rows of a run and the conditions of its hosts that were found before it.
-    pub fn of_rows(rows: &Rows, conditions: &[Condition]) -> Self {
-        let measured = || rows.iter().filter(|row| row.counts());
-        let course = |column: &str| TimeSeries::of_values(&rows.counted(column).collect::<Vec<f64>>());
+    pub fn from_rows(rows: &Rows, conditions: &[Condition]) -> Self {
+        let measured = || rows.iter().filter(|row| row.is_counted());
+        let course =
+            |column: &str| TimeSeries::from_values(&rows.counted_values(column).collect::<Vec<f64>>());
         // Both sums cover the same iterations: if a delay is not known, the unattributed time is not known either.
         let explained = || measured().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
         let mean = |column: &str| {
@@ -108,7 +109,7 @@ impl TrustInput {
         let count = |outcome: Outcome| {
             rows.iter().filter(|row| !row.warm_up() && row.outcome() == outcome).count() as u64
         };
-        let ways: [(Name, PassageReader); 2] =
+        let directions: [(Name, PassageReader); 2] =
             [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
         Self {
             conditions: conditions.to_vec(),
@@ -119,26 +120,28 @@ impl TrustInput {
                 timeout: count(Outcome::Timeout),
                 warm_up: rows.iter().filter(|row| row.warm_up()).count() as u64,
             },
-            starts: Starts::of_rows(rows),
+            starts: Starts::from_rows(rows),
             total: course(&stage::TOTAL).or_else(|| course(&stage::SENSING)),
             stages: stages.collect(),
             unattributed: mean(&stage::UNATTRIBUTED),
             lateness: mean(LATENESS),
-            restarts: Restarts::of_rows(rows),
-            clocks: ways
+            restarts: Restarts::from_rows(rows),
+            clocks: directions
                 .into_iter()
-                .filter_map(|(name, of)| Clocks::of(name.as_str(), measured().filter_map(|row| of(&row))))
+                .filter_map(|(name, of)| {
+                    Clocks::from_passages(name.as_str(), measured().filter_map(|row| of(&row)))
+                })
                 .collect(),
-            accuracy: Accuracy::of_each(rows),
-            unknown_labels: UnknownLabels::of(rows, &[]),
+            accuracy: Accuracy::by_column(rows),
+            unknown_labels: UnknownLabels::from_rows(rows, &[]),
             ..Self::default()
         }
     }
 
     /// Adds the reason for the run's end.
     #[must_use]
-    pub fn ended(self, reason: Option<&EndReason>) -> Self {
-        Self { broken: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
+    pub fn with_end_reason(self, reason: Option<&EndReason>) -> Self {
+        Self { failure: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
     }
 
     /// Adds the facts of the run's description about rehearsals, labels and classes.
@@ -165,7 +168,7 @@ impl Counts {
 }
 
 impl Clocks {
-    fn of(stage: &str, passages: impl Iterator<Item = Passage>) -> Option<Self> {
+    fn from_passages(stage: &str, passages: impl Iterator<Item = Passage>) -> Option<Self> {
         let mut verdicts = BTreeMap::<usize, (Verdict, u64)>::new();
         let (mut delays, mut half_widths) = (Vec::new(), Vec::new());
         for passage in passages {
@@ -175,7 +178,7 @@ impl Clocks {
             delays.extend(passage.seconds());
             half_widths.extend(passage.bounds().map(|(lo, hi)| (hi - lo) / 2.0));
         }
-        let median = |values: Vec<f64>| values.into_iter().collect::<Ordered>().median();
+        let median = |values: Vec<f64>| values.into_iter().collect::<SortedValues>().median();
         let verdicts: Vec<(Verdict, u64)> = verdicts.into_values().collect();
         (!verdicts.is_empty()).then(|| Self {
             stage: stage.to_owned(),

@@ -14,7 +14,7 @@ pub struct Curve<'a> {
 impl<'a> Curve<'a> {
     /// Returns the lines as curves. Lines that differ only in their number of edges form one curve. The axis that holds that number is
     /// found by its labels, which contain it; if no axis does, every label is a curve.
-    pub fn all(users: &'a Users) -> Vec<Self> {
+    pub fn from_users(users: &'a Users) -> Vec<Self> {
         let Users { axes: names, lines } = users;
         let counted = axis_of_edges(users);
         let varied = |axis: &usize| {

@@ -6,19 +6,19 @@
 //! roll-ups ── UsersLine::new ┘      └─ curves   latency against the number of edges
 //! ```
 
+mod concurrent_edges;
 mod curves;
-mod together;
-mod written;
+mod tables;
 
 pub use curves::Curve;
 
 use crate::loaded::Loaded;
-use crate::order::Ordered;
+use crate::order::SortedValues;
 
 /// Returns Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same; `None` if all
 /// shares are 0 (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared
 /// Computer Systems*, DEC-TR-301).
-pub fn jain(shares: &[f64]) -> Option<f64> {
+pub fn jain_index(shares: &[f64]) -> Option<f64> {
     let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
     // Equal shares may be rounded to a little more than 1.
     (squares > 0.0).then(|| (sum * sum / (shares.len() as f64 * squares)).min(1.0))
@@ -42,17 +42,17 @@ pub struct UsersLine {
     pub edges: usize,
     /// Answers per second of all edges together, on average over the repeats; `None` if they never measured at the same time.
     pub rate: Option<f64>,
-    /// [`jain`] of the edges' rates, on average over the repeats.
+    /// [`jain_index`] of the edges' rates, on average over the repeats.
     pub fairness: Option<f64>,
     /// Share of each edge in each repeat.
-    pub shares: Vec<Share>,
+    pub shares: Vec<EdgeShare>,
     /// The totals of all edges.
     pub totals: Totals,
 }
 
 /// Share of one edge while all edges were measuring.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Share {
+pub struct EdgeShare {
     /// Answers per second.
     pub rate: f64,
     /// Median of its totals, seconds; `None` if none was measured.
@@ -77,8 +77,8 @@ pub struct Totals {
 impl Users {
     /// Returns the users of runs, one run for each edge. Edges that were measured at the same time are found by their records. `None` if
     /// every edge was alone.
-    pub fn of(runs: &[Loaded]) -> Option<Self> {
-        let runs = together::runs(runs);
+    pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
+        let runs = concurrent_edges::runs(runs);
         runs.iter().any(|edges| edges.len() > 1).then_some(())?;
         let place = |edges: &[&Loaded]| -> Vec<(String, String)> {
             let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());
@@ -92,7 +92,7 @@ impl Users {
         }
         let label = |edges: &[&Loaded], axis: &String| {
             let found = place(edges).into_iter().find(|(name, _)| name == axis);
-            found.map_or_else(|| written::NOTHING.to_owned(), |(_, label)| label)
+            found.map_or_else(|| tables::EMPTY_CELL.to_owned(), |(_, label)| label)
         };
         let mut groups: Vec<(Vec<String>, Vec<&[&Loaded]>)> = Vec::new();
         for edges in &runs {
@@ -103,11 +103,11 @@ impl Users {
             }
         }
         let line = |(labels, group): (Vec<String>, Vec<&[&Loaded]>)| {
-            let shared: Vec<(Vec<Share>, Vec<f64>)> =
-                group.iter().filter_map(|edges| together::shared(edges)).collect();
-            let totals: Ordered = shared.iter().flat_map(|(_, totals)| totals).copied().collect();
-            let repeats: Vec<Vec<Share>> = shared.into_iter().map(|(shares, _)| shares).collect();
-            UsersLine::new(labels, group[0].len(), &repeats, Totals::of(&totals))
+            let shared: Vec<(Vec<EdgeShare>, Vec<f64>)> =
+                group.iter().filter_map(|edges| concurrent_edges::shared(edges)).collect();
+            let totals: SortedValues = shared.iter().flat_map(|(_, totals)| totals).copied().collect();
+            let repeats: Vec<Vec<EdgeShare>> = shared.into_iter().map(|(shares, _)| shares).collect();
+            UsersLine::new(labels, group[0].len(), &repeats, Totals::from_values(&totals))
         };
         Some(Self { axes, lines: groups.into_iter().map(line).collect() })
     }
@@ -115,22 +115,22 @@ impl Users {
 
 impl UsersLine {
     /// Returns a configuration with `edges` edges, from the share of each of them in each repeat.
-    pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<Share>], totals: Totals) -> Self {
-        let rates = |shares: &Vec<Share>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
+    pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<EdgeShare>], totals: Totals) -> Self {
+        let rates = |shares: &Vec<EdgeShare>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
         let rates: Vec<Vec<f64>> = repeats.iter().map(rates).collect();
         Self {
             labels,
             edges,
             rate: mean(rates.iter().map(|rates| rates.iter().sum())),
-            fairness: mean(rates.iter().filter_map(|rates| jain(rates))),
+            fairness: mean(rates.iter().filter_map(|rates| jain_index(rates))),
             shares: repeats.concat(),
             totals,
         }
     }
 
     /// Returns a configuration from whole runs, each given by its repeat and its edge's share. Repeats that lack an edge are left out.
-    pub fn of_whole_runs(labels: Vec<String>, runs: &[(u32, Option<Share>)], totals: Totals) -> Self {
-        let mut repeats: Vec<(u32, Vec<Option<Share>>)> = Vec::new();
+    pub fn from_whole_runs(labels: Vec<String>, runs: &[(u32, Option<EdgeShare>)], totals: Totals) -> Self {
+        let mut repeats: Vec<(u32, Vec<Option<EdgeShare>>)> = Vec::new();
         for (repeat, share) in runs {
             match repeats.iter_mut().find(|(known, _)| known == repeat) {
                 Some((_, shares)) => shares.push(*share),
@@ -139,27 +139,27 @@ impl UsersLine {
         }
         let edges = repeats.iter().map(|(_, shares)| shares.len()).max().unwrap_or_default();
         let whole = repeats.into_iter().filter(|(_, shares)| shares.len() == edges);
-        let shares: Vec<Vec<Share>> =
+        let shares: Vec<Vec<EdgeShare>> =
             whole.map(|(_, shares)| shares.into_iter().flatten().collect()).collect();
         Self::new(labels, edges, &shares, totals)
     }
 
     /// Returns the lowest and the highest rate of an edge over all repeats.
-    pub fn extremes(&self) -> Option<(f64, f64)> {
+    pub fn rate_range(&self) -> Option<(f64, f64)> {
         let rates = self.shares.iter().map(|share| (share.rate, share.rate));
         rates.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
     }
 }
 
-impl Share {
+impl EdgeShare {
     /// Returns the share of an edge over the whole length of its run, including warm-up; `None` for a run without length.
-    pub fn of_run(answers: u64, seconds: f64, median: Option<f64>) -> Option<Self> {
+    pub fn from_run(answers: u64, seconds: f64, median: Option<f64>) -> Option<Self> {
         (seconds > 0.0).then(|| Self { rate: answers as f64 / seconds, median })
     }
 }
 
 impl Totals {
-    fn of(totals: &Ordered) -> Self {
+    fn from_values(totals: &SortedValues) -> Self {
         Self {
             count: totals.len(),
             mean: mean(totals.values().iter().copied()),

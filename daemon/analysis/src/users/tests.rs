@@ -7,12 +7,12 @@ use crate::record::{HostRecord, RunRecord};
 use crate::rows::{Outcome, Row};
 
 #[test]
-fn the_index_goes_from_one_nth_to_one() {
-    assert_eq!(jain(&[5.0, 5.0, 5.0]), Some(1.0));
-    assert_eq!(jain(&[0.0, 7.0, 0.0, 0.0]), Some(0.25));
+fn jain_index_ranges_from_one_nth_to_one() {
+    assert_eq!(jain_index(&[5.0, 5.0, 5.0]), Some(1.0));
+    assert_eq!(jain_index(&[0.0, 7.0, 0.0, 0.0]), Some(0.25));
     // The paper's own example: 5, 3, 1, …: (1+1+1+1+0)² / (5 · 4).
-    assert_eq!(jain(&[1.0, 1.0, 1.0, 1.0, 0.0]), Some(0.8));
-    assert_eq!((jain(&[]), jain(&[0.0])), (None, None));
+    assert_eq!(jain_index(&[1.0, 1.0, 1.0, 1.0, 0.0]), Some(0.8));
+    assert_eq!((jain_index(&[]), jain_index(&[0.0])), (None, None));
 }
 
 /// Returns an edge that makes `count` requests from `from` on, one every `each` seconds.
@@ -42,16 +42,16 @@ fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u3
 }
 
 #[test]
-fn only_the_time_in_which_all_measure_counts() {
+fn shares_cover_only_common_time() {
     let one = edge(&[("N", "1")], ("a", 0.0), 0.5, 21, 0.25);
     // The second edge begins 2 s late and ends with the first; it gets half as many answers.
     let [first, second] =
         [edge(&[("N", "2")], ("a", 0.0), 0.5, 21, 0.5), edge(&[("N", "2")], ("b", 2.0), 1.0, 9, 1.0)];
-    let users = Users::of(&[first.clone(), one.clone(), second]).expect("several edges");
+    let users = Users::from_runs(&[first.clone(), one.clone(), second]).expect("several edges");
     assert_eq!((users.axes.as_slice(), users.lines.len()), (["N".to_owned()].as_slice(), 2));
     let [both, alone] = users.lines.as_slice() else { panic!("two lines") };
     assert_eq!((alone.edges, alone.rate, alone.fairness), (1, Some(2.0), Some(1.0)));
-    assert_eq!((both.edges, both.rate, both.extremes()), (2, Some(3.0), Some((1.0, 2.0))));
+    assert_eq!((both.edges, both.rate, both.rate_range()), (2, Some(3.0), Some((1.0, 2.0))));
     assert_eq!(both.fairness, Some(0.9));
     assert_eq!(alone.totals.count, 21, "an edge alone: all of them, as in the table");
     // 16 answers of the first edge and 8 of the second.
@@ -59,13 +59,13 @@ fn only_the_time_in_which_all_measure_counts() {
     assert_eq!(both.shares.iter().map(|share| share.median).collect::<Vec<_>>(), [Some(0.5), Some(1.0)]);
     assert!(users.text().contains("0.900"), "{}", users.text());
     assert!(users.csv().starts_with("N,edges,rate,"), "{}", users.csv());
-    assert_eq!(Users::of(std::slice::from_ref(&one)), None);
-    assert_eq!(Users::of(&[first.clone(), first]), None, "a copy is no further edge");
+    assert_eq!(Users::from_runs(std::slice::from_ref(&one)), None);
+    assert_eq!(Users::from_runs(&[first.clone(), first]), None, "a copy is no further edge");
 }
 
 #[test]
-fn users_who_never_met_have_no_rates() {
-    let users = Users::of(&[edge(&[], ("a", 0.0), 0.5, 5, 0.1), edge(&[], ("b", 100.0), 0.5, 5, 0.1)]);
+fn users_at_different_times_have_no_rates() {
+    let users = Users::from_runs(&[edge(&[], ("a", 0.0), 0.5, 5, 0.1), edge(&[], ("b", 100.0), 0.5, 5, 0.1)]);
     let users = users.expect("several edges");
     assert_eq!((users.lines[0].edges, users.lines[0].rate, users.lines[0].fairness), (2, None, None));
     assert!(users.text().contains('—'), "{}", users.text());
@@ -73,10 +73,10 @@ fn users_who_never_met_have_no_rates() {
 
 #[test]
 fn repeats_are_averaged() {
-    let share = |rate| Share { rate, median: None };
+    let share = |rate| EdgeShare { rate, median: None };
     let repeats = [vec![share(1.0), share(1.0)], vec![share(4.0), share(0.0)]];
     let line = UsersLine::new(Vec::new(), 2, &repeats, Totals::default());
-    assert_eq!((line.rate, line.fairness, line.extremes()), (Some(3.0), Some(0.75), Some((0.0, 4.0))));
+    assert_eq!((line.rate, line.fairness, line.rate_range()), (Some(3.0), Some(0.75), Some((0.0, 4.0))));
 }
 
 /// Returns the curves of configurations: name and numbers of edges.
@@ -86,11 +86,11 @@ fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)
         |(labels, edges): &(&[&str], usize)| UsersLine::new(owned(labels), *edges, &[], Totals::default());
     let users = Users { axes: owned(axes), lines: lines.iter().map(line).collect() };
     let points = |curve: &Curve<'_>| curve.points.iter().map(|line| line.edges).collect();
-    Curve::all(&users).iter().map(|curve| (curve.name.clone(), points(curve))).collect()
+    Curve::from_users(&users).iter().map(|curve| (curve.name.clone(), points(curve))).collect()
 }
 
 #[test]
-fn what_differs_in_the_number_of_edges_alone_is_one_curve() {
+fn configurations_differing_in_edges_form_one_curve() {
     let lines: [(&[&str], usize); 5] = [
         (&["s", "cpu", "8"], 8),
         (&["s", "cpu", "1"], 1),
@@ -107,18 +107,18 @@ fn what_differs_in_the_number_of_edges_alone_is_one_curve() {
 }
 
 #[test]
-fn models_are_not_joined_because_each_had_its_own_number_of_edges() {
+fn different_models_are_separate_curves() {
     let lines: [(&[&str], usize); 2] = [(&["v2-s"], 1), (&["v2-m"], 2)];
     let found = curves(&["model"], &lines);
     assert_eq!(found, [("v2-s".to_owned(), vec![1]), ("v2-m".to_owned(), vec![2])]);
 }
 
 #[test]
-fn repeats_of_whole_runs_that_lack_an_edge_are_left_out() {
-    let share = |answers| Share::of_run(answers, 10.0, None);
+fn repeats_without_all_edges_are_excluded() {
+    let share = |answers| EdgeShare::from_run(answers, 10.0, None);
     let runs = [(0, share(100)), (0, share(300)), (1, share(500)), (2, share(100)), (2, share(100))];
-    let line = UsersLine::of_whole_runs(Vec::new(), &runs, Totals::default());
+    let line = UsersLine::from_whole_runs(Vec::new(), &runs, Totals::default());
     assert_eq!((line.edges, line.shares.len(), line.rate), (2, 4, Some(30.0)));
     assert_eq!(line.fairness, Some((0.8 + 1.0) / 2.0));
-    assert_eq!(Share::of_run(3, 0.0, None), None);
+    assert_eq!(EdgeShare::from_run(3, 0.0, None), None);
 }

@@ -24,22 +24,22 @@ pub(crate) struct Arguments {
         default_value = "100,260,690,1.8kB,4.7kB,12kB,32kB,85kB,220kB,580kB,1.5MB,4MB"
     )]
     pub(super) sizes: Vec<u64>,
-    /// How often each size is sent.
+    /// Number of messages of each size.
     #[arg(long, default_value = "400", value_parser = repeats)]
     pub(super) repeats: NonZeroU64,
-    /// Stop after so many seconds, however often each size was sent by then.
+    /// Maximum duration in seconds. The study stops then, even if messages remain.
     #[arg(long, default_value = "120", value_parser = duration)]
     pub(super) seconds: f64,
-    /// How often each size is sent before, kept but left out of the study.
+    /// Number of warm-up messages of each size. They are written to the results, but excluded from the study.
     #[arg(long, default_value = "2")]
     pub(super) warm_up: u64,
     /// Folder for the results [default: calibration-PEER-DATE].
     #[arg(long, value_name = "DIR")]
     pub(super) result_loc: Option<PathBuf>,
-    /// Write into a folder that holds files already.
+    /// Write into a folder that is not empty.
     #[arg(long)]
     pub(super) overwrite: bool,
-    /// An agent's configuration whose tables [clock], [probes] and [rehearsal] hold here, too.
+    /// An agent's configuration whose tables [clock], [probes] and [rehearsal] also apply here.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
     /// Kind of network: zmq-tcp, zmq-udp or ros [default: that of the address; of a host, zmq-tcp].

@@ -19,21 +19,21 @@ impl Folder {
     /// Creates the requested folder, or one named after peer and time.
     ///
     /// # Errors
-    /// When it holds files already (64) or cannot be created (73).
+    /// When it is not empty (64) or cannot be created (73).
     pub(super) fn make(arguments: &Arguments, peer: &Address, at: WallTime) -> Result<Self, Failure> {
         let path = arguments.result_loc.clone().unwrap_or_else(|| default(peer, at));
         let entries = std::fs::read_dir(&path);
         let made = entries.is_err();
         if entries.is_ok_and(|mut entries| entries.next().is_some()) && !arguments.overwrite {
             let text = anyhow!(
-                "{} holds files already; name another with --result-loc, or add --overwrite",
+                "the folder {} is not empty; name another with --result-loc, or add --overwrite",
                 path.display()
             );
             return Err(Failure::new(Exit::Usage, text));
         }
         let made_or_there = std::fs::create_dir_all(&path);
         made_or_there.map_err(|error| {
-            Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", path.display()))
+            Failure::new(Exit::Unwritten, anyhow!("cannot create the folder {}: {error}", path.display()))
         })?;
         Ok(Self { path, made })
     }

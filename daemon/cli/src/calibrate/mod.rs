@@ -38,7 +38,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     start_log(LogDestination::StandardError)?;
     let plan = Plan::new(arguments).map_err(|error| Failure::new(Exit::Usage, error))?;
     let state = Scratch::new("agent")
-        .context("cannot make a temporary folder; TMPDIR names another place")
+        .context("cannot create a temporary folder; set TMPDIR to another folder")
         .map_err(unavailable)?;
     let config = plan.agent(arguments.config.as_deref(), state.path())?;
 
@@ -53,7 +53,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         Ended::Finished => None,
         Ended::Interrupted => Some(Failure::new(
             Exit::Interrupted,
-            anyhow!("ended early: what was measured until then is above"),
+            anyhow!("ended early: the results above cover the measurements until then"),
         )),
         Ended::OwnReason(UnmeasurableSize(reason)) | Ended::Failed(reason) => {
             Some(unavailable(anyhow!("{reason}")))
@@ -63,7 +63,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         folder.discard();
         return match failed {
             Some(Failure { exit: Exit::Interrupted, .. }) => {
-                Err(Failure::new(Exit::Interrupted, anyhow!("ended before anything was measured")))
+                Err(Failure::new(Exit::Interrupted, anyhow!("ended before the first measurement")))
             }
             Some(failure) => Err(failure),
             None => Err(unavailable(anyhow!("nothing was measured"))),
@@ -90,13 +90,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     // Printed first: a full disk must not prevent the result from being shown.
     say(study.text());
     let written = write(&study, folder.path()).map_err(|error| {
-        let message = "the result is above, but not all of its files are written";
+        let message = "the result is shown above, but not all of its files were written";
         Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(message))
     })?;
     let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     say(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
     if missed > 0 {
-        complain(format_args!("{missed} iterations went by unseen: this machine is too busy"));
+        complain(format_args!("{missed} iterations were not recorded: this machine is too busy"));
     }
     match failed {
         Some(failure) => Err(failure),

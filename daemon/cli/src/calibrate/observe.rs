@@ -14,7 +14,7 @@ use super::sweep::Sweep;
 use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver};
 
 /// Wait for an absent peer after the time for the sweep is over.
-const AFTER_THE_END: Span = Span::from_seconds(10);
+const ABSENCE_TIMEOUT: Span = Span::from_seconds(10);
 
 /// The peer cannot answer payloads of one of the sizes; the text names the size and the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,7 +42,7 @@ pub(super) struct SweepObserver<'a> {
     began: MonoTime,
     peer_wait: PeerWait,
     /// The peer was absent, or refused, at the first attempt.
-    turned_away: Option<IncidentKind>,
+    refused_kind: Option<IncidentKind>,
     /// Sizes of which at least one payload was sent.
     tried: BTreeSet<u64>,
     /// The peer's clock as last reported.
@@ -61,7 +61,7 @@ impl<'a> SweepObserver<'a> {
             observed: Observed::default(),
             began: now,
             peer_wait: PeerWait::new(now),
-            turned_away: None,
+            refused_kind: None,
             tried: BTreeSet::new(),
             cloud_clock: None,
             over: false,
@@ -69,7 +69,7 @@ impl<'a> SweepObserver<'a> {
     }
 
     /// Handles a new session. Measurements with another clock would be another study.
-    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<UnmeasurableSize>> {
+    fn handle_reconnect(&mut self, clock: Option<HostClock>) -> Option<Ended<UnmeasurableSize>> {
         self.peer_wait.record_answer(self.clock.mono());
         let before = std::mem::replace(&mut self.cloud_clock, clock);
         let change = match (&before, &self.cloud_clock) {
@@ -83,12 +83,12 @@ impl<'a> SweepObserver<'a> {
             }
             (_, Some(_)) => "another clock".to_owned(),
             // The peer left again before its clock could be read.
-            (_, None) => "a clock of which nothing is known".to_owned(),
+            (_, None) => "an unknown clock".to_owned(),
         };
         self.over = true;
         let name = self.observed.cloud.as_deref().unwrap_or("the peer");
         let text = format!(
-            "{name} went away and came back with {change}: the study ends with what was measured before"
+            "{name} disconnected and returned with {change}: the study ends with the measurements until then"
         );
         Some(Ended::Failed(text))
     }
@@ -112,7 +112,7 @@ impl RunObserver for SweepObserver<'_> {
             }
             Event::Iteration(iteration) => {
                 let sample = Sample::new(&iteration, self.plan.payload(iteration.number));
-                if sample.counts() || sample.warm_up {
+                if sample.is_counted() || sample.warm_up {
                     self.peer_wait.record_answer(self.clock.mono());
                 }
                 let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));
@@ -124,15 +124,15 @@ impl RunObserver for SweepObserver<'_> {
             }
             Event::Clock(second) => self.observed.clocks.push(*second),
             Event::RunEnded(run) => {
-                return Some(Ended::of_run(run.reason, "sweep"));
+                return Some(Ended::from_run_end(run.reason, "sweep"));
             }
             Event::Incident(incident) => match incident.kind {
                 IncidentKind::PipelineFailed => return Some(Ended::Failed(incident.text)),
                 IncidentKind::Disconnected | IncidentKind::Refused if self.observed.cloud.is_none() => {
-                    self.turned_away = Some(incident.kind);
+                    self.refused_kind = Some(incident.kind);
                 }
                 IncidentKind::Connected if self.observed.cloud.is_some() => {
-                    return self.came_back(running.and_then(cloud_clock));
+                    return self.handle_reconnect(running.and_then(cloud_clock));
                 }
                 _ => {}
             },
@@ -142,14 +142,14 @@ impl RunObserver for SweepObserver<'_> {
     }
 
     fn poll_state(&mut self, running: &Running) -> Option<Ended<UnmeasurableSize>> {
-        let activity = PipelineActivity::of(running);
-        let waits_for = activity.waits_for();
-        if let (Some(kind), Some(reason)) = (self.turned_away, waits_for) {
+        let activity = PipelineActivity::current(running);
+        let wait_reason = activity.wait_reason();
+        if let (Some(kind), Some(reason)) = (self.refused_kind, wait_reason) {
             // The advice concerns a configuration, which does not exist here, and the model needs no loading.
             let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
             let advice = match kind {
                 IncidentKind::Refused => {
-                    "; calibrating needs the peer's model calibration, which its [serve] calibration = true offers"
+                    "; calibration needs the model `calibration` of the peer, which [serve] calibration = true there offers"
                 }
                 _ => "",
             };
@@ -159,11 +159,11 @@ impl RunObserver for SweepObserver<'_> {
         self.peer_wait.update(&activity, now);
         // A user who limits the time does not want to wait much longer for an absent peer.
         let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
-        let most = (left + AFTER_THE_END).clamp(AFTER_THE_END, PeerWait::USUAL);
+        let timeout = (left + ABSENCE_TIMEOUT).clamp(ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);
         let name = self.observed.cloud.as_deref();
-        let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, waits_for, now, most));
+        let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, wait_reason, now, timeout));
         self.progress.show(&self.observed.samples, now, trouble);
-        self.peer_wait.reason_to_give_up(waits_for, now, most).map(Ended::Failed)
+        self.peer_wait.timeout_reason(wait_reason, now, timeout).map(Ended::Failed)
     }
 
     fn end_decided(&mut self) {
@@ -179,6 +179,6 @@ fn cloud_clock(running: &Running) -> Option<HostClock> {
 fn describe_unmeasurable(payload_bytes: u64, reason: &str) -> String {
     let payload = bytes(payload_bytes as f64).plain();
     format!(
-        "payloads of {payload} cannot be measured: {reason}; leave that size out of --sizes, or allow more on the peer ([serve] session)"
+        "cannot measure payloads of {payload}: {reason}; remove that size from --sizes, or raise the limit of the peer ([serve] session)"
     )
 }

@@ -1,7 +1,7 @@
 //! Progress of the sweep.
 
 use peernet_analysis::calibration::Sample;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_clock::{Direction, MonoTime};
 use peernet_statistics::number::{bytes, fixed, milliseconds};
 
@@ -72,6 +72,6 @@ impl Scale {
 /// Formats the median delay of one payload's uploads so far.
 fn median(samples: &[Sample], payload_bytes: u64) -> String {
     let delays = samples.iter().filter(|sample| sample.payload_bytes == payload_bytes);
-    let delays: Ordered = delays.filter_map(|sample| sample.passage(Direction::Up)?.seconds()).collect();
+    let delays: SortedValues = delays.filter_map(|sample| sample.passage(Direction::Up)?.seconds()).collect();
     delays.median().map_or_else(|| "—".to_owned(), |median| format!("{} ms", milliseconds(median)))
 }

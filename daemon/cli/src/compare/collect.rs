@@ -1,4 +1,4 @@
-//! The runs that are compared.
+//! Collection of the results to compare.
 
 use std::path::{Path, PathBuf};
 
@@ -11,109 +11,117 @@ use peernet_results::{FolderError, ResultFolder};
 use super::excluded::Excluded;
 use super::experiment::Experiments;
 use super::order::as_declared;
-use super::undone::Chosen;
-use crate::measure::put_aside;
+use super::selected_results::SelectedResults;
+use crate::measure::previous_results_folder;
 
-/// Runs, each once.
+/// Results to compare, without duplicates.
 pub(crate) struct Collected {
     pub(crate) runs: Vec<Loaded>,
-    /// Which of them are the baseline, if one was named.
+    /// Positions of the baseline in `runs`; empty without a baseline.
     pub(crate) baseline: Vec<usize>,
-    /// Notes, in sentences, on the runs that are left out because they are not done or a copy, and on facts about them that are not known.
-    pub(crate) left_out: Vec<String>,
+    /// Sentences on excluded runs (unfinished runs, copies), and on facts about them that are unknown.
+    pub(crate) notes: Vec<String>,
 }
 
-/// Reads the columns that are wanted of all results in the places, in their order; the runs of an experiment in that of its
-/// file. Those that do not count are left out. A baseline comes first
-/// unless all its runs are among them.
+/// Reads the wanted columns of all results in the places. Results keep the order of the places; runs of an experiment are in the order of
+/// its file. Excluded results are left out. A baseline comes first, unless all its runs are in the places.
 ///
 /// # Errors
-/// When a place holds no results or nothing is left (66), or some cannot be read (65).
+/// When a place has no results or all are excluded (66), or some cannot be read (65).
 pub(crate) fn collect(
     places: &[PathBuf],
     baseline: Option<&Path>,
     wanted: &dyn Fn(&str) -> bool,
 ) -> Result<Collected, Failure> {
-    let found = distinct(places).into_iter().map(|place| find(&place).map(|found| (place, found)));
+    let found = distinct_places(places).into_iter().map(|place| find(&place).map(|found| (place, found)));
     let mut found: Vec<(PathBuf, Vec<PathBuf>)> = found.collect::<Result<_, Failure>>()?;
-    let of_baseline = baseline.map_or(Ok(Vec::new()), find)?;
-    let all = found.iter().flat_map(|(_, found)| found).chain(&of_baseline).map(PathBuf::as_path);
-    let experiments = Experiments::of(all);
-    let mut chosen = Chosen::of(&found, &experiments);
-    if let Some(place) = baseline.filter(|_| of_baseline.iter().any(|path| !has(&chosen.paths, path))) {
-        found.insert(0, (place.to_owned(), of_baseline.clone()));
-        chosen = Chosen::of(&found, &experiments);
+    let baseline_paths = baseline.map_or(Ok(Vec::new()), find)?;
+    let all = found.iter().flat_map(|(_, found)| found).chain(&baseline_paths).map(PathBuf::as_path);
+    let experiments = Experiments::find(all);
+    let mut chosen = SelectedResults::new(&found, &experiments);
+    if let Some(place) =
+        baseline.filter(|_| baseline_paths.iter().any(|path| !contains_place(&chosen.paths, path)))
+    {
+        found.insert(0, (place.to_owned(), baseline_paths.clone()));
+        chosen = SelectedResults::new(&found, &experiments);
     }
-    let Chosen { paths, left_out } = chosen;
-    let numbers = (0..paths.len()).filter(|at| has(&of_baseline, &paths[*at]));
-    let of_baseline: Vec<usize> = numbers.collect();
-    left_out.iter().for_each(|left_out| complain(&left_out.remark));
-    let mut left_out: Vec<String> = left_out.into_iter().map(|left_out| left_out.what).collect();
+    let SelectedResults { paths, unselected } = chosen;
+    let numbers = (0..paths.len()).filter(|at| contains_place(&baseline_paths, &paths[*at]));
+    let baseline_numbers: Vec<usize> = numbers.collect();
+    unselected.iter().for_each(|runs| complain(&runs.remark));
+    let mut notes: Vec<String> = unselected.into_iter().map(|runs| runs.what).collect();
     if paths.is_empty() {
         let places: Vec<String> = places.iter().map(|place| place.display().to_string()).collect();
-        let text = format!("nothing is left of {}; name a run's own folder to see it", places.join(", "));
+        let text = format!(
+            "no results in {} can be compared; give the folder of a run to include it",
+            places.join(", ")
+        );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
     let named: Vec<&Path> = places.iter().map(PathBuf::as_path).chain(baseline).collect();
-    let excluded = Excluded::among(&runs, &of_baseline, &named, &experiments);
-    let unknown = experiments.unknown(paths.iter().map(PathBuf::as_path));
-    for told in unknown.into_iter().chain(excluded.told(&runs)) {
-        complain(&told);
-        left_out.push(sentence(&told));
+    let excluded = Excluded::new(&runs, &baseline_numbers, &named, &experiments);
+    let unknown = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
+    for note in unknown.into_iter().chain(excluded.notes(&runs)) {
+        complain(&note);
+        notes.push(sentence(&note));
     }
-    let is_kept = |at: usize| !excluded.has(at);
+    let is_kept = |at: usize| !excluded.contains(at);
     let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
-    kept.filter_map(|(_, run)| doubt(run, &experiments)).for_each(complain);
+    kept.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(complain);
     let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
-    let baseline_runs = (0..order.len()).filter(|at| of_baseline.contains(&order[*at])).collect::<Vec<_>>();
+    let baseline_runs =
+        (0..order.len()).filter(|at| baseline_numbers.contains(&order[*at])).collect::<Vec<_>>();
     if let Some(place) = baseline.filter(|_| baseline_runs.is_empty()) {
-        let text = format!("no run of the baseline {} is done; name a run's own folder", place.display());
+        let text = format!(
+            "no run of the baseline {} is finished; give the folder of a run to include it",
+            place.display()
+        );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
     let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
-    Ok(Collected { runs, baseline: baseline_runs, left_out })
+    Ok(Collected { runs, baseline: baseline_runs, notes })
 }
 
-/// A remark as it stands below a table.
+/// Turns a note into a sentence for the text below a table.
 fn sentence(remark: &str) -> String {
     let mut letters = remark.chars();
     let first = letters.next().into_iter().flat_map(char::to_uppercase);
     first.chain(letters).chain(['.']).collect()
 }
 
-/// Returns the reason why results that were read are not those of a whole run.
-fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
+/// Returns a note if the results are not those of a complete run.
+fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String> {
     let folder = run.folder.display();
     if let Some(damage) = run.damage() {
-        return Some(format!("{folder} is not whole: {damage}"));
+        return Some(format!("{folder} is incomplete: {damage}"));
     }
-    if let Some(kept) = put_aside(&run.folder) {
+    if let Some(kept) = previous_results_folder(&run.folder) {
         return Some(format!(
-            "{folder} is not whole: a run is under way there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
+            "{folder} is incomplete: a run is in progress there or was killed; the previous results are in {}, and the next run in this folder restores them if the run was killed",
             kept.display()
         ));
     }
     match experiments.run(&run.folder).filter(|run| !run.state().is_finished()) {
         Some(of) => Some(format!(
-            "{folder} is of a run that is not done, {}: no table or figure of its experiment has it; {} does it",
+            "{folder} belongs to an unfinished run, {}: tables and figures of its experiment exclude it; {} completes it",
             of.state(),
             of.experiment.remedy()
         )),
-        None => Some(format!("{folder} is not whole: {}", run.lacking()?)),
+        None => Some(format!("{folder} is incomplete: {}", run.incompleteness()?)),
     }
 }
 
-/// The places, each once.
-pub(crate) fn distinct(places: &[PathBuf]) -> Vec<PathBuf> {
-    let mut once: Vec<PathBuf> = Vec::new();
+/// Removes repeated places.
+pub(crate) fn distinct_places(places: &[PathBuf]) -> Vec<PathBuf> {
+    let mut distinct: Vec<PathBuf> = Vec::new();
     for place in places {
-        if !once.iter().any(|other| is_same(other, place)) {
-            once.push(place.clone());
+        if !distinct.iter().any(|other| is_same(other, place)) {
+            distinct.push(place.clone());
         }
     }
-    once
+    distinct
 }
 
 fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
@@ -122,13 +130,13 @@ fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     let found = ResultFolder::find(place);
     if found.is_empty() {
-        let what = if place.is_dir() { "there is no data.csv in it or below" } else { "it is not there" };
+        let what = if place.is_dir() { "it contains no data.csv, at any depth" } else { "it does not exist" };
         return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {what}", place.display())));
     }
     Ok(found)
 }
 
-/// Returns the path that a file of rows is opened as: its folder if it belongs to a folder of results.
+/// Returns the path to open for a file of rows: its folder if the file belongs to a folder of results.
 fn folder_of(file: &Path) -> &Path {
     let folder = file.parent().filter(|folder| file.ends_with("data.csv") && *folder != Path::new(""));
     folder.unwrap_or(file)
@@ -141,12 +149,12 @@ fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
     })
 }
 
-/// Whether one of the paths leads to the same place.
-fn has(paths: &[PathBuf], path: &Path) -> bool {
+/// Returns whether one of the paths leads to the same place.
+fn contains_place(paths: &[PathBuf], path: &Path) -> bool {
     paths.iter().any(|other| is_same(other, path))
 }
 
-/// Whether both lead to one place, however they are written.
+/// Returns whether both paths lead to the same place.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
     a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
@@ -162,13 +170,13 @@ mod tests {
         std::fs::create_dir(&run).expect("made");
         let again = folder.path().join("run/../run");
         assert_eq!(
-            distinct(&[run.clone(), again, folder.path().to_owned()]),
+            distinct_places(&[run.clone(), again, folder.path().to_owned()]),
             [run, folder.path().to_owned()]
         );
     }
 
     #[test]
-    fn a_baseline_may_be_named_by_its_file_of_rows() {
+    fn baseline_can_be_named_by_data_file() {
         let folder = tempfile::tempdir().expect("a folder");
         let runs = ["a", "b"].map(|name| folder.path().join(name));
         for run in &runs {
@@ -184,15 +192,15 @@ mod tests {
     }
 
     #[test]
-    fn what_lacks_something_of_a_whole_run_is_told() {
+    fn incomplete_results_are_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         let data = folder.path().join("data.csv");
         std::fs::write(&data, "iteration,inference,warm-up,outcome\n1,0.1,0,ok\n").expect("written");
         let told = || {
             let run = open(folder.path(), &|_| true).expect("readable");
-            doubt(&run, &Experiments::of(std::iter::once(folder.path())))
+            incompleteness_note(&run, &Experiments::find(std::iter::once(folder.path())))
         };
-        assert!(told().is_some_and(|told| told.contains("under way or was killed")), "{:?}", told());
+        assert!(told().is_some_and(|told| told.contains("in progress or was killed")), "{:?}", told());
         let record = |reason: &str| {
             let text = format!(
                 r#"{{"format":1,"reason":"{reason}","pipeline":{{"limit":{{"total":9}}}},"counts":{{"ok":1}}}}"#

@@ -1,4 +1,4 @@
-//! Results that were read and do not count.
+//! Results that are read, but excluded from the comparison.
 
 use std::path::Path;
 
@@ -6,25 +6,25 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 
 use super::experiment::Experiments;
-use super::undone::is_named;
+use super::selected_results::is_named;
 
-/// Most results that a remark names.
-const MOST: usize = 8;
+/// Maximum number of results in one note.
+const MAX_NAMED: usize = 8;
 
-/// Why results do not count, in their order; `None` of those that do.
+/// Reason for excluding each result, in the order of the results; `None` if a result is compared.
 pub(super) struct Excluded(Vec<Option<Exclusion>>);
 
 impl Excluded {
-    /// Finds what does not count; `named` is what the user typed. Of several results of one run the baseline stands for it, else
-    /// what the user named, else what is in the folder that its experiment gave it, else what comes first.
-    pub(super) fn among(
+    /// Finds the excluded results; `named` are the paths on the command line. Of several results of one run the baseline is compared,
+    /// otherwise a named result, otherwise the one in the folder that its experiment gave it, otherwise the first.
+    pub(super) fn new(
         runs: &[Loaded],
         baseline: &[usize],
         named: &[&Path],
         experiments: &Experiments,
     ) -> Self {
         let candidate = |(at, run): (usize, &Loaded)| {
-            let (known, in_experiment) = (Candidate::of_results(run), experiments.run(&run.folder));
+            let (known, in_experiment) = (Candidate::from_results(run), experiments.run(&run.folder));
             Candidate {
                 state: in_experiment.map(|run| run.state()).or(known.state),
                 is_named: named.iter().any(|place| is_named(place, &run.folder, experiments)),
@@ -35,32 +35,32 @@ impl Excluded {
         Self(exclusions(&runs.iter().enumerate().map(candidate).collect::<Vec<_>>()))
     }
 
-    /// Whether these do not count.
-    pub(super) fn has(&self, run: usize) -> bool {
+    /// Returns whether a result is excluded.
+    pub(super) fn contains(&self, run: usize) -> bool {
         self.0.get(run).is_some_and(Option::is_some)
     }
 
-    /// Remarks on what does not count, one for each kind of reason.
-    pub(super) fn told(&self, runs: &[Loaded]) -> Vec<String> {
+    /// Returns notes on the excluded results, one for each kind of reason.
+    pub(super) fn notes(&self, runs: &[Loaded]) -> Vec<String> {
         let folder = |at: usize| runs[at].folder.display().to_string();
-        let told = |what: &str, why: &dyn Fn(&Exclusion) -> Option<String>| {
+        let note = |what: &str, why: &dyn Fn(&Exclusion) -> Option<String>| {
             let all: Vec<String> = (0..self.0.len())
                 .filter_map(|at| Some(format!("{} ({})", folder(at), why(self.0[at].as_ref()?)?)))
                 .collect();
-            let more = all.len().saturating_sub(MOST);
+            let more = all.len().saturating_sub(MAX_NAMED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let named = all.iter().take(MOST).map(String::as_str).collect::<Vec<_>>().join(", ");
-            (!all.is_empty()).then(|| format!("left out, {what}: {named}{more}"))
+            let named = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+            (!all.is_empty()).then(|| format!("excluded, {what}: {named}{more}"))
         };
-        let unfinished = told("not measured to their end", &|why| match why {
-            Exclusion::Unfinished(_) => Some(why.said(folder)),
+        let unfinished = note("unfinished runs", &|why| match why {
+            Exclusion::Unfinished(_) => Some(why.describe(folder)),
             _ => None,
         });
-        let copies = told("copies of other results by the id of their run", &|why| match why {
+        let copies = note("copies of other results with the same run id", &|why| match why {
             Exclusion::CopyOf(of) => Some(format!("of {}", folder(*of))),
             _ => None,
         });
-        let again = told("measured again", &|why| match why {
+        let again = note("repeated runs", &|why| match why {
             Exclusion::MeasuredAgain(by) => Some(format!("as {}", folder(*by))),
             _ => None,
         });
@@ -113,14 +113,14 @@ mod tests {
         let all = std::slice::from_ref(&home);
         let found = collect(all, None, &|_| true).expect("they are there");
         assert_eq!(names(&found), ["007-a", "008-b", "unknown-1", "unknown-2"]);
-        let [told] = found.left_out.as_slice() else { panic!("{:?}", found.left_out) };
+        let [told] = found.notes.as_slice() else { panic!("{:?}", found.notes) };
         let copy = format!("{} (of {}).", place("000-copy").display(), place("007-a").display());
-        assert!(told.starts_with("Left out, copies of ") && told.ends_with(&copy), "{told}");
+        assert!(told.starts_with("Excluded, copies of ") && told.ends_with(&copy), "{told}");
 
         let found = collect(all, Some(&place("000-copy")), &|_| true).expect("they are there");
         assert_eq!(names(&found), ["000-copy", "008-b", "unknown-1", "unknown-2"], "it was named");
         assert_eq!(found.baseline, [0]);
         let found = collect(&[place("008-b")], None, &|_| true).expect("it is there");
-        assert!(found.left_out.is_empty(), "{:?}", found.left_out);
+        assert!(found.notes.is_empty(), "{:?}", found.notes);
     }
 }

@@ -1,4 +1,4 @@
-//! The experiments that results belong to.
+//! Experiments that results belong to.
 
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind};
@@ -10,24 +10,25 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::counted;
 use serde::Deserialize;
 
-use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
+use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, Stage};
 
 /// Number of parent folders of results in which their experiment is searched: `runs`, the run's folder, a folder of the user's.
-const HIGHEST: usize = 4;
+const MAX_ANCESTORS: usize = 4;
 
-/// Experiments by their folders, or why their records cannot be read: then their runs are compared as others are.
+/// Experiments by their folders, or the error of reading their records. Runs without a readable record are compared like other
+/// results.
 pub(super) struct Experiments(BTreeMap<PathBuf, Result<Experiment, RecordError>>);
 
-/// The reason why the record of an experiment tells nothing.
+/// A record of an experiment that cannot be read.
 #[derive(Debug, thiserror::Error)]
 enum RecordError {
     #[error(transparent)]
     Read(#[from] io::Error),
     #[error(transparent)]
     Parse(#[from] serde_json::Error),
-    #[error("its format is {0}, this program knows {FORMAT}")]
+    #[error("its format is {0}, but this program reads format {FORMAT}")]
     Format(u32),
-    #[error("it has {}, and how {states} of them fare", counted(*.runs as u64, "run"))]
+    #[error("it has {}, but {states} states", counted(*.runs as u64, "run"))]
     Lengths { runs: usize, states: usize },
 }
 
@@ -72,7 +73,7 @@ struct State {
 
 /// A run of an experiment.
 #[derive(Clone, Copy)]
-pub(super) struct RunOf<'a> {
+pub(super) struct ExperimentRun<'a> {
     /// Folder of the experiment.
     pub(super) home: &'a Path,
     pub(super) experiment: &'a Experiment,
@@ -81,17 +82,17 @@ pub(super) struct RunOf<'a> {
 }
 
 impl Experiments {
-    /// Those that have one of these results.
-    pub(super) fn of<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
+    /// Finds the experiments of these results.
+    pub(super) fn find<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
         let mut read = BTreeMap::new();
-        for folder in results.flat_map(above) {
+        for folder in results.flat_map(ancestor_folders) {
             read.entry(folder).or_insert_with_key(|folder| self::read(&folder.join(RECORD)));
         }
         Self(read.into_iter().filter_map(|(folder, read)| Some((folder, read.transpose()?))).collect())
     }
 
     /// Returns notes on these results for which the record of the experiment cannot be read.
-    pub(super) fn unknown<'a>(&self, results: impl Iterator<Item = &'a Path>) -> Vec<String> {
+    pub(super) fn unreadable_notes<'a>(&self, results: impl Iterator<Item = &'a Path>) -> Vec<String> {
         let results: Vec<PathBuf> = results.filter_map(|path| path.canonicalize().ok()).collect();
         let unread = self.0.iter().filter_map(|(home, read)| Some((home, read.as_ref().err()?)));
         let has_runs = |home: &Path| results.iter().any(|path| path.starts_with(home.join(RUNS)));
@@ -100,7 +101,7 @@ impl Experiments {
             .map(|(home, why)| {
                 let (record, why) = (home.join(RECORD), why.to_string());
                 let why = printable_line(&why);
-                format!("cannot read {}: {why}; which of its runs are done is not known", record.display())
+                format!("cannot read {}: {why}; the states of its runs are unknown", record.display())
             })
             .collect()
     }
@@ -108,37 +109,37 @@ impl Experiments {
     /// The execution of that id that results belong to.
     pub(super) fn execution(&self, results: &Path, id: &str) -> Option<&Experiment> {
         let read = |folder: &PathBuf| self.0.get(folder)?.as_ref().ok();
-        above(results).iter().filter_map(read).find(|experiment| experiment.id == id)
+        ancestor_folders(results).iter().filter_map(read).find(|experiment| experiment.id == id)
     }
 
     /// The run that results are of, by their place.
-    pub(super) fn run(&self, results: &Path) -> Option<RunOf<'_>> {
+    pub(super) fn run(&self, results: &Path) -> Option<ExperimentRun<'_>> {
         let path = results.canonicalize().ok()?;
-        above(results).iter().find_map(|folder| {
+        ancestor_folders(results).iter().find_map(|folder| {
             let (home, read) = self.0.get_key_value(folder)?;
             let experiment = read.as_ref().ok()?;
             let name = path.strip_prefix(home.join(RUNS)).ok()?.iter().next()?;
             let at = experiment.plan.runs.iter().position(|run| *run.folder == *name)?;
             let (run, state) = (&experiment.plan.runs[at], experiment.states.get(at)?);
-            Some(RunOf { home, experiment, run, state })
+            Some(ExperimentRun { home, experiment, run, state })
         })
     }
 }
 
 impl Experiment {
-    /// Its runs' folders, and how the runs fare.
+    /// Returns the folders and states of the runs.
     pub(super) fn runs(&self) -> impl Iterator<Item = (&str, Stage)> {
         self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.stage))
     }
 
     /// Returns the command that completes all of its runs.
     pub(super) fn remedy(&self) -> String {
-        format!("`peernet run {}` again, with the options that it had,", printable_line(&self.file))
+        format!("`peernet run {}` with the same options", printable_line(&self.file))
     }
 }
 
-impl RunOf<'_> {
-    /// Its own folder.
+impl ExperimentRun<'_> {
+    /// Returns the folder of the run.
     pub(super) fn folder(&self) -> PathBuf {
         self.home.join(RUNS).join(&self.run.folder)
     }
@@ -150,18 +151,18 @@ impl RunOf<'_> {
     }
 }
 
-/// The folders in which an experiment with these results may be.
-fn above(results: &Path) -> Vec<PathBuf> {
+/// Returns the parent folders of results that may be the folder of their experiment.
+fn ancestor_folders(results: &Path) -> Vec<PathBuf> {
     let folder = results.canonicalize().unwrap_or_default();
-    folder.ancestors().skip(1).take(HIGHEST).map(Path::to_owned).collect()
+    folder.ancestors().skip(1).take(MAX_ANCESTORS).map(Path::to_owned).collect()
 }
 
-/// A record that is there.
+/// Reads a record; `None` if it does not exist.
 ///
 /// # Errors
-/// When it tells nothing.
+/// When it cannot be read or is not a record.
 fn read(record: &Path) -> Result<Option<Experiment>, RecordError> {
-    let text = match small_file::read_found(record, LARGEST_RECORD) {
+    let text = match small_file::read_found(record, MAX_RECORD_BYTES) {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }

@@ -4,7 +4,7 @@ mod collect;
 mod excluded;
 mod experiment;
 mod order;
-mod undone;
+mod selected_results;
 
 use std::path::PathBuf;
 
@@ -12,35 +12,37 @@ use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
 use clap::ValueEnum;
-use peernet_analysis::compare::{Comparison, Differences, Line, Repeats, SEED, against_best, is_compared};
+use peernet_analysis::compare::{
+    Comparison, Differences, Line, Repeats, SEED, differences_to_best, is_compared,
+};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::table::Captioned;
+use peernet_analysis::table::CaptionedTable;
 use peernet_statistics::number::counted;
 
-pub(crate) use collect::{Collected, collect, distinct};
+pub(crate) use collect::{Collected, collect, distinct_places};
 
-/// What `peernet compare` can be told.
+/// Arguments of `peernet compare`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
     /// those of the published program as well.
     #[arg(required = true, value_name = "RUN|DIR")]
     runs: Vec<PathBuf>,
-    /// How the table is written.
+    /// Format of the table.
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
     /// Write to this file instead of the terminal.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// What the others are compared with, stage by stage: the folder of a run, or its file of rows, for that run alone; or a
-    /// folder of several runs of one configuration, which are taken together [default: of two lines the first; of more the
-    /// best, without the stages]. With --format csv the table of differences takes the place of the other one.
+    /// Baseline of the comparison, stage by stage: the folder of a run, or its file of rows, for that run only; or a
+    /// folder with several runs of one configuration, which are pooled [default: the first of two lines; the best of
+    /// more, without the stages]. With --format csv the table of differences replaces the other table.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
     /// Give each repeat of a configuration a line of its own.
     #[arg(long)]
     apart: bool,
-    /// Seed of the bootstrap that the intervals of medians rest on: the same seed gives the same figures.
+    /// Seed of the bootstrap for the intervals of medians: the same seed gives the same numbers.
     #[arg(long, default_value_t = SEED)]
     seed: u64,
 }
@@ -63,15 +65,15 @@ enum Format {
 /// # Errors
 /// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let Collected { runs, baseline, left_out } =
+    let Collected { runs, baseline, notes } =
         collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
     let repeats = match (arguments.apart, baseline.as_slice()) {
-        (true, _) => Repeats::Apart,
+        (true, _) => Repeats::Separate,
         (false, []) => Repeats::Pooled,
-        (false, runs) => Repeats::Beside(runs),
+        (false, runs) => Repeats::PooledExcept(runs),
     };
-    let mut comparison = Comparison::with(&runs, repeats);
-    comparison.doubts.extend(left_out);
+    let mut comparison = Comparison::with_repeats(&runs, repeats);
+    comparison.caveats.extend(notes);
     let first = if baseline.is_empty() {
         first_of_two(&comparison)
     } else {
@@ -80,18 +82,18 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         if arguments.format == Format::Csv {
             complain(&said);
         }
-        comparison.doubts.push(said);
-        alone(&comparison).iter().for_each(complain);
+        comparison.caveats.push(said);
+        missing_comparison_reason(&comparison).iter().for_each(complain);
         Some(line)
     };
     let differences = differences(&comparison, &runs, first, arguments.seed);
-    let tables = below(&comparison, &differences);
+    let tables = difference_tables(&comparison, &differences);
     let text = match arguments.format {
         Format::Csv if !baseline.is_empty() => Differences::csv(&differences),
         Format::Csv => comparison.csv(),
-        Format::Text => joined(comparison.text(), tables.iter().map(Captioned::text)),
-        Format::Markdown => joined(comparison.markdown(), tables.iter().map(Captioned::markdown)),
-        Format::Latex => joined(comparison.latex(), tables.iter().map(Captioned::latex)),
+        Format::Text => join_texts(comparison.text(), tables.iter().map(CaptionedTable::text)),
+        Format::Markdown => join_texts(comparison.markdown(), tables.iter().map(CaptionedTable::markdown)),
+        Format::Latex => join_texts(comparison.latex(), tables.iter().map(CaptionedTable::latex)),
     };
     let text = text.trim_end();
     let Some(path) = &arguments.out else {
@@ -127,13 +129,13 @@ fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure
 fn baseline_sentence(line: &Line) -> String {
     let runs = match line.repeats {
         1 => "one run".to_owned(),
-        repeats => format!("{}, taken together", counted(repeats as u64, "run")),
+        repeats => format!("{}, pooled", counted(repeats as u64, "run")),
     };
     format!("Baseline: {}: {runs}.", line.name())
 }
 
-/// Why nothing can be compared with a baseline, if that is so.
-fn alone(comparison: &Comparison) -> Option<String> {
+/// Returns the reason why nothing can be compared with the baseline, if there is one.
+fn missing_comparison_reason(comparison: &Comparison) -> Option<String> {
     let runs = match comparison.lines.as_slice() {
         [line] => line.runs.len(),
         _ => return None,
@@ -158,14 +160,14 @@ pub(crate) fn differences(
     first
         .into_iter()
         .flat_map(|first| others(first).map(move |other| (first, other)))
-        .map(|(first, other)| Differences::of_lines(comparison, runs, first, other, seed))
+        .map(|(first, other)| Differences::between_lines(comparison, runs, first, other, seed))
         .collect()
 }
 
 /// The tables that stand below the paper's: these differences, or, without them, those from the best line.
-pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec<Captioned> {
+pub(crate) fn difference_tables(comparison: &Comparison, differences: &[Differences]) -> Vec<CaptionedTable> {
     if differences.is_empty() {
-        return against_best(comparison).into_iter().collect();
+        return differences_to_best(comparison).into_iter().collect();
     }
     // Nothing is compared with a line that measured nothing.
     let told = differences.iter().filter(|differences| !differences.stages.is_empty());
@@ -173,7 +175,7 @@ pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec
 }
 
 /// Tables in one text.
-pub(crate) fn joined(first: String, others: impl Iterator<Item = String>) -> String {
+pub(crate) fn join_texts(first: String, others: impl Iterator<Item = String>) -> String {
     std::iter::once(first)
         .chain(others)
         .map(|text| text.trim_end().to_owned())
@@ -190,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn baseline_of_one_run_has_line_of_its_own() {
+    fn baseline_run_has_separate_line() {
         let run = |repeat: u32| Loaded {
             folder: PathBuf::from(format!("r{repeat}")),
             record: RunRecord {
@@ -206,21 +208,26 @@ mod tests {
         };
         let runs = [run(0), run(1), run(2)];
         let beside = |baseline: &[usize]| {
-            let comparison = Comparison::with(&runs, Repeats::Beside(baseline));
+            let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(baseline));
             let line = line_of(&comparison, baseline).expect("one line");
-            (baseline_sentence(&comparison.lines[line]), alone(&comparison))
+            (baseline_sentence(&comparison.lines[line]), missing_comparison_reason(&comparison))
         };
         assert_eq!(beside(&[1]), ("Baseline: a, repeat 2: one run.".to_owned(), None));
         let (said, told) = beside(&[0, 2]);
-        assert_eq!((said.as_str(), told), ("Baseline: a, 2 repeats: 2 runs, taken together.", None));
+        assert_eq!((said.as_str(), told), ("Baseline: a, 2 repeats: 2 runs, pooled.", None));
         let (said, told) = beside(&[0, 1, 2]);
-        assert_eq!(said, "Baseline: a: 3 runs, taken together.");
+        assert_eq!(said, "Baseline: a: 3 runs, pooled.");
         assert!(told.expect("nothing is left").contains("all runs belong to it"));
-        let apart = Comparison::with(&runs[..2], Repeats::Apart);
+        let apart = Comparison::with_repeats(&runs[..2], Repeats::Separate);
         assert!(line_of(&apart, &[0, 1]).is_err(), "each has a line");
         let differences = differences(&apart, &runs, first_of_two(&apart), SEED);
-        assert_eq!((differences.len(), below(&apart, &differences).len()), (1, 0), "no table without a line");
-        let single = alone(&Comparison::with(&runs[..1], Repeats::Pooled)).expect("there is no other");
+        assert_eq!(
+            (differences.len(), difference_tables(&apart, &differences).len()),
+            (1, 0),
+            "no table without a line"
+        );
+        let single = missing_comparison_reason(&Comparison::with_repeats(&runs[..1], Repeats::Pooled))
+            .expect("there is no other");
         assert!(single.contains("the only run"), "{single}");
     }
 }

@@ -50,7 +50,7 @@ mod tests {
     use crate::experiment::RECORD;
 
     fn as_declared(runs: &[Loaded]) -> Vec<usize> {
-        super::as_declared(runs, &Experiments::of(runs.iter().map(|run| &*run.folder)))
+        super::as_declared(runs, &Experiments::find(runs.iter().map(|run| &*run.folder)))
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! File names and states of an experiment's folder, for the commands that write it and that read it.
 
-mod undone;
+mod unfinished_runs;
 
-pub(crate) use undone::left_out;
+pub(crate) use unfinished_runs::unfinished_runs_note;
 
 use peernet_analysis::run_selection::RunState;
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ pub(crate) const FORMAT: u32 = 1;
 /// File with the progress of an experiment.
 pub(crate) const RECORD: &str = "experiment.json";
 /// Maximum size of a record that is read, bytes. A record with the maximum number of runs, each of a different configuration, is smaller.
-pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
+pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// The folder in an experiment's that has those of its runs.
 pub(crate) const RUNS: &str = "runs";
 
@@ -21,16 +21,16 @@ pub(crate) const RUNS: &str = "runs";
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Stage {
-    /// Its turn has not come.
+    /// The run has not started.
     #[default]
     Pending,
-    /// It is under way; or the program was killed while it was.
+    /// The run is in progress, or the program was killed during it.
     Running,
-    /// All was measured.
+    /// The run was measured to its end.
     Finished,
-    /// It could not be measured, or not to its end.
+    /// The run could not be measured, or not to its end.
     Failed,
-    /// The user ended it.
+    /// The user stopped the run.
     Interrupted,
 }
 
@@ -50,11 +50,11 @@ impl Stage {
         self.state(None).is_finished()
     }
 
-    /// As people read it.
+    /// Returns the name for people.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Pending => "to do",
-            Self::Running => "cut off",
+            Self::Running => "incomplete",
             Self::Finished => "finished",
             Self::Failed => "failed",
             Self::Interrupted => "interrupted",

@@ -10,7 +10,7 @@ const PORT: u16 = 8040;
 /// Returns a sentence about the dashboard that shows `what`. `has_all` is `false` while events wait for delivery.
 ///
 /// Only the event port of the aggregator is known here, so the port of the dashboard is the usual one.
-pub(crate) fn where_seen(what: impl Display, aggregator: &Address, has_all: bool) -> String {
+pub(crate) fn dashboard_hint(what: impl Display, aggregator: &Address, has_all: bool) -> String {
     if !has_all {
         let at = aggregator.authority();
         return format!(
@@ -28,7 +28,7 @@ mod tests {
 
     #[test]
     fn default_address_works_in_browser() {
-        let message = |text: &str| where_seen("it", &text.parse().expect("an address"), true);
+        let message = |text: &str| dashboard_hint("it", &text.parse().expect("an address"), true);
         let four = "see it on the dashboard of the aggregator at 10.77.0.2 (usually http://10.77.0.2:8040)";
         assert_eq!(message("tcp://10.77.0.2:5650"), four);
         assert!(message("tcp://[fd00::2]:5550").ends_with("at fd00::2 (usually http://[fd00::2]:8040)"));
@@ -36,7 +36,7 @@ mod tests {
 
     #[test]
     fn run_with_undelivered_events_is_announced_for_later() {
-        let message = where_seen("it", &"tcp://10.77.0.2:5650".parse().expect("an address"), false);
+        let message = dashboard_hint("it", &"tcp://10.77.0.2:5650".parse().expect("an address"), false);
         let later = "it will be on the dashboard of the aggregator at 10.77.0.2:5650 once all events have been delivered";
         assert_eq!(message, later);
     }

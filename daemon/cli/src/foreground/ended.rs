@@ -19,7 +19,7 @@ pub(crate) enum Ended<OwnReason = Infallible> {
 
 impl<OwnReason> Ended<OwnReason> {
     /// Converts the reason for which the agent's run ended; `what` is the word for the run in the command's messages.
-    pub(crate) fn of_run(reason: EndReason, what: &str) -> Self {
+    pub(crate) fn from_run_end(reason: EndReason, what: &str) -> Self {
         match reason {
             EndReason::Finished => Self::Finished,
             EndReason::Stopped => Self::Interrupted,

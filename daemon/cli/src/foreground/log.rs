@@ -18,10 +18,10 @@ use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
 
-use super::progress::above_the_bar;
+use super::progress::without_progress_bar;
 
 /// Log targets of the lines of users' code.
-const USERS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
+const USER_CODE_TARGETS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
 
 /// The process that shows the lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,8 +38,9 @@ pub(crate) enum LogDestination {
 /// When the variable holds no level (78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let level = std::env::var(VARIABLE)
-        .unwrap_or_else(|_| format!("off,{}=info,{}=info,{REMARKS}=warn", USERS[0], USERS[1]));
+    let level = std::env::var(VARIABLE).unwrap_or_else(|_| {
+        format!("off,{}=info,{}=info,{REMARKS}=warn", USER_CODE_TARGETS[0], USER_CODE_TARGETS[1])
+    });
     let filter = EnvFilter::try_new(&level).map_err(|error| {
         wrong(anyhow::anyhow!(
             "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
@@ -60,7 +61,7 @@ struct LogWriter(LogDestination);
 impl Write for LogWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self.0 {
-            LogDestination::StandardError => above_the_bar(|| io::stderr().lock().write(bytes)),
+            LogDestination::StandardError => without_progress_bar(|| io::stderr().lock().write(bytes)),
             LogDestination::Parent => {
                 let text = String::from_utf8_lossy(bytes);
                 say(serde_json::Value::from(text.trim_end()));
@@ -94,7 +95,7 @@ where
         event: &Event<'_>,
     ) -> fmt::Result {
         let target = event.metadata().target();
-        if target != REMARKS && !USERS.contains(&target) {
+        if target != REMARKS && !USER_CODE_TARGETS.contains(&target) {
             return self.other.format_event(context, writer, event);
         }
         let mut message = LogMessage::default();

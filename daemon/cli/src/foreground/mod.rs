@@ -4,7 +4,9 @@
 //! in their observer ([`RunObserver`]); starting, signals and stopping are the same. Events come from the agent's tap; the
 //! rest of its state is read several times a second.
 
+mod command_line;
 mod dashboard;
+mod duration;
 mod ended;
 mod latency;
 mod log;
@@ -13,10 +15,10 @@ mod progress;
 mod remark;
 mod signals;
 mod tables;
-mod typed;
-mod waiting;
 
-pub(crate) use dashboard::where_seen;
+pub(crate) use command_line::command_line;
+pub(crate) use dashboard::dashboard_hint;
+pub(crate) use duration::duration;
 pub(crate) use ended::Ended;
 pub(crate) use latency::{describe_quantiles, p99};
 pub(crate) use log::{LogDestination, start_log};
@@ -25,8 +27,6 @@ pub(crate) use progress::Progress;
 pub(crate) use remark::remark;
 pub(crate) use signals::Signals;
 pub(crate) use tables::tables;
-pub(crate) use typed::typed;
-pub(crate) use waiting::duration;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -120,7 +120,7 @@ impl Ready {
 fn not_started(error: StartError) -> anyhow::Error {
     match error {
         StartError::Identity(IdentityError::InUse(folder)) => anyhow!(
-            "another peernet is at work as the host that keeps its id in {}; wait for it or end it, or take another name",
+            "another peernet process runs as the host whose id is in {}; wait for it, stop it, or choose another name",
             folder.display()
         ),
         error => error.into(),
@@ -159,13 +159,13 @@ async fn watch<E: RunObserver>(
     };
     observer.end_decided();
     if is_interrupted {
-        complain("ending; what is under way may take some seconds, Ctrl-C again does not wait for it");
+        complain("stopping; work in progress may take some seconds, press Ctrl-C again to abandon it");
     }
     stop.cancel();
     let missed = running.events_missed_by_tap();
     tokio::select! {
         joined = running.join() => joined.map_err(|error| Failure::new(Exit::Software, error))?,
-        () = signals.next() => complain("what was under way is left alone"),
+        () = signals.next() => complain("work in progress was abandoned"),
     }
     // Events of work that was in progress at the end.
     while let Ok(event) = events.try_recv() {

@@ -17,7 +17,7 @@ const STEPS: u64 = 1000;
 static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 /// Writes to standard error with the bar hidden, if there is one.
-pub(super) fn above_the_bar<T>(write: impl FnOnce() -> T) -> T {
+pub(super) fn without_progress_bar<T>(write: impl FnOnce() -> T) -> T {
     let bar = BAR.lock().unwrap_or_else(PoisonError::into_inner).clone();
     match bar {
         Some(bar) => bar.suspend(write),

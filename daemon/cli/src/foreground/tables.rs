@@ -18,7 +18,7 @@ const TABLES: [&str; 4] = ["clock", "probes", "rehearsal", "onnxruntime"];
 /// When the file cannot be read (66) or its tables are wrong (78).
 pub(crate) fn tables(file: Option<&Path>) -> Result<AgentConfig, Failure> {
     let Some(file) = file else { return Ok(AgentConfig::default()) };
-    let text = small_file::read(file, small_file::LARGEST)
+    let text = small_file::read(file, small_file::MAX_BYTES)
         .map_err(|error| anyhow!("cannot read the configuration {}: {error}", file.display()))
         .map_err(|error| Failure::new(Exit::NoInput, error))?;
     read(&text, file).map_err(|error| Failure::new(Exit::Configuration, error))

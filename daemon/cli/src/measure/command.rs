@@ -26,18 +26,17 @@ pub(crate) struct Arguments {
 /// Those of [`measure`], and when the order cannot be read (66) or parsed (78), `PEERNET_LOG` is no level (78), or iterations have
 /// no answer (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    end_with_parent();
+    exit_with_parent();
     start_log(LogDestination::Parent)?;
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
-    let order: Order = serde_json::from_str(&text).map_err(|error| {
-        Failure::new(Exit::Configuration, anyhow!("cannot understand the order: {error}"))
-    })?;
+    let order: Order = serde_json::from_str(&text)
+        .map_err(|error| Failure::new(Exit::Configuration, anyhow!("cannot parse the order: {error}")))?;
     let measured = measure(&order, &mut JsonProgress)?;
     measured.failure().map_or(Ok(()), Err)
 }
 
 /// Ends this process together with its experiment: otherwise it could write into a folder that is given to another run.
-fn end_with_parent() {
+fn exit_with_parent() {
     if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
         complain(format_args!("this run may outlive its experiment: {error}"));
     }
@@ -49,7 +48,7 @@ fn read(file: &Path) -> anyhow::Result<String> {
         std::io::stdin().read_to_string(&mut text).context("cannot read the order from standard input")?;
         return Ok(text);
     }
-    small_file::read(file, small_file::LARGEST)
+    small_file::read(file, small_file::MAX_BYTES)
         .with_context(|| format!("cannot read the order {}", file.display()))
 }
 
@@ -61,7 +60,7 @@ impl ProgressDisplay for JsonProgress {
         match serde_json::to_string(report) {
             Ok(line) => say(line),
             // JSON cannot represent some numbers. The next update says more.
-            Err(error) => tracing::debug!(%error, "a look cannot be written"),
+            Err(error) => tracing::debug!(%error, "cannot write the progress report"),
         }
     }
 }

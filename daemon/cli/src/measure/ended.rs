@@ -25,7 +25,7 @@ impl Ended {
         match self {
             Self::Finished => unavailable("nothing was measured: the sensor has no samples"),
             Self::Interrupted => {
-                Failure::new(Exit::Interrupted, anyhow!("ended before anything was measured"))
+                Failure::new(Exit::Interrupted, anyhow!("ended before the first measurement"))
             }
             Self::Failed(reason) => unavailable(&reason),
         }
@@ -37,13 +37,13 @@ impl Ended {
         match self {
             Self::Interrupted => Some(Failure::new(
                 Exit::Interrupted,
-                anyhow!("ended early: the results hold what was measured until then"),
+                anyhow!("ended early: the results contain the measurements until then"),
             )),
             Self::Failed(reason) => {
-                incomplete(format!("{reason}; the results hold what was measured until then"))
+                incomplete(format!("{reason}; the results contain the measurements until then"))
             }
             Self::Finished if unseen > 0 => incomplete(format!(
-                "{} measured and {} no row: this machine is too busy to take them down",
+                "{} measured and {} no row: this machine is too busy to record them",
                 if unseen == 1 { "1 iteration was".to_owned() } else { format!("{unseen} iterations were") },
                 has(unseen)
             )),

@@ -22,9 +22,9 @@ mod state_dir;
 
 pub(crate) use command::{Arguments, run};
 pub(crate) use order::Order;
-pub(crate) use previous_results::put_aside;
+pub(crate) use previous_results::previous_results_folder;
 pub(crate) use progress_report::{Phase, ProgressDisplay, ProgressReport};
-pub(crate) use spools::{OF_AGENT, Waiting, undelivered, undelivered_in};
+pub(crate) use spools::{AGENT_LOCK, UndeliveredEvents, undelivered, undelivered_in_spool};
 pub(crate) use state_dir::AgentStateDir;
 
 use std::path::{Path, PathBuf};
@@ -81,15 +81,15 @@ pub(crate) fn measure(
     progress_display: &mut dyn ProgressDisplay,
 ) -> Result<Measured, Failure> {
     let pipeline = order.pipeline()?;
-    let state_dir = AgentStateDir::of(&order.agent.agent)?;
+    let state_dir = AgentStateDir::for_agent(&order.agent.agent)?;
     let mut config = order.agent.clone();
     state_dir.configure(&mut config)?;
     let ready = Ready::new(config)?;
-    let mut results = Results::begin(order)?;
+    let mut results = Results::prepare(order)?;
     let room = conditions::free_space("results", results.path(), "");
     let mut recorder = RunRecorder::new(
         pipeline,
-        order.patience(),
+        order.peer_timeout(),
         results.writer()?,
         ready.clock.clone(),
         progress_display,
@@ -109,9 +109,9 @@ pub(crate) fn measure(
         results.discard();
         return Err(ended.without_rows());
     }
-    let mut record = record::of(order, &recorded, &ended, name, missed);
+    let mut record = record::run_record(order, &recorded, &ended, name, missed);
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..room });
-    record.trust = Some(Report::of(&TrustInput::of_run(&record, &recorded.rows)));
+    record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let Written { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();
     // If the rows did not fit on the disk, the folder may hold earlier results again.
@@ -131,12 +131,12 @@ pub(crate) fn measure(
     Ok(Measured { ended, rows: recorded.rows, record, folder, files, trouble })
 }
 
-/// Writes the study of a run of a sensor alone.
+/// Writes the study of a run that measures only a sensor.
 fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, WriteError> {
-    if !record.is_sensor_alone() {
+    if !record.is_sensor_only() {
         return Ok(None);
     }
-    let Some(study) = SensorStudy::of(rows) else { return Ok(None) };
+    let Some(study) = SensorStudy::from_rows(rows) else { return Ok(None) };
     let path = folder.join("sensor.txt");
     std::fs::write(&path, format!("{}\n", study.text().trim_end())).map_err(WriteError::at(&path))?;
     Ok(Some(path))

@@ -40,8 +40,8 @@ pub(crate) struct Order {
     /// Description of the iterations that are warm-up.
     pub(crate) warm_up: String,
     /// Longest wait for an absent peer, before the run and during it; seconds. Default: 90.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) patience_s: Option<f64>,
+    #[serde(default, rename = "patience_s", skip_serializing_if = "Option::is_none")]
+    pub(crate) peer_timeout_s: Option<f64>,
 }
 
 impl Order {
@@ -59,8 +59,8 @@ impl Order {
     }
 
     /// Returns the longest wait for an absent peer.
-    pub(super) fn patience(&self) -> Span {
-        self.patience_s.map_or(PeerWait::USUAL, Span::from_seconds_f64)
+    pub(super) fn peer_timeout(&self) -> Span {
+        self.peer_timeout_s.map_or(PeerWait::DEFAULT_TIMEOUT, Span::from_seconds_f64)
     }
 }
 

@@ -39,7 +39,7 @@ impl PreviousResultsGuard {
     /// When they cannot be moved (73).
     pub(super) fn move_away(results_dir: &Path) -> Result<Self, Failure> {
         let mut guard = Self { results_dir: results_dir.to_owned(), kept: None };
-        if !ResultFolder::replaced(results_dir).any(|name| results_dir.join(name).is_file()) {
+        if !ResultFolder::replaced_files(results_dir).any(|name| results_dir.join(name).is_file()) {
             return Ok(guard);
         }
         let kept = tempfile::Builder::new().prefix(PREFIX).tempdir_in(results_dir);
@@ -70,16 +70,16 @@ impl PreviousResultsGuard {
         folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
         let Some(kept) = folders.first() else { return Ok(()) };
         for other in &folders[1..] {
-            complain(format_args!("results that were put aside are in {} as well", other.display()));
+            complain(format_args!("other previous results are in {}", other.display()));
         }
         let failed = |error: std::io::Error| {
-            let text = format!("cannot put the results of {} back", kept.display());
+            let text = format!("cannot restore the results of {}", kept.display());
             unwritten(anyhow::Error::new(error).context(text))
         };
         if results_dir.join(RECORD).is_file() {
             std::fs::remove_dir_all(kept).map_err(failed)?;
             complain(format_args!(
-                "a run was killed that had replaced the results in {}; what was left of the earlier ones is removed",
+                "a killed run had replaced the results in {}; the rest of the previous results was removed",
                 results_dir.display()
             ));
             return Ok(());
@@ -90,9 +90,9 @@ impl PreviousResultsGuard {
             None
         };
         move_back(kept, results_dir).and_then(|()| std::fs::remove_dir_all(kept)).map_err(failed)?;
-        let measured = measured.map_or_else(String::new, |name| format!("; what it measured is in {name}"));
+        let measured = measured.map_or_else(String::new, |name| format!("; its rows are in {name}"));
         complain(format_args!(
-            "a run was killed that was to replace the results in {}: they are back{measured}",
+            "a run that was to replace the results in {} was killed: the previous results are restored{measured}",
             results_dir.display()
         ));
         Ok(())
@@ -103,7 +103,7 @@ impl PreviousResultsGuard {
     pub(super) fn keep_rows(&self) -> Option<String> {
         self.kept.as_ref()?;
         keep_measured(&self.results_dir, UNFINISHED).unwrap_or_else(|error| {
-            complain(format_args!("the new data.csv cannot be given another name: {error}"));
+            complain(format_args!("cannot rename the new data.csv: {error}"));
             None
         })
     }
@@ -119,8 +119,8 @@ impl PreviousResultsGuard {
             }
         });
         match removed.and_then(|()| move_back(kept.path(), &self.results_dir)) {
-            Ok(()) => "; the earlier results are back".to_owned(),
-            Err(error) => format!("; the earlier results are in {}: {error}", kept.keep().display()),
+            Ok(()) => "; the previous results are restored".to_owned(),
+            Err(error) => format!("; the previous results are in {}: {error}", kept.keep().display()),
         }
     }
 
@@ -129,7 +129,7 @@ impl PreviousResultsGuard {
         let closed = self.kept.take().map_or(Ok(()), TempDir::close);
         let removed = rows_without_results(&self.results_dir).into_iter().try_for_each(remove_file);
         if let Err(error) = closed.and(removed) {
-            complain(format_args!("the results that were replaced are not all removed: {error}"));
+            complain(format_args!("cannot remove all of the replaced results: {error}"));
         }
     }
 }
@@ -140,11 +140,11 @@ impl Drop for PreviousResultsGuard {
         if std::thread::panicking() {
             // New rows may be in their place by now.
             let folder = kept.keep();
-            return complain(format_args!("the earlier results are in {}", folder.display()));
+            return complain(format_args!("the previous results are in {}", folder.display()));
         }
         if let Err(error) = move_back(kept.path(), &self.results_dir) {
             let folder = kept.keep();
-            complain(format_args!("the earlier results are in {}: {error}", folder.display()));
+            complain(format_args!("the previous results are in {}: {error}", folder.display()));
         }
     }
 }
@@ -154,7 +154,7 @@ fn unwritten(error: anyhow::Error) -> Failure {
 }
 
 /// Returns the folder with the earlier results while the run that is to replace them is active or was killed.
-pub(crate) fn put_aside(results_dir: &Path) -> Option<PathBuf> {
+pub(crate) fn previous_results_folder(results_dir: &Path) -> Option<PathBuf> {
     leftover_folders(results_dir)
         .find(|kept| kept.join(RECORD).is_file() && !results_dir.join(RECORD).is_file())
 }
@@ -181,7 +181,7 @@ fn leftover_folders(results_dir: &Path) -> impl Iterator<Item = PathBuf> {
 
 /// Returns the names of the replaced files in a folder, in the order in which they are moved away.
 fn record_first(dir: &Path) -> Vec<String> {
-    let mut names: Vec<String> = ResultFolder::replaced(dir).collect();
+    let mut names: Vec<String> = ResultFolder::replaced_files(dir).collect();
     names.sort_by_key(|name| name != RECORD);
     names
 }
@@ -259,14 +259,14 @@ mod tests {
             guard
         };
         // All rows are elsewhere.
-        assert_eq!(begin().restore(), "; the earlier results are back");
+        assert_eq!(begin().restore(), "; the previous results are restored");
         assert_eq!(
             (names(results_dir.path()), read(DATA).as_str()),
             (vec![DATA.into(), RECORD.into()], "earlier")
         );
         let guard = begin();
         assert_eq!(guard.keep_rows().as_deref(), Some("unfinished.csv"));
-        assert_eq!(guard.restore(), "; the earlier results are back");
+        assert_eq!(guard.restore(), "; the previous results are restored");
         assert_eq!(names(results_dir.path()), [DATA, RECORD, "unfinished.csv"]);
         let texts = ["unfinished.csv", DATA, RECORD].map(read);
         assert_eq!(texts, ["iteration\n1\n", "earlier", "earlier"]);
@@ -318,7 +318,7 @@ mod tests {
         std::fs::write(&mine, "mine").expect("writable");
         let mut guard = PreviousResultsGuard::move_away(results_dir.path()).expect("moved");
         std::fs::write(results_dir.path().join(DATA), "later").expect("writable");
-        assert!(put_aside(results_dir.path()).is_some(), "the earlier ones are hidden");
+        assert!(previous_results_folder(results_dir.path()).is_some(), "the earlier ones are hidden");
         std::fs::write(results_dir.path().join(RECORD), "later").expect("writable");
         guard.remove();
         assert_eq!(
@@ -326,7 +326,7 @@ mod tests {
             [DATA, "killed-by-me.csv", RECORD],
             "later ones take all places"
         );
-        assert_eq!(put_aside(results_dir.path()), None);
+        assert_eq!(previous_results_folder(results_dir.path()), None);
     }
 
     #[test]

@@ -52,15 +52,15 @@ impl fmt::Display for ProgressReport {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Phase {
-    /// It sets up sensor and model, and connects to the peer.
+    /// The agent sets up sensor and model, and connects to the peer.
     Starting,
-    /// It measures iterations that are left out of statistics.
+    /// The agent measures warm-up iterations.
     WarmUp,
-    /// It measures.
+    /// The agent measures iterations that count.
     Measuring,
-    /// It waits for an absent peer.
+    /// The agent waits for an unreachable peer.
     Waiting,
-    /// It writes its files.
+    /// The program writes the files of results.
     Writing,
 }
 

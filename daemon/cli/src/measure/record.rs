@@ -8,7 +8,7 @@ use peernet_agent::config::PipelineConfig;
 use peernet_analysis::accuracy::Accuracy;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::record::{
-    Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant,
+    Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, to_utc,
 };
 use peernet_external::environment;
 use peernet_external::exec::with_arguments;
@@ -21,7 +21,7 @@ use super::recorder::RecordedRun;
 use crate::foreground::Ended;
 
 /// Makes the record of a run with rows.
-pub(super) fn of(
+pub(super) fn run_record(
     order: &Order,
     recorded: &RecordedRun,
     ended: &Ended,
@@ -49,8 +49,8 @@ pub(super) fn of(
         name: pipeline.map(|pipeline| pipeline.name.to_string()).unwrap_or_default(),
         title: order.title.clone(),
         run: description.map(|run| run.run),
-        started: description.map(|run| instant(run.started)),
-        ended: recorded.ended.map(instant),
+        started: description.map(|run| to_utc(run.started)),
+        ended: recorded.ended.map(to_utc),
         reason: ended.reason(),
         version: VERSION.to_owned(),
         command: order.command.clone(),
@@ -79,14 +79,14 @@ pub(super) fn of(
         agent: agent(&config),
         experiment: pipeline.and_then(|pipeline| pipeline.experiment.clone()),
         user: order.user,
-        patience_s: Some(order.patience().seconds()),
+        peer_timeout_s: Some(order.peer_timeout().seconds()),
         seeds: pipeline.map(|pipeline| seeds(&json(pipeline))).unwrap_or_default(),
         warm_up: order.warm_up.clone(),
-        counts: Counts::of(&recorded.rows, missed),
+        counts: Counts::from_rows(&recorded.rows, missed),
         deadline_s: pipeline.and_then(PipelineConfig::deadline).map(|deadline| deadline.as_secs_f64()),
-        misses: Misses::of_rows(&recorded.rows),
-        clocks: Clocks::of(&recorded.rows),
-        accuracy: Accuracy::of_each(&recorded.rows),
+        misses: Misses::from_rows(&recorded.rows),
+        clocks: Clocks::from_rows(&recorded.rows),
+        accuracy: Accuracy::by_column(&recorded.rows),
         units: recorded.units.clone(),
         trust: None,
     }

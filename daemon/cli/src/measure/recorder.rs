@@ -20,7 +20,7 @@ pub(super) struct RunRecorder<'a> {
     clock: SharedClock,
     progress_display: &'a mut dyn ProgressDisplay,
     peer_wait: PeerWait,
-    most: Span,
+    peer_timeout: Span,
     progress: RunProgress,
     pipeline: Slug,
     /// Address of the peer, then its name; `None` for a run without a peer.
@@ -50,7 +50,7 @@ impl RunProgress {
 
     fn add(&mut self, row: &Row) {
         self.done += 1;
-        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.counts()) {
+        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.is_counted()) {
             self.totals.record(total);
         }
     }
@@ -112,7 +112,7 @@ pub(super) struct RecordedRun {
 impl<'a> RunRecorder<'a> {
     pub(super) fn new(
         pipeline: &PipelineConfig,
-        most: Span,
+        peer_timeout: Span,
         writer: RowWriter,
         clock: SharedClock,
         progress_display: &'a mut dyn ProgressDisplay,
@@ -125,7 +125,7 @@ impl<'a> RunRecorder<'a> {
             peer_wait: PeerWait::new(clock.mono()),
             clock,
             progress_display,
-            most,
+            peer_timeout,
             progress: RunProgress::new(pipeline.limit, pipeline.warm_up.iterations),
             pipeline: pipeline.name.clone(),
             peer,
@@ -138,7 +138,7 @@ impl<'a> RunRecorder<'a> {
     /// Returns everything that was recorded, after writing the rows to the file as far as there is room.
     pub(super) fn finish(self) -> RecordedRun {
         let mut recorded = self.recorded;
-        recorded.unwritten = self.writer.end().err().map(|error| error.to_string());
+        recorded.unwritten = self.writer.finish().err().map(|error| error.to_string());
         recorded
     }
 
@@ -205,7 +205,7 @@ impl RunObserver for RunRecorder<'_> {
                 self.recorded.ended = Some(run.ended);
                 // The claim of a time daemon may have arrived only since the run began.
                 self.record_hosts(running);
-                return Some(Ended::of_run(run.reason, "run"));
+                return Some(Ended::from_run_end(run.reason, "run"));
             }
             Event::Incident(incident) => match incident.kind {
                 // Later ones are part of the run's end, or ignored.
@@ -239,14 +239,14 @@ impl RunObserver for RunRecorder<'_> {
             Some(PipelineState::Finished) => return Some(Ended::Finished),
             _ => {}
         }
-        let activity = PipelineActivity::of(running);
-        let reason = activity.waits_for();
+        let activity = PipelineActivity::current(running);
+        let reason = activity.wait_reason();
         if let (true, Some(reason)) = (self.refused, reason) {
             return Some(Ended::Failed(reason.to_owned()));
         }
         // The advice concerns a configuration, which does not exist here.
         let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
-        let full = self.writer.trouble().map(|trouble| format!("{trouble}; the rows are kept in memory"));
+        let full = self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
         let now = self.clock.mono();
         let slow = activity.slow_sensor(now);
         let Some(peer) = &self.peer else {
@@ -257,9 +257,9 @@ impl RunObserver for RunRecorder<'_> {
         self.peer_wait.update(&activity, now);
         let trouble = match (&self.progress.began, reason) {
             (None, None) => None,
-            _ => self.peer_wait.describe_trouble(peer, reason, now, self.most),
+            _ => self.peer_wait.describe_trouble(peer, reason, now, self.peer_timeout),
         };
-        let spent = self.peer_wait.reason_to_give_up(reason, now, self.most);
+        let spent = self.peer_wait.timeout_reason(reason, now, self.peer_timeout);
         let report = self.report(slow.or(trouble).or(full));
         self.progress_display.show(&report);
         spent.map(Ended::Failed)

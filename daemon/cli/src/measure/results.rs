@@ -32,7 +32,7 @@ impl Results {
     ///
     /// # Errors
     /// When it holds results that may not be replaced (64), another program writes there (69), or it cannot be created (73).
-    pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
+    pub(super) fn prepare(order: &Order) -> Result<Self, Failure> {
         // The lock shows that no run is active there; taking it changes nothing.
         if PreviousResultsGuard::is_left(&order.folder)
             && let Ok(folder) = ResultFolder::acquire(&order.folder, Overwrite::Replace)
@@ -74,23 +74,23 @@ impl Results {
     pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> Written {
         let mut earlier = self.earlier.take();
         match self.folder.finish(record, rows) {
-            Ok(WrittenResults { folder, files, trouble: None }) => {
+            Ok(WrittenResults { folder, files, write_error: None }) => {
                 if let Some(earlier) = &mut earlier {
                     earlier.remove();
                 }
                 Written { folder, files, trouble: None }
             }
-            Ok(WrittenResults { folder, files, trouble: Some(trouble) }) => {
+            Ok(WrittenResults { folder, files, write_error: Some(write_error) }) => {
                 let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let trouble =
-                    format!("{trouble}; all that was measured is in {} instead{back}", folder.display());
+                    format!("{write_error}; the measurements are in {} instead{back}", folder.display());
                 Written { folder, files, trouble: Some(trouble) }
             }
             Err(error) => {
                 let rows = earlier.as_ref().and_then(PreviousResultsGuard::keep_rows);
                 let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let rows = rows.as_deref().unwrap_or("data.csv");
-                let trouble = format!("{error}; {rows} holds what there was room for{back}");
+                let trouble = format!("{error}; {rows} has the rows that fit{back}");
                 Written { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }
             }
         }

@@ -12,24 +12,24 @@ use peernet_networks::Address;
 use peernet_statistics::number::counted;
 
 /// The single spool of earlier versions.
-const OLD: &str = "spool.sqlite";
+const OLD_SPOOL: &str = "spool.sqlite";
 /// File that an agent locks while it runs.
-pub(crate) const OF_AGENT: &str = "lock";
+pub(crate) const AGENT_LOCK: &str = "lock";
 /// Parts of a spool's file name before and after the aggregator's address.
-const NAME: (&str, &str) = ("spool-", ".sqlite");
+const SPOOL_PREFIX: (&str, &str) = ("spool-", ".sqlite");
 
 /// Returns the spool of the host in this folder for an aggregator.
 ///
 /// # Errors
 /// When a spool of an earlier version exists and cannot be taken over.
-pub(super) fn of(folder: &Path, aggregator: &Address) -> io::Result<PathBuf> {
-    let spool = folder.join(format!("{}{}{}", NAME.0, name_of(aggregator), NAME.1));
+pub(super) fn prepare(folder: &Path, aggregator: &Address) -> io::Result<PathBuf> {
+    let spool = folder.join(format!("{}{}{}", SPOOL_PREFIX.0, spool_name(aggregator), SPOOL_PREFIX.1));
     take_over(folder, &spool)?;
     Ok(spool)
 }
 
 /// Returns an aggregator's address as part of a spool's file name.
-fn name_of(aggregator: &Address) -> String {
+fn spool_name(aggregator: &Address) -> String {
     // Users mix these names of one machine.
     match aggregator.host().as_str() {
         "127.0.0.1" | "::1" => format!("localhost:{}", aggregator.port()),
@@ -40,11 +40,11 @@ fn name_of(aggregator: &Address) -> String {
 /// Makes the spool of an earlier version that of the first named aggregator: the events that wait in it go there, as with the
 /// earlier version.
 fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
-    let old = folder.join(OLD);
+    let old = folder.join(OLD_SPOOL);
     if spool.exists() || !old.exists() {
         return Ok(());
     }
-    let lock = File::options().create(true).append(true).open(folder.join(OF_AGENT))?;
+    let lock = File::options().create(true).append(true).open(folder.join(AGENT_LOCK))?;
     match lock.try_lock() {
         Ok(()) => {}
         // An agent is active here: this one will be refused for it.
@@ -72,16 +72,16 @@ fn with_end(path: &Path, end: &str) -> PathBuf {
 }
 
 /// Events of a host that wait for one of its aggregators, or the error of reading them.
-pub(crate) struct Waiting {
+pub(crate) struct UndeliveredEvents {
     at: String,
     file: PathBuf,
     events: Result<u64, SpoolReadError>,
 }
 
-impl Waiting {
+impl UndeliveredEvents {
     /// Returns whether they wait for this aggregator.
     pub(crate) fn is_for(&self, aggregator: &Address) -> bool {
-        self.at == name_of(aggregator)
+        self.at == spool_name(aggregator)
     }
 
     /// Reads the waiting events of a file; `None` if there are none.
@@ -92,7 +92,7 @@ impl Waiting {
     }
 }
 
-impl fmt::Display for Waiting {
+impl fmt::Display for UndeliveredEvents {
     /// Writes a sentence.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { at, file, events } = self;
@@ -102,35 +102,35 @@ impl fmt::Display for Waiting {
                 let (wait, them) = if *events == 1 { ("waits", "it") } else { ("wait", "them") };
                 write!(
                     f,
-                    "{} {wait} for the aggregator at {at}, in {file}; the next run of this host that streams there hands {them} over",
+                    "{} {wait} for the aggregator at {at}, in {file}; the next run of this host with this aggregator delivers {them}",
                     counted(*events, "event"),
                 )
             }
             Err(error) => write!(
                 f,
-                "it is not known what waits for the aggregator at {at}: cannot read {file}: {error}"
+                "cannot count the events that wait for the aggregator at {at}: cannot read {file}: {error}"
             ),
         }
     }
 }
 
 /// Returns the waiting events of the host in this folder, by aggregator. Its agent must not be running.
-pub(crate) async fn undelivered(folder: &Path) -> Vec<Waiting> {
+pub(crate) async fn undelivered(folder: &Path) -> Vec<UndeliveredEvents> {
     let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
     let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     names.sort();
     let mut waiting = Vec::new();
     for name in names {
-        let at = name.strip_prefix(NAME.0).and_then(|name| name.strip_suffix(NAME.1));
+        let at = name.strip_prefix(SPOOL_PREFIX.0).and_then(|name| name.strip_suffix(SPOOL_PREFIX.1));
         let Some(at) = at else { continue };
-        waiting.extend(Waiting::read(at.to_owned(), folder.join(&name)).await);
+        waiting.extend(UndeliveredEvents::read(at.to_owned(), folder.join(&name)).await);
     }
     waiting
 }
 
 /// Returns the waiting events for an aggregator in a given file. Its agent must not be running.
-pub(crate) async fn undelivered_in(file: &Path, aggregator: &Address) -> Option<Waiting> {
-    if file.exists() { Waiting::read(name_of(aggregator), file.to_owned()).await } else { None }
+pub(crate) async fn undelivered_in_spool(file: &Path, aggregator: &Address) -> Option<UndeliveredEvents> {
+    if file.exists() { UndeliveredEvents::read(spool_name(aggregator), file.to_owned()).await } else { None }
 }
 
 #[cfg(test)]
@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     fn spool(folder: &Path, address: &str) -> PathBuf {
-        of(folder, &address.parse().expect("an address")).expect("nothing stands in the way")
+        prepare(folder, &address.parse().expect("an address")).expect("nothing stands in the way")
     }
 
     #[test]
@@ -159,12 +159,12 @@ mod tests {
     }
 
     async fn describe_undelivered(folder: &Path) -> Vec<String> {
-        undelivered(folder).await.iter().map(Waiting::to_string).collect()
+        undelivered(folder).await.iter().map(UndeliveredEvents::to_string).collect()
     }
 
     #[test]
     fn waiting_events_belong_to_one_aggregator() {
-        let waiting = |at: &str| Waiting { at: at.to_owned(), file: PathBuf::new(), events: Ok(1) };
+        let waiting = |at: &str| UndeliveredEvents { at: at.to_owned(), file: PathBuf::new(), events: Ok(1) };
         let is_for = |at: &str, address: &str| waiting(at).is_for(&address.parse().expect("an address"));
         assert!(is_for("localhost:5550", "tcp://127.0.0.1:5550") && is_for("lab:5550", "tcp://Lab:5550"));
         assert!(!is_for("lab:5550", "tcp://lab:5551") && !is_for("lab:5550", "tcp://localhost:5550"));
@@ -173,7 +173,7 @@ mod tests {
     /// Leaves a spool as a killed program does: a part of it is in the log.
     async fn killed(folder: &Path) {
         let elsewhere = tempfile::tempdir().expect("a folder");
-        let file = elsewhere.path().join(OLD);
+        let file = elsewhere.path().join(OLD_SPOOL);
         let options = SqliteConnectOptions::new().filename(&file).create_if_missing(true);
         let options = options.journal_mode(sqlx::sqlite::SqliteJournalMode::Wal);
         let mut connection = options.connect().await.expect("writable");
@@ -181,7 +181,7 @@ mod tests {
                     INSERT INTO batch VALUES (1, 40), (2, 2);";
         sqlx::raw_sql(make).execute(&mut connection).await.expect("writable");
         for end in ["", "-wal", "-shm"] {
-            fs::copy(with_end(&file, end), with_end(&folder.join(OLD), end)).expect("it is there");
+            fs::copy(with_end(&file, end), with_end(&folder.join(OLD_SPOOL), end)).expect("it is there");
         }
         connection.close().await.expect("closes");
     }
@@ -190,14 +190,15 @@ mod tests {
     async fn spool_of_older_version_keeps_waiting_events() {
         let folder = tempfile::tempdir().expect("a folder");
         killed(folder.path()).await;
-        let agent = File::create(folder.path().join(OF_AGENT)).expect("writable");
+        let agent = File::create(folder.path().join(AGENT_LOCK)).expect("writable");
         agent.try_lock().expect("it is free");
         spool(folder.path(), "tcp://lab:5550");
-        assert!(folder.path().join(OLD).exists(), "an agent is at work with it");
+        assert!(folder.path().join(OLD_SPOOL).exists(), "an agent is at work with it");
         agent.unlock().expect("let go");
-        // Another program was killed after it had begun the takeover.
+        // Another program was killed after it had started the takeover.
         let taken = folder.path().join("spool-lab:5550.sqlite");
-        fs::rename(with_end(&folder.path().join(OLD), "-wal"), with_end(&taken, "-wal")).expect("movable");
+        fs::rename(with_end(&folder.path().join(OLD_SPOOL), "-wal"), with_end(&taken, "-wal"))
+            .expect("movable");
         assert_eq!(spool(folder.path(), "tcp://lab:5550"), taken);
         let descriptions = describe_undelivered(folder.path()).await;
         assert!(
@@ -205,10 +206,10 @@ mod tests {
                 && descriptions[0].starts_with("42 events wait for the aggregator at lab:5550, in ")
         );
         let here = "tcp://127.0.0.1:5550".parse().expect("an address");
-        let named = undelivered_in(&taken, &here).await.expect("it waits there");
+        let named = undelivered_in_spool(&taken, &here).await.expect("it waits there");
         assert!(named.is_for(&here) && named.to_string().starts_with("42 events wait"), "{named}");
-        assert!(undelivered_in(&folder.path().join("none"), &here).await.is_none());
-        assert!(!folder.path().join(OLD).exists());
+        assert!(undelivered_in_spool(&folder.path().join("none"), &here).await.is_none());
+        assert!(!folder.path().join(OLD_SPOOL).exists());
         assert_ne!(spool(folder.path(), "tcp://other:5550"), taken);
         assert!(taken.exists(), "it stays that of the first");
     }

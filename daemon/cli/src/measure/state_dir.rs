@@ -23,17 +23,17 @@ impl AgentStateDir {
     ///
     /// # Errors
     /// When there is no place for it (69).
-    pub(crate) fn of(agent: &HostConfig) -> Result<Self, Failure> {
+    pub(crate) fn for_agent(agent: &HostConfig) -> Result<Self, Failure> {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
         if agent.aggregator.is_none() {
             let folder = Scratch::new("agent");
-            let folder = folder.context("cannot make a temporary folder; TMPDIR names another place");
+            let folder = folder.context("cannot create a temporary folder; set TMPDIR to another folder");
             return folder.map(Self::Temporary).map_err(unavailable);
         }
         let name = agent.name.as_ref().map_or("unnamed", |name| name.as_str());
         let state = state_root().ok_or_else(|| {
             unavailable(anyhow!(
-                "there is no place for the host's id, by which an aggregator knows it again; set HOME or XDG_STATE_HOME"
+                "there is no folder for the host id, by which an aggregator recognises this host; set HOME or XDG_STATE_HOME"
             ))
         })?;
         Ok(Self::Permanent(state.join(name)))
@@ -53,7 +53,7 @@ impl AgentStateDir {
         if let (Self::Permanent(folder), Some(aggregator), None) =
             (self, &config.agent.aggregator, &config.spool.file)
         {
-            let spool = spools::of(folder, aggregator)
+            let spool = spools::prepare(folder, aggregator)
                 .with_context(|| format!("cannot take over the spool in {}", folder.display()))
                 .map_err(|error| Failure::new(Exit::Unavailable, error))?;
             config.spool.file = Some(spool);

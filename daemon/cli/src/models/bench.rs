@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
 use crate::output::say;
-use peernet_analysis::order::{ENOUGH_FOR_P95, ENOUGH_FOR_P99, Ordered};
+use peernet_analysis::order::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, SortedValues};
 use peernet_analysis::table::text;
 use peernet_logger::Tree;
 use peernet_statistics::number::{bytes, counted, milliseconds};
@@ -20,7 +20,7 @@ use crate::foreground::Progress;
 const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 /// Reported quantiles, with the minimum number of samples of each.
 const QUANTILES: [(&str, f64, usize); 3] =
-    [("p50", 0.5, 1), ("p95", 0.95, ENOUGH_FOR_P95), ("p99", 0.99, ENOUGH_FOR_P99)];
+    [("p50", 0.5, 1), ("p95", 0.95, MIN_VALUES_FOR_P95), ("p99", 0.99, MIN_VALUES_FOR_P99)];
 
 /// Arguments of `peernet models bench`.
 #[derive(Debug, clap::Args)]
@@ -29,13 +29,13 @@ pub(super) struct Arguments {
     wanted: Wanted,
     #[command(flatten)]
     options: Options,
-    /// Samples that count; p99 needs 300, p95 60.
+    /// Number of measured samples; p99 needs 300, p95 60.
     #[arg(long, value_name = "N", default_value = "300")]
     iterations: NonZeroU64,
-    /// Samples before them that do not.
+    /// Number of warm-up samples before them, which are not measured.
     #[arg(long, value_name = "N", default_value = "10")]
     warm_up: u64,
-    /// A picture or a folder of pictures, taken in turn [default: the model's own, else made-up pixels].
+    /// A picture or a folder of pictures, used in turn [default: the model's own, else generated pixels].
     #[arg(long, value_name = "PATH")]
     pictures: Option<PathBuf>,
     /// Print JSON; seconds and bytes.
@@ -51,7 +51,7 @@ struct Measured {
     device: String,
     input: String,
     loaded_in: f64,
-    stages: Vec<(&'static str, Ordered)>,
+    stages: Vec<(&'static str, SortedValues)>,
     /// Memory of the whole process before the model was loaded, and at the end.
     memory: [Option<u64>; 2],
     peak: Option<u64>,
@@ -62,7 +62,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let before = memory("VmRSS:");
     let running = Running::load(&found, &arguments.options)?;
     let input = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())?;
-    let input = input.filter(|input| !input.samples.is_empty()).unwrap_or_else(Input::made_up);
+    let input = input.filter(|input| !input.samples.is_empty()).unwrap_or_else(Input::generated);
     let stages = measure(arguments, &running, &input)?;
     let measured = Measured {
         device: running.pool().device(),
@@ -84,7 +84,7 @@ fn measure(
     arguments: &Arguments,
     running: &Running,
     input: &Input,
-) -> Result<Vec<(&'static str, Ordered)>, Failure> {
+) -> Result<Vec<(&'static str, SortedValues)>, Failure> {
     let all = arguments.warm_up.saturating_add(arguments.iterations.get());
     let mut progress = Progress::new(arguments.quiet, running.clock().mono());
     let mut taken: [Vec<f64>; 4] = Default::default();
@@ -112,7 +112,7 @@ fn seconds(tree: &Tree, stage: &str) -> Option<f64> {
     tree.find(&[stage]).and_then(|(_, node)| node.measure.value())
 }
 
-fn quantile(values: &Ordered, (_, p, fewest): (&str, f64, usize)) -> Option<f64> {
+fn quantile(values: &SortedValues, (_, p, fewest): (&str, f64, usize)) -> Option<f64> {
     values.quantile(p).filter(|_| values.len() >= fewest)
 }
 
@@ -128,7 +128,7 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
         arguments.iterations, arguments.warm_up, measured.input
     ));
     say("");
-    let row = |(stage, values): &(&str, Ordered)| {
+    let row = |(stage, values): &(&str, SortedValues)| {
         let cells = QUANTILES.map(|one| quantile(values, one).map_or_else(|| "–".to_owned(), milliseconds));
         [vec![(*stage).to_owned()], cells.into()].concat()
     };
@@ -146,7 +146,7 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
 }
 
 fn object(name: &str, measured: &Measured) -> Value {
-    let stage = |(stage, values): &(&str, Ordered)| {
+    let stage = |(stage, values): &(&str, SortedValues)| {
         let quantiles = QUANTILES.map(|one| (one.0.to_owned(), json!(quantile(values, one))));
         let mut figures = serde_json::Map::from_iter(quantiles);
         figures.insert("count".to_owned(), values.len().into());
@@ -178,7 +178,7 @@ mod tests {
     #[test]
     fn memory_is_read_and_tail_needs_samples() {
         assert!(memory("VmRSS:").is_some_and(|bytes| bytes > 1 << 20));
-        let few: Ordered = (0..100).map(f64::from).collect();
+        let few: SortedValues = (0..100).map(f64::from).collect();
         assert_eq!(QUANTILES.map(|one| quantile(&few, one).is_some()), [true, true, false]);
     }
 }

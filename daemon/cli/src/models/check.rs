@@ -22,7 +22,7 @@ pub(super) struct Arguments {
     wanted: Wanted,
     #[command(flatten)]
     options: Options,
-    /// A picture, or a folder of pictures with or without a labels.csv, in the place of the model's own.
+    /// A picture, or a folder of pictures with or without a labels.csv, instead of the model's own.
     #[arg(long, value_name = "PATH")]
     pictures: Option<PathBuf>,
 }
@@ -84,7 +84,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let accuracy = if labelled > 0 { format!("; {right} of {labelled} labels right") } else { String::new() };
     let unknown = match foreign {
         0 => String::new(),
-        1 => "; 1 label is no class of the model".to_owned(),
+        1 => "; 1 label is not a class of the model".to_owned(),
         foreign => format!("; {foreign} labels are no classes of the model"),
     };
     let of = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };

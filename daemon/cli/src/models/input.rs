@@ -36,14 +36,14 @@ impl Input {
     }
 
     /// Makes a synthetic picture of pixels, so that nothing is decoded.
-    pub(super) fn made_up() -> Self {
+    pub(super) fn generated() -> Self {
         let (width, height) = SIZE;
         let pixels: Vec<u8> =
             (0..width * height * 3).map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let description = Description::pixels(PixelFormat::Rgb8, width, height);
         Self {
             samples: vec![Sample::of(description, pixels.into())],
-            what: format!("made-up pixels, {width} × {height}: preprocessing has nothing to decode"),
+            what: format!("generated pixels, {width} × {height}: preprocessing has nothing to decode"),
         }
     }
 }

@@ -27,9 +27,9 @@ enum Command {
     List(list::Arguments),
     /// Show a model's card and the hash of its file.
     Show(show::Arguments),
-    /// Load a model and run it: on zeros, and on its own test pictures if it has some.
+    /// Load a model and run it on zeros, and on its own test pictures if it has any.
     Check(check::Arguments),
-    /// Measure how long each stage of a model takes, and how much memory.
+    /// Measure the duration of each stage of a model, and its memory.
     Bench(bench::Arguments),
 }
 
@@ -49,7 +49,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Folders that are searched for models.
 #[derive(Debug, clap::Args)]
 struct Places {
-    /// A folder of models to be searched before PEERNET_MODELS, /var/lib/peernet/models and models; may be given several
+    /// A folder of models that is searched before PEERNET_MODELS, /var/lib/peernet/models and models; may be given several
     /// times.
     #[arg(long, value_name = "DIR")]
     models_dir: Vec<PathBuf>,

@@ -66,5 +66,5 @@ fn explained((key, value): (String, String)) -> (String, String) {
     if key != "accuracy" {
         return (key, value);
     }
-    (key, format!("{value} of samples kept out of training are answered rightly, by the card's account"))
+    (key, format!("{value} of held-out samples are classified correctly, according to the card"))
 }

@@ -12,7 +12,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_figures::{self as figures, Columns, PlotError};
 use peernet_statistics::number::counted;
 
-use crate::compare::{Collected, collect, distinct};
+use crate::compare::{Collected, collect, distinct_places};
 use places::Places;
 
 /// Arguments of `peernet plot`.
@@ -22,12 +22,12 @@ pub(crate) struct Arguments {
     /// those of the published program as well.
     #[arg(required = true, value_name = "RUN|DIR")]
     runs: Vec<PathBuf>,
-    /// Which figures to draw.
+    /// Figures to draw.
     #[arg(long, value_enum, default_value_t = Kind::All)]
     kind: Kind,
-    /// The folder that they are written to; with several runs, those of each go to a folder in it [default: beside the
-    /// results: a run's in its folder, those of several runs in the folder that was named, or if several were, in the
-    /// current one].
+    /// Folder for the figures. With several runs, each run gets a folder in it [default: beside the results: figures of
+    /// one run in its folder, figures of several runs in the folder on the command line, or in the current folder if
+    /// there are several].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Column of data.csv along the horizontal axis: the length for --kind length (else tokens, or download-bytes); for
@@ -48,13 +48,13 @@ enum Kind {
     Histograms,
     /// Of each run: the share of iterations up to each latency, of the total and its longest stages.
     Cumulative,
-    /// Of all runs: what the stages add up to, a bar for each configuration.
+    /// Of all runs: a bar of stacked stages for each configuration.
     Stacked,
     /// Of all runs: the share of iterations up to each total, a curve for each configuration.
     Totals,
     /// Of all runs: top-1 accuracy of each configuration against its latency.
     Accuracy,
-    /// Of all runs: each model's inference here and there.
+    /// Of all runs: inference of each model on board and in the cloud.
     Paired,
     /// Of all runs: latency and throughput against payload, with fit and intercept.
     Payload,
@@ -91,9 +91,9 @@ impl Kind {
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
-    let named = distinct(&arguments.runs);
+    let named = distinct_places(&arguments.runs);
     let Collected { runs, .. } = collect(&named, None, &|_| true)?;
-    let places = Places::of(&named, &runs, arguments.out.as_deref());
+    let places = Places::choose(&named, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut lacking = Vec::new();
     let mut files = Vec::new();
@@ -168,7 +168,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_folder_is_made_if_nothing_can_be_drawn() {
+    fn no_folder_is_created_without_figures() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,sensing\n1,0.5\n2,0.5\n")
             .expect("writable");

@@ -15,7 +15,7 @@ pub(super) struct Places {
 
 impl Places {
     /// Chooses the folders of the results, or the given folder: then with one subfolder for each of several runs.
-    pub(super) fn of(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
+    pub(super) fn choose(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
         let folders = || runs.iter().map(|run| run.folder.clone());
         match (out, named) {
             (Some(out), _) if runs.len() == 1 => {
@@ -77,7 +77,7 @@ mod tests {
         };
         let named: Vec<PathBuf> = named.iter().map(PathBuf::from).collect();
         let runs: Vec<Loaded> = runs.iter().map(loaded).collect();
-        let Places { runs, together } = Places::of(&named, &runs, out.map(Path::new));
+        let Places { runs, together } = Places::choose(&named, &runs, out.map(Path::new));
         (runs.iter().map(|path| path.display().to_string()).collect(), together.display().to_string())
     }
 

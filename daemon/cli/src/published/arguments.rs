@@ -28,15 +28,15 @@ pub(crate) struct Arguments {
     /// configuration; of a host name, zmq-tcp].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,
-    /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` the name of the one that
-    /// serves, and if it is to be another than 5551, `start_port:`.
+    /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` name of the device that serves,
+    /// and optionally `start_port:` [default: 5551].
     #[arg(long, value_name = "FILE")]
     pub(super) network_config: PathBuf,
-    /// How many iterations: rows in the results of a client, answers of a server.
+    /// Number of iterations: rows in the results of a client, answers of a server.
     #[arg(long, value_name = "N", value_parser = iterations, allow_negative_numbers = true)]
     pub(super) iterations: NonZeroU64,
 
-    /// What the client senses: `image`, `random string`, `external` (with --sensor-object), `synthetic` (random bytes).
+    /// Sensor of the client: `image`, `random string`, `external` (with --sensor-object) or `synthetic` (random bytes).
     #[arg(long, default_value = "image", value_name = "TYPE", value_parser = SensorType::read)]
     pub(super) sensor_type: SensorType,
     /// Picture, or folder of pictures, for the sensor `image`.
@@ -46,11 +46,11 @@ pub(crate) struct Arguments {
     /// as `exec:COMMAND`.
     #[arg(long, value_name = "OBJECT")]
     pub(super) sensor_object: Option<String>,
-    /// Send Python values that have no form of their own as pickles, and unpickle what comes: a pickle runs code of whoever
-    /// made it. Both ends must say so.
+    /// Send Python values without a wire format of their own as pickles, and unpickle received values. Unpickling runs
+    /// code of the sender. Both ends need this option.
     #[arg(long)]
     pub(super) pickle: bool,
-    /// How pictures are sent: `pixels` as published, `file` as it lies on the disk, `jpeg:QUALITY` compressed anew.
+    /// Encoding of pictures that are sent: `pixels` as published, `file` for the unchanged file, `jpeg:QUALITY` to compress them again.
     #[arg(long, default_value = "pixels", value_name = "HOW", value_parser = Encoding::read)]
     pub(super) encoding: Encoding,
     /// Characters of each sample of `random string`, bytes of each of `synthetic`.
@@ -59,7 +59,7 @@ pub(crate) struct Arguments {
     /// Folder for the client's results [default: results, or a new folder in it].
     #[arg(long, value_name = "DIR")]
     pub(super) result_loc: Option<PathBuf>,
-    /// Replace results that are in the folder already.
+    /// Replace results that the folder already has.
     #[arg(long)]
     pub(super) overwrite: bool,
     /// Draw the figures of the paper.
@@ -68,23 +68,23 @@ pub(crate) struct Arguments {
     /// Stream the client's run to the dashboard of this aggregator as well: tcp://host:5550.
     #[arg(long, value_name = "ADDRESS")]
     pub(super) aggregator: Option<Address>,
-    /// How long a server that is away is waited for, before the run and during it; seconds.
+    /// Time to wait for an unreachable server, before the run and during it; seconds.
     #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
     pub(super) patience: f64,
 
-    /// What the server serves: `dummy` (takes 10 + 80 + 10 ms), `echo`, a name in the model bank, a path with a slash, a
-    /// Python object with a method `infer(x)` as `module::object`, or a program as `exec:COMMAND`.
+    /// Model that the server serves: `dummy` (takes 10 + 80 + 10 ms), `echo`, a name in the model bank, a path with a
+    /// slash, a Python object with a method `infer(x)` as `module::object`, or a program as `exec:COMMAND`.
     #[arg(long, default_value = "dummy", value_name = "MODEL")]
     pub(super) model_name: String,
-    /// What the model runs on: `cpu`, `cuda`, `cuda:N`, `tensorrt:N`, `openvino:DEVICE` [default: cuda:0 for a model of
-    /// the bank; others are told what is given here].
+    /// Device of the model: `cpu`, `cuda`, `cuda:N`, `tensorrt:N`, `openvino:DEVICE`. Python objects and programs receive
+    /// this value as it is [default: cuda:0 for a model of the bank].
     #[arg(long)]
     pub(super) device: Option<String>,
     /// Folder of models that is searched before the others; may be given several times.
     #[arg(long, value_name = "DIR")]
     pub(super) models_dir: Vec<PathBuf>,
 
-    /// An agent's configuration whose tables [clock], [probes], [rehearsal] and [onnxruntime] hold here, too.
+    /// An agent's configuration whose tables [clock], [probes], [rehearsal] and [onnxruntime] also apply here.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
     /// Do not show the progress.

@@ -18,7 +18,7 @@ use serde_json::json;
 use super::client_progress::ClientProgress;
 use super::devices::Devices;
 use super::{Arguments, sensor};
-use crate::foreground::{tables, typed, where_seen};
+use crate::foreground::{command_line, dashboard_hint, tables};
 use crate::measure::{AgentStateDir, Measured, Order, measure, undelivered};
 
 /// Number of first iterations that the published plots drop.
@@ -49,7 +49,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
 
 /// Makes the order of the measurement.
 fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
-    let (sensor, transforms) = sensor::of(arguments)?;
+    let (sensor, transforms) = sensor::from_arguments(arguments)?;
     let pipeline = || {
         json!({
             "name": arguments.name,
@@ -84,17 +84,17 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
         folder: folder.unwrap_or_else(|| PathBuf::from(RESULTS)),
         overwrite,
         plots: arguments.generate_plots,
-        command: typed(),
+        command: command_line(),
         network_config: Some(devices.config.clone()),
         user: None,
         warm_up: format!("the first {WARM_UP} iterations"),
-        patience_s: Some(arguments.patience),
+        peer_timeout_s: Some(arguments.patience),
     })
 }
 
 /// Prints the results and their place.
 fn print_results(measured: &Measured) {
-    say(summary::text(&Summary::of(&measured.rows).about(&measured.record)));
+    say(summary::text(&Summary::from_rows(&measured.rows).with_record(&measured.record)));
     if let Some(trust) = &measured.record.trust {
         say(format_args!("\n{}", trust.text()));
     }
@@ -109,7 +109,7 @@ fn print_streaming_state(
     arguments: &Arguments,
     aggregator: &Address,
 ) -> Result<(), Failure> {
-    let state_dir = AgentStateDir::of(agent)?;
+    let state_dir = AgentStateDir::for_agent(agent)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime
         .context("cannot start the runtime")
@@ -117,7 +117,7 @@ fn print_streaming_state(
     let waiting = runtime.block_on(undelivered(state_dir.folder()));
     let name = &arguments.name;
     let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
-    say(where_seen(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
+    say(dashboard_hint(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
     waiting.iter().for_each(complain);
     Ok(())
 }

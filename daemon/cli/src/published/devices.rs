@@ -37,7 +37,7 @@ enum DeviceError {
     Address { at: String, name: String, source: AddressError },
     #[error("no address of the device {name}: {source}")]
     Unknown { name: String, source: UnknownAddress },
-    #[error("the device {0} has port 0, at which nobody could ask it: give start_port a number from 1")]
+    #[error("the device {0} has port 0, which cannot be reached: set start_port to at least 1")]
     PortZero(String),
 }
 
@@ -98,7 +98,7 @@ pub(crate) fn addresses(path: &Path, network: NetworkKind) -> Result<DeviceAddre
 }
 
 fn text(path: &Path) -> Result<String, Failure> {
-    small_file::read(path, small_file::LARGEST)
+    small_file::read(path, small_file::MAX_BYTES)
         .with_context(|| format!("cannot read the network configuration {}", path.display()))
         .map_err(|error| Failure::new(Exit::NoInput, error))
 }
@@ -108,7 +108,7 @@ fn text(path: &Path) -> Result<String, Failure> {
 pub(super) struct Devices {
     /// Name of the device that serves.
     pub(super) server: String,
-    /// Its address.
+    /// Address of the server.
     pub(super) address: Address,
     /// The file.
     pub(super) config: NetworkConfig,
@@ -131,11 +131,12 @@ impl Devices {
     fn parse(text: &str, file: &str, network: Option<NetworkKind>) -> anyhow::Result<Self> {
         let read = File::read(text, file)?;
         let known: Vec<String> = read.devices.keys().cloned().collect();
-        let server = read.server.clone().ok_or_else(|| {
-            anyhow!("{file} does not say who serves; add a line server: with the name of a device")
-        })?;
+        let server = read
+            .server
+            .clone()
+            .ok_or_else(|| anyhow!("{file} names no server; add a line server: with the name of a device"))?;
         let at = read.devices.get(&server).ok_or_else(|| {
-            anyhow!("{file}: the server {server} is none of its devices; there is {}", listed(&known))
+            anyhow!("{file}: the server {server} is not one of its devices: {}", list(&known))
         })?;
         let address = read.address(&server, at, network.unwrap_or_default());
         let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
@@ -154,8 +155,8 @@ impl Devices {
         let wrong = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
         if !self.known.iter().any(|known| known == name.as_str()) {
             return wrong(format!(
-                "{file} has no device {name}; there is {}: use one of them as --name, or add it",
-                listed(&self.known)
+                "{file} has no device {name}, only {}: use one of them as --name, or add it",
+                list(&self.known)
             ));
         }
         if let Err(problem) = self.address.check_host() {
@@ -163,7 +164,7 @@ impl Devices {
         }
         match (serves, server == name.as_str()) {
             (true, false) => wrong(format!(
-                "{file} says that {server} serves, not {name}: clients would ask there; change its line server:, or start this device with --client"
+                "{file} says that {server} serves, not {name}: clients would connect there; change its line server:, or start this device with --client"
             )),
             (false, true) => wrong(format!(
                 "{file} says that {name} serves: start it with --server, or change the line server:"
@@ -173,7 +174,7 @@ impl Devices {
     }
 }
 
-fn listed(known: &[String]) -> String {
+fn list(known: &[String]) -> String {
     if known.is_empty() { "no device at all".to_owned() } else { known.join(", ") }
 }
 
@@ -182,7 +183,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn network_missing_in_build_is_reported_in_terms_of_file() {
+    fn network_missing_in_build_is_reported() {
         let text = "devices: { edge: 127.0.0.1, cluster: 'ros2://0/cluster' }\nserver: cluster\n";
         let devices = Devices::parse(text, "net.yaml", None).expect("reads");
         let checked = devices.check(&"cluster".parse().expect("a name"), true);

@@ -18,7 +18,7 @@ pub(super) enum Encoding {
 pub(super) enum EncodingError {
     #[error("the quality of a JPEG is a number from 1 to 100")]
     Quality,
-    #[error("there is pixels, file and jpeg:QUALITY")]
+    #[error("use pixels, file or jpeg:QUALITY")]
     Unknown,
 }
 

@@ -31,9 +31,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let devices = Devices::read(&arguments.network_config, arguments.network)?;
     let serves = !arguments.client;
     devices.check(&arguments.name, serves)?;
-    complain(
-        "plain mode: nothing is encrypted and nobody is asked for a password; use it in networks that you trust",
-    );
+    complain("plain mode: no encryption and no authentication; use it only in trusted networks");
     start_log(LogDestination::StandardError)?;
     if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
 }

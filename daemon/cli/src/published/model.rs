@@ -17,7 +17,10 @@ const DEVICE: &str = "cuda:0";
 ///
 /// # Errors
 /// When the model does not exist (66), or cannot run on this device (69).
-pub(super) fn of(arguments: &Arguments, runtime: &OnnxRuntimeConfig) -> Result<ModelConfig, Failure> {
+pub(super) fn from_arguments(
+    arguments: &Arguments,
+    runtime: &OnnxRuntimeConfig,
+) -> Result<ModelConfig, Failure> {
     let config = configuration(arguments)?;
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;

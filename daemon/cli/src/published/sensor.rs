@@ -23,7 +23,7 @@ pub(super) enum SensorType {
 
 /// A name of no sensor type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is image, \"random string\", external and synthetic")]
+#[error("use image, \"random string\", external or synthetic")]
 pub(super) struct UnknownSensorType;
 
 impl SensorType {
@@ -42,7 +42,7 @@ impl SensorType {
 ///
 /// # Errors
 /// When an option is missing (64), or the data set does not exist (66).
-pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
+pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
     let missing = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
     // An object that is named is also wanted.
     let kind = match (&arguments.sensor_object, arguments.sensor_type) {
@@ -110,7 +110,7 @@ mod tests {
             let kind = if words[0] == "--text-size" { "random string" } else { "image" };
             let words = line.split(' ').map(OsString::from).chain([kind.into()]).chain(words);
             let line = Cli::try_parse_from(words).expect("a published command line");
-            let failure = of(&line.published.expect("its options")).expect_err("refused");
+            let failure = from_arguments(&line.published.expect("its options")).expect_err("refused");
             (failure.exit, failure.to_string())
         };
         let (exit, message) = refused(["--dataset-loc".into(), OsString::from_vec(b"pic\xff".to_vec())]);

@@ -21,7 +21,7 @@ use crate::measure::AgentStateDir;
 /// all iterations (75); when the user ended it early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let mut config = tables(arguments.config.as_deref())?;
-    let model = model::of(arguments, &config.onnxruntime)?;
+    let model = model::from_arguments(arguments, &config.onnxruntime)?;
     let name = model.name().clone();
     config.agent.name = Some(arguments.name.clone());
     let session = SessionSettings { ros2: devices.ros2.clone(), ..SessionSettings::default() };
@@ -32,7 +32,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     });
     config.bank.folders.clear();
     config.models = vec![model];
-    let state_dir = AgentStateDir::of(&config.agent)?;
+    let state_dir = AgentStateDir::for_agent(&config.agent)?;
     state_dir.configure(&mut config)?;
     let ready = Ready::new(config)?;
     let mut serving = Serving::new(name, arguments, ready.clock.clone());

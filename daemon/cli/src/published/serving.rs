@@ -77,7 +77,7 @@ impl AnswerCounts {
     fn describe_missed(&self) -> String {
         match self.missed {
             0 => String::new(),
-            missed => format!(", {} never came here", counted(missed, "iteration")),
+            missed => format!(", {} did not arrive here", counted(missed, "iteration")),
         }
     }
 
@@ -120,7 +120,8 @@ impl Serving {
         let AnswerCounts { wanted, answered, .. } = self.answers;
         let short = wanted.saturating_sub(answered);
         let advice = "the clients' results say why";
-        (short > 0).then(|| format!("{short} of {} never came here: {advice}", counted(wanted, "iteration")))
+        (short > 0)
+            .then(|| format!("{short} of {} did not arrive here: {advice}", counted(wanted, "iteration")))
     }
 
     /// Loads the model before the first request: errors show at once, and no client waits for it.

@@ -12,7 +12,7 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 
 use super::plan::{Plan, Run};
-use crate::measure::{AgentStateDir, OF_AGENT, Waiting, undelivered, undelivered_in};
+use crate::measure::{AGENT_LOCK, AgentStateDir, UndeliveredEvents, undelivered, undelivered_in_spool};
 
 /// File that an experiment locks.
 const LOCK: &str = "experiment.lock";
@@ -39,7 +39,7 @@ impl AgentStateDirs {
             let lock = File::options().create(true).append(true).open(&path);
             let lock = lock.map_err(|error| cannot("write", &path, &error))?;
             ensure_free(&lock, folder, &path)?;
-            let path = folder.join(OF_AGENT);
+            let path = folder.join(AGENT_LOCK);
             match File::options().append(true).open(&path) {
                 // Only checked and released: the agents of the runs will lock it.
                 Ok(agents) => ensure_free(&agents, folder, &path)?,
@@ -62,7 +62,7 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
         for user in 0..configuration.users {
             let mut agent = configuration.agent.agent.clone();
             agent.name = plan.agent_name(run, user);
-            folders.insert(AgentStateDir::of(&agent)?.folder().to_owned());
+            folders.insert(AgentStateDir::for_agent(&agent)?.folder().to_owned());
         }
     }
     Ok(folders)
@@ -72,7 +72,7 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
 ///
 /// # Errors
 /// When there is no place for the hosts' folders (69).
-pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<Waiting>, Failure> {
+pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<UndeliveredEvents>, Failure> {
     let mut waiting = Vec::new();
     for folder in folders(plan, &plan.runs)? {
         waiting.extend(undelivered(&folder).await);
@@ -81,7 +81,7 @@ pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<Waiting>, Fail
     for agent in plan.configurations.iter().map(|configuration| &configuration.agent) {
         let (Some(file), Some(aggregator)) = (&agent.spool.file, &agent.agent.aggregator) else { continue };
         if named.insert(file) {
-            waiting.extend(undelivered_in(file, aggregator).await);
+            waiting.extend(undelivered_in_spool(file, aggregator).await);
         }
     }
     Ok(waiting)
@@ -92,8 +92,8 @@ fn ensure_free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
         Ok(()) => Ok(()),
         Err(TryLockError::WouldBlock) => {
             let text = format!(
-                "another peernet is at work as the host that keeps its id in {}, as this experiment is to; wait for it or \
-                 end it, or give this experiment a [agent] name of its own",
+                "another peernet process runs as the host whose id is in {}, which this experiment needs; wait for it, \
+                 stop it, or give this experiment its own [agent] name",
                 folder.display()
             );
             Err(Failure::new(Exit::Unavailable, anyhow!("{text}")))
@@ -117,8 +117,8 @@ mod tests {
             |names: &[&str]| names.iter().map(|name| state.path().join(name)).collect::<BTreeSet<_>>();
         let first = AgentStateDirs::lock(&named(&["robot-1", "robot-2"])).expect("they are free");
         let refused = AgentStateDirs::lock(&named(&["robot-2", "robot-3"])).expect_err("one is taken");
-        assert!(refused.to_string().contains("robot-2, as this experiment"), "{refused}");
-        assert!(refused.to_string().contains("[agent] name of its own"), "{refused}");
+        assert!(refused.to_string().contains("robot-2, which this experiment"), "{refused}");
+        assert!(refused.to_string().contains("its own [agent] name"), "{refused}");
         assert_eq!(refused.exit as u8, Exit::Unavailable as u8);
         AgentStateDirs::lock(&named(&["robot-3"])).expect("what was refused holds nothing");
         drop(first);
@@ -126,10 +126,10 @@ mod tests {
     }
 
     #[test]
-    fn running_agent_is_detected_and_lock_admits_own_agents() {
+    fn lock_rejects_foreign_and_admits_own_agents() {
         let state = tempfile::tempdir().expect("a folder");
         let folders = BTreeSet::from([state.path().to_owned()]);
-        let agent = File::create(state.path().join(OF_AGENT)).expect("writable");
+        let agent = File::create(state.path().join(AGENT_LOCK)).expect("writable");
         agent.try_lock().expect("it is free");
         AgentStateDirs::lock(&folders).expect_err("an agent has it");
         agent.unlock().expect("let go");

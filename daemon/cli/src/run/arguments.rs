@@ -10,34 +10,33 @@ use super::plan::{Plan, Run};
 /// Arguments of `peernet run`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// File of the experiment, TOML; docs/experiments.md describes it, configs/experiments has examples. A pipe is read, too:
-    /// `/dev/stdin`.
+    /// File of the experiment, TOML; docs/experiments.md describes it, configs/experiments has examples. The file may be
+    /// a pipe: `/dev/stdin`.
     #[arg(value_name = "FILE")]
     pub(super) file: PathBuf,
-    /// Put a value in the place of the file's, such as experiment.iterations=100; may be given several times. What an axis
-    /// sets goes before it.
+    /// Replace a value of the file, such as experiment.iterations=100; may be given several times. Values of an axis take precedence.
     #[arg(long, value_name = "FIELD=VALUE", value_parser = Set::read)]
     pub(super) set: Vec<Set>,
-    /// Folder for the results; an experiment that was begun there goes on [default: results/NAME].
+    /// Folder for the results. If it has an unfinished experiment, that experiment continues [default: results/NAME].
     #[arg(long, value_name = "DIR")]
     pub(super) result_loc: Option<PathBuf>,
-    /// Check the file alone: no peer is asked, no model is loaded, nothing is written.
+    /// Only check the file: contact no peer, load no model, write nothing.
     #[arg(long, conflicts_with = "dry_run")]
     pub(super) check: bool,
-    /// Try all peers and models, show the runs and how long they will take, and measure nothing.
+    /// Contact all peers, load all models, and show the runs with their expected duration, without measuring.
     #[arg(long)]
     pub(super) dry_run: bool,
-    /// What the order of the runs and the payloads follow from, in the place of the file's seed.
+    /// Seed of the order of the runs and of the payloads, instead of the file's.
     #[arg(long)]
     pub(super) seed: Option<u64>,
-    /// Only runs with this label, or the run of this number; may be given several times. Labels of one axis add up, those
-    /// of different axes must all fit. The others can be done later.
+    /// Execute only the runs with this label, or the run with this number; may be given several times. A run must match
+    /// one of the labels of each axis that is named. The other runs can be executed later.
     #[arg(long, value_name = "AXIS=LABEL|NUMBER", value_parser = RunSelection::read)]
     pub(super) only: Vec<RunSelection>,
-    /// Begin without asking.
+    /// Start without asking for confirmation.
     #[arg(long, short)]
     pub(super) yes: bool,
-    /// Remove what was measured in the folder, and begin anew.
+    /// Remove the results in the folder, and start again.
     #[arg(long)]
     pub(super) restart: bool,
     /// Folder of models that is searched before the others; may be given several times.
@@ -108,7 +107,7 @@ impl RunSelection {
                 match known.as_slice() {
                     [] => Some(format!("there is no axis {}", value(axis))),
                     known if known.contains(&label.as_str()) => None,
-                    known => Some(format!("{axis} is never {}; there is {}", value(label), known.join(", "))),
+                    known => Some(format!("{axis} has no value {}, only {}", value(label), known.join(", "))),
                 }
             }
         })

@@ -14,7 +14,7 @@ use super::plan::describe_labels;
 const MACHINE: [&str; 4] = ["pipeline[0].sensor", "pipeline[0].placement", "pipeline[0].actuator", "bank"];
 
 /// Replaces the key of an agent's only pipeline in an error by the key in an experiment's file.
-pub(super) fn as_written(problem: &str) -> String {
+pub(super) fn without_serde_words(problem: &str) -> String {
     problem.replacen("pipeline[0]", "pipeline", 1)
 }
 
@@ -38,7 +38,7 @@ pub(super) fn configurations(
                 || MACHINE.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
             let labels = describe_labels(&configuration.labels);
             let with = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
-            let text = as_written(&problem.to_string());
+            let text = without_serde_words(&problem.to_string());
             let list = if missing { &mut lacking } else { &mut wrong };
             if !list.iter().any(|other| other.starts_with(&text)) {
                 list.push(format!("{text}{with}"));

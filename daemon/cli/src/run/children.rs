@@ -51,7 +51,7 @@ pub(super) struct Exited {
 }
 
 impl Exited {
-    pub(super) fn is_well(&self) -> bool {
+    pub(super) fn is_successful(&self) -> bool {
         self.code == Some(i32::from(Exit::Ok as u8))
     }
 }
@@ -122,7 +122,7 @@ pub(super) async fn execute(
                 send(&pids, signal);
             }
             () = ending.expired() => {
-                show(ChildEvent::Ending("what did not end in time is killed"));
+                show(ChildEvent::Ending("killing the processes that did not end in time"));
                 send(&pids, ending.kill());
             }
         }
@@ -160,7 +160,7 @@ impl Child {
         order: &Order,
         to: mpsc::Sender<(usize, ChildOutput)>,
     ) -> anyhow::Result<Self> {
-        let order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order down")?;
+        let order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order")?;
         let mut process = Command::new(PROGRAM)
             .args(["measure", "--order", "-"])
             .stdin(Stdio::piped())
@@ -216,7 +216,7 @@ impl Child {
 fn reason(status: ExitStatus, last: Option<String>) -> Option<String> {
     match status.signal() {
         Some(signal) => {
-            let said = last.map_or_else(String::new, |last| format!("; the last it said: {last}"));
+            let said = last.map_or_else(String::new, |last| format!("; its last output: {last}"));
             Some(format!("the process was ended by signal {signal}{said}"))
         }
         None => last,

@@ -8,9 +8,9 @@ use tokio::time::Instant;
 use crate::foreground::duration;
 
 /// Limit after the first request: work in progress is finished, and the results are written.
-const ORDERLY: Duration = Duration::from_secs(60);
+const FIRST_TIMEOUT: Duration = Duration::from_secs(60);
 /// Limit after the second request: only the results are written.
-const HASTY: Duration = Duration::from_secs(10);
+const SECOND_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The user's requests to end and their deadlines.
 #[derive(Debug, Default)]
@@ -33,18 +33,18 @@ impl Ending {
             1 => (
                 Signal::INT,
                 format!(
-                    "ending; what is under way may take {} until it is killed, Ctrl-C again does not wait for it",
-                    within(ORDERLY)
+                    "stopping; work in progress is killed after {}, press Ctrl-C again to shorten this time",
+                    within(FIRST_TIMEOUT)
                 ),
             ),
             2 => (
                 Signal::TERM,
                 format!(
-                    "what was under way is left alone; what does not end within {} is killed, Ctrl-C again kills it now",
-                    within(HASTY)
+                    "processes that do not end within {} are killed, press Ctrl-C again to kill them now",
+                    within(SECOND_TIMEOUT)
                 ),
             ),
-            _ => (self.kill(), "what was under way is killed".to_owned()),
+            _ => (self.kill(), "the processes were killed".to_owned()),
         }
     }
 

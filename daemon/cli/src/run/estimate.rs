@@ -39,7 +39,7 @@ impl Estimates {
 
     /// Returns the estimate for a run of a configuration: the mean of its finished runs, or the expected duration, corrected by the ratio
     /// of measured and expected durations so far. `None` if it is not known.
-    pub(super) fn of(&self, configuration: usize) -> Option<f64> {
+    pub(super) fn duration_s(&self, configuration: usize) -> Option<f64> {
         let (sum, count) = self.measured.get(configuration).copied().unwrap_or_default();
         if count > 0 {
             return Some(sum / f64::from(count));
@@ -99,8 +99,8 @@ mod tests {
     #[test]
     fn measured_durations_correct_estimates() {
         let mut estimates = Estimates::new(vec![Some(10.0), Some(20.0), None]);
-        assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(10.0), Some(20.0), None]);
+        assert_eq!([0, 1, 2].map(|at| estimates.duration_s(at)), [Some(10.0), Some(20.0), None]);
         estimates.record_duration(0, 15.0);
-        assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(15.0), Some(30.0), None]);
+        assert_eq!([0, 1, 2].map(|at| estimates.duration_s(at)), [Some(15.0), Some(30.0), None]);
     }
 }

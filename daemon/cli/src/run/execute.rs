@@ -13,7 +13,7 @@ use super::folder::Folder;
 use super::plan::Run;
 use super::state::{Ended, Record};
 use crate::experiment::Stage;
-use crate::foreground::{Progress, Signals, duration, typed};
+use crate::foreground::{Progress, Signals, command_line, duration};
 use crate::measure::{Order, ProgressReport};
 
 /// Everything that the execution needs.
@@ -48,7 +48,7 @@ impl Execution<'_> {
         signals: &mut Signals,
     ) -> Result<bool, Failure> {
         self.folder.remove(run)?;
-        self.record.begin(run);
+        self.record.start_run(run);
         self.folder.save(self.record)?;
         let mut progress = Progress::new(self.quiet, self.clock.mono());
         let orders = self.orders(run);
@@ -75,7 +75,7 @@ impl Execution<'_> {
             let Some(report) = report else { return };
             let part = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
             let left = report.left_s.zip(later).map(|(now, later)| duration(now + later));
-            let left = left.map_or_else(String::new, |left| format!(", {left} left for all"));
+            let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
             let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
             let state = || {
                 (
@@ -97,7 +97,7 @@ impl Execution<'_> {
         if !self.quiet || ended.stage != Stage::Finished || !why.is_empty() {
             progress.say(format_args!("{name}: {} after {}{why}", ended.stage.name(), duration(seconds)));
         }
-        self.record.end(run, ended);
+        self.record.end_run(run, ended);
         self.folder.save(self.record)?;
         Ok(interrupted)
     }
@@ -117,11 +117,11 @@ impl Execution<'_> {
                 folder,
                 overwrite: Overwrite::Replace,
                 plots: self.external_files.plots,
-                command: typed(),
+                command: command_line(),
                 network_config: self.external_files.network(run).cloned(),
-                user: (of > 1).then(|| User { number: user + 1, of }),
+                user: (of > 1).then(|| User { number: user + 1, count: of }),
                 warm_up: configuration.warm_up.clone(),
-                patience_s: configuration.patience_s,
+                peer_timeout_s: configuration.patience_s,
             }
         };
         (0..).zip(self.folder.results(plan, run)).map(order).collect()
@@ -129,7 +129,7 @@ impl Execution<'_> {
 
     /// Determines the result of a run.
     fn run_result(&self, run: &Run, ended: &children::Ended, seconds: f64) -> Ended {
-        let bad = ended.exits.iter().enumerate().find(|(_, exit)| !exit.is_well());
+        let bad = ended.exits.iter().enumerate().find(|(_, exit)| !exit.is_successful());
         let Some((user, exit)) = bad else {
             return Ended { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
         };
@@ -138,7 +138,7 @@ impl Execution<'_> {
             // Some iterations may have no answer although all were tried.
             let incomplete = exit.code == Some(i32::from(Exit::Incomplete as u8));
             let record = || ResultFolder::open(folder).ok().map(|loaded| loaded.record);
-            exit.is_well()
+            exit.is_successful()
                 || incomplete && record().is_some_and(|record| record.reason == EndReason::Finished)
         };
         let stage = match ended.interrupted {
@@ -153,7 +153,7 @@ impl Execution<'_> {
 
     /// Returns the estimated duration of runs; `None` if one is unknown.
     fn remaining_s(&self, runs: &[Run]) -> Option<f64> {
-        runs.iter().map(|run| self.estimates.of(run.configuration)).sum()
+        runs.iter().map(|run| self.estimates.duration_s(run.configuration)).sum()
     }
 }
 

@@ -14,10 +14,10 @@ use anyhow::anyhow;
 use peernet_analysis::figure_files::figure_files;
 use peernet_external::exec::with_arguments;
 
-use super::difference::differences;
 use super::plan::{Plan, Run};
+use super::plan_differences::differences;
 use super::state::Record;
-use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS};
+use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS};
 
 /// Names of the tables over all runs, and of their formats.
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
@@ -39,15 +39,15 @@ impl Folder {
     /// When another program uses it (69), it holds other files (64) or cannot be created (73).
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         let unwritten = |error: std::io::Error| {
-            let error = dangling(path).unwrap_or_else(|| error.to_string());
-            Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", path.display()))
+            let error = dangling_link(path).unwrap_or_else(|| error.to_string());
+            Failure::new(Exit::Unwritten, anyhow!("cannot create the folder {}: {error}", path.display()))
         };
         let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
         let is_own = |name: &OsStr| name == LOCK || name == RUNS || is_draft(name);
         let foreign = entries.map(|entry| entry.file_name()).any(|name| !is_own(&name));
         if foreign && !path.join(RECORD).exists() {
             let text = format!(
-                "{} holds files, but no {RECORD}: it is no experiment's folder; name another with --result-loc",
+                "{} contains files, but no {RECORD}: it is not the folder of an experiment; name another with --result-loc",
                 path.display()
             );
             return Err(Failure::new(Exit::Usage, anyhow!("{text}")));
@@ -60,8 +60,7 @@ impl Folder {
                 Ok(Self { path: path.to_owned(), _lock: lock })
             }
             Err(TryLockError::WouldBlock) => {
-                let text =
-                    format!("another peernet run is at work in {}; wait for it or end it", path.display());
+                let text = format!("another peernet run uses {}; wait for it or stop it", path.display());
                 Err(Failure::new(Exit::Unavailable, anyhow!("{text}")))
             }
             Err(TryLockError::Error(error)) => Err(unwritten(error)),
@@ -113,7 +112,7 @@ impl Folder {
     ///
     /// # Errors
     /// When something cannot be removed (73).
-    pub(super) fn clear_made(&self) -> Result<(), Failure> {
+    pub(super) fn clear_results(&self) -> Result<(), Failure> {
         let tables = TABLES.iter().flat_map(|table| KINDS.map(|kind| format!("{table}.{kind}")));
         for path in tables.chain(figure_files(&self.path)).map(|name| self.path.join(name)) {
             match fs::remove_file(&path) {
@@ -178,10 +177,10 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
 pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     let path = path.join(RECORD);
     let damaged = |why: String| {
-        let text = format!("cannot read {}: {why}; --restart begins anew", path.display());
+        let text = format!("cannot read {}: {why}; --restart starts again", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
-    let text = match small_file::read_found(&path, LARGEST_RECORD) {
+    let text = match small_file::read_found(&path, MAX_RECORD_BYTES) {
         Ok(text) => text,
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
@@ -190,7 +189,10 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     };
     let record: Record = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
     if record.format != FORMAT {
-        return Err(damaged(format!("its format is {}, this program knows {FORMAT}", record.format)));
+        return Err(damaged(format!(
+            "its format is {}, but this program reads format {FORMAT}",
+            record.format
+        )));
     }
     if !record.is_sound() {
         return Err(damaged("it names runs or configurations that it does not have".to_owned()));
@@ -198,7 +200,7 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     Ok(Some(record))
 }
 
-/// Checks that the plan is unchanged since the experiment was begun.
+/// Checks that the plan is unchanged since the experiment was started.
 ///
 /// # Errors
 /// When it has changed; the text lists the differences (78).
@@ -208,17 +210,17 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     }
     let json = |plan: &Plan| with_arguments(|| serde_json::to_value(plan)).unwrap_or_default();
     let text = format!(
-        "the experiment has changed since it was begun:\n  {}\ngo on with the old file and options, begin anew with --restart, which removes the runs, or name another folder with --result-loc",
+        "the experiment has changed since it was started:\n  {}\ncontinue with the old file and options, start again with --restart, which removes the runs, or choose another folder with --result-loc",
         differences(&json(&record.plan), &json(plan)).join("\n  ")
     );
     Err(Failure::new(Exit::Configuration, anyhow!("{text}")))
 }
 
 /// Describes a broken link on the path: no folder can be created in its place.
-fn dangling(path: &Path) -> Option<String> {
+fn dangling_link(path: &Path) -> Option<String> {
     let link = path.ancestors().find(|part| part.is_symlink() && !part.exists())?;
     let to = link.read_link().ok()?;
-    Some(format!("{} is a link to {}, which is not there", link.display(), to.display()))
+    Some(format!("{} is a link to {}, which does not exist", link.display(), to.display()))
 }
 
 fn cannot_remove(path: &Path, error: &std::io::Error) -> Failure {

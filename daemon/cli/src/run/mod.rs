@@ -7,20 +7,20 @@
 //!                                 └─ report       compare.*, users.*, sensors.*, figures
 //! ```
 
-mod again;
 mod agent_state_dirs;
 mod arguments;
 mod check;
 mod children;
-mod difference;
 mod ending;
 mod estimate;
 mod execute;
 mod external_files;
 mod file;
+mod finished_runs;
 mod folder;
-mod origin;
 mod plan;
+mod plan_differences;
+mod relative_paths;
 mod report;
 mod sensors;
 mod state;
@@ -42,8 +42,7 @@ use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_networks::Address;
 use peernet_sample::printable_line;
 
-use crate::foreground::{Signals, remark, where_seen};
-use again::{check_finished_runs, two_builds};
+use crate::foreground::{Signals, dashboard_hint, remark};
 use agent_state_dirs::{AgentStateDirs, undelivered_events};
 use arguments::RunSelection;
 use children::Exited;
@@ -51,14 +50,15 @@ use estimate::{Estimates, expected};
 use execute::Execution;
 use external_files::ExternalFiles;
 use file::File;
+use finished_runs::{check_finished_runs, version_change_note};
 use folder::Folder;
-use origin::origin_of_missing;
 use plan::{Plan, Run};
+use relative_paths::base_hint_if_missing;
 use state::Record;
 use trial::TrialResults;
 
 /// Folder for experiments without a given place.
-const RESULTS: &str = "results";
+const DEFAULT_PARENT: &str = "results";
 
 /// Executes an experiment, or continues one.
 ///
@@ -73,7 +73,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
     let path = arguments.result_loc.clone();
-    let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
+    let path = path.unwrap_or_else(|| PathBuf::from(DEFAULT_PARENT).join(file.experiment.name.as_str()));
     // A broken record can be replaced, and is no error of the file.
     let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
@@ -85,7 +85,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         let runs = table::count(plan.runs.len(), "run");
         let configurations = table::count(plan.configurations.len(), "configuration");
         remarks.iter().for_each(|remark| complain(format_args!("not on this machine: {remark}")));
-        origin_of_missing(remarks.iter().map(String::as_str)).iter().for_each(complain);
+        base_hint_if_missing(remarks.iter().map(String::as_str)).iter().for_each(complain);
         say(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
     }
@@ -100,13 +100,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let done = runtime.block_on(carry_out(arguments, record, path, &clock, &external_files));
+    let done = runtime.block_on(execute_experiment(arguments, record, path, &clock, &external_files));
     // The thread that waits for an answer on the terminal is not waited for.
     runtime.shutdown_background();
     done
 }
 
-async fn carry_out(
+async fn execute_experiment(
     arguments: &Arguments,
     mut record: Record,
     path: PathBuf,
@@ -119,7 +119,7 @@ async fn carry_out(
         check_finished_runs(folder, &mut record, external_files);
     }
     let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
-    two_builds(&record, &to_do, VERSION).iter().for_each(complain);
+    version_change_note(&record, &to_do, VERSION).iter().for_each(complain);
     let _agent_state_dirs =
         match folder.as_ref().map(|_| AgentStateDirs::acquire(&record.plan, &to_do)).transpose() {
             Ok(agent_state_dirs) => agent_state_dirs,
@@ -141,7 +141,7 @@ async fn carry_out(
     say(table::runs(&record, &estimates));
     let place = path.display().to_string();
     let place = printable_line(&place);
-    say(format_args!("\n{}; results in {place}", table::outlook(&to_do, &record, &estimates)));
+    say(format_args!("\n{}; results in {place}", table::describe_plan(&to_do, &record, &estimates)));
     for condition in &tried.conditions {
         complain(remark(condition));
     }
@@ -150,9 +150,9 @@ async fn carry_out(
         return Err(failure);
     }
     let Some(folder) = folder else { return Ok(()) };
-    if !to_do.is_empty() && !arguments.yes && !agreed(&mut signals).await {
+    if !to_do.is_empty() && !arguments.yes && !is_confirmed(&mut signals).await {
         discard(Some(folder), &record);
-        return Err(Failure::new(Exit::Interrupted, anyhow!("not begun")));
+        return Err(Failure::new(Exit::Interrupted, anyhow!("not started")));
     }
     if arguments.restart {
         // Not earlier: results are kept if they cannot be measured again.
@@ -175,7 +175,7 @@ async fn carry_out(
     for aggregator in aggregators(&record.plan) {
         let runs = format_args!("the runs of experiment {}", record.plan.name);
         let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
-        say(where_seen(runs, aggregator, has_all));
+        say(dashboard_hint(runs, aggregator, has_all));
     }
     waiting.iter().for_each(complain);
     // Runs that were finished before count as well, so that the same command gives the same result.
@@ -189,7 +189,7 @@ async fn carry_out(
 
 /// Removes everything of an experiment that is restarted.
 fn clear(folder: &Folder) -> Result<(), Failure> {
-    folder.clear_made()?;
+    folder.clear_results()?;
     match folder.load() {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
@@ -217,9 +217,11 @@ fn missing(tried: &TrialResults, file: &Path) -> Option<Failure> {
     let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };
     let mut reasons: Vec<&str> = Vec::new();
     let reason = |exit: &Exited| match &exit.reason {
-        Some(reason) if is_wrong(exit) => format!("{}: {}", file.display(), check::as_written(reason)),
+        Some(reason) if is_wrong(exit) => {
+            format!("{}: {}", file.display(), check::without_serde_words(reason))
+        }
         Some(reason) => reason.clone(),
-        None => "it said nothing".to_owned(),
+        None => "it gave no reason".to_owned(),
     };
     let all: Vec<(String, String)> =
         tried.missing.iter().map(|(configuration, exit)| (reason(exit), configuration.clone())).collect();
@@ -228,25 +230,25 @@ fn missing(tried: &TrialResults, file: &Path) -> Option<Failure> {
             reasons.push(reason);
         }
     }
-    let origin = origin_of_missing(reasons.iter().copied());
+    let hint = base_hint_if_missing(reasons.iter().copied());
     let lines = reasons.into_iter().flat_map(|reason| {
         let those = all.iter().filter(move |(other, words)| other == reason && !words.is_empty());
         std::iter::once(format!("  {reason}")).chain(those.map(|(_, words)| format!("    {words}")))
     });
-    let (count, lines) = (all.len(), lines.chain(origin).collect::<Vec<_>>().join("\n"));
+    let (count, lines) = (all.len(), lines.chain(hint).collect::<Vec<_>>().join("\n"));
     let of = table::count(tried.wanted, "configuration");
-    Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was begun:\n{lines}")))
+    Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was started:\n{lines}")))
 }
 
 /// Asks for confirmation if standard input is a terminal.
-async fn agreed(signals: &mut Signals) -> bool {
+async fn is_confirmed(signals: &mut Signals) -> bool {
     if !std::io::stdin().is_terminal() {
         return true;
     }
     let answer = tokio::task::spawn_blocking(|| {
         // If the question cannot be written, the answer is no.
         let mut errors = std::io::stderr();
-        let _ = write!(errors, "begin? [Y/n] ").and_then(|()| errors.flush());
+        let _ = write!(errors, "start? [Y/n] ").and_then(|()| errors.flush());
         let mut answer = String::new();
         let read = std::io::stdin().lock().read_line(&mut answer).unwrap_or_default();
         read > 0 && !answer.trim().to_lowercase().starts_with('n')
@@ -257,7 +259,7 @@ async fn agreed(signals: &mut Signals) -> bool {
     }
 }
 
-/// Removes the folder of an experiment that was not begun.
+/// Removes the folder of an experiment that was not started.
 fn discard(folder: Option<Folder>, record: &Record) {
     if let Some(folder) = folder.filter(|_| record.states.iter().all(|state| state.attempts == 0)) {
         folder.discard();
@@ -287,7 +289,7 @@ fn summary(record: &Record) -> String {
 /// Returns the failure for the selected runs, if any.
 fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Failure> {
     if interrupted {
-        let text = "ended early; the same command goes on where it ended";
+        let text = "ended early; the same command continues the experiment";
         return Err(Failure::new(Exit::Interrupted, anyhow!("{text}")));
     }
     let states = || wanted.iter().filter_map(|run| record.states.get(run.number - 1));

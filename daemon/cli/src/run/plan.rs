@@ -1,6 +1,6 @@
 //! Plan of an experiment: its runs, their order and their configurations.
 //!
-//! It follows from the file and the seed alone, so that a killed experiment can be continued by comparing plans.
+//! It depends only on the file and the seed, so that a killed experiment can be continued by comparing plans.
 
 use peernet_agent::config::PipelineConfig;
 use peernet_external::exec::with_arguments;
@@ -16,9 +16,9 @@ use serde_json::Value;
 use super::file::{Configuration, Experiment, Order};
 
 /// Maximum length of a label in a folder's name.
-const LONGEST_LABEL: usize = 24;
+const MAX_LABEL: usize = 24;
 /// Maximum length of a folder's name without its number and repeat.
-const LONGEST_NAME: usize = 120;
+const MAX_NAME: usize = 120;
 
 /// The runs in order, and everything from which they follow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -154,9 +154,9 @@ pub(super) fn describe_labels(labels: &[(String, String)]) -> String {
 /// Returns the labels as a part of a folder's name, each after a hyphen.
 fn name(labels: &[(String, String)]) -> String {
     let plain = |char: char| if char.is_ascii_alphanumeric() || "._".contains(char) { char } else { '-' };
-    let label = |label: &String| label.chars().take(LONGEST_LABEL).map(plain).collect::<String>();
+    let label = |label: &String| label.chars().take(MAX_LABEL).map(plain).collect::<String>();
     let mut name: String = labels.iter().map(|(_, text)| format!("-{}", label(text))).collect();
-    name.truncate(LONGEST_NAME);
+    name.truncate(MAX_NAME);
     name
 }
 

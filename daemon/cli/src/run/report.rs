@@ -9,7 +9,7 @@ use anyhow::anyhow;
 use peernet_analysis::WriteError;
 use peernet_analysis::compare::{Comparison, SEED};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::table::Captioned;
+use peernet_analysis::table::CaptionedTable;
 use peernet_analysis::trust::Publish;
 use peernet_analysis::users::Users;
 use peernet_figures::{self as figures, Columns, Kind, PlotError};
@@ -21,8 +21,8 @@ use super::plan::Run;
 use super::sensors::Sensors;
 use super::state::Record;
 use super::table;
-use crate::compare::{below, differences, first_of_two, joined};
-use crate::experiment::left_out;
+use crate::compare::{difference_tables, differences, first_of_two, join_texts};
+use crate::experiment::unfinished_runs_note;
 
 /// Writes everything that compares finished runs, with `plots` also as figures. Returns the text to be printed.
 ///
@@ -37,22 +37,22 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     // In the order of the file, whatever the order in which they were measured.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
-    let (sensors, trust) = (Sensors::of(&record.plan, &runs, &loaded), trust(&loaded));
+    let (sensors, trust) = (Sensors::from_runs(&record.plan, &runs, &loaded), trust(&loaded));
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
-    let users = Users::of(&all);
-    let mut comparison = Comparison::of(&all);
+    let users = Users::from_runs(&all);
+    let mut comparison = Comparison::new(&all);
     let stages = record.runs().map(|(run, state)| (&*run.folder, state.stage));
-    comparison
-        .doubts
-        .extend(left_out(record.name.as_str(), stages).map(|without| format!("Shown {without}.")));
+    comparison.caveats.extend(
+        unfinished_runs_note(record.name.as_str(), stages).map(|without| format!("Shown {without}.")),
+    );
     // The same differences as those of `peernet compare`.
     let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
-    let tables = below(&comparison, &differences);
+    let tables = difference_tables(&comparison, &differences);
     let forms = [
-        ("txt", joined(comparison.text(), tables.iter().map(Captioned::text))),
-        ("md", joined(comparison.markdown(), tables.iter().map(Captioned::markdown))),
+        ("txt", join_texts(comparison.text(), tables.iter().map(CaptionedTable::text))),
+        ("md", join_texts(comparison.markdown(), tables.iter().map(CaptionedTable::markdown))),
         ("csv", comparison.csv()),
-        ("tex", joined(comparison.latex(), tables.iter().map(Captioned::latex))),
+        ("tex", join_texts(comparison.latex(), tables.iter().map(CaptionedTable::latex))),
     ];
     save(folder.path(), "compare", &forms)?;
     if plots {
@@ -109,7 +109,7 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
         );
     }
     if lines.len() > 1 {
-        lines.push("  run.json of each run has the sentences and what to do, under trust".to_owned());
+        lines.push("  run.json of each run has the findings and advice, under trust".to_owned());
     }
     lines.join("\n")
 }
@@ -119,7 +119,7 @@ fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
     let mut found: BTreeMap<&str, usize> = BTreeMap::new();
     for edges in runs {
         let sentences =
-            edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.sentences);
+            edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.findings);
         let about: BTreeSet<&str> = sentences
             .filter(|sentence| sentence.grade == grade)
             .map(|sentence| sentence.about.as_str())

@@ -1,4 +1,4 @@
-//! Table of runs of sensors alone.
+//! Table of runs that measure only a sensor.
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::sensor_study::SensorStudy;
@@ -13,23 +13,23 @@ const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± s
                     is from the median period. Sensing: from asking for a sample to having it, the median.";
 const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell which it dropped (—).";
 
-/// A line for each edge that ran a sensor alone.
+/// Table with a line for each edge that measured only a sensor.
 pub(super) struct Sensors {
     table: Table,
     note: String,
-    /// `true` if all runs are of sensors alone.
+    /// `true` if all runs measure only a sensor.
     pub(super) are_all: bool,
 }
 
 impl Sensors {
-    /// Makes the table of the edges that ran a sensor alone; `None` if there are none.
-    pub(super) fn of(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
+    /// Makes the table of the edges that measured only a sensor; `None` if there are none.
+    pub(super) fn from_runs(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
         let edges: Vec<(&Run, &Loaded)> =
             runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(|edge| (*run, edge))).collect();
         let alone: Vec<(&Run, &Loaded, SensorStudy)> = edges
             .iter()
-            .filter(|(_, edge)| edge.record.is_sensor_alone())
-            .filter_map(|(run, edge)| Some((*run, *edge, SensorStudy::of(&edge.rows)?)))
+            .filter(|(_, edge)| edge.record.is_sensor_only())
+            .filter_map(|(run, edge)| Some((*run, *edge, SensorStudy::from_rows(&edge.rows)?)))
             .collect();
         let (first, ..) = alone.first()?;
         let (repeated, many) = (plan.repeats > 1, loaded.iter().any(|users| users.len() > 1));
@@ -45,7 +45,7 @@ impl Sensors {
                 plan.configuration(run).labels.iter().map(|(_, label)| label.clone()).collect();
             cells.extend(repeated.then(|| (run.repeat + 1).to_string()));
             cells.extend(many.then(|| edge.record.edge.name.clone()));
-            cells.extend(figures_of(study));
+            cells.extend(sensor_metrics(study));
             cells
         };
         let unnumbered = alone.iter().any(|(_, _, study)| study.dropped.is_none());
@@ -72,7 +72,7 @@ impl Sensors {
     }
 }
 
-fn figures_of(study: &SensorStudy) -> [String; 9] {
+fn sensor_metrics(study: &SensorStudy) -> [String; 9] {
     let count = |value: u64| fixed(value as f64, 0);
     let std = study.period_std.map_or_else(String::new, |std| format!(" ± {}", milliseconds(std)));
     [

@@ -34,7 +34,7 @@ pub(super) struct Record {
 pub(super) struct State {
     /// Stage of the run.
     pub(super) stage: Stage,
-    /// Number of times that it was begun.
+    /// Number of attempts.
     pub(super) attempts: u32,
     /// Exit code of the process; of several the first that is not 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -57,7 +57,7 @@ pub(super) struct Ended {
 }
 
 impl Record {
-    /// Makes the record of an experiment that has not begun.
+    /// Makes the record of an experiment that has not started.
     pub(super) fn new(plan: Plan, id: String, file: String, version: String) -> Self {
         let states = vec![State::default(); plan.runs.len()];
         Self { format: FORMAT, name: plan.name.clone(), id, file, version, states, plan }
@@ -94,7 +94,7 @@ impl Record {
     }
 
     /// Notes that a run begins.
-    pub(super) fn begin(&mut self, run: &Run) {
+    pub(super) fn start_run(&mut self, run: &Run) {
         if let Some(state) = self.state(run) {
             *state = State {
                 stage: Stage::Running,
@@ -105,7 +105,7 @@ impl Record {
     }
 
     /// Notes the end of a run.
-    pub(super) fn end(&mut self, run: &Run, ended: Ended) {
+    pub(super) fn end_run(&mut self, run: &Run, ended: Ended) {
         if let Some(state) = self.state(run) {
             let Ended { stage, exit, reason, seconds } = ended;
             *state = State { stage, exit, reason, seconds: Some(seconds), ..*state };

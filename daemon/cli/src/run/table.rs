@@ -38,7 +38,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
         cells.extend(many.then(|| configuration.users.to_string()));
         cells.push(state.stage.name().to_owned());
         let is = state.seconds.filter(|_| state.stage == Stage::Finished);
-        let time = is.or_else(|| estimates.of(run.configuration));
+        let time = is.or_else(|| estimates.duration_s(run.configuration));
         cells.push(time.map_or_else(|| UNKNOWN.to_owned(), duration));
         cells
     });
@@ -46,8 +46,8 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
 }
 
 /// Describes the number of runs to do and their duration.
-pub(super) fn outlook(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
-    let known: Vec<f64> = to_do.iter().filter_map(|run| estimates.of(run.configuration)).collect();
+pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
+    let known: Vec<f64> = to_do.iter().filter_map(|run| estimates.duration_s(run.configuration)).collect();
     let sum = duration(known.iter().sum());
     let time = match to_do.len() - known.len() {
         0 => format!("about {sum}"),
@@ -58,7 +58,7 @@ pub(super) fn outlook(to_do: &[Run], record: &Record, estimates: &Estimates) -> 
     };
     let all = record.plan.runs.len();
     match to_do.len() {
-        0 => "nothing to do: all of it is finished".to_owned(),
+        0 => "nothing to do: all runs are finished".to_owned(),
         some if some == all => format!("{}, {time}", count(all, "run")),
         some => format!("{some} of {} to do, {time}", count(all, "run")),
     }

@@ -3,7 +3,7 @@ use std::path::Path;
 use clap::Parser;
 use serde_json::{Value, json};
 
-use super::again::load_results;
+use super::finished_runs::load_results;
 use super::state::Ended;
 use super::*;
 use crate::experiment::RECORD;
@@ -58,22 +58,22 @@ fn only_unfinished_runs_are_repeated() {
     let mut record = record(temporary.path());
     let runs = record.plan.runs.clone();
     for (run, stage) in runs.iter().zip([Stage::Finished, Stage::Failed, Stage::Interrupted]) {
-        record.begin(run);
-        record.end(run, ended(stage));
+        record.start_run(run);
+        record.end_run(run, ended(stage));
     }
-    record.begin(&runs[3]);
+    record.start_run(&runs[3]);
     folder.save(&record).expect("writable");
     // The program is killed here: the fourth run is still active.
     let mut loaded = folder.load().expect("reads").expect("is there");
     assert_eq!(loaded, record);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [2, 3, 4]);
-    loaded.begin(&runs[1]);
-    loaded.end(&runs[1], ended(Stage::Finished));
+    loaded.start_run(&runs[1]);
+    loaded.end_run(&runs[1], ended(Stage::Finished));
     assert_eq!(numbers(&loaded.to_do(|_| true)), [3, 4]);
     assert_eq!((loaded.states[1].attempts, loaded.states[1].seconds), (2, Some(1.5)));
     loaded.forget(&runs[0]);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [1, 3, 4]);
-    assert_eq!(summary(&loaded), "1 of 4 runs finished, 1 interrupted, 1 cut off, 1 to do");
+    assert_eq!(summary(&loaded), "1 of 4 runs finished, 1 interrupted, 1 incomplete, 1 to do");
 }
 
 #[test]
@@ -83,7 +83,7 @@ fn incomplete_results_are_measured_again() {
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
     let message = || load_results(&folder, &record, run).err().map(|error| error.to_string());
-    assert_eq!(message().as_deref(), Some("its results are gone"));
+    assert_eq!(message().as_deref(), Some("its results are missing"));
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");
     let data = |text: &str| std::fs::write(path.join("data.csv"), text).expect("writable");
@@ -183,7 +183,10 @@ fn folder_belongs_to_one_experiment_and_program() {
     let path = temporary.path().join("results");
     let folder = Folder::open(&path).expect("is new");
     let second = Folder::open(&path).err().expect("the first holds it");
-    assert!(second.exit == Exit::Unavailable && second.to_string().contains("at work"), "{second}");
+    assert!(
+        second.exit == Exit::Unavailable && second.to_string().contains("another peernet run uses"),
+        "{second}"
+    );
     drop(folder);
     // A program was killed while it wrote its first record.
     std::fs::write(path.join(".experiment-x1"), "{").expect("writable");
@@ -193,7 +196,10 @@ fn folder_belongs_to_one_experiment_and_program() {
 
     std::fs::write(temporary.path().join("notes.txt"), "mine").expect("writable");
     let foreign = Folder::open(temporary.path()).err().expect("it holds something else");
-    assert!(foreign.exit == Exit::Usage && foreign.to_string().contains("no experiment's"), "{foreign}");
+    assert!(
+        foreign.exit == Exit::Usage && foreign.to_string().contains("not the folder of an experiment"),
+        "{foreign}"
+    );
 
     std::fs::create_dir_all(&path).expect("writable");
     std::fs::write(path.join("experiment.json"), "{").expect("writable");
@@ -203,7 +209,7 @@ fn folder_belongs_to_one_experiment_and_program() {
     let link = temporary.path().join("link");
     std::os::unix::fs::symlink("nowhere", &link).expect("writable");
     let nowhere = Folder::open(&link).err().expect("leads nowhere");
-    let message = "is a link to nowhere, which is not there";
+    let message = "is a link to nowhere, which does not exist";
     assert!(nowhere.exit == Exit::Unwritten && nowhere.to_string().ends_with(message), "{nowhere}");
 }
 
@@ -242,14 +248,14 @@ fn selections_choose_runs() {
     assert_eq!(chosen("--only 3 --only 4 --only B=1"), [3]);
     let unknown = |line: &str| RunSelection::unknown(&only(line), &record.plan);
     assert_eq!(unknown("--only A=1 --only 4"), None);
-    assert_eq!(unknown("--only B=3").as_deref(), Some("B is never 3; there is 1, 2"));
+    assert_eq!(unknown("--only B=3").as_deref(), Some("B has no value 3, only 1, 2"));
     assert_eq!(unknown("--only C=3").as_deref(), Some("there is no axis C"));
     assert_eq!(unknown("--only 5").as_deref(), Some("there is no run 5; there are 4"));
     assert!(Line::try_parse_from(["run", "e.toml", "--only", "x"]).is_err());
 }
 
 #[test]
-fn set_values_replace_those_of_file_but_not_axes() {
+fn set_values_replace_fields_but_not_axes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("e.toml");
     std::fs::write(&path, FILE).expect("writable");
@@ -282,17 +288,17 @@ fn set_values_replace_those_of_file_but_not_axes() {
 fn unknown_durations_are_readable() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
-    let outlook = |expected: [Option<f64>; 4]| {
-        table::outlook(&record.plan.runs, &record, &Estimates::new(expected.to_vec()))
+    let describe_plan = |expected: [Option<f64>; 4]| {
+        table::describe_plan(&record.plan.runs, &record, &Estimates::new(expected.to_vec()))
     };
-    assert_eq!(outlook([Some(3.0), Some(0.2), Some(5.0), Some(1.0)]), "4 runs, about 9 s");
-    assert_eq!(outlook([None; 4]), "4 runs, how long they take is not known");
+    assert_eq!(describe_plan([Some(3.0), Some(0.2), Some(5.0), Some(1.0)]), "4 runs, about 9 s");
+    assert_eq!(describe_plan([None; 4]), "4 runs, how long they take is not known");
     assert_eq!(
-        outlook([Some(3.0), None, Some(5.0), Some(1.0)]),
+        describe_plan([Some(3.0), None, Some(5.0), Some(1.0)]),
         "4 runs, about 9 s and one of unknown length"
     );
     let nothing = Estimates::new(vec![None; 4]);
-    let one = table::outlook(&record.plan.runs[..1], &record, &nothing);
+    let one = table::describe_plan(&record.plan.runs[..1], &record, &nothing);
     assert_eq!(one, "1 of 4 runs to do, how long it takes is not known");
     let message = table::runs(&record, &Estimates::new(vec![Some(0.23), None, Some(5.0), None]));
     let times: Vec<_> = message.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
@@ -321,14 +327,14 @@ fn exit_code_reports_failed_and_incomplete_runs() {
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();
     for run in &runs {
-        record.begin(run);
-        record.end(run, ended(Stage::Finished));
+        record.start_run(run);
+        record.end_run(run, ended(Stage::Finished));
     }
     assert!(verdict(&record, &runs, false).is_ok());
-    record.end(&runs[1], Ended { exit: Some(75), ..ended(Stage::Finished) });
+    record.end_run(&runs[1], Ended { exit: Some(75), ..ended(Stage::Finished) });
     let code = |record: &Record, interrupted| verdict(record, &runs, interrupted).expect_err("not well");
     assert!(code(&record, false).to_string().contains("1 run with iterations that have no answer"));
-    record.end(&runs[0], ended(Stage::Failed));
+    record.end_run(&runs[0], ended(Stage::Failed));
     let failed = code(&record, false);
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
     assert_eq!(code(&record, true).exit, Exit::Interrupted);
@@ -339,9 +345,12 @@ fn experiment_of_another_build_is_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();
-    assert_eq!(two_builds(&record, &runs, "2"), None, "nothing is measured yet");
-    record.end(&runs[0], ended(Stage::Finished));
-    let message = two_builds(&record, &runs[1..], "2").expect("there are two");
-    assert!(message.starts_with("begun by PEERNet 1, and gone on with by 2: "), "{message}");
-    assert_eq!((two_builds(&record, &runs[1..], "1"), two_builds(&record, &[], "2")), (None, None));
+    assert_eq!(version_change_note(&record, &runs, "2"), None, "nothing is measured yet");
+    record.end_run(&runs[0], ended(Stage::Finished));
+    let message = version_change_note(&record, &runs[1..], "2").expect("there are two");
+    assert!(message.starts_with("started by PEERNet 1, and continued by 2: "), "{message}");
+    assert_eq!(
+        (version_change_note(&record, &runs[1..], "1"), version_change_note(&record, &[], "2")),
+        (None, None)
+    );
 }

@@ -23,8 +23,8 @@ use crate::measure::Order;
 
 /// Number of iterations of a trial: the first may be slow, the others give the pace.
 const ITERATIONS: u64 = 3;
-/// Longest wait for a peer unless the file sets another; seconds. The peer may have to load its model.
-const PATIENCE_S: f64 = 30.0;
+/// Timeout for an unreachable peer unless the file sets another; seconds. The peer may have to load its model.
+const PEER_TIMEOUT_S: f64 = 30.0;
 
 /// Results of the trials.
 pub(super) struct TrialResults {
@@ -56,7 +56,7 @@ pub(super) async fn configurations(
     quiet: bool,
 ) -> Result<TrialResults, Failure> {
     let folder = Scratch::new("trial")
-        .context("cannot make a temporary folder; TMPDIR names another place")
+        .context("cannot create a temporary folder; set TMPDIR to another folder")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let mut tried = TrialResults {
         paces: vec![None; plan.configurations.len()],
@@ -74,7 +74,7 @@ pub(super) async fn configurations(
         let peer = peer(order);
         if let Some((address, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
-                progress.say(format_args!("{state}: left out, {address} is away"));
+                progress.say(format_args!("{state}: skipped, {address} is unreachable"));
             }
             tried.missing.extend(words().map(|words| (words, exit.clone())));
             continue;
@@ -103,13 +103,13 @@ pub(super) async fn configurations(
         let loaded = ResultFolder::open(&at).ok();
         let took = (clock.mono() - began).seconds();
         match ended.exits.pop() {
-            Some(exit) if exit.is_well() => {
+            Some(exit) if exit.is_successful() => {
                 let moments = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at());
                 let pace = pace(&moments.collect::<Vec<_>>(), took);
                 configurations.iter().for_each(|index| tried.paces[*index] = pace);
             }
             Some(exit) => {
-                if took >= order.patience_s.unwrap_or(PATIENCE_S) {
+                if took >= order.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
                     away.extend(peer.map(|peer| (peer, exit.clone())));
                 }
                 tried.missing.extend(words().map(|words| (words, exit.clone())));
@@ -183,7 +183,7 @@ fn order(configuration: &Configuration) -> Order {
         network_config: None,
         user: None,
         warm_up: String::new(),
-        patience_s: Some(configuration.patience_s.unwrap_or(PATIENCE_S)),
+        peer_timeout_s: Some(configuration.patience_s.unwrap_or(PEER_TIMEOUT_S)),
     }
 }
 

@@ -77,6 +77,6 @@ impl fmt::Display for Rehearsal {
 }
 
 /// Marks a state if the clock of one of the hosts has an artificial error.
-pub(super) fn marked(state: &str, is_rehearsed: bool) -> String {
+pub(super) fn with_rehearsal_mark(state: &str, is_rehearsed: bool) -> String {
     if is_rehearsed { format!("{state}, rehearsed") } else { state.to_owned() }
 }

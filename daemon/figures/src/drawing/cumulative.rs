@@ -1,4 +1,4 @@
-//! Cumulative distributions, several in one plot: the share of values up to each.
+//! Figure of cumulative distributions: a curve for each quantity with the share of values up to each value.
 
 use peernet_statistics::number::fixed;
 
@@ -6,19 +6,19 @@ use super::histogram::range;
 use crate::look::{Mark, Style};
 use crate::plot::{Axis, Figure, Item, Key, Path, Plot, Swatch, Unit};
 use crate::scale::Scale;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Points of a curve.
-const POINTS: usize = 240;
-/// Ratio of the largest to the smallest median from which on the axis is logarithmic.
-const WIDE: f64 = 12.0;
+const CURVE_POINTS: usize = 240;
+/// Ratio of the largest to the smallest median from which the axis is logarithmic.
+const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the values at each end of a logarithmic axis, as a power of their ratio.
-const ROOM: f64 = 0.02;
+const AXIS_MARGIN: f64 = 0.02;
 /// Share of the largest value: an axis begins at zero unless the smallest value is above it.
-const CLOSE: f64 = 0.5;
+const ZERO_THRESHOLD: f64 = 0.5;
 /// Height of the first mark of a curve and the distance to the next curve's, so that none hides another.
-const FIRST_MARK: f64 = 0.12;
-const NEXT_MARK: f64 = 0.16;
+const FIRST_MARK_HEIGHT: f64 = 0.12;
+const MARK_DISTANCE: f64 = 0.16;
 const RADIUS: f64 = 1.7;
 
 /// Cumulative distributions.
@@ -44,33 +44,34 @@ pub struct CumulativeCurve {
     /// Mark with its look.
     pub mark: (Mark, Style),
     /// The values, SI units.
-    pub values: Ordered,
+    pub values: SortedValues,
 }
 
 impl CumulativeCurve {
-    /// Returns its name and the number of its values above `most`, if there are any.
-    fn beyond(&self, most: f64) -> Option<(&str, String)> {
+    /// Returns the name of a curve and the number of its values above `most`, if there are any.
+    fn count_beyond(&self, most: f64) -> Option<(&str, String)> {
         let count = self.values.values().iter().filter(|value| **value > most).count();
         (count > 0).then(|| (self.name.as_str(), fixed(count as f64, 0)))
     }
 }
 
 impl Cumulative {
-    fn shown(&self) -> impl Iterator<Item = (&CumulativeCurve, (f64, f64))> {
+    fn shown_curves(&self) -> impl Iterator<Item = (&CumulativeCurve, (f64, f64))> {
         let known = self.curves.iter().filter_map(|curve| Some((curve, range(&curve.values)?)));
         known.filter(|(_, (lo, hi))| lo.is_finite() && hi.is_finite())
     }
 
     fn scale(&self) -> Option<Scale> {
-        let ends = self.shown().map(|(_, ends)| ends);
+        let ends = self.shown_curves().map(|(_, ends)| ends);
         let (lo, hi) = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
-        let medians: Ordered = self.shown().filter_map(|(curve, _)| curve.values.median()).collect();
+        let medians: SortedValues =
+            self.shown_curves().filter_map(|(curve, _)| curve.values.median()).collect();
         let (least, most) = medians.values().first().zip(medians.values().last())?;
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
-        Some(if lo > 0.0 && *most >= WIDE * least {
-            let room = (hi / lo).powf(ROOM);
+        Some(if lo > 0.0 && *most >= LOGARITHMIC_RATIO * least {
+            let room = (hi / lo).powf(AXIS_MARGIN);
             Scale::logarithmic((lo / room, hi * room))
-        } else if lo > hi * CLOSE {
+        } else if lo > hi * ZERO_THRESHOLD {
             Scale::linear((lo, hi))
         } else {
             Scale::from_zero((lo, hi))
@@ -84,12 +85,14 @@ impl Cumulative {
         if let Some(scale) = self.scale() {
             let up = Axis::new(Scale::linear((0.0, 100.0)), "Share of iterations, %", "%");
             let mut plot = Plot::new(self.unit.axis(scale).with_grid(), up.with_grid());
-            for (number, (curve, _)) in self.shown().enumerate() {
+            for (number, (curve, _)) in self.shown_curves().enumerate() {
                 plot.items.extend(self.curve(&plot, number, curve));
             }
             let (_, end) = scale.ends();
-            let beyond: Vec<(&str, String)> =
-                self.shown().filter_map(|(curve, _)| curve.beyond(end / self.unit.per_si)).collect();
+            let beyond: Vec<(&str, String)> = self
+                .shown_curves()
+                .filter_map(|(curve, _)| curve.count_beyond(end / self.unit.per_si))
+                .collect();
             if let [(_, count)] = beyond.as_slice()
                 && self.curves.len() == 1
             {
@@ -109,7 +112,7 @@ impl Cumulative {
                 curve.name.clone(),
             )
         };
-        let legend = if self.curves.len() > 1 { self.shown().map(key).collect() } else { Vec::new() };
+        let legend = if self.curves.len() > 1 { self.shown_curves().map(key).collect() } else { Vec::new() };
         Figure { title: self.title.clone(), legend, notes, plots, ..Figure::default() }
     }
 
@@ -121,10 +124,10 @@ impl Cumulative {
             (at.x, at.y)
         };
         let last = values.len().saturating_sub(1);
-        let steps = POINTS.min(last.max(1));
+        let steps = CURVE_POINTS.min(last.max(1));
         let mut points: Vec<(f64, f64)> = (0..=steps).map(|step| at(last * step / steps)).collect();
         points.insert(0, (points[0].0, 1.0));
-        let wanted = 1.0 - (FIRST_MARK + NEXT_MARK * number as f64).fract();
+        let wanted = 1.0 - (FIRST_MARK_HEIGHT + MARK_DISTANCE * number as f64).fract();
         let mark =
             points.iter().min_by(|a, b| (a.1 - wanted).abs().total_cmp(&(b.1 - wanted).abs())).copied();
         let mut items = vec![Item::path(Path::line(points.into_iter().map(Some)), curve.line.clone())];

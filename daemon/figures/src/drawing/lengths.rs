@@ -8,24 +8,24 @@ use super::histogram::{Bins, range};
 use crate::look::{Fill, INK, Rgb, Stage, Style, stage};
 use crate::plot::{At, Axis, Figure, Item, Path, Plot, Strip, Unit};
 use crate::scale::Scale;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Number of points from which on they are counted into cells.
-const MANY: usize = 1500;
+const MAX_POINTS: usize = 1500;
 /// Cells across and upwards: a cell is about 1.8 points wide and high in a file.
 const CELLS: (f64, f64) = (108.0, 60.0);
 /// Shades of cells.
 const SHADES: f64 = 14.0;
 /// Width of a distribution at the side of the plot, points.
-const MARGIN: f64 = 26.0;
+const SIDE_WIDTH: f64 = 26.0;
 /// Minimum width and height of a bar, points.
-const SEEN: f64 = 0.45;
+const MIN_BAR_SIZE: f64 = 0.45;
 /// Diameter of a point, points.
-const DOT: f64 = 2.4;
+const POINT_DIAMETER: f64 = 2.4;
 /// Share of the largest value: an axis begins at zero unless the smallest value is above it.
-const CLOSE: f64 = 0.75;
+const ZERO_THRESHOLD: f64 = 0.75;
 /// Space on both sides of values that are far from zero, as a share of their range.
-const ROOM: f64 = 0.05;
+const AXIS_MARGIN: f64 = 0.05;
 
 /// Points with both marginal histograms.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,13 +45,13 @@ pub struct Lengths {
 }
 
 impl Lengths {
-    fn along(&self, of: fn(&(f64, f64)) -> f64) -> Ordered {
+    fn sorted_along(&self, of: fn(&(f64, f64)) -> f64) -> SortedValues {
         let finite = self.points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
         finite.map(of).collect()
     }
 
     /// Returns the places of the points within the axes.
-    fn inside<'a>(&'a self, plot: &'a Plot) -> impl Iterator<Item = (f64, f64)> + 'a {
+    fn places_in<'a>(&'a self, plot: &'a Plot) -> impl Iterator<Item = (f64, f64)> + 'a {
         let shown = |(x, y): &(f64, f64)| (x * self.x.per_si, y * self.y.per_si);
         let inside =
             self.points.iter().map(shown).filter(|(x, y)| plot.x.scale.has(*x) && plot.y.scale.has(*y));
@@ -59,38 +59,38 @@ impl Lengths {
     }
 
     fn colour(&self) -> Rgb {
-        known(&self.stage).map_or(INK.light, |stage| stage.line_colour())
+        named_stage(&self.stage).map_or(INK.light, |stage| stage.line_colour())
     }
 
     fn class(&self) -> &'static str {
-        known(&self.stage).map_or("ink", |stage| stage.class)
+        named_stage(&self.stage).map_or("ink", |stage| stage.class)
     }
 
     fn points(&self, plot: &Plot) -> Vec<Item> {
         let (colour, class) = (self.colour(), self.class());
-        if self.points.len() <= MANY {
-            let style = Style::line(format!("dots d-{class}"), colour.tint(0.62), DOT);
-            return vec![Item::path(Path::dots(self.inside(plot)), style)];
+        if self.points.len() <= MAX_POINTS {
+            let style = Style::line(format!("dots d-{class}"), colour.tint(0.62), POINT_DIAMETER);
+            return vec![Item::path(Path::dots(self.places_in(plot)), style)];
         }
         let style = Style::area(format!("f-{class}"), Fill::of(colour));
-        let shades = cells(self.inside(plot)).into_iter();
+        let shades = cells(self.places_in(plot)).into_iter();
         shades.map(|(shade, path)| Item::path(path, style.clone().opacity(shade))).collect()
     }
 
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
-        let (xs, ys) = (self.along(|(x, _)| *x), self.along(|(_, y)| *y));
+        let (xs, ys) = (self.sorted_along(|(x, _)| *x), self.sorted_along(|(_, y)| *y));
         let plot = range(&xs).zip(range(&ys)).map(|(across, up)| {
             let (x, y) = (axis(&self.x, across), axis(&self.y, up));
             let mut plot = Plot::new(x.with_grid(), y.with_grid());
             plot.items = self.points(&plot);
-            let beyond = self.points.len() - self.inside(&plot).count();
+            let beyond = self.points.len() - self.places_in(&plot).count();
             plot.remark = (beyond > 0).then(|| format!("{} beyond the axes", fixed(beyond as f64, 0)));
             let of_x = |value: f64| plot.x.scale.at(value * self.x.per_si);
             let of_y = |value: f64| plot.up(value * self.y.per_si);
             let above =
-                margin(&xs, |from, to, high| [At::new(of_x(from), 1.0 - high), At::new(of_x(to), 1.0)]);
-            let beside = margin(&ys, |from, to, wide| [At::new(0.0, of_y(from)), At::new(wide, of_y(to))]);
+                side_bars(&xs, |from, to, high| [At::new(of_x(from), 1.0 - high), At::new(of_x(to), 1.0)]);
+            let beside = side_bars(&ys, |from, to, wide| [At::new(0.0, of_y(from)), At::new(wide, of_y(to))]);
             (plot.above, plot.beside) = (Some(above), Some(beside));
             plot
         });
@@ -99,7 +99,7 @@ impl Lengths {
     }
 }
 
-fn known(name: &str) -> Option<Stage> {
+fn named_stage(name: &str) -> Option<Stage> {
     Some(stage(name)).filter(Stage::has_colour)
 }
 
@@ -124,29 +124,29 @@ pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
 }
 
 /// Returns bars of the values along one axis; `place` makes corners from the two ends of a bin and its height.
-fn margin(values: &Ordered, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
+fn side_bars(values: &SortedValues, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
     let style = Style::total().bin();
     let bar = |bins: &Bins, number: usize| {
         let (from, to) = bins.bin(number);
         let height = bins.counts[number] as f64 / bins.highest().max(1) as f64;
         let [from, to] = place(from, to, height);
-        Item::Rect { from, to, least: (SEEN, SEEN), style: style.clone() }
+        Item::Rect { from, to, least: (MIN_BAR_SIZE, MIN_BAR_SIZE), style: style.clone() }
     };
     let bars = |bins: Bins| -> Vec<Item> {
         let filled = (0..bins.counts.len()).filter(|number| bins.counts[*number] > 0);
         filled.map(|number| bar(&bins, number)).collect()
     };
-    Strip { items: Bins::of(values).map(bars).unwrap_or_default(), size: MARGIN }
+    Strip { items: Bins::of(values).map(bars).unwrap_or_default(), size: SIDE_WIDTH }
 }
 
 /// Returns whether an axis from zero would squeeze all values between these into a corner.
 pub fn would_squeeze(lo: f64, hi: f64) -> bool {
-    hi > lo && lo > hi * CLOSE
+    hi > lo && lo > hi * ZERO_THRESHOLD
 }
 
 fn axis(unit: &Unit, (lo, hi): (f64, f64)) -> Axis {
     let (lo, hi) = (lo * unit.per_si, hi * unit.per_si);
-    let room = (hi - lo) * ROOM;
+    let room = (hi - lo) * AXIS_MARGIN;
     unit.axis(if would_squeeze(lo, hi) {
         Scale::linear((lo - room, hi + room))
     } else {

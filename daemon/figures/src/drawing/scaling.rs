@@ -1,4 +1,4 @@
-//! Growth of a quantity with size: logarithmic axes, a point with its spread per size, a line per series.
+//! Figure of a quantity against size, on logarithmic axes: a point with its spread for each size, a fitted line for each series.
 
 use peernet_statistics::number::bytes;
 
@@ -7,32 +7,32 @@ use crate::plot::{At, Figure, Item, Key, Path, Plot, Swatch, Unit};
 use crate::scale::Scale;
 
 /// Half the distance between two series at one size, points.
-const APART: f64 = 2.0;
+const HALF_DISTANCE: f64 = 2.0;
 /// Half the width of a bar, points.
-const BAR: f64 = 1.35;
+const BAR_HALF_WIDTH: f64 = 1.35;
 /// Half the width of a whisker's cap, points.
-const CAP: f64 = 1.7;
-/// Width of the plot in a file, about, points.
-const ACROSS: f64 = 220.0;
+const CAP_HALF_WIDTH: f64 = 1.7;
+/// Approximate width of the plot in a file, points.
+const PLOT_WIDTH: f64 = 220.0;
 /// Radius of a point, and width of lines, points.
 const RADIUS: f64 = 1.9;
-const LINE: f64 = 0.75;
-const WHISKER: f64 = 0.45;
-/// Points of a line that is drawn: on logarithmic axes a straight line is a curve.
-const STEPS: u32 = 60;
-/// Room beyond the values at each end: this power of the range, but at least so much.
-const ROOM: (f64, f64) = (0.06, 1.15);
+const LINE_WIDTH: f64 = 0.75;
+const WHISKER_WIDTH: f64 = 0.45;
+/// Number of points of a drawn line, which is a curve on logarithmic axes.
+const LINE_POINTS: u32 = 60;
+/// Room beyond the values at each end: a power of the range of values, and the minimum factor.
+const AXIS_MARGIN: (f64, f64) = (0.06, 1.15);
 /// Space on both sides of the sizes, as a factor.
-const SIDES: f64 = 1.4;
-/// Factor between a level line and all values from which on the line would squeeze them: it is left out, and a note says so.
-const FAR: f64 = 20.0;
+const SIDE_FACTOR: f64 = 1.4;
+/// Maximum factor between a level line and the values. A line that is farther away would squeeze the values: a note replaces it.
+const MAX_LEVEL_RATIO: f64 = 20.0;
 
 /// Statistics at one size, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Value {
-    /// Bytes.
+    /// Size in bytes.
     pub bytes: f64,
-    /// The point.
+    /// Value of the point.
     pub value: f64,
     /// Range of most values, drawn as a bar.
     pub spread: Option<(f64, f64)>,
@@ -99,7 +99,7 @@ impl Scaling {
             let (lo, hi) = value.spread.unwrap_or((value.value, value.value));
             let whisker = value.whisker();
             let most = whisker.and_then(|bounds| bounds.1).map_or(hi, |bound| bound.min(value.value * 10.0));
-            // A lower bound near zero would squeeze all the rest.
+            // A lower bound near zero would squeeze everything else.
             let least = whisker.map_or(lo, |bounds| bounds.0.max(value.value / 4.0));
             (least.min(lo).max(value.value / 100.0), most.max(hi))
         };
@@ -110,7 +110,7 @@ impl Scaling {
     fn level(&self, series: &Series) -> Option<(f64, bool)> {
         let (height, _) = series.line.filter(|(height, slope)| *slope == 0.0 && *height > 0.0)?;
         let (low, high) = self.heights()?;
-        Some((height, height <= high * FAR && height >= low / FAR))
+        Some((height, height <= high * MAX_LEVEL_RATIO && height >= low / MAX_LEVEL_RATIO))
     }
 
     fn is_far(&self, series: &Series) -> bool {
@@ -149,9 +149,9 @@ impl Scaling {
         let (small, large) = sizes.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))?;
         let levels = self.series.iter().filter_map(|series| self.level(series)).filter(|(_, near)| *near);
         let (low, high) = levels.fold(self.heights()?, |(lo, hi), (level, _)| (lo.min(level), hi.max(level)));
-        let room = (high / low).powf(ROOM.0).max(ROOM.1);
+        let room = (high / low).powf(AXIS_MARGIN.0).max(AXIS_MARGIN.1);
         let up = Scale::logarithmic((low * self.unit.per_si / room, high * self.unit.per_si * room));
-        let sizes = Scale::logarithmic((small / SIDES, large * SIDES));
+        let sizes = Scale::logarithmic((small / SIDE_FACTOR, large * SIDE_FACTOR));
         let sizes = crate::plot::Axis::new(sizes, "Size on the wire", "");
         Some(Plot::new(sizes.labelled(|tick| bytes(tick.value).plain()), self.unit.axis(up).with_grid()))
     }
@@ -165,7 +165,7 @@ impl Scaling {
         let plots = self.axes().map(|mut plot| {
             let middle = self.series.len() as f64 - 1.0;
             for (index, series) in self.series.iter().enumerate() {
-                let items = self.series_items(&plot, series, APART * (2.0 * index as f64 - middle));
+                let items = self.series_items(&plot, series, HALF_DISTANCE * (2.0 * index as f64 - middle));
                 plot.items.extend(items);
             }
             plot
@@ -187,21 +187,25 @@ impl Scaling {
             let line = line(plot, |bytes| show(intercept + slope * bytes));
             // The line is shifted like its points, so that they lie on it if they fit.
             let aside = if slope == 0.0 { 0.0 } else { aside };
-            items.push(Item::path(line.within(aside / ACROSS).aside(aside), line_style));
+            items.push(Item::path(line.within(aside / PLOT_WIDTH).aside(aside), line_style));
         }
         let colour = stage(series.stage).line_colour();
         let bar = Style::area("bar", Fill::of(colour.tint(0.35)));
-        let whisker = Style::line("whisk2", colour, WHISKER);
+        let whisker = Style::line("whisk2", colour, WHISKER_WIDTH);
         for value in series.values.iter().filter(|value| value.value > 0.0) {
             let at = |height: f64| plot.at(value.bytes, show(height)).aside(aside, 0.0);
             if let Some((lo, hi)) = value.spread {
-                items.push(Item::rect(at(lo).aside(-BAR, 0.0), at(hi).aside(BAR, 0.0), bar.clone()));
+                items.push(Item::rect(
+                    at(lo).aside(-BAR_HALF_WIDTH, 0.0),
+                    at(hi).aside(BAR_HALF_WIDTH, 0.0),
+                    bar.clone(),
+                ));
             }
             if let Some((lo, hi)) = value.whisker() {
                 let above = hi.map_or(At { y: 0.0, ..at(lo) }, at);
                 // A whisker that leaves the plot has no cap.
                 let caps = [plot.y.scale.has(show(lo)), hi.is_some_and(|hi| plot.y.scale.has(show(hi)))];
-                items.extend(Item::whisker([at(lo), above], caps, CAP, &whisker));
+                items.extend(Item::whisker([at(lo), above], caps, CAP_HALF_WIDTH, &whisker));
             }
             items.push(Item::mark(at(value.value), series.mark, RADIUS, mark_style.clone()));
         }
@@ -209,9 +213,9 @@ impl Scaling {
     }
 }
 
-/// Returns a function of the horizontal axis as a path, as far as it lies in the plot.
+/// Returns the part of a function of the horizontal axis that lies in the plot, as a path.
 pub fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
-    let values = plot.x.scale.along(STEPS).map(|x| (x, of(x)));
+    let values = plot.x.scale.along(LINE_POINTS).map(|x| (x, of(x)));
     let inside = values.map(|(x, y)| plot.y.scale.has(y).then(|| (plot.x.scale.at(x), plot.up(y))));
     Path::line(inside)
 }
@@ -219,5 +223,5 @@ pub fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
 /// Returns the styles of the line and of the points.
 fn look(series: &Series) -> (Style, Style) {
     let stage = stage(series.stage);
-    (stage.line(LINE).dashed(series.mark.dash()).with("fit"), stage.mark())
+    (stage.line(LINE_WIDTH).dashed(series.mark.dash()).with("fit"), stage.mark())
 }

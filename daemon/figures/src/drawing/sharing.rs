@@ -9,21 +9,21 @@ use crate::scale::{Scale, Tick};
 /// Maximum number of curves that a reader can distinguish.
 pub const MOST_CURVES: usize = 4;
 /// Half the distance between two curves at one number of edges, points.
-const APART: f64 = 2.0;
+const HALF_DISTANCE: f64 = 2.0;
 /// Half the width of a whisker's cap, and of the dash of a single edge, points.
-const CAP: f64 = 1.7;
-const DASH: f64 = 2.7;
+const CAP_HALF_WIDTH: f64 = 1.7;
+const DASH_HALF_WIDTH: f64 = 2.7;
 /// Radius of a point, and width of lines, points.
 const RADIUS: f64 = 1.9;
-const LINE: f64 = 0.75;
-const WHISKER: f64 = 0.45;
+const LINE_WIDTH: f64 = 0.75;
+const WHISKER_WIDTH: f64 = 0.45;
 /// Height of the plot of fairness, points.
-const FAIRNESS: f64 = 28.5;
-/// Ratios of the largest to the smallest value, of edges and of latencies, from which on the axis is logarithmic.
-const WIDE_EDGES: f64 = 8.0;
-const WIDE: f64 = 12.0;
+const FAIRNESS_HEIGHT: f64 = 28.5;
+/// Ratios of the largest to the smallest value, of edges and of latencies, from which the axis is logarithmic.
+const LOGARITHMIC_EDGES_RATIO: f64 = 8.0;
+const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the values at each end, as a share of their range.
-const ROOM: f64 = 0.06;
+const AXIS_MARGIN: f64 = 0.06;
 
 /// Latency and fairness against the number of edges.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,7 +68,7 @@ impl Sharing {
     }
 
     /// Returns the different numbers of edges.
-    fn edges(&self) -> Vec<usize> {
+    fn edge_counts(&self) -> Vec<usize> {
         let mut edges: Vec<usize> = self.points().map(|point| point.edges).collect();
         edges.sort_unstable();
         edges.dedup();
@@ -83,7 +83,7 @@ impl Sharing {
         let named = self.curves.iter().enumerate().filter(|(_, curve)| !curve.name.is_empty());
         let key = |(number, curve): (usize, &SharingCurve)| {
             let look = series(number);
-            Key::new(Swatch::Curve(look.line(LINE), look.mark, look.marks()), curve.name.clone())
+            Key::new(Swatch::Curve(look.line(LINE_WIDTH), look.mark, look.marks()), curve.name.clone())
         };
         named.map(key).collect()
     }
@@ -100,14 +100,14 @@ impl Sharing {
     }
 
     /// Returns the axis of whole numbers of edges, with marks at the measured ones.
-    fn across(&self) -> Option<Axis> {
-        let edges = self.edges();
+    fn edges_axis(&self) -> Option<Axis> {
+        let edges = self.edge_counts();
         let (few, many) = (*edges.first()? as f64, *edges.last()? as f64);
-        let scale = if many >= few * WIDE_EDGES {
-            let room = (many / few).powf(ROOM);
+        let scale = if many >= few * LOGARITHMIC_EDGES_RATIO {
+            let room = (many / few).powf(AXIS_MARGIN);
             Scale::logarithmic((few / room, many * room))
         } else {
-            let room = ((many - few) * ROOM).max(0.5);
+            let room = ((many - few) * AXIS_MARGIN).max(0.5);
             Scale::linear((few - room, many + room))
         };
         let tick = |edges: usize| {
@@ -130,7 +130,7 @@ impl Sharing {
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
         let plots =
-            self.latencies().zip(self.across()).map(|(latencies, across)| self.plots(latencies, across));
+            self.latencies().zip(self.edges_axis()).map(|(latencies, across)| self.plots(latencies, across));
         Figure {
             title: self.title.clone(),
             legend: self.legend(),
@@ -141,8 +141,8 @@ impl Sharing {
     }
 
     fn plots(&self, (low, high): (f64, f64), across: Axis) -> Vec<Plot> {
-        let up = if low > 0.0 && high > low * WIDE {
-            let room = (high / low).powf(ROOM);
+        let up = if low > 0.0 && high > low * LOGARITHMIC_RATIO {
+            let room = (high / low).powf(AXIS_MARGIN);
             Scale::logarithmic((low / room, high * room))
         } else {
             Scale::from_zero((0.0, high))
@@ -158,7 +158,7 @@ impl Sharing {
         let shares = Scale::linear((0.0, 1.0));
         let index = Axis::new(shares, "Fairness of answers/s (Jain’s index)", "").with_grid();
         let mut fairness = Plot::new(across, index);
-        fairness.height = Height::Points(FAIRNESS);
+        fairness.height = Height::Points(FAIRNESS_HEIGHT);
         for (number, curve) in self.curves.iter().enumerate() {
             let known = curve.points.iter().filter(|point| point.median.is_finite());
             let known = known.filter_map(|point| Some((point.edges as f64, point.fairness?)));
@@ -175,8 +175,10 @@ impl Sharing {
 
     fn curve(&self, plot: &Plot, number: usize, curve: &SharingCurve) -> Vec<Item> {
         let look = series(number);
-        let (dash, whisker) =
-            (Style::line("faint", look.colour.tint(0.5), LINE), Style::line("whisk2", look.colour, WHISKER));
+        let (dash, whisker) = (
+            Style::line("faint", look.colour.tint(0.5), LINE_WIDTH),
+            Style::line("whisk2", look.colour, WHISKER_WIDTH),
+        );
         let known = || curve.points.iter().filter(|point| point.median.is_finite());
         let mut items = Vec::new();
         for point in known() {
@@ -185,13 +187,18 @@ impl Sharing {
             };
             for value in point.each.iter().filter(|value| value.is_finite() && point.each.len() > 1) {
                 items.push(Item::line(
-                    at(*value).aside(-DASH, 0.0),
-                    at(*value).aside(DASH, 0.0),
+                    at(*value).aside(-DASH_HALF_WIDTH, 0.0),
+                    at(*value).aside(DASH_HALF_WIDTH, 0.0),
                     dash.clone(),
                 ));
             }
             if let Some(late) = point.p95.filter(|late| late.is_finite()) {
-                items.extend(Item::whisker([at(point.median), at(late)], [false, true], CAP, &whisker));
+                items.extend(Item::whisker(
+                    [at(point.median), at(late)],
+                    [false, true],
+                    CAP_HALF_WIDTH,
+                    &whisker,
+                ));
             }
         }
         let medians = known().map(|point| (point.edges as f64, point.median * self.unit.per_si));
@@ -204,12 +211,12 @@ impl Sharing {
         let (look, aside) = (series(number), self.aside(number));
         let places: Vec<_> = values.into_iter().map(|(x, y)| plot.at(x, y)).collect();
         let line = Path::line(places.iter().map(|at| Some((at.x, at.y)))).aside(aside);
-        let line = (places.len() > 1).then(|| Item::path(line, look.line(LINE)));
+        let line = (places.len() > 1).then(|| Item::path(line, look.line(LINE_WIDTH)));
         let marks = places.iter().map(|at| Item::mark(at.aside(aside, 0.0), look.mark, RADIUS, look.marks()));
         line.into_iter().chain(marks).collect()
     }
 
     fn aside(&self, number: usize) -> f64 {
-        APART * (2.0 * number as f64 - (self.curves.len() as f64 - 1.0))
+        HALF_DISTANCE * (2.0 * number as f64 - (self.curves.len() as f64 - 1.0))
     }
 }

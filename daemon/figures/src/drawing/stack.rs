@@ -1,13 +1,13 @@
-//! Stages that follow upon one another along a scale: bars of pages and files.
+//! Bars of consecutive stages along a scale, for pages and files.
 
 use crate::look::{Style, stage};
 use crate::plot::{At, Item};
 use crate::scale::Scale;
 
 /// Minimum length of a part in a file, points, so that a short part is visible.
-const THIN: f64 = 0.6;
+const MIN_LENGTH: f64 = 0.6;
 /// Parts of less than this share of the scale have no line between them.
-const PARTED: f64 = 0.006;
+const MIN_SEPARATED_SHARE: f64 = 0.006;
 
 /// Direction of a bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,11 +40,11 @@ impl Direction {
     }
 }
 
-/// The parts of one bar.
+/// Parts of one bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stack<'a> {
     /// Stage and value of each part, in the unit of the scale, from the first to the last. A value may be negative if clocks were not
-    /// corrected: such parts lie on the other side of zero.
+    /// corrected. Negative parts lie on the other side of zero.
     pub parts: Vec<(&'a str, f64)>,
     /// Scale of the values.
     pub scale: Scale,
@@ -56,7 +56,7 @@ impl Stack<'_> {
         self.parts.iter().map(|(_, value)| value.max(0.0)).sum()
     }
 
-    /// Returns begin and end of each part that is not zero, in the unit of the scale.
+    /// Returns start and end of each part that is not zero, in the unit of the scale.
     pub fn segments(&self) -> Vec<(&str, f64, f64)> {
         let (mut below, mut above) = (0.0, 0.0);
         let parts = self.parts.iter().filter(|(_, value)| *value != 0.0);
@@ -72,13 +72,13 @@ impl Stack<'_> {
     /// Lays the parts out between two places across.
     pub fn items(&self, (near, far): (f64, f64), direction: Direction) -> Vec<Item> {
         let mut items = Vec::new();
-        let least = if direction == Direction::Upright { (0.0, THIN) } else { (THIN, 0.0) };
+        let least = if direction == Direction::Upright { (0.0, MIN_LENGTH) } else { (MIN_LENGTH, 0.0) };
         for (name, from, to) in self.segments() {
             let [begin, end] = [from, to].map(|value| self.scale.at(value));
             let corners = [direction.at(begin, near), direction.at(end, far)];
             items.push(Item::Rect { from: corners[0], to: corners[1], least, style: stage(name).area() });
-            // A line between parts separates neighbours of the same grey.
-            if from != 0.0 && (end - begin).abs() > PARTED {
+            // Neighbours can have the same grey, so a line separates them.
+            if from != 0.0 && (end - begin).abs() > MIN_SEPARATED_SHARE {
                 items.push(Item::line(direction.at(begin, near), direction.at(begin, far), Style::cut()));
             }
         }

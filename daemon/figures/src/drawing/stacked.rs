@@ -1,4 +1,4 @@
-//! Sums of the stages of several configurations: a bar for each, with the spread of its sum.
+//! Figure of stacked stages: one bar for each configuration, with an error bar for the total.
 
 use peernet_statistics::number::fixed;
 
@@ -9,26 +9,26 @@ use crate::scale::{Scale, Tick};
 use crate::sheet::file::{MOST_NAME, SMALL, TEXT, WIDTH};
 use crate::text::width;
 
-/// Height of a lying bar with its room, points.
-const ROW: f64 = 14.4;
+/// Height of a horizontal bar with the space around it, points.
+const ROW_HEIGHT: f64 = 14.4;
 /// Height of a bar's place if there are many bars, points: sixty fill a page.
-const CLOSE: f64 = 10.0;
-/// Number of bars from which on they are closer to each other.
-const MANY: usize = 16;
+const CLOSE_ROW_HEIGHT: f64 = 10.0;
+/// Number of bars from which they are closer to each other.
+const CLOSE_ROW_COUNT: usize = 16;
 /// Maximum number of upright bars: their labels are below them.
-const MOST_UPRIGHT: usize = 6;
+const MAX_UPRIGHT_BARS: usize = 6;
 /// Space at the sides of the bars of an upright plot, points.
-const MARGIN: f64 = 39.0;
+const SIDE_MARGIN: f64 = 39.0;
 /// Space between horizontal bars and their names, and between a bar and its sum, points.
-const BESIDE: f64 = 16.0;
-const AFTER: f64 = 4.5;
+const NAME_DISTANCE: f64 = 16.0;
+const SUM_DISTANCE: f64 = 4.5;
 /// Share of a bar's place that the bar fills, and its maximum share of the plot.
-const THICK: f64 = 0.6;
-const WIDEST: f64 = 0.19;
+const BAR_SHARE: f64 = 0.6;
+const MAX_BAR_SHARE: f64 = 0.19;
 /// Share of the plot's height for the words above the tallest bar.
-const WORDS: f64 = 0.12;
+const WORDS_HEIGHT: f64 = 0.12;
 /// Half the width of an error bar's cap, points.
-const CAP: f64 = 1.8;
+const CAP_HALF_WIDTH: f64 = 1.8;
 
 /// Bars of stages.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,7 +52,7 @@ pub struct Bar {
     pub label: String,
     /// Mean of each stage. It may be negative if clocks were not corrected.
     pub means: Vec<f64>,
-    /// Mean of the total, which the parts add up to as far as all of them are known.
+    /// Mean of the total. The parts add up to it if all of them are known.
     pub total: f64,
     /// Standard deviation of the total; `None` if it is not known.
     pub std: Option<f64>,
@@ -67,7 +67,7 @@ impl Bar {
     }
 
     /// Returns the sum with its deviation: `22.4 ± 2.1`.
-    fn words(&self, unit: &Unit) -> String {
+    fn sum_text(&self, unit: &Unit) -> String {
         let decimals = peernet_statistics::number::decimals(self.total * unit.per_si, 3).min(3);
         let total = fixed(self.total * unit.per_si, decimals);
         match self.std {
@@ -80,11 +80,11 @@ impl Bar {
 impl Stacked {
     /// Returns whether the bars are upright: a few bars with short labels.
     fn is_upright(&self) -> bool {
-        let room = (WIDTH - MARGIN) / self.bars.len().max(1) as f64 - 3.0;
+        let room = (WIDTH - SIDE_MARGIN) / self.bars.len().max(1) as f64 - 3.0;
         let fits = |words: &str, size: f64| width(words, size) <= room;
-        self.bars.len() <= MOST_UPRIGHT
+        self.bars.len() <= MAX_UPRIGHT_BARS
             && self.bars.iter().all(|bar| {
-                bar.label.split(", ").all(|line| fits(line, TEXT)) && fits(&bar.words(&self.unit), SMALL)
+                bar.label.split(", ").all(|line| fits(line, TEXT)) && fits(&bar.sum_text(&self.unit), SMALL)
             })
     }
 
@@ -99,16 +99,16 @@ impl Stacked {
         let key = |name: &String| Key::new(Swatch::Area(stage(name).area()), name.clone());
         let plots = match self.is_upright() {
             _ if self.bars.is_empty() => Vec::new(),
-            true => vec![self.upright()],
-            false => vec![self.lying()],
+            true => vec![self.upright_plot()],
+            false => vec![self.horizontal_plot()],
         };
         let legend = self.stages.iter().map(key).collect();
         Figure { title: self.title.clone(), legend, notes: self.notes.clone(), plots, ..Figure::default() }
     }
 
-    fn upright(&self) -> Plot {
+    fn upright_plot(&self) -> Plot {
         let (low, high) = self.range();
-        let values = Scale::from_zero((low, high + (high - low) * WORDS));
+        let values = Scale::from_zero((low, high + (high - low) * WORDS_HEIGHT));
         let count = self.bars.len() as f64;
         let place = |number: usize| (number as f64 + 0.5) / count;
         let names = self.bars.iter().enumerate().map(|(number, bar)| Tick {
@@ -118,13 +118,13 @@ impl Stacked {
         });
         let names = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(names.collect()));
         let mut plot = Plot::new(names, self.unit.axis(values).with_grid());
-        let half = (THICK / count / 2.0).min(WIDEST / 2.0);
+        let half = (BAR_SHARE / count / 2.0).min(MAX_BAR_SHARE / 2.0);
         for (number, bar) in self.bars.iter().enumerate() {
             let (items, end) = self.bar(bar, values, (place(number), half), Direction::Upright);
             plot.items.extend(items);
             let label = Label::new(
                 Direction::Upright.at(values.at(end), place(number)),
-                bar.words(&self.unit),
+                bar.sum_text(&self.unit),
                 TextStyle::MARK,
             );
             plot.items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, -0.35)));
@@ -132,7 +132,7 @@ impl Stacked {
         plot
     }
 
-    fn lying(&self) -> Plot {
+    fn horizontal_plot(&self) -> Plot {
         let values = Scale::from_zero(self.range());
         let count = self.bars.len() as f64;
         let place = |number: usize| (number as f64 + 0.5) / count;
@@ -141,24 +141,29 @@ impl Stacked {
             names.map(|(number, bar)| Tick { value: 0.0, at: 1.0 - place(number), text: bar.label.clone() });
         let names = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(names.collect()));
         let mut plot = Plot::new(self.unit.axis(values).with_grid(), names);
-        plot.height = Height::Points(count * if self.bars.len() > MANY { CLOSE } else { ROW });
-        plot.free = self.free(values);
+        plot.height = Height::Points(
+            count * if self.bars.len() > CLOSE_ROW_COUNT { CLOSE_ROW_HEIGHT } else { ROW_HEIGHT },
+        );
+        plot.free = self.free_space(values);
         for (number, bar) in self.bars.iter().enumerate() {
-            let (items, end) = self.bar(bar, values, (place(number), THICK / count / 2.0), Direction::Level);
+            let (items, end) =
+                self.bar(bar, values, (place(number), BAR_SHARE / count / 2.0), Direction::Level);
             plot.items.extend(items);
             let at = Direction::Level.at(values.at(end), place(number));
-            plot.items
-                .push(Item::Text(Label::new(at, bar.words(&self.unit), TextStyle::MARK).shifted(0.4, 0.36)));
+            plot.items.push(Item::Text(
+                Label::new(at, bar.sum_text(&self.unit), TextStyle::MARK).shifted(0.4, 0.36),
+            ));
         }
         plot
     }
 
-    /// Returns the space at the right of horizontal bars that their sums need, points. Sums of shorter bars use the space that these leave.
-    fn free(&self, values: Scale) -> f64 {
+    /// Returns the space that the sums at the right of horizontal bars need, points. Sums of shorter bars use the
+    /// free space beside their bars.
+    fn free_space(&self, values: Scale) -> f64 {
         let names = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
-        let across = WIDTH - BESIDE - names.min(MOST_NAME);
+        let across = WIDTH - NAME_DISTANCE - names.min(MOST_NAME);
         let plot = |bar: &Bar| {
-            let sum = width(&bar.words(&self.unit), SMALL) + AFTER;
+            let sum = width(&bar.sum_text(&self.unit), SMALL) + SUM_DISTANCE;
             (across - sum) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
         };
         across - self.bars.iter().map(plot).fold(across, f64::min)
@@ -183,7 +188,7 @@ impl Stacked {
             let ends = [total - std, total + std].map(|value| direction.at(values.at(value), middle));
             let caps = [total - std, total + std].map(|value| values.has(value));
             for style in [Style::halo(), Style::whisker()] {
-                items.extend(direction.whisker(ends, caps, CAP, &style));
+                items.extend(direction.whisker(ends, caps, CAP_HALF_WIDTH, &style));
             }
         }
         (items, end)

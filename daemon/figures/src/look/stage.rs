@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn every_line_holds_on_white_and_no_two_are_alike() {
+    fn stage_colours_have_contrast_and_differ() {
         let lines: BTreeSet<Rgb> = STAGES.iter().chain([&OTHER]).map(Stage::line_colour).collect();
         assert_eq!(lines.len(), STAGES.len() + 1);
         for stage in STAGES {

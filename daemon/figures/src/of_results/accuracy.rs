@@ -2,33 +2,33 @@
 
 use peernet_statistics::number::{self, fixed};
 
-use super::columns::{is_drawable, left_out, too_large};
-use super::configured::{Configured, counted};
+use super::columns::{excluded_note, is_drawable, too_large_note};
+use super::configured::{Configured, counted_rows};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Accuracy, Score, Unit};
 use peernet_analysis::accuracy::{ACCURACIES, score};
 use peernet_analysis::loaded::{Loaded, unknown_labels};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::RowRef;
 
 /// Column that is 1 if the best class is the label, else 0.
 pub(super) const TOP_1: &str = ACCURACIES[0];
 /// Maximum number of points that a reader can distinguish.
-const MOST: usize = 24;
+const MAX_POINTS: usize = 24;
 
 /// Returns one point for each configuration with scored answers; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    let Configured { axes, groups } = Configured::of(runs);
+    let Configured { axes, groups } = Configured::from_runs(runs);
     let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
-    let all = || groups.iter().flat_map(|(_, runs)| counted(runs)).filter(judged);
+    let all = || groups.iter().flat_map(|(_, runs)| counted_rows(runs)).filter(judged);
     if all().next().is_none() {
         return Err(MissingData::Labels { unknown: unknown_labels(runs) });
     }
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
     let scored = |(label, runs): &(String, Vec<&Loaded>)| {
-        let rows: Vec<RowRef<'_>> = counted(runs).filter(judged).collect();
-        let times: Ordered =
+        let rows: Vec<RowRef<'_>> = counted_rows(runs).filter(judged).collect();
+        let times: SortedValues =
             rows.iter().filter_map(|row| row.value(total)).filter(|time| is_drawable(*time)).collect();
         Some(Score {
             label: label.clone(),
@@ -40,16 +40,16 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     };
     let mut scores: Vec<Score> = groups.iter().filter_map(scored).collect();
     let (configurations, without) = (scores.len(), groups.len() - scores.len());
-    scores.truncate(MOST);
+    scores.truncate(MAX_POINTS);
     let fewest = scores.iter().map(|score| score.count).min().unwrap_or_default();
     let most = scores.iter().map(|score| score.count).max().unwrap_or_default();
     let number = |count: u64| fixed(count as f64, 0);
     let n = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
     let mut notes = vec![format!("configurations: {} · n = {n} each", axes.join(", "))];
-    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
+    notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let mut missing = Vec::new();
-    if configurations > MOST {
-        missing.push(format!("the first {MOST} of {configurations} configurations"));
+    if configurations > MAX_POINTS {
+        missing.push(format!("the first {MAX_POINTS} of {configurations} configurations"));
     }
     if without > 0 {
         let configurations = number::counted(without as u64, "configuration");
@@ -58,13 +58,13 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     notes.extend(missing.iter().cloned());
     // Only configurations with scored samples, and only iterations without a score for another reason than their label.
     let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
-        let valid = counted(runs).filter(judged).count();
+        let valid = counted_rows(runs).filter(judged).count();
         let foreign = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
-        let others = (counted(runs).count() - valid) as u64;
+        let others = (counted_rows(runs).count() - valid) as u64;
         if valid > 0 { others.saturating_sub(foreign) } else { 0 }
     };
     let unscored: u64 = groups.iter().map(unscored).sum();
-    notes.extend(too_large(all(), &[total]));
+    notes.extend(too_large_note(all(), &[total]));
     if unscored > 0 {
         let iterations = number::counted(unscored, "iteration");
         notes.push(format!("left out: {iterations} without a valid score"));

@@ -13,11 +13,11 @@ pub(super) struct Configured<'a> {
 }
 
 impl<'a> Configured<'a> {
-    pub(super) fn of(runs: &'a [Loaded]) -> Self {
-        let Configurations { axes, labels } = Configurations::of(runs);
+    pub(super) fn from_runs(runs: &'a [Loaded]) -> Self {
+        let Configurations { axes, labels } = Configurations::from_runs(runs);
         let mut groups: Vec<(String, Vec<&Loaded>)> = Vec::new();
         for (labels, run) in labels.iter().zip(runs) {
-            let parts = axes.iter().zip(labels).map(|(axis, value)| readable(axis, value));
+            let parts = axes.iter().zip(labels).map(|(axis, value)| readable_value(axis, value));
             let label = parts.collect::<Vec<_>>().join(", ");
             match groups.iter_mut().find(|(other, _)| *other == label) {
                 Some((_, runs)) => runs.push(run),
@@ -29,7 +29,7 @@ impl<'a> Configured<'a> {
 }
 
 /// Returns the value of an axis as it reads without the axis' name: `no resize` instead of `no`, `edges 4` instead of `4`.
-fn readable(axis: &str, value: &str) -> String {
+fn readable_value(axis: &str, value: &str) -> String {
     match value {
         "yes" | "true" | "on" => axis.to_owned(),
         "no" | "none" | "false" | "off" => format!("no {axis}"),
@@ -39,8 +39,8 @@ fn readable(axis: &str, value: &str) -> String {
 }
 
 /// Returns the rows of these runs that count.
-pub(super) fn counted<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
-    runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts())
+pub(super) fn counted_rows<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
+    runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted())
 }
 
 #[cfg(test)]
@@ -48,8 +48,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_value_reads_without_the_name_of_its_axis() {
-        let read = |axis, value| readable(axis, value);
+    fn clear_value_omits_axis_name() {
+        let read = |axis, value| readable_value(axis, value);
         assert_eq!([read("resize", "no"), read("resize", "yes")], ["no resize", "resize"]);
         assert_eq!([read("edges", "4"), read("network", "LAN")], ["edges 4", "LAN"]);
     }

@@ -2,20 +2,20 @@
 
 use peernet_logger::stage;
 
-use super::columns::{account, heading, titled, too_large, unit, values};
+use super::columns::{count_note, heading, too_large_note, unit, values, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Cumulative, CumulativeCurve, Unit};
 use crate::look::{INK, Mark, Style, stage as look};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
 /// Number of stages that are shown beside the total: those that take longest.
-const STAGES: usize = 4;
+const STAGE_CURVES: usize = 4;
 /// Width of lines, points; the total's is stronger.
-const LINE: f64 = 0.9;
-const STRONG: f64 = 1.2;
+const LINE_WIDTH: f64 = 0.9;
+const TOTAL_LINE_WIDTH: f64 = 1.2;
 
 /// Returns one curve for the total and each of the longest stages, or that of one column.
 pub(super) fn drawings(
@@ -30,7 +30,7 @@ pub(super) fn drawings(
             return Err(MissingData::Column(column.to_owned()));
         }
         let shown = Cumulative {
-            title: titled(&what, &record.title),
+            title: with_run_name(&what, &record.title),
             unit: unit(&record.units, column, &what),
             notes: notes(rows, &[column], &curve.values),
             curves: vec![curve],
@@ -43,10 +43,10 @@ pub(super) fn drawings(
     let stages = stage::ORDER.into_iter().map(|name| (values(rows, &name), name));
     let mut stages: Vec<_> =
         stages.filter(|(values, _)| values.median().is_some_and(|median| median > 0.0)).collect();
-    let sum = |values: &Ordered| values.values().iter().sum::<f64>();
+    let sum = |values: &SortedValues| values.values().iter().sum::<f64>();
     stages.sort_by(|a, b| sum(&b.0).total_cmp(&sum(&a.0)));
-    let shorter: Vec<String> = stages.iter().skip(STAGES).map(|(_, name)| name.to_string()).collect();
-    stages.truncate(STAGES);
+    let shorter: Vec<String> = stages.iter().skip(STAGE_CURVES).map(|(_, name)| name.to_string()).collect();
+    stages.truncate(STAGE_CURVES);
     stages.sort_by_key(|(_, name)| stage::ORDER.iter().position(|known| known == name));
     let mut notes = notes(rows, &[total], &of_total);
     if !shorter.is_empty() {
@@ -56,7 +56,7 @@ pub(super) fn drawings(
         stages.into_iter().enumerate().map(|(number, (values, name))| curve(&name, values, number));
     let curves = std::iter::once(curve(total, of_total, 0)).chain(of_stages).collect();
     let shown = Cumulative {
-        title: titled("Cumulative distributions", &record.title),
+        title: with_run_name("Cumulative distributions", &record.title),
         unit: Unit::milliseconds("Latency"),
         curves,
         notes,
@@ -64,18 +64,21 @@ pub(super) fn drawings(
     Ok(vec![Drawing::new("cumulative", Shown::Cumulative(shown))])
 }
 
-fn notes(rows: &Rows, columns: &[&str], values: &Ordered) -> Vec<String> {
-    let account = account(&rows.iter(), values.len());
-    std::iter::once(account).chain(too_large(rows.iter(), columns)).collect()
+fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
+    let count_note = count_note(&rows.iter(), values.len());
+    std::iter::once(count_note).chain(too_large_note(rows.iter(), columns)).collect()
 }
 
 /// Returns the curve of a stage, which has its colour and a mark, or of a total, which is ink.
-fn curve(name: &str, values: Ordered, number: usize) -> CumulativeCurve {
+fn curve(name: &str, values: SortedValues, number: usize) -> CumulativeCurve {
     let look = look(name);
     let (line, mark) = if !look.has_colour() {
-        (Style::line("strong", INK.light, STRONG), (Mark::Cross, Style::line("strong", INK.light, LINE)))
+        (
+            Style::line("strong", INK.light, TOTAL_LINE_WIDTH),
+            (Mark::Cross, Style::line("strong", INK.light, LINE_WIDTH)),
+        )
     } else {
-        (look.line(LINE), (Mark::ALL[number % Mark::ALL.len()], look.mark()))
+        (look.line(LINE_WIDTH), (Mark::ALL[number % Mark::ALL.len()], look.mark()))
     };
     CumulativeCurve { name: name.to_owned(), line, mark, values }
 }

@@ -3,13 +3,13 @@
 use peernet_statistics::number::{fixed, range_ms, throughput_between};
 use peernet_stream::PlacementKind;
 
-use super::columns::{account, heading, titled, too_large, unit, values};
+use super::columns::{count_note, heading, too_large_note, unit, values, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::Histogram;
 use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_analysis::summary::Scale;
@@ -42,12 +42,12 @@ pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing
 
 fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histogram {
     let values = values(rows, column);
-    let mut notes = vec![account(&rows.iter(), values.len())];
-    notes.extend(too_large(rows.iter(), &[column]));
+    let mut notes = vec![count_note(&rows.iter(), values.len())];
+    notes.extend(too_large_note(rows.iter(), &[column]));
     notes.extend(clocks(rows, column));
     notes.extend(impossible(column, &values));
     Histogram {
-        title: titled(what, &record.title),
+        title: with_run_name(what, &record.title),
         unit: unit(&record.units, column, what),
         stage: column.to_owned(),
         values,
@@ -56,7 +56,7 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histo
 }
 
 /// Returns a note on delays below zero, which are impossible. They occur if the clocks are not related, as in results of other programs.
-fn impossible(column: &str, values: &Ordered) -> Option<String> {
+fn impossible(column: &str, values: &SortedValues) -> Option<String> {
     let count = values.values().partition_point(|value| *value < 0.0) as u64;
     let is_delay = ["upload", "download"].contains(&column);
     (is_delay && count > 0).then(|| format!("below zero, by the clocks' error: {}", fixed(count as f64, 0)))
@@ -67,14 +67,14 @@ fn impossible(column: &str, values: &Ordered) -> Option<String> {
 fn clocks(rows: &Rows, column: &str) -> Option<String> {
     let end = |end: &str| -> Option<f64> {
         let name = format!("{column}-{end}");
-        let counted = rows.iter().filter(|row| row.counts() && row.value(column).is_some());
-        counted.map(|row| row.value(&name)).collect::<Option<Ordered>>()?.median()
+        let counted = rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
+        counted.map(|row| row.value(&name)).collect::<Option<SortedValues>>()?.median()
     };
     if !["upload", "download", "upload-throughput", "download-throughput"].contains(&column) {
         return None;
     }
     let (lo, hi) = (end("lo")?, end("hi")?);
-    let between = match Scale::of(column, None) {
+    let between = match Scale::for_column(column, None) {
         Scale::MegabytesPerSecond => {
             format!("{} MB/s", throughput_between((lo, Some(hi))))
         }

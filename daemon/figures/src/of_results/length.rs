@@ -1,7 +1,7 @@
 //! Response length against latency.
 
 use super::Columns;
-use super::columns::{account, heading, is_drawable, titled, too_large, unit};
+use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::Lengths;
@@ -11,10 +11,10 @@ use peernet_analysis::rows::RowRef;
 
 /// Returns the figure of length and latency of each answer.
 pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, MissingData> {
-    let there = run.rows.names().iter().filter(|name| run.rows.counted(name).next().is_some());
+    let there = run.rows.names().iter().filter(|name| run.rows.counted_values(name).next().is_some());
     let x = columns.x.clone().unwrap_or_else(|| answer_length(there.map(|name| &**name)).to_owned());
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
-    let counted = run.rows.iter().filter(|row| row.counts());
+    let counted = run.rows.iter().filter(|row| row.is_counted());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
         counted.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
@@ -31,12 +31,15 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
         return Err(MissingData::SimilarLength { x });
     }
     let lengths = Lengths {
-        title: titled(&format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")), &run.record.title),
+        title: with_run_name(
+            &format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")),
+            &run.record.title,
+        ),
         x: unit(&run.record.units, &x, &heading(&x)),
         y: unit(&run.record.units, &y, &heading(&y)),
         stage: y.clone(),
-        notes: std::iter::once(account(&run.rows.iter(), points.len()))
-            .chain(too_large(run.rows.iter(), &[x.as_str(), y.as_str()]))
+        notes: std::iter::once(count_note(&run.rows.iter(), points.len()))
+            .chain(too_large_note(run.rows.iter(), &[x.as_str(), y.as_str()]))
             .collect(),
         points,
     };

@@ -102,7 +102,7 @@ impl Kind {
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
             Self::Stacked | Self::Totals | Self::Accuracy => {
-                configured::Configured::of(runs).groups.len() > 1
+                configured::Configured::from_runs(runs).groups.len() > 1
             }
             Self::Paired => runs.len() > 1,
             Self::Users => users::have_curves(runs),

@@ -3,12 +3,12 @@
 use peernet_statistics::number::counted;
 use peernet_stream::PlacementKind;
 
-use super::columns::{heading, not_shown, unit, values};
+use super::columns::{excluded_and_undrawn_note, heading, unit, values};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 
 /// Returns every model with the places where it ran, if some model ran in two.
@@ -24,7 +24,7 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     if sides.len() > MOST_SIDES || models.len() > MOST_GROUPS {
         return Err(MissingData::TooManyModels { models: models.len(), places: sides.len() });
     }
-    let of = |model_name: &String, place: &(String, String)| -> Ordered {
+    let of = |model_name: &String, place: &(String, String)| -> SortedValues {
         let here =
             shown.iter().filter(|run| model(&run.record) == *model_name && side(&run.record) == *place);
         here.flat_map(|run| values(&run.rows, column).values().to_vec()).collect()
@@ -53,8 +53,8 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
         .iter()
         .filter(|run| groups.iter().any(|group| group.name == model(&run.record)))
         .flat_map(|run| &run.rows);
-    let count = groups.iter().flat_map(|group| &group.values).map(Ordered::len).sum();
-    let left_out = not_shown(&rows, count).map(|left_out| format!("{left_out} · "));
+    let count = groups.iter().flat_map(|group| &group.values).map(SortedValues::len).sum();
+    let left_out = excluded_and_undrawn_note(&rows, count).map(|left_out| format!("{left_out} · "));
     let read = format!("{}black: median, bar: middle half", left_out.unwrap_or_default());
     let what = heading(column);
     let paired = Paired {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use peernet_statistics::number::{bytes, counted, fixed, mean_std, throughput_with};
 
-use super::columns::{is_drawable, left_out, titled, too_large};
+use super::columns::{excluded_note, is_drawable, too_large_note, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Parts, Scaling, Series, Unit, Value};
@@ -12,22 +12,22 @@ use crate::look::Mark;
 use peernet_analysis::compare::Configurations;
 use peernet_analysis::fit::{Fit, Point, Weighted, least_squares, rate};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::RowRef;
 
 /// Number of sizes above which neighbours are merged, so that each has enough messages.
-const MOST_SIZES: usize = 24;
+const MAX_SIZES: usize = 24;
 /// Columns that the figures are drawn from.
-const SHOWN: [&str; 6] =
+const PAYLOAD_COLUMNS: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
 /// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
-const CLOCK_READ: f64 = 1e-7;
+const CLOCK_RESOLUTION_S: f64 = 1e-7;
 
 /// The messages of one size. Seconds, bytes.
 struct Size {
     bytes: f64,
-    delays: Ordered,
+    delays: SortedValues,
     bounds: Option<(f64, f64)>,
 }
 
@@ -42,9 +42,9 @@ struct DirectionData {
 
 /// The messages over one link.
 struct Study {
-    ways: Vec<DirectionData>,
+    directions: Vec<DirectionData>,
     /// Name of the link, for the title.
-    whose: String,
+    hosts: String,
     notes: Vec<String>,
     /// Notes on the directions that are not drawn.
     missing: Vec<String>,
@@ -61,31 +61,32 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             None => links.push((link, vec![number])),
         }
     }
-    let ways = |runs_of: &[usize]| -> [DirectionData; 2] {
-        let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.counts());
+    let directions = |runs_of: &[usize]| -> [DirectionData; 2] {
+        let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.is_counted());
         let rows: Vec<RowRef<'_>> = rows.collect();
         ["upload", "download"].map(|name| DirectionData::of(name, &rows))
     };
-    let configurations = Configurations::of(runs);
+    let configurations = Configurations::from_runs(runs);
     let studied = links.into_iter().map(|(_, runs_of)| {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows);
-        let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &SHOWN)];
-        let (ways, others): (Vec<DirectionData>, Vec<DirectionData>) =
-            ways(&runs_of).into_iter().partition(DirectionData::is_varied);
-        let untold = ways.iter().flat_map(DirectionData::untold);
+        let notes =
+            [pooled(&configurations, &runs_of), excluded_note(&rows), too_large_note(rows, &PAYLOAD_COLUMNS)];
+        let (directions, others): (Vec<DirectionData>, Vec<DirectionData>) =
+            directions(&runs_of).into_iter().partition(DirectionData::is_varied);
+        let undetermined = directions.iter().flat_map(DirectionData::undrawn_notes);
         Study {
-            notes: notes.into_iter().flatten().chain(untold).collect(),
-            whose: whose(&runs[runs_of[0]].record),
-            missing: others.iter().filter_map(DirectionData::why_not).collect(),
-            ways,
+            notes: notes.into_iter().flatten().chain(undetermined).collect(),
+            hosts: host_names(&runs[runs_of[0]].record),
+            missing: others.iter().filter_map(DirectionData::missing_reason).collect(),
+            directions,
         }
     });
     let (mut studied, others): (Vec<Study>, Vec<Study>) =
-        studied.partition(|study: &Study| !study.ways.is_empty());
+        studied.partition(|study: &Study| !study.directions.is_empty());
     // The first figure has the notes on links that have no figure.
     let others = others.into_iter().flat_map(|study| {
-        let whose = study.whose;
-        study.missing.into_iter().map(move |missing| titled(&missing, &whose))
+        let hosts = study.hosts;
+        study.missing.into_iter().map(move |missing| with_run_name(&missing, &hosts))
     });
     if let Some(first) = studied.first_mut() {
         first.missing.extend(others);
@@ -114,7 +115,7 @@ fn link(record: &RunRecord) -> String {
 }
 
 /// Returns the two hosts of a link, as far as they have names, and the address of the cloud.
-fn whose(record: &RunRecord) -> String {
+fn host_names(record: &RunRecord) -> String {
     let hosts =
         [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten().map(|host| host.name.as_str());
     let hosts = hosts.filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" → ");
@@ -147,7 +148,7 @@ impl DirectionData {
     }
 
     /// Returns the reason why it is not drawn; `None` if nothing was sent.
-    fn why_not(&self) -> Option<String> {
+    fn missing_reason(&self) -> Option<String> {
         let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
         let ends = [smallest, largest].map(|size| bytes(size.bytes).plain());
         let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
@@ -155,7 +156,7 @@ impl DirectionData {
     }
 
     /// Returns notes on its messages that are in no figure.
-    fn untold(&self) -> Vec<String> {
+    fn undrawn_notes(&self) -> Vec<String> {
         let below = |size: &&Size| size.delays.median().is_some_and(|median| median <= 0.0);
         let below = self.sizes.iter().filter(below).count();
         let unknown = (self.unknown > 0).then(|| {
@@ -170,13 +171,13 @@ impl DirectionData {
 
     /// Returns its line if larger messages take longer. Otherwise the delay does not depend on size, and the intercept of such a line has
     /// no meaning.
-    fn growing(&self) -> Option<Fit> {
+    fn increasing_fit(&self) -> Option<Fit> {
         self.fit.filter(|fit| fit.slope.value > 0.0)
     }
 
     /// Returns the rate by its slope, with its margin, bits per second; `None` if the sizes do not determine it.
     fn rate(&self) -> Option<(f64, f64)> {
-        self.growing().and_then(|fit| rate(fit.slope))
+        self.increasing_fit().and_then(|fit| rate(fit.slope))
     }
 
     fn of(name: &'static str, rows: &[RowRef<'_>]) -> Self {
@@ -192,9 +193,9 @@ impl DirectionData {
                 by_payload.entry(payload as u64).or_default().push(*row);
             }
         }
-        let sizes = together(by_payload.into_values().collect()).into_iter().filter_map(|rows| {
+        let sizes = merge_sizes(by_payload.into_values().collect()).into_iter().filter_map(|rows| {
             let of = |value: &dyn Fn(&RowRef<'_>) -> Option<f64>| {
-                rows.iter().filter_map(value).collect::<Ordered>()
+                rows.iter().filter_map(value).collect::<SortedValues>()
             };
             let end = |end: &str| of(&|row: &RowRef<'_>| row.value(&format!("{name}-{end}"))).median();
             Some(Size {
@@ -225,8 +226,9 @@ impl DirectionData {
 
 impl Study {
     /// Returns a note on the number of messages behind each point.
-    fn amount(&self) -> Option<String> {
-        let counts = || self.ways.iter().flat_map(|way| &way.sizes).map(|size| size.delays.len());
+    fn count_note(&self) -> Option<String> {
+        let counts =
+            || self.directions.iter().flat_map(|direction| &direction.sizes).map(|size| size.delays.len());
         let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
         let each = if fewest == most { most } else { format!("{fewest} to {most}") };
         Some(format!("messages of each size: {each}"))
@@ -234,25 +236,26 @@ impl Study {
 
     /// Returns its notes, including the one on a rate that is not given.
     fn notes(&self) -> Vec<String> {
-        let untold: Vec<&str> = self
-            .ways
+        let undetermined: Vec<&str> = self
+            .directions
             .iter()
-            .filter(|way| way.growing().is_some() && way.rate().is_none())
-            .map(|way| way.name)
+            .filter(|direction| direction.increasing_fit().is_some() && direction.rate().is_none())
+            .map(|direction| direction.name)
             .collect();
-        let fast = (!untold.is_empty())
-            .then(|| format!("throughput of {}: too fast to tell from these sizes", untold.join(" and of ")));
-        self.missing.iter().chain(&self.notes).cloned().chain(self.amount()).chain(fast).collect()
+        let fast = (!undetermined.is_empty()).then(|| {
+            format!("throughput of {}: too fast to tell from these sizes", undetermined.join(" and of "))
+        });
+        self.missing.iter().chain(&self.notes).cloned().chain(self.count_note()).chain(fast).collect()
     }
 }
 
 /// Merges neighbouring sizes if there are too many: files of a camera all have different sizes.
-fn together(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
-    if sizes.len() <= MOST_SIZES {
+fn merge_sizes(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
+    if sizes.len() <= MAX_SIZES {
         return sizes;
     }
     let all: Vec<RowRef<'_>> = sizes.into_iter().flatten().collect();
-    all.chunks(all.len().div_ceil(MOST_SIZES)).map(<[RowRef<'_>]>::to_vec).collect()
+    all.chunks(all.len().div_ceil(MAX_SIZES)).map(<[RowRef<'_>]>::to_vec).collect()
 }
 
 /// Fits a line through the medians, each weighted by its precision, as in a calibration.
@@ -263,7 +266,8 @@ fn fit(sizes: &[Size]) -> Option<Fit> {
         .enumerate()
         .map(|(number, size)| {
             let point = Point { x: size.bytes, y: size.delays.median()? };
-            let weight = errors.as_ref().map_or(1.0, |errors| errors[number].max(CLOCK_READ).powi(-2));
+            let weight =
+                errors.as_ref().map_or(1.0, |errors| errors[number].max(CLOCK_RESOLUTION_S).powi(-2));
             Some(Weighted { point, weight })
         })
         .collect();
@@ -279,26 +283,26 @@ fn latency(study: &Study) -> Scaling {
             bounds: size.bounds.map(|(lo, hi)| (lo, Some(hi))),
         })
     };
-    let series = study.ways.iter().map(|way| {
-        let name = match (way.fit, way.growing()) {
+    let series = study.directions.iter().map(|direction| {
+        let name = match (direction.fit, direction.increasing_fit()) {
             (_, Some(Fit { intercept, .. })) => {
                 let least = mean_std(intercept.value, intercept.margin());
-                match way.rate() {
+                match direction.rate() {
                     Some((rate, margin)) => {
                         let rate = throughput_with(rate, margin);
-                        format!("{}: {least} ms + size ÷ ({rate}) MB/s", way.name)
+                        format!("{}: {least} ms + size ÷ ({rate}) MB/s", direction.name)
                     }
-                    None => format!("{}: intercept {least} ms", way.name),
+                    None => format!("{}: intercept {least} ms", direction.name),
                 }
             }
-            (Some(_), None) => format!("{}: does not grow with size", way.name),
-            (None, None) => way.name.to_owned(),
+            (Some(_), None) => format!("{}: does not grow with size", direction.name),
+            (None, None) => direction.name.to_owned(),
         };
-        let line = way.growing().map(|fit| (fit.intercept.value, fit.slope.value));
-        Series { line, ..way.series(name, &value) }
+        let line = direction.increasing_fit().map(|fit| (fit.intercept.value, fit.slope.value));
+        Series { line, ..direction.series(name, &value) }
     });
     Scaling {
-        title: titled("One-way delay against payload", &study.whose),
+        title: with_run_name("One-way delay against payload", &study.hosts),
         unit: Unit::milliseconds("One-way delay"),
         parts: Parts { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" },
         notes: study.notes(),
@@ -317,15 +321,15 @@ fn throughput(study: &Study) -> Scaling {
             bounds,
         })
     };
-    let series = study.ways.iter().map(|way| {
-        let name = way.rate().map_or_else(
-            || way.name.to_owned(),
-            |(rate, margin)| format!("{}: {} MB/s", way.name, throughput_with(rate, margin)),
+    let series = study.directions.iter().map(|direction| {
+        let name = direction.rate().map_or_else(
+            || direction.name.to_owned(),
+            |(rate, margin)| format!("{}: {} MB/s", direction.name, throughput_with(rate, margin)),
         );
-        Series { line: way.rate().map(|(rate, _)| (rate, 0.0)), ..way.series(name, &value) }
+        Series { line: direction.rate().map(|(rate, _)| (rate, 0.0)), ..direction.series(name, &value) }
     });
     Scaling {
-        title: titled("Throughput against payload", &study.whose),
+        title: with_run_name("Throughput against payload", &study.hosts),
         unit: Unit::megabytes_per_second("Throughput"),
         parts: Parts {
             point: "size ÷ median delay",

@@ -2,7 +2,7 @@
 
 use peernet_logger::{Name, stage};
 
-use super::columns::{account, is_drawable, titled, too_large};
+use super::columns::{count_note, is_drawable, too_large_note, with_run_name};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Course, Line, Unit};
@@ -10,7 +10,7 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 
 /// Number of stages that are shown beside the total: those that take longest.
-const STAGES: usize = 4;
+const STAGE_CURVES: usize = 4;
 /// Title of the horizontal axis if times are not known.
 const ITERATION: &str = "Iteration";
 
@@ -38,17 +38,17 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let mut stages: Vec<(f64, usize, Name)> =
         stage::ORDER.into_iter().enumerate().map(|(place, name)| (sum(&name), place, name)).collect();
     stages.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let shorter = stages.split_off(STAGES.min(stages.len()));
+    let shorter = stages.split_off(STAGE_CURVES.min(stages.len()));
     stages.sort_by_key(|(_, place, _)| *place);
     let stages = stages.iter().map(|(_, _, name)| line(name));
     let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));
     let course = Course {
-        title: titled("Latency over time", &record.title),
+        title: with_run_name("Latency over time", &record.title),
         is_counted: x == ITERATION,
         x: x.to_owned(),
         unit: Unit::milliseconds("Latency"),
         notes: std::iter::once(account_of(rows, total.values.len()))
-            .chain(too_large(rows.iter(), &[total.name.as_str()]))
+            .chain(too_large_note(rows.iter(), &[total.name.as_str()]))
             .chain(not_drawn(shorter))
             .collect(),
         total,
@@ -70,9 +70,9 @@ fn not_drawn(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
 
 /// Returns the account without the warm-up, which is in the figure.
 fn account_of(rows: &Rows, shown: usize) -> String {
-    let counted = account(&rows.iter(), rows.iter().filter(|row| row.counts()).count());
+    let counted = count_note(&rows.iter(), rows.iter().filter(|row| row.is_counted()).count());
     let counted = counted.split(" · ").next().unwrap_or_default().to_owned();
-    let warm = shown.saturating_sub(rows.iter().filter(|row| row.counts()).count());
+    let warm = shown.saturating_sub(rows.iter().filter(|row| row.is_counted()).count());
     let warm = if warm > 0 { format!(" and {warm} warm-up") } else { String::new() };
     format!("{counted}{warm} · lines: medians")
 }

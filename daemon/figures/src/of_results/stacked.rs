@@ -4,8 +4,8 @@ use peernet_logger::stage;
 use peernet_statistics::Moments;
 use peernet_statistics::number::{self, fixed};
 
-use super::columns::{account, is_drawable, too_large};
-use super::configured::{Configured, counted};
+use super::columns::{count_note, is_drawable, too_large_note};
+use super::configured::{Configured, counted_rows};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Bar, Stacked, Unit};
@@ -14,12 +14,12 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::{LATENESS, RowRef};
 
 /// Maximum number of bars in one figure.
-const MOST: usize = 100;
+const MAX_BARS: usize = 100;
 
 /// Returns one bar for each configuration; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    let Configured { axes, groups: lines } = Configured::of(runs);
-    let all = || lines.iter().flat_map(|(_, runs)| counted(runs));
+    let Configured { axes, groups: lines } = Configured::from_runs(runs);
+    let all = || lines.iter().flat_map(|(_, runs)| counted_rows(runs));
     if all().next().is_none() {
         return Err(MissingData::Iterations);
     }
@@ -36,7 +36,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let mut bars: Vec<Bar> =
         lines.iter().filter_map(|(label, runs)| bar(label, runs, &stages, total)).collect();
     let (lines_of, without) = (bars.len(), lines.len() - bars.len());
-    bars.truncate(MOST);
+    bars.truncate(MAX_BARS);
     let mut notes = vec![format!(
         "configurations: {} · parts: means · whisker and figures: mean ± standard deviation of the {}",
         axes.join(", "),
@@ -44,11 +44,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     )];
     let mut missing = Vec::new();
     let rows = runs.iter().flat_map(|run| &run.rows);
-    let counts = lines.iter().map(|(_, runs)| counted(runs).count()).filter(|count| *count > 0);
-    notes.push(with_each(&account(&rows, all().count()), &counts.collect::<Vec<_>>()));
+    let counts = lines.iter().map(|(_, runs)| counted_rows(runs).count()).filter(|count| *count > 0);
+    notes.push(with_each(&count_note(&rows, all().count()), &counts.collect::<Vec<_>>()));
     let columns: Vec<&str> =
         order.iter().map(peernet_logger::Name::as_str).chain(beyond.iter().copied()).chain([total]).collect();
-    notes.extend(too_large(all(), &columns));
+    notes.extend(too_large_note(all(), &columns));
     if stages.iter().any(|stage| *stage == LATENESS) {
         notes.push("lateness: from the ordered start to the real one · unattributed: without it".to_owned());
     }
@@ -57,8 +57,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         missing.push(format!("left out: {configurations} without an iteration that counts"));
     }
     notes.extend(unknown(&all));
-    if lines_of > MOST {
-        missing.push(format!("the first {MOST} of {} configurations", fixed(lines_of as f64, 0)));
+    if lines_of > MAX_BARS {
+        missing.push(format!("the first {MAX_BARS} of {} configurations", fixed(lines_of as f64, 0)));
     }
     notes.extend(missing.iter().cloned());
     let stacked = Stacked {
@@ -72,14 +72,14 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
 }
 
 /// Returns the account with the number of iterations behind each bar: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
-fn with_each(account: &str, counts: &[usize]) -> String {
+fn with_each(count_note: &str, counts: &[usize]) -> String {
     let (Some(fewest), Some(most), true) = (counts.iter().min(), counts.iter().max(), counts.len() > 1)
     else {
-        return account.to_owned();
+        return count_note.to_owned();
     };
     let number = |count: &usize| fixed(*count as f64, 0);
     let each = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
-    let (n, rest) = account.split_once(" · ").map_or((account, None), |(n, rest)| (n, Some(rest)));
+    let (n, rest) = count_note.split_once(" · ").map_or((count_note, None), |(n, rest)| (n, Some(rest)));
     let rest = rest.map_or_else(String::new, |rest| format!(" · {rest}"));
     format!("{n} ({each} each){rest}")
 }
@@ -116,7 +116,7 @@ fn bar(label: &str, runs: &[&Loaded], stages: &[String], total: &str) -> Option<
     let mut parts = vec![Moments::default(); stages.len()];
     let mut totals = Moments::default();
     let mut count = 0_u64;
-    for row in counted(runs) {
+    for row in counted_rows(runs) {
         count += 1;
         for (part, stage) in parts.iter_mut().zip(stages) {
             if !is_unknown(row, stage) {

@@ -106,7 +106,7 @@ fn run_with_total(total: f64) -> Loaded {
 }
 
 #[test]
-fn a_run_that_sent_nothing_has_no_figures_of_a_network() {
+fn local_run_has_no_network_figures() {
     let local = placed("s", "local", 5.0);
     let drawings = histograms::published(&local.record, &local.rows);
     let stems: Vec<&str> = drawings.iter().map(|drawing| drawing.stem.as_str()).collect();
@@ -158,7 +158,7 @@ fn stages_add_up_to_the_total() {
 }
 
 #[test]
-fn lateness_is_a_part_of_its_own_before_the_rest() {
+fn lateness_is_separate_part() {
     let mut run = placed("s", "local", 20.0);
     run.rows.change(|row| {
         if !row.values.is_empty() {
@@ -225,7 +225,7 @@ fn one_configuration_is_not_compared_without_being_asked() {
 }
 
 #[test]
-fn totals_of_configurations_are_curves_four_to_a_picture() {
+fn totals_have_four_curves_per_figure() {
     let timed = |model: &str, total: f64| {
         let record = placed(model, "local", 1.0).record;
         Loaded { record, ..run_with_total(total) }
@@ -243,7 +243,7 @@ fn totals_of_configurations_are_curves_four_to_a_picture() {
 }
 
 #[test]
-fn a_run_has_curves_of_its_total_and_its_longest_stages() {
+fn run_has_curves_of_total_and_longest_stages() {
     let run = run_with_total(20.0);
     let drawings = cumulative::drawings(&run.record, &run.rows, None).expect("there is a total");
     let Shown::Cumulative(figure) = &drawings[0].shown else { panic!("curves") };
@@ -267,7 +267,7 @@ fn models_are_paired_by_where_they_ran() {
     assert_eq!(figure.sides, ["local", "remote"]);
     assert_eq!(figure.groups.iter().map(|group| group.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
     assert_eq!(
-        figure.groups[1].values.iter().map(peernet_analysis::order::Ordered::len).collect::<Vec<_>>(),
+        figure.groups[1].values.iter().map(peernet_analysis::order::SortedValues::len).collect::<Vec<_>>(),
         [44, 44]
     );
     assert!(figure.groups[0].values[0].median() > figure.groups[0].values[1].median());
@@ -337,7 +337,7 @@ fn shared(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
 }
 
 #[test]
-fn edges_at_once_are_a_curve_for_each_model() {
+fn concurrent_edges_have_curve_per_model() {
     let at_once = |model: &'static str, edges: usize, total: f64| {
         (0..edges).map(move |edge| shared(model, edges, edge, total + edge as f64)).collect::<Vec<_>>()
     };

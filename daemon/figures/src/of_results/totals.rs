@@ -2,30 +2,30 @@
 
 use peernet_statistics::number::{self, fixed};
 
-use super::columns::{is_drawable, left_out, too_large};
-use super::configured::{Configured, counted};
+use super::columns::{excluded_note, is_drawable, too_large_note};
+use super::configured::{Configured, counted_rows};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{Cumulative, CumulativeCurve, MOST_CURVES, Unit};
 use crate::look::series;
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::RowRef;
 
 /// Width of a curve, points.
-const LINE: f64 = 1.0;
+const LINE_WIDTH: f64 = 1.0;
 
 /// Returns one curve for each configuration, four to a figure; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    let Configured { axes, groups } = Configured::of(runs);
-    let all = || groups.iter().flat_map(|(_, runs)| counted(runs));
+    let Configured { axes, groups } = Configured::from_runs(runs);
+    let all = || groups.iter().flat_map(|(_, runs)| counted_rows(runs));
     // If one configuration has no measured total, all curves are the sums of their stages.
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
-    let values = |runs: &[&Loaded]| -> Ordered {
-        let totals = counted(runs).filter_map(|row: RowRef<'_>| row.value(total));
+    let values = |runs: &[&Loaded]| -> SortedValues {
+        let totals = counted_rows(runs).filter_map(|row: RowRef<'_>| row.value(total));
         totals.filter(|value| is_drawable(*value)).collect()
     };
-    let known: Vec<(&String, Ordered)> = groups
+    let known: Vec<(&String, SortedValues)> = groups
         .iter()
         .map(|(label, runs)| (label, values(runs)))
         .filter(|(_, values)| !values.is_empty())
@@ -41,8 +41,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     }
     let what = if total == "total" { "measured total" } else { "sum of stages" };
     let mut notes = vec![format!("configurations: {} · {what}", axes.join(", "))];
-    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
-    notes.extend(too_large(all(), &[total]));
+    notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
+    notes.extend(too_large_note(all(), &[total]));
     notes.extend(missing.iter().cloned());
     let pictures = known.chunks(MOST_CURVES).enumerate().map(|(number, known)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
@@ -63,8 +63,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(pictures.collect())
 }
 
-fn curve((label, values): &(&String, Ordered), number: usize) -> CumulativeCurve {
+fn curve((label, values): &(&String, SortedValues), number: usize) -> CumulativeCurve {
     let look = series(number);
     let mark = (look.mark, look.marks());
-    CumulativeCurve { name: (*label).clone(), line: look.line(LINE), mark, values: values.clone() }
+    CumulativeCurve { name: (*label).clone(), line: look.line(LINE_WIDTH), mark, values: values.clone() }
 }

@@ -2,7 +2,7 @@
 
 use peernet_statistics::number::counted;
 
-use super::columns::{is_drawable, left_out};
+use super::columns::{excluded_note, is_drawable};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
@@ -10,25 +10,26 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::users::{Curve, Users, UsersLine};
 
 /// Number of configurations above which they are counted instead of named.
-const MOST_NAMED: usize = 3;
+const MAX_NAMED: usize = 3;
 
 /// Returns whether some configuration was measured with different numbers of edges.
 pub(super) fn have_curves(runs: &[Loaded]) -> bool {
-    Users::of(runs).is_some_and(|users| Curve::all(&users).iter().any(|curve| curve.points.len() > 1))
+    Users::from_runs(runs)
+        .is_some_and(|users| Curve::from_users(&users).iter().any(|curve| curve.points.len() > 1))
 }
 
 /// Returns one curve for each configuration; four to a figure.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    let users = Users::of(runs).ok_or(MissingData::Users)?;
-    if !users.lines.iter().any(is_told) {
+    let users = Users::from_runs(runs).ok_or(MissingData::Users)?;
+    if !users.lines.iter().any(has_total) {
         return Err(MissingData::CommonTotal);
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
-    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
-    let curves = Curve::all(&users);
+    notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
+    let curves = Curve::from_users(&users);
     let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let missing: Vec<String> = lacking(curves).into_iter().collect();
+        let missing: Vec<String> = missing_points_note(curves).into_iter().collect();
         let sharing = Sharing {
             title: "Latency against edges at once".to_owned(),
             unit: Unit::milliseconds("Total"),
@@ -41,22 +42,22 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
 }
 
 /// Returns a note on the points that curves lack, by name if they are few; `None` if none is missing.
-fn lacking(curves: &[Curve<'_>]) -> Option<String> {
+fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
     let of = |curve: &Curve<'_>| -> Vec<String> {
-        let lines = curve.points.iter().filter(|line| !is_told(line));
+        let lines = curve.points.iter().filter(|line| !has_total(line));
         let edges = lines.map(|line| counted(line.edges as u64, "edge"));
         edges
             .map(|edges| if curve.name.is_empty() { edges } else { format!("{} with {edges}", curve.name) })
             .collect()
     };
     let names: Vec<String> = curves.iter().flat_map(of).collect();
-    let few = names.len() <= MOST_NAMED;
+    let few = names.len() <= MAX_NAMED;
     let told = if few { names.join("; ") } else { counted(names.len() as u64, "configuration") };
     (!names.is_empty()).then(|| format!("left out, no total while all edges were measuring: {told}"))
 }
 
 /// Returns whether it has a total that can be drawn.
-fn is_told(line: &UsersLine) -> bool {
+fn has_total(line: &UsersLine) -> bool {
     line.totals.median.is_some_and(is_drawable)
 }
 

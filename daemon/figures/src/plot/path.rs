@@ -3,7 +3,7 @@
 /// Step of a path; shares of the plot's width from the left and of its height from the top.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
-    /// Goes there without drawing.
+    /// Moves there without drawing.
     Move(f64, f64),
     /// Draws a line to there.
     Line(f64, f64),
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whisker_has_two_caps_and_a_dot_no_length() {
+    fn whisker_has_caps_and_dot_has_no_length() {
         let whisker = Path::whiskers([(0.5, 0.2, 0.4)], 0.01).steps;
         assert_eq!(whisker.iter().filter(|step| matches!(step, Step::Move(..))).count(), 3);
         assert_eq!(Path::dots([(0.5, 0.5)]).steps, [Step::Move(0.5, 0.5), Step::Line(0.5, 0.5)]);

@@ -126,7 +126,7 @@ impl Scale {
         (self.lo..=self.hi).contains(&value)
     }
 
-    /// Returns the value at a share of the way between two.
+    /// Returns the value at a share of the distance between two values.
     pub fn between(&self, from: f64, to: f64, share: f64) -> f64 {
         if self.is_logarithmic() && from > 0.0 {
             from * (to / from).powf(share)
@@ -141,8 +141,9 @@ impl Scale {
         (0..=steps).map(move |step| this.between(this.lo, this.hi, f64::from(step) / f64::from(steps)))
     }
 
-    /// Returns about `most` marked places at most, up to twice as many on a logarithmic scale: round numbers. Those of a logarithmic scale are powers of ten. If these are fewer than
-    /// three, 2 and 5 times them are added; if there are still fewer than three, the places are round numbers at even distances.
+    /// Returns the marked places, which are round numbers: at most about `most`, or twice as many on a logarithmic scale. A logarithmic
+    /// scale is marked at powers of ten. If there are fewer than three, 2 and 5 times the powers are added; if there are still fewer than
+    /// three, the places are round numbers at even distances.
     pub fn ticks(&self, most: usize) -> Vec<Tick> {
         match self.spread {
             Spread::Linear => self.even(most),

@@ -9,7 +9,7 @@ fn texts(scale: Scale, most: usize) -> Vec<String> {
 }
 
 #[test]
-fn steps_are_one_two_or_five_times_powers_of_ten() {
+fn steps_are_one_two_or_five() {
     let cases = [(10.0, 5, 2.0), (15.0, 3, 5.0), (0.37, 5, 0.1), (1_800.0, 4, 500.0), (9.0, 1, 10.0)];
     for (range, most, step) in cases {
         assert!(
@@ -22,7 +22,7 @@ fn steps_are_one_two_or_five_times_powers_of_ten() {
 }
 
 #[test]
-fn values_lie_where_their_logarithm_does_and_never_outside() {
+fn logarithmic_positions_stay_within_scale() {
     let scale = Scale::logarithmic((1.0, 1e4));
     let places = [1.0, 10.0, 1e4, 0.0, 1e9].map(|value| (scale.at(value) * 100.0).round());
     assert_eq!(places, [0.0, 25.0, 100.0, 0.0, 100.0]);
@@ -73,7 +73,7 @@ fn a_widened_scale_ends_at_ticks() {
 
 proptest! {
     #[test]
-    fn a_widened_scale_holds_its_values_with_few_ticks(lo in -1e6f64..1e6, width in 1e-3f64..1e6, most in 2usize..8) {
+    fn widened_scale_contains_values_with_few_ticks(lo in -1e6f64..1e6, width in 1e-3f64..1e6, most in 2usize..8) {
         let scale = Scale::linear((lo, lo + width)).widened(most);
         let (from, to) = scale.ends();
         prop_assert!(from <= lo + width * 1e-6 && to >= lo + width * (1.0 - 1e-6));

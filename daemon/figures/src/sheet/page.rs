@@ -1,8 +1,8 @@
 //! Sheet of a page: SVG that grows with its panel, looks given by classes.
 //!
-//! Plots are laid out in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`, `yaxis`, `plot`, `beside`,
-//! `xaxis` and `below`. The server does not know the width of a page. So text that might not fit has the class of its minimum width
-//! (`.fits.w8`, …), and the style sheet shows it only from that width on: a clipped figure would be a wrong figure.
+//! Plots are laid out in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`, `yaxis`, `plot`,
+//! `beside`, `xaxis` and `below`. The server does not know the width of a page, so text that might not fit has the class of its minimum
+//! width (`.fits.w8`, …), and the style sheet shows it only from that width on: a clipped figure would be a wrong figure.
 
 mod draw;
 

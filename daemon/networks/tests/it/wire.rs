@@ -173,7 +173,7 @@ pub(crate) struct Step {
     pub(crate) by: i64,
 }
 
-/// Returns the state of a clock of which nothing is known.
+/// Returns the state of an unknown clock.
 pub(crate) fn host_clock(epoch: u32) -> HostClock {
     HostClock { epoch, discipline: None, text: String::new(), rehearsal: None }
 }

@@ -14,7 +14,7 @@ use crate::configuration::{Configuration, load};
 use crate::lifecycle::Lifecycle;
 use crate::log;
 use peernet_cli::VERSION;
-use peernet_cli::exit::{Exit, Failure, in_one_line};
+use peernet_cli::exit::{Exit, Failure, error_line};
 use peernet_cli::output::complain;
 
 /// Time that blocking threads have to end after everything else has ended.
@@ -34,7 +34,7 @@ pub(crate) fn run(file: &Path) -> Exit {
     };
     drop(temporary);
     if let Err(error) = log::install(&configuration.log) {
-        complain(format_args!("{}: {}", file.display(), in_one_line(&error)));
+        complain(format_args!("{}: {}", file.display(), error_line(&error)));
         return Exit::Configuration;
     }
     info!("peernetd {VERSION} with {}", file.display());

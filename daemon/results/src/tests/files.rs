@@ -4,7 +4,7 @@ use std::path::Path;
 
 use peernet_analysis::accuracy::Accuracy;
 use peernet_analysis::loaded::RowsDamage;
-use peernet_analysis::record::{Clocks, FORMAT, ModelRecord, instant};
+use peernet_analysis::record::{Clocks, FORMAT, ModelRecord, to_utc};
 use peernet_analysis::trust::{Report, TrustInput};
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
@@ -17,9 +17,9 @@ use crate::iterations::BEGUN;
 fn header_of_fixed_columns_is_written_at_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
-    let path = folder.writer().expect("writable").end().expect("writable");
+    let path = folder.writer().expect("writable").finish().expect("writable");
     let text = std::fs::read_to_string(path).expect("it is there at once");
-    let published = peernet_analysis::rows::published().collect::<Vec<_>>().join(",");
+    let published = peernet_analysis::rows::published_columns().collect::<Vec<_>>().join(",");
     assert_eq!(
         text,
         format!(
@@ -37,14 +37,14 @@ fn record() -> RunRecord {
         name: "robot".to_owned(),
         title: "A robot & its cloud".to_owned(),
         run: Some(RunId::from_bytes([1; 16])),
-        started: Some(instant(WallTime::from_unix_nanos(BEGUN))),
+        started: Some(to_utc(WallTime::from_unix_nanos(BEGUN))),
         model: Some(ModelRecord { name: "s".to_owned(), device: Some("cpu".to_owned()), sha256: None }),
         pipeline: serde_json::json!({"load": {"kind": "closed"}}),
         seeds: [("order".to_owned(), 7)].into(),
-        counts: Counts::of(&kept(&rows(10)), 3),
-        clocks: Clocks::of(&kept(&rows(10))),
-        accuracy: [("top-1".to_owned(), Accuracy::of_counts(8, 9, 1).expect("answers"))].into(),
-        trust: Some(Report::of(&TrustInput::default())),
+        counts: Counts::from_rows(&kept(&rows(10)), 3),
+        clocks: Clocks::from_rows(&kept(&rows(10))),
+        accuracy: [("top-1".to_owned(), Accuracy::from_counts(8, 9, 1).expect("answers"))].into(),
+        trust: Some(Report::new(&TrustInput::default())),
         ..RunRecord::default()
     }
 }
@@ -53,7 +53,7 @@ fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
     let folder = ResultFolder::create(folder, Overwrite::Replace).expect("it can be made");
     let mut writer = folder.writer().expect("writable");
     rows.iter().for_each(|row| writer.write(row));
-    writer.end().expect("writable");
+    writer.finish().expect("writable");
     folder.finish(&record(), &kept(rows)).expect("writable")
 }
 
@@ -61,7 +61,7 @@ fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
 fn written_rows_are_read_back() {
     let folder = tempfile::tempdir().expect("a folder");
     let finished = write(folder.path(), &rows(10));
-    assert!(finished.trouble.is_none());
+    assert!(finished.write_error.is_none());
     let names: Vec<_> = finished.files.iter().filter_map(|file| file.file_name()?.to_str()).collect();
     assert_eq!(names, ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"]);
     let loaded = ResultFolder::open(folder.path()).expect("readable");
@@ -99,7 +99,7 @@ fn rows_are_written_during_the_run() {
 }
 
 #[test]
-fn columns_that_come_late_reach_the_file() {
+fn late_columns_are_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut rows = rows(40);
     for (at, name) in [(3, "grip"), (4, "slip, left"), (30, "late")] {
@@ -112,7 +112,7 @@ fn columns_that_come_late_reach_the_file() {
     let header = |path: &Path| std::fs::read_to_string(path).expect("text").lines().next().map(str::to_owned);
     let header = header(writer.path()).expect("a header");
     assert!(header.ends_with("reason,inference_pre,grip,late"), "{header}");
-    writer.end().expect("writable");
+    writer.finish().expect("writable");
     result.finish(&record(), &kept(&rows)).expect("writable");
     assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
 }
@@ -144,7 +144,7 @@ fn partial_results_are_marked() {
         let written = RunRecord { reason: reason.into(), pipeline, ..record() };
         let text = serde_json::to_vec(&written).expect("JSON");
         std::fs::write(folder.path().join("run.json"), text).expect("writable");
-        ResultFolder::open(folder.path()).expect("readable").lacking()
+        ResultFolder::open(folder.path()).expect("readable").incompleteness()
     };
     write(folder.path(), &rows(10));
     assert_eq!(told(10, "finished"), None);
@@ -156,11 +156,11 @@ fn partial_results_are_marked() {
     assert_eq!(told(20, "the cloud went").as_deref(), Some(gone));
 
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
-    let lacking = || ResultFolder::open(folder.path()).expect("readable").lacking();
-    assert!(lacking().is_some_and(|told| told.contains("under way or was killed")), "{:?}", lacking());
+    let lacking = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
+    assert!(lacking().is_some_and(|told| told.contains("in progress or was killed")), "{:?}", lacking());
     let alone = folder.path().join("run-7.csv");
     std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
-    assert_eq!(ResultFolder::open(&alone).expect("readable").lacking(), None, "it never had a record");
+    assert_eq!(ResultFolder::open(&alone).expect("readable").incompleteness(), None, "it never had a record");
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
     assert_eq!(lacking(), None, "nor has a file of the published program");
 }
@@ -173,10 +173,10 @@ fn unwritable_folder_loses_no_rows() {
     std::os::unix::fs::symlink("/dev/full", folder.path().join("run.json")).expect("a link");
     let mut writer = result.writer().expect("writable");
     rows(10).iter().for_each(|row| writer.write(row));
-    writer.end().expect("writable");
+    writer.finish().expect("writable");
     let finished = result.finish(&record(), &kept(&rows(10))).expect("there is another place");
-    let trouble = finished.trouble.expect("the folder failed").to_string();
-    assert!(trouble.contains("run.json") && trouble.contains("No space left"), "{trouble}");
+    let write_error = finished.write_error.expect("the folder failed").to_string();
+    assert!(write_error.contains("run.json") && write_error.contains("No space left"), "{write_error}");
     assert_ne!(finished.folder, folder.path());
     assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, kept(&rows(10)));
     std::fs::remove_dir_all(finished.folder).expect("it is ours");
@@ -199,7 +199,7 @@ fn existing_results_are_replaced_only_with_overwrite() {
         std::fs::write(at.join(name), "x").expect("writable");
     }
     let refused = ResultFolder::create(at, Overwrite::Refuse).expect_err("it holds something").to_string();
-    assert!(refused.contains("holds files already") && refused.contains("--overwrite"), "{refused}");
+    assert!(refused.contains("is not empty") && refused.contains("--overwrite"), "{refused}");
     let subfolders =
         [2, 3].map(|_| ResultFolder::create(at, Overwrite::Subfolder).expect("made").path().to_owned());
     assert_eq!(subfolders, [at.join("run-2"), at.join("run-3")]);
@@ -208,7 +208,7 @@ fn existing_results_are_replaced_only_with_overwrite() {
     assert_eq!(left.map(|name| at.join(name).exists()), [false, false, false, false, true, true]);
     let file =
         ResultFolder::create(&at.join("notes.txt"), Overwrite::Replace).expect_err("a file").to_string();
-    assert!(file.ends_with("notes.txt is no folder"), "{file}");
+    assert!(file.ends_with("notes.txt is not a folder"), "{file}");
 }
 
 #[test]
@@ -249,13 +249,14 @@ fn invalid_file_error_names_line_and_column() {
         ResultFolder::open(folder.path()).expect_err("it makes no sense").to_string()
     };
     assert!(
-        open("iteration,sensing\n1,0.5\n2,fast\n").ends_with("line 3, column sensing: \"fast\" is no number")
+        open("iteration,sensing\n1,0.5\n2,fast\n")
+            .ends_with("line 3, column sensing: \"fast\" is not a number")
     );
-    assert!(open("x,y\n1,2\n").contains("no column of it is one of a run's"));
+    assert!(open("x,y\n1,2\n").contains("it has no column of a run"));
     assert!(open("iteration,sensing\n1,0.5,7\n").contains("data.csv"));
     std::fs::remove_file(folder.path().join("data.csv")).expect("it is there");
     let error = ResultFolder::open(folder.path()).expect_err("nothing there").to_string();
-    assert!(error.contains("there is no data.csv in it"), "{error}");
+    assert!(error.contains("it has no data.csv"), "{error}");
 }
 
 proptest! {

@@ -13,7 +13,7 @@ use crate::iterations::iterations;
 
 /// Returns rows, of which the first two are warm-up and the sixth is lost.
 fn rows(count: u64) -> Vec<Row> {
-    iterations(count).iter().map(Row::of).collect()
+    iterations(count).iter().map(Row::from_iteration).collect()
 }
 
 /// Returns rows in the form in which they are kept.

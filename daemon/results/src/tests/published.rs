@@ -38,7 +38,7 @@ fn published_file_without_record_is_read() {
     assert_eq!((last.upload(), last.download()), (None, None), "nobody bounded its delays");
     assert_eq!((loaded.record.name.as_str(), loaded.record.format), ("jetson", 0));
     assert_eq!(loaded.record.counts, Counts { ok: 2, warm_up: 5, ..Counts::default() });
-    let summary = Summary::of(&loaded.rows);
+    let summary = Summary::from_rows(&loaded.rows);
     assert_eq!(summary.quantity("sensing").map(|sensing| (sensing.count, sensing.max)), Some((2, 0.0008)));
 }
 
@@ -55,7 +55,7 @@ fn export_of_dashboard_is_read() {
     assert_eq!(rows, [(true, Some(0.5)), (false, Some(0.4))]);
     std::fs::write(&path, text.replace("true", "maybe")).expect("writable");
     let error = ResultFolder::open(&path).expect_err("neither").to_string();
-    assert!(error.contains("line 2, column warm-up: \"maybe\" is no number"), "{error}");
+    assert!(error.contains("line 2, column warm-up: \"maybe\" is not a number"), "{error}");
 }
 
 #[test]

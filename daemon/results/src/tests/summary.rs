@@ -14,10 +14,10 @@ fn labels_outside_model_classes_are_reported() {
     let mut rows = rows(20);
     rows.iter_mut().for_each(|row| row.values.push(("unknown-label".into(), 1.0)));
     let facts = vec![("Classes".to_owned(), "4: good, dented".to_owned())];
-    let summary = Summary::of(&kept(&rows)).about(&RunRecord { facts, ..RunRecord::default() });
+    let summary = Summary::from_rows(&kept(&rows)).with_record(&RunRecord { facts, ..RunRecord::default() });
     let (text, ok) = (text(&summary), summary.counts.ok);
     let told = format!(
-        "Not scored: {ok} of {}, because the label is no class of the model (the model knows good, dented).",
+        "Not scored: {ok} of {}, because the label is not a class of the model (classes: good, dented).",
         counted(ok, "iteration")
     );
     assert!(text.contains(&told) && !text.contains("unknown-label"), "{text}");
@@ -30,11 +30,11 @@ fn counts_are_sums_and_shares() {
         let right = f64::from(u8::from(row.iteration % 4 != 0));
         row.values.extend([("top-1".into(), right), ("skipped-starts".into(), 2.0)]);
     }
-    let summary = Summary::of(&kept(&rows));
+    let summary = Summary::from_rows(&kept(&rows));
     let text = text(&summary);
     let starts = summary.starts;
-    assert!(starts.kept > summary.counts.ok && starts.skipped == 2 * starts.kept, "{starts:?}");
-    let told = format!("Skipped: {} of {} starts (66.7 %).", starts.skipped, starts.all());
+    assert!(starts.started > summary.counts.ok && starts.skipped == 2 * starts.started, "{starts:?}");
+    let told = format!("Skipped: {} of {} starts (66.7 %).", starts.skipped, starts.total());
     assert!(text.contains(&told) && !text.contains("skipped-starts"), "{text}");
     let line = text.lines().find(|line| line.starts_with("top-1")).expect("a line");
     assert_eq!(line.matches('—').count(), 4, "no quantile: {line}");
@@ -51,7 +51,7 @@ fn missed_deadlines_are_share_of_all_iterations() {
     let counted: Vec<_> = rows.iter().filter(|row| !row.warm_up).collect();
     let missed = counted.iter().filter(|row| row.outcome != Outcome::Ok || row.iteration % 4 == 0).count();
     let record = RunRecord { deadline_s: Some(0.1), ..RunRecord::default() };
-    let summary = Summary::of(&kept(&rows)).about(&record);
+    let summary = Summary::from_rows(&kept(&rows)).with_record(&record);
     let text = text(&summary);
     let told = format!("Deadline of 100 ms: missed by {missed} of {} iterations (", counted.len());
     assert!(text.contains(&told) && !text.contains("deadline-missed"), "{text}");
@@ -87,7 +87,7 @@ Clock bounds contain the median of the true values.";
 #[test]
 fn summary_has_metrics_of_the_paper() {
     let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
-    let summary = Summary::of(&kept(&rows(10))).about(&record);
+    let summary = Summary::from_rows(&kept(&rows(10))).with_record(&record);
     assert_eq!(text(&summary), TEXT);
     let markdown = markdown(&summary);
     assert!(markdown.starts_with("# robot_1\n\n| metric | unit | count | mean ± std |"), "{markdown}");
@@ -113,14 +113,14 @@ fn nodes_named_like_stages_are_durations() {
         [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];
     let mut rows = rows(9).split_off(8);
     rows[0].values = values.map(|(name, value)| (name.into(), value)).to_vec();
-    let text = text(&Summary::of(&kept(&rows)));
+    let text = text(&Summary::from_rows(&kept(&rows)));
     let unit = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
         line[metric.len()..].split_whitespace().map(str::to_owned).collect::<Vec<_>>()
     };
-    assert_eq!(unit("Border to the model's process")[..3], ["ms", "1", "1.00"]);
-    assert_eq!(unit("Border to the sensor's process")[..3], ["ms", "1", "2.00"]);
+    assert_eq!(unit("IPC with the model's process")[..3], ["ms", "1", "1.00"]);
+    assert_eq!(unit("IPC with the sensor's process")[..3], ["ms", "1", "2.00"]);
     assert_eq!(unit("mine_capture-ipc_2")[..3], ["ms", "1", "3.00"]);
     assert_eq!(unit("mine ")[..2], ["1", "4.00"], "nobody knows in what");
 }
@@ -142,11 +142,11 @@ fn custom_nodes_keep_their_unit() {
     let mut units = Units::default();
     let iterations = [logged(3, Unit::WATTS), logged(4, Unit::JOULES)];
     let own: Vec<Row> = iterations.iter().map(|iteration| units.row(iteration)).collect();
-    assert_eq!(own, iterations.each_ref().map(Row::of), "the rows are the same");
+    assert_eq!(own, iterations.each_ref().map(Row::from_iteration), "the rows are the same");
     let record = RunRecord { units, ..RunRecord::default() };
     let json = serde_json::to_value(&record).expect("JSON");
     assert_eq!((&json["units"]["grip_val"], &json["units"]["force"]), (&"s".into(), &"N".into()));
-    let text = text(&Summary::of(&kept(&own)).about(&record));
+    let text = text(&Summary::from_rows(&kept(&own)).with_record(&record));
     let line = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));

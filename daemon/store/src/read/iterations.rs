@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use peernet_analysis::rows::LATENESS;
-use peernet_analysis::slowness::{self, Medians, Times};
+use peernet_analysis::slowness::{self, IterationTimes, Medians};
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
 use sqlx::FromRow;
@@ -235,8 +235,8 @@ fn complete_row(
         reason: row.reason,
         started: wall(row.started_ns),
         total: row.total,
-        factor: medians.factor(row.total),
-        causes: medians.causes(&Times {
+        factor: medians.ratio_to_median(row.total),
+        causes: medians.causes(&IterationTimes {
             total: row.total,
             stages: &stages,
             lateness: seconds_of(&Name::from_static(LATENESS)),

@@ -3,7 +3,8 @@
 use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::rows::LATENESS;
 use peernet_analysis::trust::{
-    Clocks, Counts, EndedEarly, Limits, Load, Missing, Progress, Restarts, Starts, TimeSeries, TrustInput,
+    Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, Progress, Restarts, Starts, TimeSeries,
+    TrustInput,
 };
 use peernet_logger::stage;
 use peernet_stream::EndReason;
@@ -31,7 +32,7 @@ pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<Tr
 async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBuckets>, StoreError> {
     let mut found = stage_buckets(readers, run, &[stage::TOTAL], BUCKETS).await?;
     let has_moved = |course: &StageBuckets| {
-        TimeSeries::of_summaries(&course.buckets).is_some_and(|course| course.has_moved())
+        TimeSeries::from_summaries(&course.buckets).is_some_and(|course| course.has_notable_change())
     };
     if found.is_empty() {
         found = stage_buckets(readers, run, &[stage::SENSING], BUCKETS).await?;
@@ -55,7 +56,7 @@ fn collect(run: &RunDetail, known: &RunStatistics, stages_over_time: &[StageBuck
         |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
     let mut stages: Vec<(String, TimeSeries)> = stages_over_time
         .iter()
-        .filter_map(|course| Some((course.stage.to_string(), TimeSeries::of_summaries(&course.buckets)?)))
+        .filter_map(|course| Some((course.stage.to_string(), TimeSeries::from_summaries(&course.buckets)?)))
         .collect();
     let total =
         stages.iter().position(|(name, _)| name == stage::TOTAL.as_str()).map(|at| stages.remove(at).1);
@@ -70,23 +71,23 @@ fn collect(run: &RunDetail, known: &RunStatistics, stages_over_time: &[StageBuck
         ended_early: configured.and_then(|configured| ended_early(run, &counts, configured.limit)),
         starts: Starts {
             hz: configured.and_then(|configured| configured.load.hz),
-            made_hz: made_hz(run, &counts),
+            actual_hz: actual_hz(run, &counts),
             ..Starts::from(&run.summary)
         },
         missing: run
             .gaps
             .iter()
-            .map(|gap| Missing { count: gap.count, reason: gap.reason.clone() })
+            .map(|gap| MissingEvents { count: gap.count, reason: gap.reason.clone() })
             .collect(),
         total: total.or_else(sensing),
         unattributed: figures(&stage::UNATTRIBUTED).map(|figures| figures.mean),
         lateness: figures(LATENESS).map(|figures| figures.mean),
         restarts: Restarts::NODES
             .into_iter()
-            .filter_map(|(whose, name, _)| {
+            .filter_map(|(owner, name, _)| {
                 let figures = figures(&name)?;
                 let seconds = figures.mean * figures.count as f64;
-                Some(Restarts { whose, count: figures.count, seconds, iterations: Vec::new() })
+                Some(Restarts { owner, count: figures.count, seconds, iterations: Vec::new() })
             })
             .collect(),
         clocks: bounds
@@ -103,14 +104,14 @@ fn collect(run: &RunDetail, known: &RunStatistics, stages_over_time: &[StageBuck
             .into_iter()
             .filter_map(|name| {
                 let scores = figures(name)?;
-                Some((name.to_owned(), Accuracy::of_mean(scores.mean, scores.count, counts.ok)?))
+                Some((name.to_owned(), Accuracy::from_mean(scores.mean, scores.count, counts.ok)?))
             })
             .collect(),
         unknown_labels: figures(UNKNOWN_LABEL)
             .and_then(|figures| UnknownLabels::new(figures.count, &run.facts)),
         ..TrustInput::default()
     };
-    input.ended(run.summary.reason.as_ref()).with_facts(&run.facts)
+    input.with_end_reason(run.summary.reason.as_ref()).with_facts(&run.facts)
 }
 
 /// Part of a run's configuration that a report needs.
@@ -125,12 +126,12 @@ struct Configured {
 /// The rates are not known.
 impl From<&RunSummary> for Starts {
     fn from(run: &RunSummary) -> Self {
-        Self { kept: run.counts.total(), skipped: run.skipped_starts, ..Self::default() }
+        Self { started: run.counts.total(), skipped: run.skipped_starts, ..Self::default() }
     }
 }
 
 /// Starts per second over the whole run: the store does not keep when the warm-up ended.
-fn made_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
+fn actual_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
     let seconds = (run.summary.last_iteration? - run.summary.started).seconds();
     // Missing iterations were started, too.
     let known = run.gaps.is_empty() && seconds > 0.0;
@@ -149,7 +150,7 @@ fn ended_early(run: &RunDetail, counts: &Counts, limit: Limits) -> Option<EndedE
         // Of its whole length: the store does not keep when the warm-up ended.
         seconds: summary.last_iteration.map_or(0.0, |last| (last - summary.started).seconds()),
     };
-    EndedEarly::of(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
+    EndedEarly::from_progress(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
 }
 
 #[cfg(test)]

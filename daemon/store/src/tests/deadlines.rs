@@ -38,7 +38,7 @@ async fn misses_are_late_and_unanswered_iterations() {
     let runs =
         test_store.store.runs(&RunFilter { limit: 10, ..RunFilter::default() }).await.expect("answers");
     let found: Vec<_> = runs.iter().rev().map(|run| (run.deadline_s, run.misses)).collect();
-    let of = |missed, of| Some(Misses { missed, of });
+    let of = |missed, iterations| Some(Misses { missed, iterations });
     assert_eq!(found, [(Some(0.1), of(3, 4)), (Some(0.25), of(1, 1)), (None, None)]);
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!(detail.summary.misses, of(3, 4), "as in the list");

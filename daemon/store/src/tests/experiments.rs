@@ -1,7 +1,7 @@
 //! Runs that were declared together, and what was found of their hosts.
 
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::record::{HostRecord, RunRecord, instant};
+use peernet_analysis::record::{HostRecord, RunRecord, to_utc};
 use peernet_analysis::rows::Rows;
 use peernet_analysis::run_selection::{Candidate, exclusions};
 use peernet_clock::Span;
@@ -103,7 +103,7 @@ async fn same_runs_count_in_store_and_in_files() {
         record: RunRecord {
             run: Some(run.id),
             name: run.pipeline.to_string(),
-            started: Some(instant(run.started + Span::from_nanos(run.number))),
+            started: Some(to_utc(run.started + Span::from_nanos(run.number))),
             reason: run.reason.clone().unwrap_or_default(),
             edge: HostRecord { id: Some(run.host), ..HostRecord::default() },
             experiment: run.experiment.clone(),
@@ -113,17 +113,17 @@ async fn same_runs_count_in_store_and_in_files() {
     };
     let of_store = exclusions(&stored.iter().map(Candidate::from).collect::<Vec<_>>());
     let files: Vec<Loaded> = stored.iter().map(results).collect();
-    let of_files = exclusions(&files.iter().map(Candidate::of_results).collect::<Vec<_>>());
+    let of_files = exclusions(&files.iter().map(Candidate::from_results).collect::<Vec<_>>());
     assert_eq!(of_store, of_files);
     let name = |at: usize| format!("#{}", stored[at].number);
-    let said: Vec<Option<String>> = of_store.iter().map(|why| Some(why.as_ref()?.said(name))).collect();
+    let said: Vec<Option<String>> = of_store.iter().map(|why| Some(why.as_ref()?.describe(name))).collect();
     let expected = [
         Some("measured again as #4"),
         Some("interrupted"),
         None,
         None,
         Some("failed (the server went)"),
-        Some("under way or killed"),
+        Some("in progress or killed"),
     ];
     assert_eq!(said.iter().map(Option::as_deref).collect::<Vec<_>>(), expected);
 }

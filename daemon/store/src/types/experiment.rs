@@ -32,7 +32,7 @@ impl From<&RunSummary> for Candidate {
         let place = run.experiment.as_ref();
         Self {
             id: Some(run.id),
-            state: Some(RunState::of_end(run.reason.as_ref())),
+            state: Some(RunState::from_end_reason(run.reason.as_ref())),
             repeat: place.map(|place| Repeat::new(place, run.host, run.pipeline.as_str())),
             sequence: run.number,
             is_named: false,

@@ -53,7 +53,7 @@ impl RunStatistics {
 
     /// Returns the sums of bytes sent and of their delays.
     pub fn transfers(&self) -> Transfers {
-        Transfers::of(|name| {
+        Transfers::from_statistics(|name| {
             let found = self.stages.iter().find(|stage| stage.stage == *name)?;
             Some((found.figures.count, found.figures.mean))
         })

@@ -53,7 +53,7 @@ fn missing_parts_are_reported_before_first_run() {
     assert!(!ended.log.contains("begins") && !lab.results.folder.exists(), "{}", ended.log);
     for told in [
         "trying 2 of 4: Model = echo, Peer = tcp://127.0.0.1:9\n",
-        "trying 4 of 4: Model = nowhere, Peer = tcp://127.0.0.1:9: left out, tcp://127.0.0.1:9 is away",
+        "trying 4 of 4: Model = nowhere, Peer = tcp://127.0.0.1:9: skipped, tcp://127.0.0.1:9 is unreachable",
     ] {
         assert!(ended.log.contains(told), "{told} is not in {}", ended.log);
     }

@@ -47,7 +47,7 @@ fn assert_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
     let itself = lab.results.file(&folders[1], "");
     for command in ["compare", "plot"] {
         let named = run_command(command, &itself);
-        let line = format!("is of a run that is not done, {stage}");
+        let line = format!("belongs to an unfinished run, {stage}");
         assert!(named.code() == 0 && named.log.contains(&line), "{}", named.log);
     }
 }
@@ -93,12 +93,12 @@ fn suspended_run_is_killed_and_marked_interrupted() {
     let [child] = children(&process).try_into().expect("one run is under way");
     kill_process(child, Signal::STOP).expect("it runs");
     process.signal(Signal::INT);
-    process.wait_for("may take 60 s until it is killed");
+    process.wait_for("work in progress is killed after 60 s");
     process.signal(Signal::TERM);
-    process.wait_for("what does not end within 10 s is killed");
+    process.wait_for("processes that do not end within 10 s are killed");
     let ended = process.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("what did not end in time is killed"), "{}", ended.log);
+    assert!(ended.log.contains("killing the processes that did not end in time"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
 }
 
@@ -115,7 +115,7 @@ fn kill_leaves_no_process_and_no_partial_run() {
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
     assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
-    assert_rest_is_left_out(&lab, &folders, "under way or killed");
+    assert_rest_is_left_out(&lab, &folders, "in progress or killed");
     let ended = lab.run(THREE, &["--yes"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_complete(&lab, &folders);

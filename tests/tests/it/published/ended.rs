@@ -45,7 +45,7 @@ fn ctrl_c_ends_client_with_all_results() {
     assert!(ok >= 6 && data.rows.len() - ok <= 1, "{} rows, {ok} with an answer", data.rows.len());
     assert!(lab.folder().join("results/summary.md").is_file());
     let interrupted = told(&lab, "results");
-    assert!(interrupted.contains("results is not whole: the run was interrupted after "), "{interrupted}");
+    assert!(interrupted.contains("results is incomplete: the run was interrupted after "), "{interrupted}");
 
     server.signal(Signal::INT);
     let ended = server.ended();
@@ -121,10 +121,14 @@ fn results_replaced_by_killed_run_are_restored() {
     killed.wait_for("of 1000000");
     let _ = killed.kill();
     assert!(!lab.folder().join("results/run.json").exists(), "they are aside");
-    assert!(told(&lab, "results").contains("the earlier results are in "), "{}", told(&lab, "results"));
+    assert!(told(&lab, "results").contains("the previous results are in "), "{}", told(&lab, "results"));
     let next = short().ended();
     assert_eq!(next.code(), 64, "{}", next.log);
-    assert!(next.log.contains("they are back; what it measured is in killed.csv"), "{}", next.log);
+    assert!(
+        next.log.contains("the previous results are restored; its rows are in killed.csv"),
+        "{}",
+        next.log
+    );
     assert_eq!(
         (lab.data("results").rows.len(), lab.record("results")["reason"].as_str()),
         (6, Some("finished"))
@@ -144,10 +148,10 @@ fn results_of_killed_run_are_reported() {
     let _ = killed.kill();
     let told = told(&lab, "results");
     assert!(
-        told.contains("results is not whole: there is no run.json: the run is under way or was"),
+        told.contains("results is incomplete: run.json is missing: the run is in progress or was"),
         "{told}"
     );
-    assert!(told.contains("\nResults are not whole: results: there is no run.json"), "{told}");
+    assert!(told.contains("\nIncomplete results: results: run.json is missing"), "{told}");
 }
 
 #[test]
@@ -182,7 +186,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     let _ = killed.kill();
     assert_eq!(names(&temporary).len(), 1, "nobody was there to remove it");
     let compared = start("compare").ended();
-    assert!(compared.log.contains("a run is under way there or was killed"), "{}", compared.log);
+    assert!(compared.log.contains("a run is in progress there or was killed"), "{}", compared.log);
 
     let next = client(6).ended();
     assert!(next.code() == 0 && next.log.contains("killed.csv"), "{}", next.log);
@@ -190,7 +194,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     let left = names(&lab.folder().join(results));
     assert!(left.iter().all(|name| !name.starts_with("killed") && !name.starts_with('.')), "{left:?}");
     let compared = start("compare").ended();
-    assert!(compared.code() == 0 && !compared.log.contains("not whole"), "{}", compared.log);
+    assert!(compared.code() == 0 && !compared.log.contains("is incomplete"), "{}", compared.log);
 }
 
 #[test]
@@ -206,10 +210,10 @@ fn a_second_signal_does_not_wait() {
     client.wait_for("Ctrl-C again");
     // A second SIGINT within half a second would count as the same signal.
     client.signal(Signal::TERM);
-    client.wait_for("left alone");
+    client.wait_for("abandoned");
     let ended = client.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("before anything was measured"), "{}", ended.log);
+    assert!(ended.log.contains("before the first measurement"), "{}", ended.log);
 }
 
 #[test]
@@ -271,11 +275,11 @@ fn full_result_disk_loses_no_rows() {
     let ended = client.ended();
     assert_eq!(ended.code(), 73, "{}", ended.log);
     assert!(ended.log.contains("Total (sum of stages)"), "{}", ended.log);
-    let said = ended.log.lines().find(|line| line.contains("all that was measured is in"));
+    let said = ended.log.lines().find(|line| line.contains("the measurements are in"));
     let said = said.unwrap_or_else(|| panic!("it does not say where the results are: {}", ended.log));
-    let (_, elsewhere) = said.split_once("all that was measured is in ").expect("it was found by this");
+    let (_, elsewhere) = said.split_once("the measurements are in ").expect("it was found by this");
     let (elsewhere, back) = elsewhere.split_once(" instead").expect("it says so");
-    assert_eq!(back, "; the earlier results are back");
+    assert_eq!(back, "; the previous results are restored");
     let earlier = results.display().to_string();
     assert_eq!(
         (lab.data(&earlier).rows.len(), lab.record(&earlier)["reason"].as_str()),
@@ -303,7 +307,7 @@ fn full_disks_keep_rows_that_fit() {
     let client = Process::start(&program("peernet"), &words, lab.folder(), &[("TMPDIR", &temporary)]);
     let ended = client.ended();
     assert_eq!(ended.code(), 73, "{}", ended.log);
-    let told = "data.csv holds what there was room for; no figure is drawn";
+    let told = "data.csv has the rows that fit; no figure is drawn";
     assert!(ended.log.contains(told), "{}", ended.log);
     let rows = lab.data(&results).rows;
     assert!(rows.len() > 100 && rows.len() < 1500, "{} rows", rows.len());

@@ -140,9 +140,9 @@ fn an_exception_is_a_failed_iteration() {
     let told = "1 of 20 iterations has no answer; iteration 3 failed: ";
     assert!(client.log.contains(told), "{}", client.log);
     assert_eq!(client.log.matches("ValueError: the lens cap is on").count(), 1, "{}", client.log);
-    assert!(server.log.contains("19 answers, 1 iteration never came here"), "{}", server.log);
+    assert!(server.log.contains("19 answers, 1 iteration did not arrive here"), "{}", server.log);
     assert!(
-        server.log.contains("1 of 20 iterations never came here: the clients' results say why"),
+        server.log.contains("1 of 20 iterations did not arrive here: the clients' results say why"),
         "{}",
         server.log
     );
@@ -157,7 +157,7 @@ fn server_ends_when_all_samples_failed() {
     let unplugged = "class Camera:\n    def sample(self):\n        raise OSError('unplugged')\n";
     let (client, server) = seen_by(unplugged, 14, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
-    assert!(server.log.contains("14 of 14 iterations never came here"), "{}", server.log);
+    assert!(server.log.contains("14 of 14 iterations did not arrive here"), "{}", server.log);
     assert_eq!(lab.data("results").outcomes("failed"), 14);
 }
 
@@ -192,12 +192,12 @@ class {class}:
     let client = client.ended();
     assert_eq!(client.code(), 75, "{}", client.log);
     assert!(
-        client.log.contains("The model's process was started anew in 1 iteration (number 9)"),
+        client.log.contains("The model's process was restarted in 1 iteration (number 9)"),
         "{}",
         client.log
     );
     assert!(
-        client.log.contains("The sensor's process was started anew in 1 iteration (number 13)"),
+        client.log.contains("The sensor's process was restarted in 1 iteration (number 13)"),
         "{}",
         client.log
     );

@@ -55,8 +55,8 @@ fn device_or_role_outside_network_configuration_is_refused() {
 
     let file = lab.folder().join("net_config.yaml");
     for (text, said) in [
-        ("devices: {a: 10.0.0.1}\nserver: b\n", "the server b is none of its devices"),
-        ("devices: {a: 10.0.0.1}\n", "does not say who serves"),
+        ("devices: {a: 10.0.0.1}\nserver: b\n", "the server b is not one of its devices"),
+        ("devices: {a: 10.0.0.1}\n", "names no server"),
         ("devices: [\n", "net_config.yaml"),
         ("devices: {a: 10.0.0.1, b: 10.0.0.2}\nserver: b\nstart_port: 0\n", "the device b has port 0"),
         ("devices: {a: 10.0.0.1, b: 'fe80::1%lo'}\nserver: b\n", "a zone such as %eth0"),

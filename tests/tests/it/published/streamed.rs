@@ -82,7 +82,7 @@ fn second_concurrent_stream_of_device_is_refused() {
     first.wait_for("is away");
     let second = lab.client(&command).ended();
     assert_eq!(second.code(), 69, "{}", second.log);
-    assert!(second.log.contains("at work as the host that keeps its id in"), "{}", second.log);
+    assert!(second.log.contains("runs as the host whose id is in"), "{}", second.log);
     assert!(!second.log.contains("state_dir"), "there is nothing to set here: {}", second.log);
     first.stop();
 }

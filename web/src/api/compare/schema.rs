@@ -142,7 +142,7 @@ impl Comparison {
             name: one.name.clone(),
             values: one.values.clone(),
             runs: one.runs.iter().map(|run| run.number).collect(),
-            starts: one.starts().all(),
+            starts: one.starts().total(),
             skipped_starts: one.starts().skipped,
             deadline_s: one.deadline_s(),
             miss_rate: one.misses().and_then(Misses::rate),

@@ -175,7 +175,7 @@ async fn missed_deadlines_are_column_where_there_is_a_deadline() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     assert!(!page_of(two.clone(), false).await.contains("missed"));
     let run = &mut two[1].runs[0];
-    (run.deadline_s, run.misses) = (Some(0.1), Some(Misses { missed: 3, of: 300 }));
+    (run.deadline_s, run.misses) = (Some(0.1), Some(Misses { missed: 3, iterations: 300 }));
     let html = page_of(two, false).await;
     assert!(
         html.contains(

@@ -17,7 +17,7 @@ pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
     let configurations = &comparison.configurations;
     let unfinished: Vec<String> = comparison
         .runs()
-        .map(|run| (run.number, RunState::of_end(run.reason.as_ref())))
+        .map(|run| (run.number, RunState::from_end_reason(run.reason.as_ref())))
         .filter(|(_, state)| !state.is_finished())
         .map(|(number, state)| format!("#{number} ({state})"))
         .collect();
@@ -102,8 +102,8 @@ mod tests {
         other.runs[0].counts.ok = 0;
         other.runs.push(run);
         assert!(doubts(&comparison(vec![one.clone()])).is_empty());
-        let text = "Starts were skipped, because the pipeline was too far behind; these latencies are not those of the rate \
-                    that was ordered: B: 73 of 200 starts (36.5 %).";
+        let text = "Starts were skipped because the pipeline could not keep up; these latencies are not those of the \
+                    configured rate: B: 73 of 200 starts (36.5 %).";
         let unanswered = "B: 37 of 127 iterations have no answer; the figures are those of the others.";
         assert_eq!(doubts(&comparison(vec![one, other])), [text, unanswered]);
     }
@@ -113,7 +113,7 @@ mod tests {
         let mut one = configuration(0, Local, 1.0, 1e3);
         one.runs[0].reason = None;
         let said = doubts(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
-        let text = "Named, and so compared, though not measured to the end: #1 (under way or killed).";
+        let text = "Named, and so compared, though not measured to the end: #1 (in progress or killed).";
         assert_eq!(said, [text]);
     }
 
@@ -124,7 +124,7 @@ mod tests {
         (unknown.stage, unknown.figures.mean, unknown.figures.count) = (Name::from(UNKNOWN_LABEL), 1.0, 12);
         one.stages.push(unknown);
         let told = unknown_labels(&comparison(vec![configuration(0, Local, 1.0, 1e3), one]));
-        let text = "B. Not scored: 12 of 300 iterations, because the label is no class of the model.";
+        let text = "B. Not scored: 12 of 300 iterations, because the label is not a class of the model.";
         assert_eq!(told, [text]);
     }
 }

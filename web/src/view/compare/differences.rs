@@ -70,7 +70,7 @@ impl Differences {
         let estimate = |one: &Configuration, name: &Name| {
             let runs: Vec<Vec<(u64, f64)>> =
                 one.runs.iter().map(|run| buckets(means, run.number, name)).collect();
-            MeanEstimate::of_buckets(&runs)
+            MeanEstimate::from_buckets(&runs)
         };
         let estimates: Vec<Vec<Option<MeanEstimate>>> =
             all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();
@@ -80,7 +80,7 @@ impl Differences {
                 let means = (mean(baseline, name), mean(place, name));
                 (means != (None, None)).then_some(())?;
                 let estimates = estimates[baseline][at].as_ref().zip(estimates[place][at].as_ref());
-                let found = estimates.map(|(first, second)| Difference::of_means(first, second));
+                let found = estimates.map(|(first, second)| Difference::between_means(first, second));
                 Some(StageDifference { name: name.clone(), means, found })
             };
             (place, names.iter().enumerate().filter_map(stage).collect())
@@ -92,7 +92,7 @@ impl Differences {
             one.figures(&stage::TOTAL).is_some() && one.computes == some_compute
         };
         let ranked = (0..all.len()).filter(is_ranked).map(|place| (place, estimates[place][0].clone()));
-        Self { baseline, others, ranking: Ranking::of(&ranked.collect::<Vec<_>>()) }
+        Self { baseline, others, ranking: Ranking::from_means(&ranked.collect::<Vec<_>>()) }
     }
 
     /// Returns the difference of the mean total of a configuration to the baseline.

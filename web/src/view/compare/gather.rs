@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use peernet_analysis::compare::{Column, computes};
+use peernet_analysis::compare::{Column, model_computes};
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
 use peernet_stream::Placement;
@@ -147,7 +147,7 @@ fn counted(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<LeftOut>) {
     let name = |at: usize| format!("#{}", runs[at].number);
     let left_out = |(run, why): (&RunSummary, &Option<_>)| {
         let why: &Exclusion = why.as_ref()?;
-        Some(LeftOut { run: run.number, why: why.said(name) })
+        Some(LeftOut { run: run.number, why: why.describe(name) })
     };
     let left_out = runs.iter().zip(&excluded).filter_map(left_out).collect();
     let counted = runs.into_iter().zip(excluded).filter(|(_, why)| why.is_none()).map(|(run, _)| run);
@@ -169,7 +169,7 @@ impl Computing {
                 true => store.run(run.summary.number).await?.map(|detail| detail.facts).unwrap_or_default(),
                 false => run.facts.clone(),
             };
-            known.push((run.summary.placement.clone(), computes(&facts)));
+            known.push((run.summary.placement.clone(), model_computes(&facts)));
         }
         Ok(Self(known))
     }

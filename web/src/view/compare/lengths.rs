@@ -137,7 +137,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         let across = LengthAxis::of(alike(), &unit, per_si)?;
         let known = answers.iter().find(|known| known.name == it.one.name);
         let known = known.cloned().unwrap_or_default();
-        let growth = Growth::of(&known.points);
+        let growth = Growth::from_iterations(&known.points);
         let slope = growth.as_ref().map(|growth| sentence(growth, what, each));
         let summed = sums(it);
         let values = LengthValues {

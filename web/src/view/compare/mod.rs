@@ -124,7 +124,7 @@ impl Configuration {
     pub(crate) fn starts(&self) -> Starts {
         let of_runs = self.runs.iter().map(Starts::from);
         of_runs.fold(Starts::default(), |all, run| Starts {
-            kept: all.kept + run.kept,
+            started: all.started + run.started,
             skipped: all.skipped + run.skipped,
             ..all
         })
@@ -132,7 +132,7 @@ impl Configuration {
 
     /// Returns the number of iterations that missed their deadline; `None` where no run has one.
     pub(crate) fn misses(&self) -> Option<Misses> {
-        Misses::together(self.runs.iter().filter_map(|run| run.misses))
+        Misses::sum(self.runs.iter().filter_map(|run| run.misses))
     }
 
     /// Returns the deadline, seconds; `None` where no run has one, or several have different ones.

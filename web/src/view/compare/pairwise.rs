@@ -28,7 +28,7 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
         .others
         .iter()
         .take(MOST)
-        .map(|(place, _)| PairwiseDifference::of(total(differences.baseline)?, total(*place)?))
+        .map(|(place, _)| PairwiseDifference::between(total(differences.baseline)?, total(*place)?))
         .collect();
     // The axis contains zero: values to its left are faster.
     let mut zero = Summary::default();
@@ -36,9 +36,9 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
     let known = found.iter().flatten().map(|found| &found.differences);
     let Some(axis) = SmallAxis::of("s", known.chain([&zero])) else { return Vec::new() };
     let row = |(found, (place, _)): (Option<PairwiseDifference>, &(usize, _))| {
-        let PairwiseDifference { differences: pairs, smaller } = found?;
+        let PairwiseDifference { differences: pairs, share_smaller } = found?;
         let interval = differences.total(*place).and_then(|stage| stage.found?.interval);
-        let faster = percent(smaller);
+        let faster = percent(share_smaller);
         let beyond = match axis.beyond(&pairs) as f64 / pairs.count().max(1) as f64 {
             0.0 => String::new(),
             beyond => format!(", {} % beyond the axis", percent(beyond)),

@@ -1,6 +1,6 @@
 //! Latency against payload, and accuracy against latency.
 
-use peernet_analysis::fit::{FEWEST_SIZES, Fit, MeanAtSize, distinct_sizes, line_through_means};
+use peernet_analysis::fit::{Fit, MIN_SIZES, MeanAtSize, distinct_sizes, line_through_means};
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{SPACE, bytes, duration, figure, interval_ms, within_ms};
 use peernet_store::Figures;
@@ -28,7 +28,7 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
         comparison.configurations.iter().filter_map(|one| Some((one, sent(one)?))).collect();
     let sizes = || all.iter().map(|(_, size)| *size);
     let (least, most) = sizes().fold((f64::INFINITY, 0.0_f64), |(lo, hi), size| (lo.min(size), hi.max(size)));
-    (distinct_sizes(sizes()) >= FEWEST_SIZES).then_some(())?;
+    (distinct_sizes(sizes()) >= MIN_SIZES).then_some(())?;
     let groups = groups(comparison, &all);
     let mut said = Vec::new();
     let series = [stage::TOTAL, stage::UPLOAD].map(|name| {

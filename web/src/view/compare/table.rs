@@ -112,7 +112,7 @@ fn missed(one: &Configuration) -> Cell {
     let what = format!(
         "{} of {} iterations, {deadline} or without an answer",
         count(misses.missed),
-        count(misses.of)
+        count(misses.iterations)
     );
     Cell { text: percent(rate), title: Some(what) }
 }

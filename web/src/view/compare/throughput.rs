@@ -1,6 +1,6 @@
 //! Throughput against payload: bytes over delay, and the throughput by the slope of the delays.
 
-use peernet_analysis::fit::{FEWEST_SIZES, distinct_sizes, rate};
+use peernet_analysis::fit::{MIN_SIZES, distinct_sizes, rate};
 use peernet_analysis::transfer::speed_between;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{
@@ -90,7 +90,7 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
         let known: Vec<ThroughputPoint<'_>> =
             comparison.configurations.iter().filter_map(|one| ThroughputPoint::of(one, way, sizes)).collect();
         let sizes = distinct_sizes(known.iter().map(|it| it.bytes));
-        (sizes >= FEWEST_SIZES).then_some((way, known))
+        (sizes >= MIN_SIZES).then_some((way, known))
     });
     let ways: Vec<(&Name, Vec<ThroughputPoint<'_>>)> = ways.collect();
     let all = || ways.iter().flat_map(|(_, known)| known);

@@ -32,11 +32,11 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         return format!("{} and {} do not differ by more than chance", best.name, names(all, &ties));
     }
     if !untested.is_empty() {
-        let among = match ranking.beyond.len() {
+        let among = match ranking.differences.len() {
             1 => format!("{} has the smaller mean, {mean}", best.name),
             others => format!("{} has the smallest mean of {}, {mean}", best.name, others + 1),
         };
-        let whom = match untested.len() < ranking.beyond.len() {
+        let whom = match untested.len() < ranking.differences.len() {
             true => format!(" of {}", names(all, &untested)),
             false => String::new(),
         };
@@ -58,7 +58,8 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
 
 /// Returns the configuration that the best is compared with: the baseline, or, where that is the best itself, the next one.
 fn compared_with(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
-    let known = || ranking.beyond.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
+    let known =
+        || ranking.differences.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
     let next = || known().min_by(|a, b| a.1.value.total_cmp(&b.1.value));
     known().find(|(place, _)| *place == baseline).or_else(next)
 }

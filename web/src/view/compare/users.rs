@@ -1,6 +1,6 @@
 //! Latency against the number of users that measured at once, and the fairness between them.
 
-use peernet_analysis::users::{Curve, Share, Totals, Users, UsersLine};
+use peernet_analysis::users::{Curve, EdgeShare, Totals, Users, UsersLine};
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, duration, mean_std_ms, measured, rate};
 use peernet_store::RunSummary;
@@ -29,7 +29,7 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)>
     comparison.experiment.as_ref()?;
     let users =
         Users { axes: comparison.axes.clone(), lines: comparison.configurations.iter().map(line).collect() };
-    let curves = Curve::all(&users);
+    let curves = Curve::from_users(&users);
     let edges = |line: Option<&&UsersLine>| line.map(|line| line.edges);
     let differ = |curve: &Curve<'_>| edges(curve.points.first()) != edges(curve.points.last());
     curves.iter().any(differ).then_some(())?;
@@ -46,7 +46,7 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)>
 /// Returns the answers per second of each user of a configuration, and its totals.
 fn line(one: &Configuration) -> UsersLine {
     let repeat = |run: &RunSummary| run.experiment.as_ref().map_or(0, |place| place.repeat);
-    let runs: Vec<(u32, Option<Share>)> = one.runs.iter().map(|run| (repeat(run), share(run))).collect();
+    let runs: Vec<(u32, Option<EdgeShare>)> = one.runs.iter().map(|run| (repeat(run), share(run))).collect();
     let totals = one.total().map_or_else(Totals::default, |total| Totals {
         count: usize::try_from(total.count).unwrap_or(usize::MAX),
         mean: Some(total.mean),
@@ -54,12 +54,12 @@ fn line(one: &Configuration) -> UsersLine {
         p95: total.p95,
         p99: total.p99,
     });
-    UsersLine::of_whole_runs(one.values.clone(), &runs, totals)
+    UsersLine::from_whole_runs(one.values.clone(), &runs, totals)
 }
 
-fn share(run: &RunSummary) -> Option<Share> {
+fn share(run: &RunSummary) -> Option<EdgeShare> {
     let seconds = (runs::end(run)? - run.started).seconds();
-    Share::of_run(run.counts.ok + run.warm_up, seconds, run.total.map(|total| total.p50))
+    EdgeShare::from_run(run.counts.ok + run.warm_up, seconds, run.total.map(|total| total.p50))
 }
 
 fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
@@ -115,7 +115,7 @@ fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
         users: count(line.edges as u64),
         rate: told(line.rate, rate),
         each: line
-            .extremes()
+            .rate_range()
             .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
         fairness: told(line.fairness, |index| measured(index, 3)),
         total: one.total().map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),

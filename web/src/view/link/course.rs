@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_analysis::delays::round_trip;
+use peernet_analysis::delays::merged_round_trip;
 use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_store::{ClockPoint, ClockSeries};
 use peernet_stream::{DelaySecond, ProbeCounts};
@@ -84,7 +84,7 @@ impl Course {
 
     /// Returns the smallest and the middle round trip of probes, seconds.
     pub(crate) fn round_trips(&self) -> Option<(f64, f64)> {
-        let trip = round_trip(self.points.iter().filter_map(|point| point.round_trip))?;
+        let trip = merged_round_trip(self.points.iter().filter_map(|point| point.round_trip))?;
         Some((trip.min.seconds(), trip.median.seconds()))
     }
 }
@@ -124,7 +124,7 @@ fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
         window: last.window,
         offset: widest(&points[begin..]),
         probes: sum(points.iter().map(|point| point.probes)),
-        round_trip: round_trip(points.iter().filter_map(|point| point.round_trip)),
+        round_trip: merged_round_trip(points.iter().filter_map(|point| point.round_trip)),
         up: delays(points, NetworkDirection::Up),
         down: delays(points, NetworkDirection::Down),
         clocks: last.clocks,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_analysis::fit::{Point, theil_sen};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 use peernet_clock::WallTime;
 use peernet_store::ClockPoint;
 
@@ -47,7 +47,7 @@ impl Line {
         let middle = known.get(known.len() / 2)?.0;
         let points: Vec<Point> =
             known.iter().map(|(at, value)| Point { x: (*at - middle).seconds(), y: *value }).collect();
-        let level = || Some((points.iter().map(|point| point.y).collect::<Ordered>().median()?, 0.0));
+        let level = || Some((points.iter().map(|point| point.y).collect::<SortedValues>().median()?, 0.0));
         let fit = theil_sen(&points).map(|fit| (fit.intercept.value, fit.slope.value));
         let (level, slope) = fit.or_else(level)?;
         Some(Self { middle, level, slope })

@@ -6,19 +6,19 @@ use peernet_stream::Outcome as Ended;
 use proptest::prelude::*;
 
 use super::*;
-use crate::rows::published;
+use crate::rows::published_columns;
 use crate::testing::{add, iteration, offloaded, timer, tree};
 
 #[test]
-fn the_published_columns_come_first_in_their_order() {
+fn published_columns_come_first_in_order() {
     let expected = "iteration,sensing,upload,preprocessing,inference,postprocessing,download,download-bytes,\
                     download-logger-bytes,upload-bytes,upload-logger-bytes,upload-throughput,download-throughput";
-    assert_eq!(published().collect::<Vec<_>>().join(","), expected);
+    assert_eq!(published_columns().collect::<Vec<_>>().join(","), expected);
 }
 
 #[test]
-fn what_a_model_logs_beside_the_standard_names_gets_columns_of_its_own() {
-    let row = Row::of(&iteration(9, Ended::Ok, offloaded(17_530, 3_700)));
+fn custom_model_nodes_get_separate_columns() {
+    let row = Row::from_iteration(&iteration(9, Ended::Ok, offloaded(17_530, 3_700)));
     let numbers = |columns: &[&str]| columns.iter().map(|column| row.value(column)).collect::<Vec<_>>();
     assert_eq!(numbers(&["sensing", "capture", "transform"]), [Some(0.0007), Some(0.0005), Some(0.00015)]);
     assert_eq!(
@@ -41,7 +41,7 @@ fn what_a_model_logs_beside_the_standard_names_gets_columns_of_its_own() {
 }
 
 #[test]
-fn names_of_others_never_take_a_columns_place() {
+fn custom_names_never_replace_fixed_columns() {
     let mut tree = tree();
     let root: &[&str] = &[];
     for name in ["outcome", "capture", "upload-throughput-lo", "upload-lo"] {
@@ -52,7 +52,7 @@ fn names_of_others_never_take_a_columns_place() {
     add(&mut tree, &["tool"], "part", timer(4));
     add(&mut tree, root, "arm", Measure::Container);
     add(&mut tree, &["arm"], "sensing", timer(5));
-    let row = Row::of(&iteration(1, Ended::Ok, tree));
+    let row = Row::from_iteration(&iteration(1, Ended::Ok, tree));
     let names: Vec<&str> = row.values.iter().map(|(name, _)| name.as_ref()).collect();
     let expected = [
         "outcome_2",
@@ -68,17 +68,17 @@ fn names_of_others_never_take_a_columns_place() {
 }
 
 #[test]
-fn a_stage_that_took_place_twice_is_the_sum_as_in_the_total() {
+fn repeated_stage_is_summed() {
     let mut tree = tree();
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(2))));
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(3))));
-    let row = Row::of(&iteration(1, Ended::Ok, tree));
+    let row = Row::from_iteration(&iteration(1, Ended::Ok, tree));
     assert_eq!(row.values, [(Column::Borrowed("inference"), 5.0)]);
 }
 
 proptest! {
     #[test]
-    fn every_number_of_a_tree_stands_under_a_name_of_its_own(
+    fn every_number_of_tree_has_unique_name(
         nodes in prop::collection::vec(("(sensing|capture|at|[ab_]{1,2}(_2)?)", 0_usize..6, 1..1000_i64), 0..14),
     ) {
         let mut tree = tree();
@@ -86,7 +86,7 @@ proptest! {
             let parent = peernet_logger::NodeId((parent % tree.nodes().len()) as u32);
             tree.add(parent, Name::from(name.as_str()), Span::ZERO, timer(*micros));
         }
-        let row = Row::of(&iteration(1, Ended::Ok, tree));
+        let row = Row::from_iteration(&iteration(1, Ended::Ok, tree));
         let mut names: Vec<&str> = row.values.iter().map(|(name, _)| name.as_ref()).collect();
         let sum: f64 = row.values.iter().map(|(_, value)| value * 1e6).sum();
         let logged: i64 = nodes.iter().map(|(_, _, micros)| micros).sum();

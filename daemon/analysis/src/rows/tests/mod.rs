@@ -6,7 +6,7 @@ use super::*;
 use crate::testing::rows as made;
 
 #[test]
-fn rows_come_back_as_they_were() {
+fn rows_are_read_back_unchanged() {
     let mut rows = made(40);
     rows[3].values.push((Column::Owned("grip".to_owned()), 0.5));
     (rows[20].at, rows[20].iteration, rows[20].episode) = (0.0, 7, 3);
@@ -14,25 +14,28 @@ fn rows_come_back_as_they_were() {
     assert_eq!(kept.len(), 40);
     for (kept, row) in kept.iter().zip(&rows) {
         assert_eq!(kept.to_row(), *row);
-        assert_eq!((kept.counts(), kept.value("upload-lo")), (row.counts(), row.value("upload-lo")));
-        assert_eq!(kept.verdicts()[1], row.download.map(|way| way.delay.verdict));
+        assert_eq!((kept.is_counted(), kept.value("upload-lo")), (row.is_counted(), row.value("upload-lo")));
+        assert_eq!(kept.verdicts()[1], row.download.map(|passage| passage.delay.verdict));
     }
     assert_eq!(kept.get(5).and_then(|row| row.reason()), Some("the connection broke, \"reset\""));
     assert!(kept.get(40).is_none() && kept.last().is_some_and(|row| row.iteration() == 40));
 }
 
 #[test]
-fn statistics_are_of_the_rows_that_count() {
+fn statistics_use_only_counted_rows() {
     let rows: Rows = made(9).into_iter().collect();
     assert_eq!(
-        rows.counted("upload").collect::<Vec<_>>(),
+        rows.counted_values("upload").collect::<Vec<_>>(),
         [3, 4, 5, 7, 8, 9].map(|n| f64::from(17_000 + n) / 1e6)
     );
-    assert_eq!((rows.counted("inference_pre").count(), rows.counted("nothing").count()), (6, 0));
+    assert_eq!(
+        (rows.counted_values("inference_pre").count(), rows.counted_values("nothing").count()),
+        (6, 0)
+    );
 }
 
 #[test]
-fn rows_that_differ_are_not_the_same() {
+fn different_rows_are_not_equal() {
     let all = |change: fn(&mut Row)| {
         let mut rows = made(3);
         change(&mut rows[1]);

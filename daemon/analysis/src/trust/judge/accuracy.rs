@@ -3,12 +3,12 @@
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
 
-use super::{advise, iterations, percent, say};
+use super::{finding, iterations, percent, with_advice};
 use crate::accuracy::Accuracy;
 use crate::trust::{Finding, TrustInput};
 
 /// Returns a finding for each accuracy that is not of all iterations; accuracies that lack the same number share one.
-pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let foreign = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
     let lacking = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(foreign);
     // Names, number of iterations without a score for another reason than their label, number of all.
@@ -21,15 +21,14 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     }
     let sentence = |(names, lacking, all): (Vec<&str>, u64, u64)| {
         let text = format!(
-            "{} of {} ({}) have no valid score for {}: the accuracy is that of the others.",
+            "{} of {} ({}) have no valid score for {}: the accuracy covers only the others.",
             fixed(lacking as f64, 0),
             iterations(all),
             percent(lacking as f64 / all as f64),
             names.join(" and ")
         );
-        let advice =
-            "see that each sample has a label and each answer names a class, or say so beside the accuracy";
-        advise(say("accuracy", Grade::Doubtful, text), advice)
+        let advice = "check that each sample has a label and each answer names a class, or report this with the accuracy";
+        with_advice(finding("accuracy", Grade::Doubtful, text), advice)
     };
     unknown(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
 }
@@ -40,8 +39,8 @@ fn unknown(input: &TrustInput) -> Option<Finding> {
     let unknown = input.unknown_labels.as_ref()?;
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
     let advice = "name the folders, or the labels in the file of labels, as the model's card names its classes; \
-                  numbers of classes are not translated";
-    Some(advise(say("accuracy", grade, unknown.sentence(input.counts.ok)), advice))
+                  numbers of classes are not translated to names";
+    Some(with_advice(finding("accuracy", grade, unknown.sentence(input.counts.ok)), advice))
 }
 
 #[cfg(test)]
@@ -52,7 +51,7 @@ mod tests {
 
     fn graded(unscored: [u64; 2], foreign: u64) -> Vec<(Grade, String)> {
         let of =
-            |unscored: u64| Accuracy::of_counts(80, 100 - unscored, unscored).expect("there are answers");
+            |unscored: u64| Accuracy::from_counts(80, 100 - unscored, unscored).expect("there are answers");
         let both = [("top-1", of(unscored[0])), ("top-5", of(unscored[1]))];
         let input = TrustInput {
             counts: Counts { ok: 100, ..Counts::default() },
@@ -60,7 +59,7 @@ mod tests {
             unknown_labels: UnknownLabels::new(foreign, &[]),
             ..TrustInput::default()
         };
-        sentences(&input).into_iter().map(|sentence| (sentence.grade, sentence.text)).collect()
+        findings(&input).into_iter().map(|sentence| (sentence.grade, sentence.text)).collect()
     }
 
     fn told(unscored: [u64; 2]) -> Vec<String> {
@@ -68,20 +67,21 @@ mod tests {
     }
 
     #[test]
-    fn a_label_that_the_model_does_not_know_is_a_reason_of_its_own() {
-        let text = "Not scored: 3 of 100 iterations, because the label is no class of the model.".to_owned();
+    fn unknown_labels_are_separate_finding() {
+        let text =
+            "Not scored: 3 of 100 iterations, because the label is not a class of the model.".to_owned();
         assert_eq!(graded([3, 3], 3), [(Grade::Doubtful, text.clone())]);
         let both = graded([5, 5], 3);
         assert!(both.len() == 2 && both[0].1 == text && both[1].1.starts_with("2 of 100"), "{both:?}");
         let none = TrustInput { unknown_labels: UnknownLabels::new(7, &[]), ..TrustInput::default() };
-        let sentences = sentences(&none);
-        assert_eq!((sentences.len(), sentences[0].grade), (1, Grade::Unknown), "no accuracy is given");
+        let findings = findings(&none);
+        assert_eq!((findings.len(), findings[0].grade), (1, Grade::Unknown), "no accuracy is given");
     }
 
     #[test]
-    fn iterations_without_a_valid_score_are_told_once() {
+    fn unscored_iterations_are_reported_once() {
         assert_eq!(told([0, 0]), Vec::<String>::new());
-        let both = "3 of 100 iterations (3.0\u{202f}%) have no valid score for top-1 and top-5: the accuracy is that of the others.";
+        let both = "3 of 100 iterations (3.0\u{202f}%) have no valid score for top-1 and top-5: the accuracy covers only the others.";
         assert_eq!(told([3, 3]), [both]);
         let apart = told([0, 12]);
         assert!(

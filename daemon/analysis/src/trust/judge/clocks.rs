@@ -4,19 +4,19 @@ use peernet_clock::Verdict;
 use peernet_statistics::number::{bound_ms, milliseconds};
 use peernet_stream::Grade;
 
-use super::{advise, percent, say};
+use super::{finding, percent, with_advice};
 use crate::trust::{Clocks, Finding, TrustInput};
 
 /// Shares of delays: from here on the delays as a whole are not known …
-const MOSTLY: f64 = 0.5;
+const MAJORITY_SHARE: f64 = 0.5;
 /// … and up to here a few bad ones do not change a median.
-const A_FEW: f64 = 0.01;
+const NEGLIGIBLE_SHARE: f64 = 0.01;
 
-pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
-    input.clocks.iter().filter_map(of).collect()
+pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
+    input.clocks.iter().filter_map(judge_direction).collect()
 }
 
-fn of(clocks: &Clocks) -> Option<Finding> {
+fn judge_direction(clocks: &Clocks) -> Option<Finding> {
     let stage = &clocks.stage;
     let about = format!("clocks, {stage}");
     let all: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();
@@ -55,23 +55,23 @@ fn of(clocks: &Clocks) -> Option<Finding> {
     let unusable = share(&[Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent]);
     let (limited, stale) = (share(&[Verdict::Limited]), share(&[Verdict::Stale]));
     Some(match () {
-        () if unusable >= MOSTLY => advise(
-            say(&about, Grade::Bad, text),
-            "do not publish upload and download apart: their sum and the total need no clock; `peernet calibrate` tells \
-             what is wrong",
+        () if unusable >= MAJORITY_SHARE => with_advice(
+            finding(&about, Grade::Bad, text),
+            "do not publish upload and download separately: their sum and the total need no related clocks; \
+             `peernet calibrate` shows the cause",
         ),
-        () if unusable > A_FEW => advise(
-            say(&about, Grade::Doubtful, text),
-            "those without a value are in no statistic of it: say so, or repeat when the clocks are quiet",
+        () if unusable > NEGLIGIBLE_SHARE => with_advice(
+            finding(&about, Grade::Doubtful, text),
+            "delays without a value are in no statistic: report this, or repeat the run when the clocks are stable",
         ),
-        () if limited >= MOSTLY => advise(
-            say(&about, Grade::Doubtful, text),
-            "the interval is wider than half the delay: publish the interval, or upload and download together",
+        () if limited >= MAJORITY_SHARE => with_advice(
+            finding(&about, Grade::Doubtful, text),
+            "the interval is wider than half the delay: publish the interval, or the sum of upload and download",
         ),
-        () if stale > A_FEW => advise(
-            say(&about, Grade::Doubtful, text),
-            "the two clocks were seldom compared: see that the probes' port is open, or exchange samples more often",
+        () if stale > NEGLIGIBLE_SHARE => with_advice(
+            finding(&about, Grade::Doubtful, text),
+            "the two clocks were rarely compared: check that the probes' port is open, or exchange samples more often",
         ),
-        () => say(&about, Grade::Good, text),
+        () => finding(&about, Grade::Good, text),
     })
 }

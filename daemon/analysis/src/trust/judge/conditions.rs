@@ -3,12 +3,12 @@
 
 use peernet_stream::{Condition, Grade};
 
-use super::{advise, say};
+use super::{finding, with_advice};
 use crate::trust::Finding;
 
-pub(super) fn sentences(conditions: &[Condition]) -> Vec<Finding> {
+pub(super) fn findings(conditions: &[Condition]) -> Vec<Finding> {
     if conditions.is_empty() {
-        return vec![say("hosts", Grade::Unknown, "Nobody looked at the hosts before the run.")];
+        return vec![finding("hosts", Grade::Unknown, "The hosts were not inspected before the run.")];
     }
     let mut hosts: Vec<&str> = Vec::new();
     for condition in conditions {
@@ -21,13 +21,16 @@ pub(super) fn sentences(conditions: &[Condition]) -> Vec<Finding> {
         let of = |grade| conditions.iter().filter(move |known| known.host == host && known.grade == grade);
         for condition in of(Grade::Bad).chain(of(Grade::Doubtful)) {
             let text = format!("On {host}, {}: {}.", condition.about, condition.found);
-            all.push(advise(say(&condition.about, condition.grade, text), condition.advice.as_str()));
+            all.push(with_advice(
+                finding(&condition.about, condition.grade, text),
+                condition.advice.as_str(),
+            ));
         }
         for (grade, words) in [(Grade::Unknown, "not known"), (Grade::Good, "as it should be")] {
             let listed: Vec<String> =
                 of(grade).map(|known| format!("{} ({})", known.about, known.found)).collect();
             if !listed.is_empty() {
-                all.push(say("hosts", grade, format!("On {host}, {words}: {}.", listed.join("; "))));
+                all.push(finding("hosts", grade, format!("On {host}, {words}: {}.", listed.join("; "))));
             }
         }
     }

@@ -3,64 +3,72 @@
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
-use super::{END, advise, iterations, percent, say};
-use crate::trust::{Counts, EndedEarly, Finding, Missing, Starts, TrustInput};
+use super::{END, finding, iterations, percent, with_advice};
+use crate::trust::{Counts, EndedEarly, Finding, MissingEvents, Starts, TrustInput};
 
 /// Samples below which no 95th percentile is given anywhere in PEERNet.
-const FEW: u64 = 60;
+const MIN_ANSWERS: u64 = 60;
 /// Shares of iterations without an answer, and of skipped starts: from the first on they are mentioned, from the second on the
 /// latency of the others is misleading.
-const NOTED: f64 = 0.001;
-const MANY: f64 = 0.1;
+const NOTABLE_SHARE: f64 = 0.001;
+const MISLEADING_SHARE: f64 = 0.1;
 /// Share of missing events from which on the received ones do not represent the missing ones.
-const HOLES: f64 = 0.05;
+const MAX_MISSING_SHARE: f64 = 0.05;
 /// Share of the ordered iterations below which a run is too short to represent the ordered one.
-const HALF: f64 = 0.5;
+const MIN_REACHED_SHARE: f64 = 0.5;
 
-pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let TrustInput { counts, missing, .. } = input;
-    let mut all = vec![enough(counts)];
+    let mut all = vec![judge_amount(counts)];
     if counts.measured() > 0 {
-        all.push(answered(counts));
-        all.extend(kept(&input.starts));
+        all.push(judge_unanswered(counts));
+        all.extend(judge_skipped_starts(&input.starts));
     }
-    all.push(whole(counts, missing));
-    all.extend(end(input));
+    all.push(judge_missing_events(counts, missing));
+    all.extend(judge_end(input));
     if input.rehearsed {
-        let text = "The clock of a host was made wrong on purpose (rehearsal).";
-        all.push(advise(say("rehearsal", Grade::Bad, text), "take `[rehearsal]` out of the configuration"));
+        let text = "Clock fault injection made the clock of a host wrong on purpose.";
+        all.push(with_advice(
+            finding("rehearsal", Grade::Bad, text),
+            "remove `[rehearsal]` from the configuration",
+        ));
     }
     all
 }
 
 /// Returns the finding about a run that is shorter than ordered, or not finished; `None` if it is complete.
-fn end(input: &TrustInput) -> Option<Finding> {
+fn judge_end(input: &TrustInput) -> Option<Finding> {
     if input.open {
-        return Some(say(
+        return Some(finding(
             END,
             Grade::Unknown,
-            "The run has no end yet: all this is of what is there so far.",
+            "The run has not ended: the findings cover the iterations so far.",
         ));
     }
-    let how_far = input.ended_early.as_ref().map(EndedEarly::how_far);
-    let text = match (&input.broken, how_far) {
-        (Some(reason), Some(how_far)) => format!("The run broke off {how_far}: {reason}."),
+    let progress_text = input.ended_early.as_ref().map(EndedEarly::progress_text);
+    let text = match (&input.failure, progress_text) {
+        (Some(reason), Some(progress_text)) => format!("The run broke off {progress_text}: {reason}."),
         (Some(reason), None) => format!("The run broke off: {reason}."),
-        (None, Some(how_far)) if input.ended_early.as_ref().is_some_and(|early| early.interrupted) => {
-            format!("The run was interrupted {how_far}.")
+        (None, Some(progress_text)) if input.ended_early.as_ref().is_some_and(|early| early.interrupted) => {
+            format!("The run was interrupted {progress_text}.")
         }
-        (None, Some(how_far)) => {
-            format!("The run came to its end {how_far}: there was nothing more to measure.")
+        (None, Some(progress_text)) => {
+            format!("The run finished {progress_text}: there was nothing more to measure.")
         }
         (None, None) => return None,
     };
     Some(match &input.ended_early {
-        Some(early) if early.share() < HALF => advise(say(END, Grade::Bad, text), "repeat it"),
-        _ => advise(say(END, Grade::Doubtful, text), "repeat it, or say so beside the figures"),
+        Some(early) if early.share() < MIN_REACHED_SHARE => {
+            with_advice(finding(END, Grade::Bad, text), "repeat it")
+        }
+        _ => with_advice(
+            finding(END, Grade::Doubtful, text),
+            "repeat the run, or report this beside the figures",
+        ),
     })
 }
 
-fn enough(counts: &Counts) -> Finding {
+fn judge_amount(counts: &Counts) -> Finding {
     let about = "amount";
     let warm_up = match counts.warm_up {
         0 => "no warm-up was left out".to_owned(),
@@ -69,31 +77,34 @@ fn enough(counts: &Counts) -> Finding {
     };
     match counts.ok {
         0 => {
-            let sentence = say(about, Grade::Bad, format!("No iteration was answered; {warm_up}."));
-            advise(sentence, "look at why: the run's page lists the reasons, `data.csv` has them as `reason`")
+            let sentence = finding(about, Grade::Bad, format!("No iteration was answered; {warm_up}."));
+            with_advice(
+                sentence,
+                "find the reasons on the run's page or in the column `reason` of `data.csv`",
+            )
         }
-        few @ ..FEW => {
+        few @ ..MIN_ANSWERS => {
             let was = if few == 1 { "was" } else { "were" };
             let text =
                 format!("Only {} {was} answered: too few for a 95th percentile; {warm_up}.", iterations(few));
-            advise(
-                say(about, Grade::Doubtful, text),
-                format!("measure at least {FEW} iterations, better 1,000"),
+            with_advice(
+                finding(about, Grade::Doubtful, text),
+                format!("measure at least {MIN_ANSWERS} iterations, better 1,000"),
             )
         }
-        ok => say(about, Grade::Good, format!("{} were answered; {warm_up}.", iterations(ok))),
+        ok => finding(about, Grade::Good, format!("{} were answered; {warm_up}.", iterations(ok))),
     }
 }
 
-fn answered(counts: &Counts) -> Finding {
+fn judge_unanswered(counts: &Counts) -> Finding {
     let about = "losses";
-    let parts = [(counts.failed, "failed"), (counts.lost, "lost"), (counts.timeout, "not in time")];
+    let parts = [(counts.failed, "failed"), (counts.lost, "lost"), (counts.timeout, "timed out")];
     let named = parts.iter().filter(|(count, _)| *count > 0);
     let named: Vec<String> =
         named.map(|(count, word)| format!("{} {word}", fixed(*count as f64, 0))).collect();
     let share = counts.unanswered() as f64 / counts.measured() as f64;
     if named.is_empty() {
-        return say(about, Grade::Good, "Every iteration had an answer.");
+        return finding(about, Grade::Good, "Every iteration had an answer.");
     }
     let text = format!(
         "{} of {} had no answer ({}): {}.",
@@ -102,58 +113,60 @@ fn answered(counts: &Counts) -> Finding {
         percent(share),
         named.join(", ")
     );
-    let advice = "the statistics are of the answered ones alone, and those without an answer are seldom the fast ones: \
-                  give their share beside the latency";
+    let advice = "the statistics cover only answered iterations, and unanswered ones are rarely fast: report their share \
+                  beside the latency";
     match share {
-        share if share > MANY => {
-            advise(say(about, Grade::Bad, text), format!("{advice}; see why there are so many"))
+        share if share > MISLEADING_SHARE => {
+            with_advice(finding(about, Grade::Bad, text), format!("{advice}; find out why there are so many"))
         }
-        share if share > NOTED => advise(say(about, Grade::Doubtful, text), advice),
-        _ => say(about, Grade::Good, text),
+        share if share > NOTABLE_SHARE => with_advice(finding(about, Grade::Doubtful, text), advice),
+        _ => finding(about, Grade::Good, text),
     }
 }
 
 /// Returns the finding about the starts of an open loop; `None` for a closed loop.
-fn kept(starts: &Starts) -> Option<Finding> {
+fn judge_skipped_starts(starts: &Starts) -> Option<Finding> {
     let about = "skipped starts";
     let ordered = starts.hz.map(significant);
     if starts.skipped == 0 {
-        let text = ordered.map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were ordered and kept."));
-        return text.map(|text| say(about, Grade::Good, text));
+        let text =
+            ordered.map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were configured and achieved."));
+        return text.map(|text| finding(about, Grade::Good, text));
     }
     let share = starts.skipped_share();
-    let made = starts.made_hz.map(|made| format!(", {} starts a second were made", significant(made)));
-    let rates = ordered
-        .map_or_else(String::new, |hz| format!(": {hz}\u{202f}Hz were ordered{}", made.unwrap_or_default()));
+    let made = starts.actual_hz.map(|made| format!(", {}\u{202f}Hz achieved", significant(made)));
+    let rates = ordered.map_or_else(String::new, |hz| {
+        format!(": {hz}\u{202f}Hz were configured{}", made.unwrap_or_default())
+    });
     let text = format!(
-        "{} of {} ({}) {} skipped, because the pipeline was too far behind{rates}.",
+        "{} of {} ({}) {} skipped because the pipeline could not keep up{rates}.",
         fixed(starts.skipped as f64, 0),
-        counted(starts.all(), "start"),
+        counted(starts.total(), "start"),
         percent(share),
         if starts.skipped == 1 { "was" } else { "were" }
     );
-    let advice = "give the rate of the starts that were made beside the latency, or order less";
+    let advice = "report the achieved rate beside the latency, or configure a lower rate";
     Some(match share {
-        share if share > MANY => {
+        share if share > MISLEADING_SHARE => {
             let text = format!("{text} The latency is that of a system at its limit.");
-            advise(say(about, Grade::Bad, text), advice)
+            with_advice(finding(about, Grade::Bad, text), advice)
         }
-        share if share > NOTED => advise(say(about, Grade::Doubtful, text), advice),
-        _ => say(about, Grade::Good, text),
+        share if share > NOTABLE_SHARE => with_advice(finding(about, Grade::Doubtful, text), advice),
+        _ => finding(about, Grade::Good, text),
     })
 }
 
-fn whole(counts: &Counts, missing: &[Missing]) -> Finding {
+fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
     let about = "missing events";
     if missing.is_empty() {
-        return say(about, Grade::Good, "No event was dropped.");
+        return finding(about, Grade::Good, "No event was dropped.");
     }
-    let count: u64 = missing.iter().map(|hole| hole.count).sum();
-    let unknown = missing.iter().any(|hole| hole.count == 0);
+    let count: u64 = missing.iter().map(|gap| gap.count).sum();
+    let unknown = missing.iter().any(|gap| gap.count == 0);
     let mut reasons: Vec<&str> = Vec::new();
-    for hole in missing {
-        if !reasons.contains(&hole.reason.as_str()) {
-            reasons.push(&hole.reason);
+    for gap in missing {
+        if !reasons.contains(&gap.reason.as_str()) {
+            reasons.push(&gap.reason);
         }
     }
     let number = match (count, unknown) {
@@ -166,7 +179,7 @@ fn whole(counts: &Counts, missing: &[Missing]) -> Finding {
     let share = count as f64 / all.max(1) as f64;
     let shown = if unknown { String::new() } else { format!(" ({})", percent(share)) };
     let text = format!("{number}{shown} never reached the store: {}.", reasons.join("; "));
-    let advice = "what is dropped is dropped under load: see that the disk, the spool or the program keeps up, and repeat";
-    let grade = if unknown || share >= HOLES { Grade::Bad } else { Grade::Doubtful };
-    advise(say(about, grade, text), advice)
+    let advice = "events are dropped under load: check that the disk, the spool and the program keep up, and repeat the run";
+    let grade = if unknown || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
+    with_advice(finding(about, grade, text), advice)
 }

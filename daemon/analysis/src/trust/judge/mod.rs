@@ -16,23 +16,23 @@ use super::{Finding, TrustInput};
 pub(super) const END: &str = "end";
 
 /// Returns all findings, in the order of the judgements.
-pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let mut all = Vec::new();
-    all.extend(losses::sentences(input));
-    all.extend(time_series::sentences(input));
-    all.extend(restarts::sentences(input));
-    all.extend(clocks::sentences(input));
-    all.extend(accuracy::sentences(input));
-    all.extend(conditions::sentences(&input.conditions));
+    all.extend(losses::findings(input));
+    all.extend(time_series::findings(input));
+    all.extend(restarts::findings(input));
+    all.extend(clocks::findings(input));
+    all.extend(accuracy::findings(input));
+    all.extend(conditions::findings(&input.conditions));
     all
 }
 
 /// Returns a finding without advice.
-fn say(about: &str, grade: Grade, text: impl Into<String>) -> Finding {
+fn finding(about: &str, grade: Grade, text: impl Into<String>) -> Finding {
     Finding { about: about.to_owned(), grade, text: text.into(), advice: String::new() }
 }
 
-fn advise(sentence: Finding, advice: impl Into<String>) -> Finding {
+fn with_advice(sentence: Finding, advice: impl Into<String>) -> Finding {
     Finding { advice: advice.into(), ..sentence }
 }
 

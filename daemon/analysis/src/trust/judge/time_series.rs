@@ -3,53 +3,55 @@
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
-use super::{advise, ms, percent, say};
+use super::{finding, ms, percent, with_advice};
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Finding, TimeSeries, TrustInput};
 
 /// Change of the median between the halves, as a share of the first, that makes one figure for the whole run meaningless.
 const STRONG_DRIFT: f64 = 0.2;
 /// Relative change that is too small to be visible in a figure.
-const SAME: f64 = 0.000_5;
+const MIN_VISIBLE_CHANGE: f64 = 0.000_5;
 /// Probability above which a trend is attributed to chance.
-const CHANCE: f64 = 0.05;
+const MAX_CHANCE: f64 = 0.05;
 /// Share by which the first iterations may take longer than the rest.
-const COLD: f64 = 0.1;
+const MAX_COLD_EXCESS: f64 = 0.1;
 /// Share of the mean that outliers may add.
-const INFLUENCE: f64 = 0.05;
+const MAX_INFLUENCE: f64 = 0.05;
 /// Share of the total that no stage accounts for, and below which it does not matter, seconds.
-const UNEXPLAINED: f64 = 0.05;
-const MOSTLY_UNEXPLAINED: f64 = 0.25;
-const TOO_SHORT_TO_MATTER: f64 = 100e-6;
+const MAX_UNATTRIBUTED_SHARE: f64 = 0.05;
+const BAD_UNATTRIBUTED_SHARE: f64 = 0.25;
+const NEGLIGIBLE_SECONDS: f64 = 100e-6;
 /// Minimum number of iterations for a judgement of the series.
-const ENOUGH: u64 = 100;
+const MIN_ITERATIONS: u64 = 100;
 
-pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(total) = &input.total else { return Vec::new() };
-    let mut all = vec![steady(total, &input.stages), begun(total), outliers(total)];
-    all.extend(input.unattributed.map(|seconds| explained(seconds, input, total)));
-    all.extend(input.lateness.map(|seconds| late(seconds, total)));
+    let mut all = vec![judge_stationarity(total, &input.stages), judge_warm_up(total), outliers(total)];
+    all.extend(input.unattributed.map(|seconds| judge_unattributed(seconds, input, total)));
+    all.extend(input.lateness.map(|seconds| judge_lateness(seconds, total)));
     all
 }
 
 /// Returns the reason why a run is too short for a judgement of its series. A run of enough iterations can have too few buckets: those of a
 /// dashboard last a second at least, and after a step of a clock they can be so long that they contain the whole skipped time.
-fn too_little(total: &TimeSeries, whether: &str) -> String {
-    if total.count < ENOUGH {
-        return format!("The run is too short to tell whether {whether}: that takes {ENOUGH} iterations.");
+fn too_short_text(total: &TimeSeries, whether: &str) -> String {
+    if total.count < MIN_ITERATIONS {
+        return format!(
+            "The run is too short to tell whether {whether}: at least {MIN_ITERATIONS} iterations are needed."
+        );
     }
     format!(
-        "Not known whether {whether}: its {} lie in too few stretches of the time that it took by its clock. It \
-         lasted only seconds, or its clock was set meanwhile.",
+        "It is unknown whether {whether}: its {} lie in too few time buckets. It lasted only seconds, \
+         or its clock was set meanwhile.",
         counted(total.count, "iteration")
     )
 }
 
-fn steady(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Finding {
+fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Finding {
     let about = "stationarity";
     let known = total.halves.zip(total.change()).zip(chance_of_trend(&total.batches));
     let Some((((first, second), share), chance)) = known else {
-        return say(about, Grade::Unknown, too_little(total, "it drifted"));
+        return finding(about, Grade::Unknown, too_short_text(total, "it drifted"));
     };
     let size = share.abs();
     let moved = format!(
@@ -59,19 +61,19 @@ fn steady(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Finding {
         ms(second),
         ms(first)
     );
-    if size < SAME {
+    if size < MIN_VISIBLE_CHANGE {
         let text = format!("The medians of both halves are the same, {}: it did not drift.", ms(first));
-        return say(about, Grade::Good, text);
+        return finding(about, Grade::Good, text);
     }
     let odds = match chance {
         p if p < 0.001 => "p\u{202f}<\u{202f}0.001".to_owned(),
         p => format!("p\u{202f}=\u{202f}{}", significant(p)),
     };
-    if !total.has_moved() {
-        return say(about, Grade::Good, format!("{moved}: it did not drift."));
+    if !total.has_notable_change() {
+        return finding(about, Grade::Good, format!("{moved}: it did not drift."));
     }
-    if chance >= CHANCE {
-        return say(about, Grade::Good, format!("{moved}, which is not more than chance ({odds})."));
+    if chance >= MAX_CHANCE {
+        return finding(about, Grade::Good, format!("{moved}, which is not more than chance ({odds})."));
     }
     let most = stages.iter().filter_map(|(name, course)| Some((name, course.halves?)));
     let most = most.max_by(|(_, a), (_, b)| (a.1 - a.0).abs().total_cmp(&(b.1 - b.0).abs()));
@@ -79,15 +81,15 @@ fn steady(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Finding {
         format!("; most of it in `{name}` ({} to {})", ms(first), ms(second))
     });
     let text = format!("{moved}, more than chance ({odds}){most}.");
-    let advice = "one figure for the whole run hides that: find out what changed (heat, load, network), or measure longer \
+    let advice = "one figure for the whole run hides this: find out what changed (heat, load, network), or measure longer \
                   and after it has settled";
-    advise(say(about, if size >= STRONG_DRIFT { Grade::Bad } else { Grade::Doubtful }, text), advice)
+    with_advice(finding(about, if size >= STRONG_DRIFT { Grade::Bad } else { Grade::Doubtful }, text), advice)
 }
 
-fn begun(total: &TimeSeries) -> Finding {
+fn judge_warm_up(total: &TimeSeries) -> Finding {
     let about = "warm-up";
     let Some(begin) = total.beginning.filter(|begin| begin.blocks >= 4) else {
-        return say(about, Grade::Unknown, too_little(total, "its warm-up was long enough"));
+        return finding(about, Grade::Unknown, too_short_text(total, "its warm-up was long enough"));
     };
     let share = change(begin.rest, begin.median);
     let compared = format!(
@@ -97,86 +99,93 @@ fn begun(total: &TimeSeries) -> Finding {
         ms(begin.rest)
     );
     // Among blocks that are all alike, the first is the highest as often as any other.
-    if share > COLD && begin.as_high < CHANCE {
+    if share > MAX_COLD_EXCESS && begin.share_as_high < MAX_CHANCE {
         let text = format!(
             "{compared}: {} more, and more than nearly all later ones of that length.",
             percent(share)
         );
-        return advise(say(about, Grade::Doubtful, text), "make the warm-up longer, so that it holds them");
+        return with_advice(
+            finding(about, Grade::Doubtful, text),
+            "make the warm-up longer, so that it includes them",
+        );
     }
-    if share > COLD {
-        let alike = (begin.as_high * begin.blocks as f64).round();
+    if share > MAX_COLD_EXCESS {
+        let alike = (begin.share_as_high * begin.blocks as f64).round();
         let text = format!(
             "{compared}. Of {} later parts of that length {} took as long or longer, so that this is not more than chance: the \
              warm-up was long enough.",
             begin.blocks,
             fixed(alike, 0)
         );
-        return say(about, Grade::Good, text);
+        return finding(about, Grade::Good, text);
     }
-    say(about, Grade::Good, format!("{compared}: the warm-up was long enough."))
+    finding(about, Grade::Good, format!("{compared}: the warm-up was long enough."))
 }
 
 fn outliers(total: &TimeSeries) -> Finding {
     let about = "outliers";
     let seen = &total.outliers;
     if seen.count == 0 {
-        return say(about, Grade::Good, format!("No outliers: the slowest iteration took {}.", ms(seen.max)));
+        return finding(
+            about,
+            Grade::Good,
+            format!("No outliers: the slowest iteration took {}.", ms(seen.max)),
+        );
     }
     let influence = if total.mean > 0.0 { seen.influence / total.mean } else { 0.0 };
     let text = format!(
         "{} of the iterations took longer than {} (median and 3.5 robust deviations); the slowest took {}, {} times the \
-         median. They make {} of the mean.",
+         median. They contribute {} of the mean.",
         percent(seen.count as f64 / total.count as f64),
         ms(seen.limit),
         ms(seen.max),
         fixed(if total.median > 0.0 { seen.max / total.median } else { 0.0 }, 1),
         percent(influence)
     );
-    if influence < INFLUENCE {
-        return say(about, Grade::Good, text);
+    if influence < MAX_INFLUENCE {
+        return finding(about, Grade::Good, text);
     }
     let advice =
-        "give median, 95th and 99th percentile beside mean ± std, and look at the slowest iterations";
-    advise(say(about, Grade::Doubtful, text), advice)
+        "report median, 95th and 99th percentile beside mean ± std, and look at the slowest iterations";
+    with_advice(finding(about, Grade::Doubtful, text), advice)
 }
 
 /// Returns the finding about time that nothing accounts for. Lateness and the wait for a model's new process are subtracted: they are
 /// measured, although they are not stages, and have separate findings.
-fn explained(unattributed: f64, input: &TrustInput, total: &TimeSeries) -> Finding {
+fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries) -> Finding {
     let about = "unattributed";
-    let waits = input.restarts.iter().filter(|restarts| restarts.is_beside_stages());
+    let waits = input.restarts.iter().filter(|restarts| restarts.is_unattributed());
     let waited = waits.map(|restarts| restarts.seconds).sum::<f64>() / input.counts.ok.max(1) as f64;
     let seconds = unattributed - input.lateness.unwrap_or_default() - waited;
     let beside = match (input.lateness.is_some(), waited > 0.0) {
-        (true, true) => ", lateness and restarts aside",
-        (true, false) => ", lateness aside",
-        (false, true) => ", restarts aside",
+        (true, true) => ", lateness and restarts excluded",
+        (true, false) => ", lateness excluded",
+        (false, true) => ", restarts excluded",
         (false, false) => "",
     };
     let share = if total.mean > 0.0 { seconds.abs() / total.mean } else { 0.0 };
     let text = if seconds < 0.0 {
-        format!("The stages add up to {} more than the total{beside}: some overlap.", percent(share))
+        format!("The stages add up to {} more than the total{beside}: some stages overlap.", percent(share))
     } else {
         format!("{} of the total belongs to no stage{beside} ({} on average).", percent(share), ms(seconds))
     };
-    if share < UNEXPLAINED || seconds.abs() < TOO_SHORT_TO_MATTER {
-        return say(about, Grade::Good, text);
+    if share < MAX_UNATTRIBUTED_SHARE || seconds.abs() < NEGLIGIBLE_SECONDS {
+        return finding(about, Grade::Good, text);
     }
     let advice = "publish the measured total, not the sum of the stages; the columns of data.csv, and an iteration's waterfall on the dashboard, show where the rest is";
-    let grade = if share >= MOSTLY_UNEXPLAINED { Grade::Bad } else { Grade::Doubtful };
-    advise(say(about, grade, text), advice)
+    let grade = if share >= BAD_UNATTRIBUTED_SHARE { Grade::Bad } else { Grade::Doubtful };
+    with_advice(finding(about, grade, text), advice)
 }
 
 /// Returns the finding about the wait for earlier iterations. This wait belongs to the total and is not a defect.
-fn late(seconds: f64, total: &TimeSeries) -> Finding {
+fn judge_lateness(seconds: f64, total: &TimeSeries) -> Finding {
     let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
     let text = format!(
-        "Iterations began {} after the ordered start on average: this lateness is {} of the total.",
+        "Iterations began {} after their scheduled start on average: this lateness is {} of the total.",
         ms(seconds),
         percent(share)
     );
-    say("lateness", Grade::Good, text)
+    finding("lateness", Grade::Good, text)
 }
 
 /// Returns the change from one value to the other, as a share of the first.

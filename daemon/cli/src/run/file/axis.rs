@@ -9,7 +9,7 @@ use toml::Value;
 use super::field::{Field, FieldError};
 
 /// Tables whose fields an axis may change.
-const TABLES: [&str; 10] = [
+const VARIABLE_TABLES: [&str; 10] = [
     "experiment",
     "network",
     "pipeline",
@@ -22,11 +22,11 @@ const TABLES: [&str; 10] = [
     "onnxruntime",
 ];
 /// Keys of `[experiment]` that may differ between configurations.
-const OWN: [&str; 7] =
+const VARIABLE_KEYS: [&str; 7] =
     ["episodes", "episode_steps", "warm_up", "iterations", "duration_s", "users", "patience_s"];
 
 /// Columns of the tables over all runs besides the axes and the latencies.
-const COLUMNS: [&str; 6] = ["runs", "count", "unanswered", "best", "tie", "edges"];
+const RESERVED_COLUMNS: [&str; 6] = ["runs", "count", "unanswered", "best", "tie", "edges"];
 
 /// `[[axis]]` as in the file.
 #[derive(Clone, Debug, Deserialize)]
@@ -75,7 +75,7 @@ pub(super) enum AxisError {
     Form,
     #[error("name: {0:?} holds a control character, which would break tables")]
     NameControl(String),
-    #[error("name: compare.csv has a column {0} of its own; call it another way")]
+    #[error("name: compare.csv has a column {0} of its own; choose another name")]
     NameColumn(String),
     #[error(
         "the label {0:?} holds a control character, which would break tables; give it another with [[axis.value]]"
@@ -85,15 +85,15 @@ pub(super) enum AxisError {
         "two values are labelled {0}; tables could not tell them apart: give them labels with [[axis.value]]"
     )]
     SameLabel(String),
-    #[error("{0} does not say how it is to be called in tables; use [[axis.value]] with a label")]
+    #[error("{0} has no text for tables; use [[axis.value]] with a label")]
     NoLabel(Value),
-    #[error("the label must be a text, a number or a truth")]
+    #[error("the label must be a text, a number or a boolean")]
     LabelType,
     #[error(transparent)]
     Field(#[from] FieldError),
-    #[error("there is no field {0}: a path begins with {tables}, such as pipeline.placement.model", tables = TABLES.join(", "))]
+    #[error("there is no field {0}: a path begins with {tables}, such as pipeline.placement.model", tables = VARIABLE_TABLES.join(", "))]
     UnknownTable(String),
-    #[error("{0} is the same for all runs; of [experiment] only {own} may differ", own = OWN.join(", "))]
+    #[error("{0} is the same for all runs; of [experiment] only {own} may differ", own = VARIABLE_KEYS.join(", "))]
     SameForAll(String),
 }
 
@@ -112,7 +112,7 @@ impl Axis {
         if name.contains(char::is_control) {
             return Err(AxisError::NameControl(name));
         }
-        if COLUMNS.contains(&name.as_str()) {
+        if RESERVED_COLUMNS.contains(&name.as_str()) {
             return Err(AxisError::NameColumn(name));
         }
         if let Some(value) = values.iter().find(|value| value.label.contains(char::is_control)) {
@@ -172,11 +172,11 @@ fn long(value: ValueTable) -> Result<AxisValue, AxisError> {
 /// Reads a field that an axis may change.
 fn reach(text: &str) -> Result<Field, AxisError> {
     let field = Field::read(text)?;
-    if !TABLES.contains(&field.table()) {
+    if !VARIABLE_TABLES.contains(&field.table()) {
         return Err(AxisError::UnknownTable(text.to_owned()));
     }
     let within = text.strip_prefix("experiment.").map(|rest| rest.split('.').next().unwrap_or(rest));
-    if field.table() == "experiment" && !within.is_some_and(|key| OWN.contains(&key)) {
+    if field.table() == "experiment" && !within.is_some_and(|key| VARIABLE_KEYS.contains(&key)) {
         return Err(AxisError::SameForAll(text.to_owned()));
     }
     Ok(field)
@@ -225,7 +225,7 @@ mod tests {
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1]\n[[value]]\nlabel = 'b'", "either field"),
             ("name = 'a'\nfield = 'pipelin.x'\nvalues = [1]", "there is no field pipelin.x"),
             ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "the same for all runs"),
-            ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "how it is to be called"),
+            ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "has no text for tables"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1, 1]", "labelled 1"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [\"b\\nc\"]", r#"the label "b\nc" holds a control"#),
             ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),

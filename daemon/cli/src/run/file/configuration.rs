@@ -15,11 +15,11 @@ use super::experiment::{Experiment, LimitError, Network, RangeError, describe_wa
 use super::field::{Field, FieldError};
 use super::matrix::Combination;
 use super::peers::PeerError;
-use super::{AGENT, File, KeyError, peers, typed};
-use crate::run::check::as_written;
+use super::{AGENT, File, KeyError, convert, peers};
+use crate::run::check::without_serde_words;
 
 /// Keys of a pipeline that the experiment decides, with the keys to be used instead.
-const ELSEWHERE: [(&str, &str); 6] = [
+const REPLACED_KEYS: [(&str, &str); 6] = [
     ("name", "experiment.name"),
     ("limit", "experiment.iterations, experiment.duration_s, or experiment.episodes"),
     ("warm_up", "experiment.warm_up"),
@@ -66,19 +66,21 @@ pub(super) enum ConfigurationError {
     Range(#[from] RangeError),
     #[error("network.{0}")]
     Network(#[source] KeyError),
-    #[error("pipeline: there is no table [pipeline]: what is to be measured?")]
+    #[error("pipeline: the table [pipeline] is missing")]
     NoPipeline,
     #[error("pipeline.{key}: in an experiment this is decided by {instead}")]
     DecidedElsewhere { key: &'static str, instead: &'static str },
     #[error(transparent)]
     Peer(#[from] PeerError),
-    #[error("{}", as_written(&.0.to_string()))]
+    #[error("{}", without_serde_words(&.0.to_string()))]
     Agent(#[source] KeyError),
-    #[error("experiment.users: several edges need a spool each, and have one when [spool] file is left out")]
+    #[error("experiment.users: several edges need one spool each, and get one if [spool] file is omitted")]
     SharedSpool,
     #[error("experiment: {0}")]
     Limit(#[from] LimitError),
-    #[error("experiment.warm_up: all iterations of a run would be warm-up ({0}), and no statistics")]
+    #[error(
+        "experiment.warm_up: all iterations of a run would be warm-up ({0}), so that it would have no statistics"
+    )]
     AllWarmUp(String),
     /// Some axes may have set the invalid value.
     #[error("{problem} (with {})", .axes.join(", "))]
@@ -113,7 +115,7 @@ impl File {
                 let labels = combination.iter().map(|(axis, value)| (axis.name.clone(), value.label.clone()));
                 (Configuration { labels: labels.collect(), ..configuration }, network)
             })
-            .map_err(|problem| blame(problem, combination))
+            .map_err(|problem| name_axes(problem, combination))
     }
 }
 
@@ -124,14 +126,14 @@ fn read(
 ) -> Result<(Configuration, Option<NetworkConfig>), ConfigurationError> {
     let table = |document: &mut Table, key: &str| document.remove(key);
     let experiment = table(&mut document, "experiment").unwrap_or_else(|| Value::Table(Table::new()));
-    let experiment: Experiment = typed(experiment).map_err(ConfigurationError::Experiment)?;
+    let experiment: Experiment = convert(experiment).map_err(ConfigurationError::Experiment)?;
     experiment.check()?;
-    let network = table(&mut document, "network").map(typed::<Network>).transpose();
+    let network = table(&mut document, "network").map(convert::<Network>).transpose();
     let network = network.map_err(ConfigurationError::Network)?;
     let Some(Value::Table(mut pipeline)) = table(&mut document, "pipeline") else {
         return Err(ConfigurationError::NoPipeline);
     };
-    if let Some((key, instead)) = ELSEWHERE.into_iter().find(|(key, _)| pipeline.contains_key(*key)) {
+    if let Some((key, instead)) = REPLACED_KEYS.into_iter().find(|(key, _)| pipeline.contains_key(*key)) {
         return Err(ConfigurationError::DecidedElsewhere { key, instead });
     }
     let network = peers::resolve(&mut pipeline, network.as_ref(), files)?;
@@ -140,7 +142,7 @@ fn read(
     let has_bank = document.contains_key("bank");
     document.retain(|key, _| AGENT.contains(&key));
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
-    let mut agent: AgentConfig = typed(document).map_err(ConfigurationError::Agent)?;
+    let mut agent: AgentConfig = convert(document).map_err(ConfigurationError::Agent)?;
     if !has_bank {
         agent.bank.folders = ModelFolders::search(models).paths().to_vec();
     }
@@ -200,7 +202,7 @@ fn is<T: DeserializeOwned>(table: Table) -> bool {
 }
 
 /// Adds the axes that may have set the invalid value to an error.
-fn blame(problem: ConfigurationError, combination: &Combination<'_>) -> ConfigurationError {
+fn name_axes(problem: ConfigurationError, combination: &Combination<'_>) -> ConfigurationError {
     let text = problem.to_string();
     let key = text.split(": ").next().unwrap_or_default();
     let Ok(field) = Field::read(key) else { return problem };

@@ -12,11 +12,11 @@ use toml::Value;
 
 /// Maximum number of concurrent edges. Each is a process with its own sockets, clock probes and, if it computes itself, model: more of
 /// them on one host would measure that host, and not the network or the server.
-const MOST_USERS: u32 = 64;
+const MAX_USERS: u32 = 64;
 /// Longest run in seconds: a year.
-const LONGEST_RUN_S: f64 = 365.0 * 86_400.0;
+const MAX_RUN_S: f64 = 365.0 * 86_400.0;
 /// Longest wait for a peer in seconds: a day, as for `--patience`.
-const LONGEST_PATIENCE_S: f64 = 86_400.0;
+const MAX_PATIENCE_S: f64 = 86_400.0;
 
 /// `[experiment]`: number, order and length of the runs.
 #[derive(Clone, Debug, Deserialize)]
@@ -88,21 +88,21 @@ pub(super) struct Network {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub(super) enum RangeError {
     #[error(
-        "experiment.users: {0} is too many; at most {MOST_USERS} edges, each a process of its own, can ask at once"
+        "experiment.users: {0} is too many; at most {MAX_USERS} edges, each in its own process, can run at the same time"
     )]
     Users(u32),
-    #[error("experiment.duration_s: {0:?} is not a number of seconds above 0 and up to {LONGEST_RUN_S}")]
+    #[error("experiment.duration_s: {0:?} is not a number of seconds above 0 and up to {MAX_RUN_S}")]
     Duration(f64),
-    #[error("experiment.patience_s: {0:?} is not a number of seconds from 0 to {LONGEST_PATIENCE_S}")]
+    #[error("experiment.patience_s: {0:?} is not a number of seconds from 0 to {MAX_PATIENCE_S}")]
     Patience(f64),
 }
 
 /// A run without a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum LimitError {
-    #[error("episodes needs episode_steps: how long is an episode?")]
+    #[error("episodes needs episode_steps, the length of an episode")]
     EpisodeSteps,
-    #[error("when does a run end? Give episodes and episode_steps, iterations, or duration_s")]
+    #[error("a run has no limit; set episodes and episode_steps, iterations, or duration_s")]
     Endless,
 }
 
@@ -113,16 +113,13 @@ impl Experiment {
     /// When one is outside its range.
     pub(super) fn check(&self) -> Result<(), RangeError> {
         let users = self.users.get();
-        if users > MOST_USERS {
+        if users > MAX_USERS {
             return Err(RangeError::Users(users));
         }
-        if let Some(seconds) =
-            self.duration_s.filter(|seconds| !(*seconds > 0.0 && *seconds <= LONGEST_RUN_S))
-        {
+        if let Some(seconds) = self.duration_s.filter(|seconds| !(*seconds > 0.0 && *seconds <= MAX_RUN_S)) {
             return Err(RangeError::Duration(seconds));
         }
-        if let Some(seconds) = self.patience_s.filter(|seconds| !(0.0..=LONGEST_PATIENCE_S).contains(seconds))
-        {
+        if let Some(seconds) = self.patience_s.filter(|seconds| !(0.0..=MAX_PATIENCE_S).contains(seconds)) {
             return Err(RangeError::Patience(seconds));
         }
         Ok(())
@@ -192,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn warm_up_episodes_are_left_out_as_in_paper() {
+    fn warm_up_episodes_are_excluded() {
         let paper = read("episodes = 30\nepisode_steps = 30");
         assert_eq!(paper.limit().expect("there is one").total.map(NonZeroU64::get), Some(900));
         assert_eq!(

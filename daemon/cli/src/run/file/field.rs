@@ -18,15 +18,15 @@ enum Step {
 /// An invalid path, or one that does not exist.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(in crate::run) enum FieldError {
-    #[error("{0:?} is no path of a field; write it as pipeline.placement.model")]
+    #[error("{0:?} is not the path of a field; write it as pipeline.placement.model")]
     Path(String),
-    #[error("{path:?} is no path of a field: {place:?} is no place in a list, which are counted from 0")]
+    #[error("{path:?} is not the path of a field: {place:?} is not an index of a list; indices start at 0")]
     Index { path: String, place: String },
-    #[error("there is no {field}: {list} has {count} entries, counted from 0")]
+    #[error("there is no {field}: {list} has {count} entries, and indices start at 0")]
     NoEntry { field: Field, list: Field, count: usize },
-    #[error("there is no {field}: {place} is no table")]
+    #[error("there is no {field}: {place} is not a table")]
     NoTable { field: Field, place: Field },
-    #[error("there is no {field}: {place} is no list")]
+    #[error("there is no {field}: {place} is not a list")]
     NoList { field: Field, place: Field },
 }
 
@@ -70,7 +70,7 @@ impl Field {
         last.unwrap_or_default()
     }
 
-    /// Returns whether one of the two paths is the begin of the other.
+    /// Returns whether one of the two paths is a prefix of the other.
     pub(super) fn touches(&self, other: &Self) -> bool {
         self.0.iter().zip(&other.0).all(|(a, b)| a == b)
     }
@@ -149,12 +149,12 @@ mod tests {
     #[test]
     fn unknown_path_is_reported() {
         for (path, document, message) in [
-            ("a..b", "", "no path"),
-            ("a\nb", "", "no path"),
-            ("a[x]", "", "no place in a list"),
+            ("a..b", "", "not the path"),
+            ("a\nb", "", "not the path"),
+            ("a[x]", "", "not an index of a list"),
             ("a[2].b", "a = [1]", "there is no a[2].b: a has 1 entries"),
-            ("a.b.c", "a = { b = 1 }", "a.b is no table"),
-            ("a[0]", "a = { b = 1 }", "a is no list"),
+            ("a.b.c", "a = { b = 1 }", "a.b is not a table"),
+            ("a[0]", "a = { b = 1 }", "a is not a list"),
         ] {
             let error = set(path, document).expect_err(path);
             assert!(error.to_string().contains(message), "{error}");

@@ -7,7 +7,7 @@ use toml::Value;
 use super::axis::{Axis, AxisValue, label};
 
 /// Maximum number of runs of an experiment, so that a typing error does not fill the memory.
-pub(super) const MOST: usize = 10_000;
+pub(super) const MAX_RUNS: usize = 10_000;
 
 /// One value of each axis, in the order of the axes.
 pub(super) type Combination<'a> = Vec<(&'a Axis, &'a AxisValue)>;
@@ -15,24 +15,24 @@ pub(super) type Combination<'a> = Vec<(&'a Axis, &'a AxisValue)>;
 /// Axes that make no matrix of runs.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum MatrixError {
-    #[error("the axes make more than {MOST} combinations")]
+    #[error("the axes make more than {MAX_RUNS} combinations")]
     TooManyCombinations,
-    #[error("experiment.repeats: so many repeats make {0} runs; there may be {MOST}")]
+    #[error("experiment.repeats: the repeats make {0} runs; the maximum is {MAX_RUNS}")]
     TooManyRuns(u64),
     #[error("experiment.exclude[{index}]: {source}")]
     Exclusion { index: usize, source: ExclusionError },
-    #[error("experiment.exclude: no combination is left")]
+    #[error("experiment.exclude: it excludes all combinations")]
     NothingLeft,
 }
 
 /// An invalid table of excluded combinations.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ExclusionError {
-    #[error("it names no axis, and would leave nothing")]
+    #[error("it names no axis, so that it would exclude all combinations")]
     Empty,
-    #[error("there is no axis {name}; there is {}", .known.join(", "))]
+    #[error("there is no axis {name}, only {}", .known.join(", "))]
     UnknownAxis { name: String, known: Vec<String> },
-    #[error("{axis} is never {value}; there is {known}")]
+    #[error("{axis} has no value {value}, only {known}")]
     UnknownLabel { axis: String, value: Value, known: String },
 }
 
@@ -45,7 +45,7 @@ pub(super) fn combinations<'a>(
     exclude: &[BTreeMap<String, Value>],
 ) -> Result<Vec<Combination<'a>>, MatrixError> {
     let count = axes.iter().try_fold(1_usize, |count, axis| count.checked_mul(axis.values.len()));
-    if count.is_none_or(|count| count > MOST) {
+    if count.is_none_or(|count| count > MAX_RUNS) {
         return Err(MatrixError::TooManyCombinations);
     }
     let exclude: Vec<Exclusion> = exclude

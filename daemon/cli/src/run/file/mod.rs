@@ -30,7 +30,7 @@ use axis::{AxisError, AxisTable};
 use matrix::MatrixError;
 
 /// Tables of the file besides those of an agent.
-const OWN: [&str; 4] = ["experiment", "network", "pipeline", "axis"];
+const EXPERIMENT_TABLES: [&str; 4] = ["experiment", "network", "pipeline", "axis"];
 /// Tables of an agent's configuration that an experiment may contain.
 const AGENT: [&str; 8] = ["agent", "spool", "clock", "probes", "rehearsal", "model", "bank", "onnxruntime"];
 
@@ -48,11 +48,11 @@ pub(super) struct File {
 /// A document that is no experiment's file; the text begins with the key.
 #[derive(Debug, thiserror::Error)]
 enum FileError {
-    #[error("{0}: an experiment has no such table; there is {own} and {agent}", own = OWN.join(", "), agent = AGENT.join(", "))]
+    #[error("{0}: an experiment has no such table, only {own} and {agent}", own = EXPERIMENT_TABLES.join(", "), agent = AGENT.join(", "))]
     UnknownTable(String),
     #[error("axis{0}")]
     Axes(#[source] KeyError),
-    #[error("there is no table [experiment]")]
+    #[error("the table [experiment] is missing")]
     NoExperiment,
     #[error("experiment.{0}")]
     Experiment(#[source] KeyError),
@@ -86,7 +86,7 @@ impl File {
     /// # Errors
     /// When it does not exist (66), something in it is wrong (78), or a replaced value has no effect (64).
     pub(super) fn read(path: &Path, sets: &[Set]) -> Result<Self, Failure> {
-        let text = small_file::read(path, small_file::LARGEST)
+        let text = small_file::read(path, small_file::MAX_BYTES)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
             .map_err(|error| Failure::new(Exit::NoInput, error))?;
         let at = |error: &dyn fmt::Display| {
@@ -141,20 +141,21 @@ impl File {
     fn bounded(&self, configurations: usize) -> Result<(), MatrixError> {
         let repeats = self.experiment.repeats.get();
         let runs = configurations as u64 * u64::from(repeats);
-        if runs <= matrix::MOST as u64 { Ok(()) } else { Err(MatrixError::TooManyRuns(runs)) }
+        if runs <= matrix::MAX_RUNS as u64 { Ok(()) } else { Err(MatrixError::TooManyRuns(runs)) }
     }
 
     fn parse(mut document: Table, path: &Path) -> Result<Self, FileError> {
-        if let Some(key) =
-            document.keys().find(|key| !OWN.contains(&key.as_str()) && !AGENT.contains(&key.as_str()))
+        if let Some(key) = document
+            .keys()
+            .find(|key| !EXPERIMENT_TABLES.contains(&key.as_str()) && !AGENT.contains(&key.as_str()))
         {
             return Err(FileError::UnknownTable(key.clone()));
         }
         let axes = document.remove("axis").unwrap_or_else(|| Value::Array(Vec::new()));
-        let tables: Vec<AxisTable> = typed(axes).map_err(FileError::Axes)?;
+        let tables: Vec<AxisTable> = convert(axes).map_err(FileError::Axes)?;
         let experiment = document.get("experiment").cloned();
         let experiment = experiment.ok_or(FileError::NoExperiment)?;
-        let experiment = typed(experiment).map_err(FileError::Experiment)?;
+        let experiment = convert(experiment).map_err(FileError::Experiment)?;
         let mut axes: Vec<Axis> = Vec::new();
         for (index, table) in tables.into_iter().enumerate() {
             let axis = Axis::read(table).map_err(|source| FileError::Axis { index, source })?;
@@ -172,7 +173,7 @@ impl File {
 }
 
 /// Converts a value to its type.
-fn typed<T: serde::de::DeserializeOwned>(value: impl Into<Value>) -> Result<T, KeyError> {
+fn convert<T: serde::de::DeserializeOwned>(value: impl Into<Value>) -> Result<T, KeyError> {
     serde_path_to_error::deserialize(value.into())
         .map_err(|error| KeyError { path: error.path().to_string(), source: error.into_inner() })
 }

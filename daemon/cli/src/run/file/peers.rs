@@ -12,7 +12,7 @@ use super::experiment::Network;
 use crate::exit::Failure;
 use crate::network::network as kind;
 use crate::published::{DeviceAddresses, addresses};
-use crate::run::origin::origin;
+use crate::run::relative_paths::base_hint;
 
 /// Files of devices, each read once, so that remarks about a file appear once for all combinations.
 #[derive(Default)]
@@ -21,7 +21,7 @@ pub(super) struct Files(BTreeMap<(PathBuf, &'static str), Result<DeviceAddresses
 /// A peer without a known address; the text begins with the key.
 #[derive(Clone, Debug, thiserror::Error)]
 pub(super) enum PeerError {
-    #[error("network.config: {0}; {origin}", origin = origin())]
+    #[error("network.config: {0}; {hint}", hint = base_hint())]
     NoSuchFile(Arc<Failure>),
     #[error("network.config: {0}")]
     File(Arc<Failure>),
@@ -29,7 +29,7 @@ pub(super) enum PeerError {
         "pipeline.placement.peer: {0:?} is no address; write tcp://host:5551, or name the file of the devices: [network] config = \"net_config.yaml\""
     )]
     NotAnAddress(String),
-    #[error("pipeline.placement.peer: {} has no device {peer}; there is {}", .file.display(), .known.join(", "))]
+    #[error("pipeline.placement.peer: {} has no device {peer}, only {}", .file.display(), .known.join(", "))]
     UnknownDevice { file: PathBuf, peer: String, known: Vec<String> },
     #[error("network.config: the settings ros2 cannot be used: {0}")]
     Ros2(#[source] toml::ser::Error),

@@ -21,7 +21,7 @@ pub(in crate::run) enum SetError {
     Form,
     #[error(transparent)]
     Field(#[from] FieldError),
-    #[error("axes are changed in the file; --only does some of the runs")]
+    #[error("change axes in the file; --only executes some of the runs")]
     Axis,
     #[error("the number is too large; the largest is {}, the smallest {}", i64::MAX, i64::MIN)]
     Number,
@@ -96,7 +96,7 @@ mod tests {
         assert_eq!(value("a.b=1\nc = 2"), Value::String("1\nc = 2".to_owned()));
         for (text, message) in [
             ("a.b", "FIELD=VALUE"),
-            ("a..b=1", "no path"),
+            ("a..b=1", "not the path"),
             ("axis[0].values=[1]", "in the file"),
             ("a.b=18446744073709551615", "too large; the largest is 9223372036854775807"),
             ("a.b=-99_999_999_999_999_999_999", "too large"),

@@ -117,7 +117,7 @@ fn run_has_its_place_in_experiment() {
 }
 
 #[test]
-fn users_are_numbered_after_machine_without_name_in_file() {
+fn users_are_numbered_after_machine_name() {
     let plan = plan(&FILE.replace("name = 'robot'", ""), None);
     let run = |configuration| plan.runs.iter().find(|run| run.configuration == configuration).expect("it is");
     let machine = plan.configurations[0].agent.agent.host_name().expect("the machine has a name");

@@ -11,23 +11,23 @@ use crate::sheet::file;
 use peernet_analysis::accuracy;
 
 /// Half the width of a whisker's cap, points.
-const CAP: f64 = 1.4;
-/// Radius of a point, with the rim that parts it from its neighbours, points.
+const CAP_HALF_WIDTH: f64 = 1.4;
+/// Radius of a point, and width of the rim that separates it from its neighbours, points.
 const RADIUS: f64 = 2.1;
 const RIM: f64 = 0.4;
-/// Ratio of the largest to the smallest latency from which on the axis is logarithmic.
-const WIDE: f64 = 12.0;
+/// Ratio of the largest to the smallest latency from which the axis is logarithmic.
+const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the intervals, percentage points.
-const ROOM: f64 = 2.0;
+const AXIS_MARGIN: f64 = 2.0;
 /// Difference of accuracies, as a share of the axis, below which horizontal whiskers overlap.
-const SAME: f64 = 0.03;
+const OVERLAP_DISTANCE: f64 = 0.03;
 
 /// Accuracy and latency of one configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
     /// Name of the configuration, for the key.
     pub label: String,
-    /// Number of right answers.
+    /// Number of correct answers.
     pub right: u64,
     /// Number of scored answers.
     pub count: u64,
@@ -38,14 +38,14 @@ pub struct Score {
 }
 
 impl Score {
-    /// Returns the share of right answers with its 95 % interval: low, share, high, in per cent. `None` without an answer.
+    /// Returns the share of correct answers with its 95 % interval: low, share, high, in per cent. `None` without an answer.
     fn accuracy(&self) -> Option<[f64; 3]> {
         let accuracy::Accuracy { share, interval: (low, high), .. } =
-            accuracy::Accuracy::of_counts(self.right, self.count, 0)?;
+            accuracy::Accuracy::from_counts(self.right, self.count, 0)?;
         Some([low, share, high].map(|share| share * 100.0))
     }
 
-    fn late(&self) -> Option<f64> {
+    fn p95_latency(&self) -> Option<f64> {
         self.p95.filter(|p95| p95.is_finite())
     }
 }
@@ -71,28 +71,29 @@ struct Spot {
 }
 
 impl Accuracy {
-    fn shown(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
+    fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
         let finite = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
         finite.filter_map(|score| Some((score, score.accuracy()?)))
     }
 
     /// Returns the lowest and the highest end of the intervals, per cent.
-    fn heights(&self) -> Option<(f64, f64)> {
-        self.shown().map(|(_, [low, _, high])| (low, high)).reduce(join)
+    fn interval_range(&self) -> Option<(f64, f64)> {
+        self.shown_scores().map(|(_, [low, _, high])| (low, high)).reduce(union)
     }
 
-    /// Returns whether there are horizontal whiskers: at all points, or at none if two would overlap.
+    /// Returns whether points have horizontal whiskers. No point has one if two of them would overlap.
     fn has_whiskers(&self) -> bool {
-        let Some((low, high)) = self.heights() else { return false };
-        let near = (high - low + 2.0 * ROOM) * SAME;
-        let reach = |score: &Score| (score.median, score.late().unwrap_or(score.median));
+        let Some((low, high)) = self.interval_range() else { return false };
+        let near = (high - low + 2.0 * AXIS_MARGIN) * OVERLAP_DISTANCE;
+        let reach = |score: &Score| (score.median, score.p95_latency().unwrap_or(score.median));
         let shown: Vec<((f64, f64), f64)> =
-            self.shown().map(|(score, [_, share, _])| (reach(score), share)).collect();
+            self.shown_scores().map(|(score, [_, share, _])| (reach(score), share)).collect();
         let touch = |((from, to), share): &((f64, f64), f64), ((other, late), level): &((f64, f64), f64)| {
             (share - level).abs() < near && from <= late && other <= to
         };
         let alone = |(number, one)| shown[number + 1..].iter().all(|other| !touch(one, other));
-        shown.iter().enumerate().all(alone) && self.shown().any(|(score, _)| score.late().is_some())
+        shown.iter().enumerate().all(alone)
+            && self.shown_scores().any(|(score, _)| score.p95_latency().is_some())
     }
 
     fn notes(&self) -> Vec<String> {
@@ -102,16 +103,17 @@ impl Accuracy {
     }
 
     fn axes(&self) -> Option<Plot> {
-        let (low, high) = self.heights()?;
-        let late = |score: &Score| score.late().filter(|_| self.has_whiskers()).unwrap_or(score.median);
+        let (low, high) = self.interval_range()?;
+        let late =
+            |score: &Score| score.p95_latency().filter(|_| self.has_whiskers()).unwrap_or(score.median);
         let (fast, slow) = self
-            .shown()
+            .shown_scores()
             .map(|(score, _)| (score.median * self.unit.per_si, late(score) * self.unit.per_si))
-            .reduce(join)?;
-        // The axis ends a little above 100, so that points there are complete, but below the next mark.
+            .reduce(union)?;
+        // Points at 100 % are complete because the axis ends a little above 100, below the next mark.
         let edge = (high - low).max(1.0) * 0.04;
-        let shares = Scale::linear(((low - ROOM).max(-edge), (high + ROOM).min(100.0 + edge)));
-        let across = if slow > fast * WIDE {
+        let shares = Scale::linear(((low - AXIS_MARGIN).max(-edge), (high + AXIS_MARGIN).min(100.0 + edge)));
+        let across = if slow > fast * LOGARITHMIC_RATIO {
             let room = (slow / fast).powf(0.08);
             Scale::logarithmic((fast / room, slow * room))
         } else {
@@ -127,22 +129,22 @@ impl Accuracy {
         let spot = |(score, [low, share, high]): (&Score, [f64; 3])| Spot {
             at: plot.at(score.median * self.unit.per_si, share),
             interval: (plot.up(low), plot.up(high)),
-            p95: score.late().filter(|_| has_whiskers).map(across),
+            p95: score.p95_latency().filter(|_| has_whiskers).map(across),
         };
-        self.shown().map(spot).collect()
+        self.shown_scores().map(spot).collect()
     }
 
     /// Returns the key to the numbers.
     fn table(&self) -> Table {
-        let has_late = self.shown().any(|(score, _)| score.late().is_some());
+        let has_late = self.shown_scores().any(|(score, _)| score.p95_latency().is_some());
         let show = |value: f64| significant(value * self.unit.per_si);
         let cells = |[accuracy, median, late]: [String; 3]| {
             [accuracy, median].into_iter().chain(has_late.then_some(late)).collect::<Vec<_>>()
         };
         let symbol = &self.unit.symbol;
         let titles = cells(["accuracy, %".to_owned(), format!("median, {symbol}"), format!("p95, {symbol}")]);
-        let lines = self.shown().map(|(score, [_, share, _])| {
-            let late = score.late().map_or_else(|| "—".to_owned(), show);
+        let lines = self.shown_scores().map(|(score, [_, share, _])| {
+            let late = score.p95_latency().map_or_else(|| "—".to_owned(), show);
             (score.label.clone(), cells([fixed(share, 1), show(score.median), late]))
         });
         Table { titles, lines: lines.collect() }
@@ -169,7 +171,7 @@ impl Accuracy {
     }
 }
 
-fn join((lo, hi): (f64, f64), (a, b): (f64, f64)) -> (f64, f64) {
+fn union((lo, hi): (f64, f64), (a, b): (f64, f64)) -> (f64, f64) {
     (lo.min(a), hi.max(b))
 }
 
@@ -178,11 +180,11 @@ impl Spot {
         let pen = Style::line("whisk2", INK.light.tint(0.55), 0.45);
         let (bottom, top) = self.interval;
         let ends = [bottom, top].map(|y| At { y, ..self.at });
-        let mut items = Item::whisker(ends, [true; 2], CAP, &pen);
+        let mut items = Item::whisker(ends, [true; 2], CAP_HALF_WIDTH, &pen);
         if let Some(late) = self.p95 {
             let late = At { x: late, ..self.at };
             items.push(Item::line(self.at, late, pen.clone()));
-            items.push(Item::line(late.aside(0.0, -CAP), late.aside(0.0, CAP), pen));
+            items.push(Item::line(late.aside(0.0, -CAP_HALF_WIDTH), late.aside(0.0, CAP_HALF_WIDTH), pen));
         }
         items
     }

@@ -1,23 +1,23 @@
 //! Numbers of the points, each placed without overlap, with a thin line to its point if it is not next to it.
 
-use super::{CAP, RADIUS, Spot};
+use super::{CAP_HALF_WIDTH, RADIUS, Spot};
 use crate::look::{INK_2, Style, TextStyle};
 use crate::plot::{Anchor, At, Item, Label};
 use crate::sheet::file::{Area, SMALL, TEXT, WIDTH};
 use crate::text::width;
 
 /// Half the height of a number, points.
-const HALF: f64 = 3.6;
+const HALF_HEIGHT: f64 = 3.6;
 /// Distance from a point to its number, points.
 const GAP: f64 = RADIUS + 0.9;
 /// Minimum distance between two numbers, so that they are not read as one, points.
-const APART: f64 = 2.1;
-/// Points that are nearer to each other have their numbers on the sides that look away.
-const NEAR: f64 = 13.5;
+const MIN_DISTANCE: f64 = 2.1;
+/// Distance below which two points are neighbours: their numbers are on the sides away from each other, points.
+const NEIGHBOUR_DISTANCE: f64 = 13.5;
 /// Height above the plot that numbers may use, next to the title of its axis, points.
-const ABOVE: f64 = 11.0;
+const HEIGHT_ABOVE_PLOT: f64 = 11.0;
 /// Minimum distance between a number and the limit of its area, points.
-const EDGE: f64 = 0.6;
+const EDGE_DISTANCE: f64 = 0.6;
 
 /// Left, top, right, bottom; points.
 type Rect = [f64; 4];
@@ -33,9 +33,14 @@ struct Placed {
 /// Lays the numbers out in a plot that has this area and this title above.
 pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
     let placed: Vec<Placed> = spots.iter().map(|spot| Placed::of(spot, area)).collect();
-    let within = [area.left + EDGE, area.top - ABOVE, WIDTH - 2.0 * EDGE, area.top + area.height - EDGE];
+    let within = [
+        area.left + EDGE_DISTANCE,
+        area.top - HEIGHT_ABOVE_PLOT,
+        WIDTH - 2.0 * EDGE_DISTANCE,
+        area.top + area.height - EDGE_DISTANCE,
+    ];
     let mut taken: Vec<Rect> = placed.iter().flat_map(Placed::boxes).collect();
-    taken.push([0.0, 0.0, 2.0 * APART + width(title, TEXT), area.top - 2.0]);
+    taken.push([0.0, 0.0, 2.0 * MIN_DISTANCE + width(title, TEXT), area.top - 2.0]);
     let share = |x: f64, y: f64| At::new((x - area.left) / area.width, (y - area.top) / area.height);
     let mut items = Vec::new();
     for (index, spot) in placed.iter().enumerate() {
@@ -44,16 +49,18 @@ pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
         let is_astray = |place: &Rect| spot.is_farther(place, &placed);
         let Some(place) = free(places, (within, &taken), is_astray) else { continue };
         let middle = (f64::midpoint(place[0], place[2]), f64::midpoint(place[1], place[3]));
-        let nearest =
-            (spot.at.0.clamp(place[0] - EDGE, place[2] + EDGE), spot.at.1.clamp(place[1], place[3]));
+        let nearest = (
+            spot.at.0.clamp(place[0] - EDGE_DISTANCE, place[2] + EDGE_DISTANCE),
+            spot.at.1.clamp(place[1], place[3]),
+        );
         let apart = (nearest.0 - spot.at.0).abs().max((nearest.1 - spot.at.1).abs());
-        if apart > GAP + EDGE {
+        if apart > GAP + EDGE_DISTANCE {
             let leader = Style::line("faint", INK_2.light, 0.3);
             items.push(Item::line(share(spot.at.0, spot.at.1), share(nearest.0, nearest.1), leader));
         }
         let label = Label::new(share(middle.0, middle.1), number, TextStyle::MARK);
         items.push(Item::Text(label.anchored(Anchor::Middle)));
-        taken.push([place[0] - APART, place[1], place[2] + APART, place[3]]);
+        taken.push([place[0] - MIN_DISTANCE, place[1], place[2] + MIN_DISTANCE, place[3]]);
     }
     items
 }
@@ -70,8 +77,8 @@ impl Placed {
         let ((x, y), (bottom, top)) = (self.at, self.interval);
         [
             [x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS],
-            [x, y - CAP, self.p95.unwrap_or(x), y + CAP],
-            [x - CAP, top, x + CAP, bottom],
+            [x, y - CAP_HALF_WIDTH, self.p95.unwrap_or(x), y + CAP_HALF_WIDTH],
+            [x - CAP_HALF_WIDTH, top, x + CAP_HALF_WIDTH, bottom],
         ]
     }
 
@@ -87,7 +94,7 @@ impl Placed {
     fn side(&self, all: &[Self]) -> f64 {
         let near = all.iter().filter(|other| {
             let apart = (other.at.0 - self.at.0, other.at.1 - self.at.1);
-            apart.0.abs() < NEAR && apart.1.abs() < NEAR && apart.0 != 0.0
+            apart.0.abs() < NEIGHBOUR_DISTANCE && apart.1.abs() < NEIGHBOUR_DISTANCE && apart.0 != 0.0
         });
         let right: f64 = near.map(|other| (other.at.0 - self.at.0).signum()).sum();
         if right > 0.0 { -1.0 } else { 1.0 }
@@ -100,21 +107,23 @@ impl Placed {
         (0..6).flat_map(move |ring| {
             let ring = f64::from(ring);
             around.map(|(across, down)| {
-                let (aside, below) = (GAP + half + ring * (wide + 1.2), GAP + HALF + ring * 2.0 * HALF);
+                let (aside, below) =
+                    (GAP + half + ring * (wide + 1.2), GAP + HALF_HEIGHT + ring * 2.0 * HALF_HEIGHT);
                 let (middle, level) = (x + side * f64::from(across) * aside, y + f64::from(down) * below);
-                [middle - half, level - HALF, middle + half, level + HALF]
+                [middle - half, level - HALF_HEIGHT, middle + half, level + HALF_HEIGHT]
             })
         })
     }
 }
 
-/// Returns the distance of two areas, in the direction in which they are farther apart.
+/// Returns the distance of two areas: the larger of the horizontal and the vertical distance.
 fn between(a: &Rect, b: &Rect) -> f64 {
     let gap = |low: usize| (a[low] - b[low + 2]).max(b[low] - a[low + 2]).max(0.0);
     gap(0).max(gap(1))
 }
 
-/// Returns the first place on the plot without an overlap and near enough to the point, or else the place with the smallest overlap.
+/// Returns the first place on the plot that overlaps nothing and is near enough to the point; otherwise the place with the smallest
+/// overlap.
 fn free(
     places: impl Iterator<Item = Rect>,
     (within, taken): (Rect, &[Rect]),
@@ -137,11 +146,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_is_nearer_to_its_own_point_than_to_another_ones_whisker() {
+    fn number_is_nearest_to_its_point() {
         let spot =
             |x: f64, reach: f64| Placed { at: (x, 75.0), interval: (75.0 + reach, 75.0 - reach), p95: None };
         let own = spot(75.0, 0.0);
-        let beside = spot(75.0 + 1.8 + CAP, 30.0);
+        let beside = spot(75.0 + 1.8 + CAP_HALF_WIDTH, 30.0);
         let spots = [own, beside];
         let taken: Vec<Rect> = spots.iter().flat_map(Placed::boxes).collect();
         let places = || spots[0].places(3.0, spots[0].side(&spots));

@@ -1,6 +1,6 @@
 //! Reduction of many values over time to few columns of pixels.
 
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Values in one column of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,7 +21,7 @@ pub(super) fn columns(values: &[(f64, f64)], (from, to): (f64, f64), count: usiz
         values.iter().filter(inside).map(|(at, value)| (place(*at), *value)).collect();
     placed.sort_by_key(|(number, _)| *number);
     let column = |group: &[(usize, f64)]| {
-        let values: Ordered = group.iter().map(|(_, value)| *value).collect();
+        let values: SortedValues = group.iter().map(|(_, value)| *value).collect();
         let (min, max) = (*values.values().first()?, *values.values().last()?);
         Some(Column { number: group[0].0, min, median: values.median()?, max })
     };
@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_extreme_is_lost_however_many_values_a_column_has() {
+    fn column_keeps_extremes_of_many_values() {
         let mut values: Vec<(f64, f64)> = (0..100_000).map(|i| (f64::from(i), f64::from(i % 7))).collect();
         values[55_555].1 = 1000.0;
         values[70_000].1 = f64::NAN;

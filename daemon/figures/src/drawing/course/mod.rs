@@ -9,25 +9,25 @@ use crate::look::{INK, Mark, Style, stage};
 use crate::plot::{At, Axis, Figure, Item, Key, Path, Plot, Strip, Swatch, Unit};
 use crate::scale::Scale;
 use columns::{Column, columns};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Columns that a line has at most.
-const COLUMNS: usize = 290;
+const MAX_COLUMNS: usize = 290;
 /// Height of the rail that shows iterations without an answer, points.
-const RAIL: f64 = 6.0;
+const RAIL_HEIGHT: f64 = 6.0;
 /// Half the width of a cross on the rail, and of a mark on a line, points.
-const CROSS: f64 = 1.7;
+const CROSS_HALF_WIDTH: f64 = 1.7;
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
-const MARKS: usize = 7;
+const MAX_MARKS: usize = 7;
 /// Number of lines whose marks are shifted against each other, so that they do not overlap.
-const STAGES: usize = 4;
+const SHIFTED_LINES: usize = 4;
 /// Minimum number of consecutive columns without a value at which a line is broken.
-const GAP: f64 = 12.0;
+const MIN_GAP_COLUMNS: f64 = 12.0;
 /// Number of episodes from which on their borders would hide everything else.
-const MOST_BORDERS: usize = 30;
+const MAX_BORDERS: usize = 30;
 /// Minimum width of a stretch of warm-up, points.
-const SEEN: f64 = 0.6;
+const MIN_WARM_UP_WIDTH: f64 = 0.6;
 
 /// Latencies over time. SI units; times are those of the horizontal axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,7 +76,14 @@ impl Course {
 
     fn shown(&self) -> Option<(f64, f64)> {
         let of = |line: &Line| {
-            range(&line.values.iter().map(|(_, value)| *value).filter(|v| v.is_finite()).collect::<Ordered>())
+            range(
+                &line
+                    .values
+                    .iter()
+                    .map(|(_, value)| *value)
+                    .filter(|v| v.is_finite())
+                    .collect::<SortedValues>(),
+            )
         };
         let total = of(&self.total);
         // A stage is a part of the total, so its values beyond the total's range are outliers as well.
@@ -86,7 +93,7 @@ impl Course {
     }
 
     fn has_borders(&self) -> bool {
-        !self.episodes.is_empty() && self.episodes.len() <= MOST_BORDERS
+        !self.episodes.is_empty() && self.episodes.len() <= MAX_BORDERS
     }
 
     fn legend(&self) -> Vec<Key> {
@@ -144,7 +151,7 @@ impl Course {
         let warm_up = self.warm_up.iter().map(|(from, to)| Item::Rect {
             from: At::new(x(*from), 0.0),
             to: At::new(x(*to), 1.0),
-            least: (SEEN, 0.0),
+            least: (MIN_WARM_UP_WIDTH, 0.0),
             style: Style::shade(),
         });
         let borders = self.episodes.iter().filter(|_| self.has_borders());
@@ -155,13 +162,13 @@ impl Course {
 
     /// Returns a line of medians; that of the total, which is not a numbered stage, has a band of its range.
     fn line(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
-        let columns = columns(&line.values, plot.x.scale.ends(), COLUMNS);
-        let x = |column: &Column| (column.number as f64 + 0.5) / COLUMNS as f64;
+        let columns = columns(&line.values, plot.x.scale.ends(), MAX_COLUMNS);
+        let x = |column: &Column| (column.number as f64 + 0.5) / MAX_COLUMNS as f64;
         let y = |value: f64| plot.up(value * self.unit.per_si);
-        let steps: Ordered =
+        let steps: SortedValues =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
         // Few values are far from each other, which is not a gap.
-        let gap = (4.0 * steps.median().unwrap_or_default()).max(GAP);
+        let gap = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
         let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= gap);
         let medians = pieces()
             .flat_map(|piece| piece.iter().map(|column| Some((x(column), y(column.median)))).chain([None]));
@@ -176,9 +183,9 @@ impl Course {
         let look = stage(&line.name);
         let mut items = vec![Item::path(medians, look.line(0.9))];
         // Marks are shifted against those of other stages, so that none hides another.
-        let apart = (COLUMNS / MARKS).max(1);
+        let apart = (MAX_COLUMNS / MAX_MARKS).max(1);
         for group in columns.chunk_by(|a, b| a.number / apart == b.number / apart) {
-            if let Some(column) = group.get(group.len() * (number + 1) / (STAGES + 1)) {
+            if let Some(column) = group.get(group.len() * (number + 1) / (SHIFTED_LINES + 1)) {
                 items.push(Item::mark(
                     At::new(x(column), y(column.median)),
                     mark(number),
@@ -197,15 +204,20 @@ impl Course {
         }
         let mut items = vec![Item::line(At::new(0.0, 0.5), At::new(1.0, 0.5), Style::grid())];
         // Iterations without an answer in the same column become one mark.
-        let place = |at: &f64| (plot.x.scale.at(*at) * COLUMNS as f64) as usize;
+        let place = |at: &f64| (plot.x.scale.at(*at) * MAX_COLUMNS as f64) as usize;
         let mut places: Vec<usize> = self.unanswered.iter().map(place).collect();
         places.sort_unstable();
         places.dedup();
         let cross = |place: usize| {
-            Item::mark(At::new(place as f64 / COLUMNS as f64, 0.5), Mark::Cross, CROSS, Style::lost())
+            Item::mark(
+                At::new(place as f64 / MAX_COLUMNS as f64, 0.5),
+                Mark::Cross,
+                CROSS_HALF_WIDTH,
+                Style::lost(),
+            )
         };
         items.extend(places.into_iter().map(cross));
-        Some(Strip { items, size: RAIL })
+        Some(Strip { items, size: RAIL_HEIGHT })
     }
 
     /// Returns the number of iterations outside of the plot: `12 beyond 90 ms`.

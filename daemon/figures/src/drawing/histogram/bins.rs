@@ -1,20 +1,20 @@
 //! Bins of a histogram.
 
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Minimum and maximum number of bins.
-const FEWEST: usize = 8;
-const MOST: usize = 60;
-/// Limits of the values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
-const RARE: usize = 100;
-const FEW: usize = 3;
-const FEW_OF: usize = 8;
-/// Values are only cut off if showing them would make the axis wider than the rest by more than this factor.
-const WORTH: f64 = 1.5;
+const MIN_BINS: usize = 8;
+const MAX_BINS: usize = 60;
+/// Limits of the number of values that are cut off at one end: one in a hundred, at least three, but never more than one in eight.
+const CUT_ONE_IN: usize = 100;
+const CUT_OF_FEW: usize = 3;
+const MAX_CUT_ONE_IN: usize = 8;
+/// Minimum factor by which the values would widen the axis. Values that widen it less are not cut off.
+const MIN_GAIN: f64 = 1.5;
 /// Tukey's far fence: distance from the quartile in interquartile ranges.
-const FAR: f64 = 3.0;
+const FAR_FENCE: f64 = 3.0;
 
-/// Counted values.
+/// Values counted in bins of equal width.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bins {
     /// Lower end of the first bin.
@@ -30,8 +30,9 @@ pub struct Bins {
 impl Bins {
     /// Returns bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the count, between 8
     /// and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a finite value.
-    pub fn of(values: &Ordered) -> Option<Self> {
-        let finite: Ordered = values.values().iter().copied().filter(|value| value.is_finite()).collect();
+    pub fn of(values: &SortedValues) -> Option<Self> {
+        let finite: SortedValues =
+            values.values().iter().copied().filter(|value| value.is_finite()).collect();
         let (lo, hi) = range(&finite)?;
         let n = finite.len() as f64;
         let middle_half = finite.quantile(0.75)? - finite.quantile(0.25)?;
@@ -40,7 +41,7 @@ impl Bins {
         } else {
             let bins = (hi - lo) / (2.0 * middle_half / n.cbrt());
             // If all but a few values are equal, the interquartile range gives no width.
-            if bins.is_finite() { (bins.ceil() as usize).clamp(FEWEST, MOST) } else { MOST }
+            if bins.is_finite() { (bins.ceil() as usize).clamp(MIN_BINS, MAX_BINS) } else { MAX_BINS }
         };
         let width = if lo == hi { lo.abs().max(f64::MIN_POSITIVE) / 50.0 } else { (hi - lo) / count as f64 };
         let from = if lo == hi { lo - width / 2.0 } else { lo };
@@ -63,7 +64,7 @@ impl Bins {
         self.from + self.width * self.counts.len() as f64
     }
 
-    /// Returns the begin of a bin, which is the end of the one before it.
+    /// Returns the lower end of a bin, which is the upper end of the bin before it.
     pub fn edge(&self, number: usize) -> f64 {
         self.from + self.width * number as f64
     }
@@ -83,10 +84,10 @@ impl Bins {
 /// lies beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the
 /// range of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than half its width.
 /// `None` without values.
-pub(in crate::drawing) fn range(all: &Ordered) -> Option<(f64, f64)> {
+pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);
-    let most = (values.len() / RARE).max((values.len() / FEW_OF).min(FEW));
+    let most = (values.len() / CUT_ONE_IN).max((values.len() / MAX_CUT_ONE_IN).min(CUT_OF_FEW));
     // Ranks, not interpolated quantiles, because those would depend on the value that is to be cut.
     let (low, high) = (values[most], values[values.len() - 1 - most]);
     let width = high - low;
@@ -95,9 +96,9 @@ pub(in crate::drawing) fn range(all: &Ordered) -> Option<(f64, f64)> {
         return Some((lo, hi));
     }
     let (lower, upper) = (all.quantile(0.25)?, all.quantile(0.75)?);
-    let fence = FAR * (upper - lower);
-    let top = (low + WORTH * width).max(upper + fence);
-    let bottom = (high - WORTH * width).min(lower - fence);
+    let fence = FAR_FENCE * (upper - lower);
+    let top = (low + MIN_GAIN * width).max(upper + fence);
+    let bottom = (high - MIN_GAIN * width).min(lower - fence);
     let inside = || values.iter().copied().filter(|value| (bottom..=top).contains(value));
     inside().next().zip(inside().next_back())
 }
@@ -120,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tail_that_would_squeeze_the_rest_is_counted_outside() {
+    fn far_tail_is_counted_outside() {
         let tail = bins((0..1000).map(f64::from).chain([1e5, 2e6, -7e5])).expect("there are values");
         assert_eq!(tail.beyond, (1, 2), "no more than what lies apart");
         assert_eq!(tail.beyond.0 + tail.beyond.1 + tail.counts.iter().sum::<u64>(), 1003);
@@ -161,7 +162,7 @@ mod tests {
             assert!(same.from <= value && value <= same.to() && same.width > 0.0, "{same:?}");
         }
         let mostly = bins(std::iter::repeat_n(1.0, 97).chain([0.5, 2.0, 3.0])).expect("there are values");
-        assert_eq!(mostly.counts.len(), MOST);
+        assert_eq!(mostly.counts.len(), MAX_BINS);
         let negative = bins([-3.0, -2.0, -2.0, -1.0]).expect("there are values");
         assert_eq!((negative.from, negative.to(), negative.counts.iter().sum::<u64>()), (-3.0, -1.0, 4));
     }

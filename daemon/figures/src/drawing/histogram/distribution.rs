@@ -7,16 +7,16 @@ use crate::scale::Scale;
 use crate::text::width;
 
 /// Share of the plot that a single bar fills.
-const ALONE: f64 = 0.1;
+const SINGLE_BAR_WIDTH: f64 = 0.1;
 /// Minimum width and height of a bar in a file, points: one iteration in ten thousand is visible.
-const SEEN: (f64, f64) = (0.4, 0.45);
+const MIN_BAR_SIZE: (f64, f64) = (0.4, 0.45);
 /// Distance from a line to its label and between labels, in their type size.
-const ASIDE: f64 = 0.3;
+const LABEL_GAP: f64 = 0.3;
 /// Distance between two lines of labels, and of the lowest from the plot, in their type size.
-const LINE: f64 = 1.3;
-const FIRST: f64 = 0.4;
+const LINE_DISTANCE: f64 = 1.3;
+const FIRST_LINE_DISTANCE: f64 = 0.4;
 
-/// View of a distribution: two are possible.
+/// What the bars of a distribution show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum View {
     /// Samples in each bin.
@@ -50,9 +50,9 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Lays it out.
+    /// Lays the distribution out.
     pub fn plot(&self) -> Plot {
-        let mut plot = Plot::new(self.across(), self.up().with_grid());
+        let mut plot = Plot::new(self.value_axis(), self.count_axis().with_grid());
         plot.items = self.bars(&plot);
         let (lines, rows) = self.marks(&plot);
         plot.items.extend(lines);
@@ -61,14 +61,14 @@ impl Distribution {
         plot
     }
 
-    fn ends(&self) -> (f64, f64) {
+    fn value_range(&self) -> (f64, f64) {
         let end = |edge: Option<&f64>| edge.copied().unwrap_or_default();
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// Returns the axis of values. If all values are equal, their bar is in the middle and does not fill the plot.
-    fn across(&self) -> Axis {
-        let ((from, to), per_si) = (self.ends(), self.unit.per_si);
+    /// Returns the axis of values. If all values are equal, a single bar is in the middle and does not fill the plot.
+    fn value_axis(&self) -> Axis {
+        let ((from, to), per_si) = (self.value_range(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;
         let scale = if self.counts.len() == 1 {
             Scale::linear((middle, middle))
@@ -78,7 +78,7 @@ impl Distribution {
         self.unit.axis(scale)
     }
 
-    fn up(&self) -> Axis {
+    fn count_axis(&self) -> Axis {
         match self.view {
             View::Counts => {
                 let most = self.counts.iter().copied().max().unwrap_or_default() as f64;
@@ -115,16 +115,16 @@ impl Distribution {
                 (plot.at(edges[0] * self.unit.per_si, low), plot.at(edges[1] * self.unit.per_si, height));
             if self.counts.len() == 1 {
                 // A single value is drawn with the same width whether it is zero or not.
-                (from.x, to.x) = (0.5 - ALONE / 2.0, 0.5 + ALONE / 2.0);
+                (from.x, to.x) = (0.5 - SINGLE_BAR_WIDTH / 2.0, 0.5 + SINGLE_BAR_WIDTH / 2.0);
             }
-            Item::Rect { from, to, least: SEEN, style: style.clone() }
+            Item::Rect { from, to, least: MIN_BAR_SIZE, style: style.clone() }
         };
         self.edges.windows(2).zip(self.heights()).filter(|(_, height)| *height > 0.0).map(bar).collect()
     }
 
     /// Returns the lines of quantiles with their labels above the plot, and the number of lines of text that the labels need.
     fn marks(&self, plot: &Plot) -> (Vec<Item>, usize) {
-        let (from, to) = self.ends();
+        let (from, to) = self.value_range();
         // A single value has no spread.
         let spread = if self.counts.len() == 1 { 0.0 } else { to - from };
         let mut ends: Vec<(usize, f64)> = Vec::new();
@@ -132,7 +132,7 @@ impl Distribution {
         for (name, value) in self.quantiles.iter().filter(|(_, value)| (from..=to).contains(value)) {
             let x = plot.x.scale.at(value * self.unit.per_si);
             let words = format!("{name} {}", self.unit.words(*value, spread));
-            let wide = (width(&words, 1.0) + 3.0 * ASIDE) / self.ems;
+            let wide = (width(&words, 1.0) + 3.0 * LABEL_GAP) / self.ems;
             let anchor = match *name {
                 "median" if x > wide => Anchor::End,
                 _ if x + wide > 1.0 => Anchor::End,
@@ -147,12 +147,12 @@ impl Distribution {
         }
         let mut items = Vec::new();
         for (name, x, words, anchor, row) in placed {
-            let aside = if anchor == Anchor::End { -ASIDE } else { ASIDE };
+            let aside = if anchor == Anchor::End { -LABEL_GAP } else { LABEL_GAP };
             let (bottom, top) = (At::new(x, 1.0), At::new(x, 0.0));
             items.push(Item::line(bottom, top, Style::rim()));
             items.push(Item::line(bottom, top, Style::quantile(name)));
             let label = Label::new(top, words, TextStyle::MARK).anchored(anchor);
-            items.push(Item::Text(label.shifted(aside, -FIRST - LINE * row as f64)));
+            items.push(Item::Text(label.shifted(aside, -FIRST_LINE_DISTANCE - LINE_DISTANCE * row as f64)));
         }
         let rows = ends.iter().map(|(row, _)| row + 1).max().unwrap_or_default();
         (items, rows)
@@ -160,7 +160,7 @@ impl Distribution {
 
     /// Counts of values outside: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`.
     fn remark(&self) -> Option<String> {
-        let ((below, above), (from, to)) = (self.beyond, self.ends());
+        let ((below, above), (from, to)) = (self.beyond, self.value_range());
         let below = (below > 0).then(|| format!("← {} below {}", count(below), self.unit.words(from, 0.0)));
         let above = (above > 0).then(|| format!("{} beyond {} →", count(above), self.unit.words(to, 0.0)));
         let parts: Vec<String> = below.into_iter().chain(above).collect();

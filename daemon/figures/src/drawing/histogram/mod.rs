@@ -12,10 +12,10 @@ use peernet_statistics::number::fixed;
 
 use crate::look::stage;
 use crate::plot::{Figure, Unit};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Width of a plot in a file, in the type size of its labels.
-const EMS: f64 = 31.0;
+const WIDTH_EM: f64 = 31.0;
 
 /// Histogram with its median and its 95th and 99th percentiles.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +27,7 @@ pub struct Histogram {
     /// Stage that determines the colour of the bars.
     pub stage: String,
     /// The values, SI units.
-    pub values: Ordered,
+    pub values: SortedValues,
     /// Notes below the figure, such as the number of values and what is left out.
     pub notes: Vec<String>,
 }
@@ -52,7 +52,7 @@ impl Histogram {
             stage: stage(self.stage.trim_end_matches("-throughput")),
             view: View::Counts,
             is_logarithmic: false,
-            ems: EMS,
+            ems: WIDTH_EM,
         }
     }
 }

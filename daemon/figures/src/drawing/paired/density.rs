@@ -1,18 +1,18 @@
 //! Kernel density of values.
 
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// Places for each width of the kernel, so that no hill falls between two of them.
-const PER_WIDTH: f64 = 4.0;
+const PLACES_PER_WIDTH: f64 = 4.0;
 /// Minimum and maximum number of places.
-const FEWEST: usize = 24;
-const MOST: usize = 768;
+const MIN_PLACES: usize = 24;
+const MAX_PLACES: usize = 768;
 /// Number of cells that values are counted into first, so that the cost does not depend on the number of values.
-const CELLS: usize = MOST;
+const CELLS: usize = MAX_PLACES;
 
 /// Returns places between `lo` and `hi` with the density of the values there, the densest place being 1: a Gaussian kernel of Silverman's
 /// width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Empty if all values are equal.
-pub(super) fn density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
+pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let finite = || values.values().iter().filter(|value| value.is_finite() && (lo..=hi).contains(value));
     let n = finite().count() as f64;
     let Some(width) = kernel(values, n).filter(|_| hi > lo) else { return Vec::new() };
@@ -21,7 +21,7 @@ pub(super) fn density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)>
     finite().for_each(|value| cells[(((value - lo) / cell) as usize).min(CELLS - 1)] += 1);
     // A kernel that is narrower than a cell would fall between the cells.
     let width = width.max(cell);
-    let steps = ((PER_WIDTH * (hi - lo) / width).ceil() as usize).clamp(FEWEST, MOST);
+    let steps = ((PLACES_PER_WIDTH * (hi - lo) / width).ceil() as usize).clamp(MIN_PLACES, MAX_PLACES);
     let at = |step: usize| lo + (hi - lo) * step as f64 / steps as f64;
     let dense = |place: f64| -> f64 {
         let parts = cells.iter().enumerate().filter(|(_, count)| **count > 0).map(|(number, count)| {
@@ -35,7 +35,7 @@ pub(super) fn density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)>
     heights.into_iter().enumerate().map(|(step, height)| (at(step), height / highest)).collect()
 }
 
-fn kernel(values: &Ordered, n: f64) -> Option<f64> {
+fn kernel(values: &SortedValues, n: f64) -> Option<f64> {
     let middle_half = (values.quantile(0.75)? - values.quantile(0.25)?) / 1.34;
     let mean = values.values().iter().sum::<f64>() / n;
     let s = (values.values().iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
@@ -52,7 +52,7 @@ mod tests {
     #[test]
     fn two_hills_are_two_hills() {
         let hill = |middle: f64| (0..500).map(move |i| middle + ((f64::from(i) + 0.5) / 500.0 - 0.5).powi(3));
-        let values: Ordered = hill(1.0).chain(hill(5.0)).collect();
+        let values: SortedValues = hill(1.0).chain(hill(5.0)).collect();
         let density = density(&values, (0.5, 5.5));
         let near = |place: f64| {
             let close = density.iter().min_by(|a, b| (a.0 - place).abs().total_cmp(&(b.0 - place).abs()));
@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn a_narrow_hill_far_from_a_tail_is_seen() {
+    fn narrow_peak_far_from_tail_is_visible() {
         // 0.4 of a unit wide, on 40 units.
         let hill = (0..150).map(|i| 2.0 + 0.4 * (f64::from(i) + 0.5) / 150.0);
         let density = density(&hill.chain([30.0, 41.0]).collect(), (2.0, 41.0));
@@ -73,7 +73,7 @@ mod tests {
     #[test]
     fn what_has_no_width_has_no_density() {
         assert_eq!(density(&[2.0; 50].into_iter().collect(), (1.0, 3.0)), []);
-        assert_eq!(density(&Ordered::default(), (1.0, 3.0)), []);
+        assert_eq!(density(&SortedValues::default(), (1.0, 3.0)), []);
         assert_eq!(density(&[2.0].into_iter().collect(), (1.0, 3.0)), []);
     }
 }

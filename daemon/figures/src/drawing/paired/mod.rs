@@ -11,27 +11,27 @@ use crate::scale::{Scale, Tick};
 use crate::sheet::file::{SMALL, TEXT};
 use crate::text::{shorten_apart, width};
 use density::density;
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
-/// Width of the plot in a file, about, points.
-const ACROSS: f64 = 213.0;
-/// Half the width of the bar of the middle half, and of the rim about it, points.
-const BAR: f64 = 1.2;
+/// Approximate width of the plot in a file, points.
+const PLOT_WIDTH: f64 = 213.0;
+/// Half the width of the bar between the quartiles, and width of the rim around it, points.
+const BAR_HALF_WIDTH: f64 = 1.2;
 const RIM: f64 = 0.5;
 /// Radius of a point, points.
 const RADIUS: f64 = 1.8;
-/// Half the width of a shape at most, as a share of the plot.
-const WIDEST: f64 = 0.09;
-/// Room above the largest value, of the range.
-const ABOVE: f64 = 0.12;
+/// Maximum of half the width of a shape, as a share of the plot.
+const MAX_HALF_WIDTH: f64 = 0.09;
+/// Room above the largest value, as a share of the range.
+const ROOM_ABOVE: f64 = 0.12;
 /// Distance from the plot to the baseline of the counts, points.
-const COUNT: f64 = 9.5;
-/// Number of values up to which each is drawn as a point.
-const MOST_POINTS: usize = 60;
-/// Room for single points above the axis' range, below the text at the top, as a factor.
-const NEAR: f64 = 1.05;
-/// Ratio of the largest to the smallest median from which on the axis is logarithmic.
-const WIDE: f64 = 30.0;
+const COUNT_DISTANCE: f64 = 9.5;
+/// Maximum number of values that are drawn as points. More values are drawn as a shape.
+const MAX_POINTS: usize = 60;
+/// Factor by which single points may exceed the range of the axis. They are still below the text at the top.
+const ROOM_FOR_POINTS: f64 = 1.05;
+/// Ratio of the largest to the smallest median from which the axis is logarithmic.
+const LOGARITHMIC_RATIO: f64 = 30.0;
 /// Maximum number of sides that a reader can distinguish.
 pub const MOST_SIDES: usize = 4;
 /// Maximum number of groups that fit into the width of a column.
@@ -58,11 +58,11 @@ pub struct Group {
     /// Name of the model.
     pub name: String,
     /// Values of each side, SI units; empty if there are none.
-    pub values: Vec<Ordered>,
+    pub values: Vec<SortedValues>,
 }
 
 impl Group {
-    /// Returns the first side's median over the second's, `2.5 ×`, if there are two sides.
+    /// Returns the ratio of the first side's median to the second's, such as `2.5 ×`, if there are two sides.
     fn ratio(&self) -> Option<String> {
         let [first, second] = self.values.as_slice() else { return None };
         let (first, second) = (first.median()?, second.median()?);
@@ -72,10 +72,10 @@ impl Group {
 
 impl Paired {
     /// Returns sentences on how to read the figure.
-    fn reading(&self) -> Vec<String> {
+    fn reading_notes(&self) -> Vec<String> {
         let mut notes = self.notes.clone();
         if !self.has_room_for_counts() {
-            let counts = || self.groups.iter().flat_map(|group| &group.values).map(Ordered::len);
+            let counts = || self.groups.iter().flat_map(|group| &group.values).map(SortedValues::len);
             let ends = counts().filter(|count| *count > 0).min().zip(counts().max());
             notes.extend(ends.map(|(least, most)| {
                 let [least, most] = [least, most].map(|count| fixed(count as f64, 0));
@@ -85,14 +85,14 @@ impl Paired {
         if self.groups.iter().any(|group| group.ratio().is_some()) {
             notes.push(format!("above a pair: median {} ÷ {}", self.sides[0], self.sides[1]));
         }
-        if self.groups.iter().flat_map(|group| &group.values).any(|values| self.beyond(values) > 0) {
+        if self.groups.iter().flat_map(|group| &group.values).any(|values| self.count_above(values) > 0) {
             notes.push("+ above: so many values are larger than shown".to_owned());
         }
         let below = self
             .groups
             .iter()
             .flat_map(|group| &group.values)
-            .map(|values| self.below(values))
+            .map(|values| self.count_below(values))
             .sum::<usize>();
         if below > 0 {
             notes.push(format!("smaller than shown: {}", counted(below as u64, "value")));
@@ -103,69 +103,76 @@ impl Paired {
     /// Returns whether there is room for the count below each distribution.
     fn has_room_for_counts(&self) -> bool {
         let sides = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
-        let room = ACROSS * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
+        let room = PLOT_WIDTH * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
         let all = self.groups.iter().flat_map(|group| &group.values);
-        all.into_iter().all(|values| width(&n_of(values), SMALL) <= room)
+        all.into_iter().all(|values| width(&count_text(values), SMALL) <= room)
     }
 
-    /// Returns the range of the axis: every distribution, except tails that would squeeze the rest.
-    fn shown(&self) -> Option<(f64, f64)> {
-        let ends = |values: &Ordered| {
+    /// Returns the range of the axis. It contains every distribution, except tails that would squeeze the rest.
+    fn shown_range(&self) -> Option<(f64, f64)> {
+        let ends = |values: &SortedValues| {
             let (lo, hi) = range(values)?;
-            // A single point above zero is shown however low it is.
+            // Every single point above zero is shown, also a very small one.
             let least = values.values().first().copied().filter(|least| *least > 0.0);
-            Some((least.filter(|_| values.len() <= MOST_POINTS).unwrap_or(lo), hi))
+            Some((least.filter(|_| values.len() <= MAX_POINTS).unwrap_or(lo), hi))
         };
         let all = self.groups.iter().flat_map(|group| &group.values).filter_map(ends);
         all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
     }
 
-    /// Returns whether a linear axis would squeeze most of it onto its base: then the axis is logarithmic.
+    /// Returns whether the axis is logarithmic, because a linear one would squeeze most values onto its base.
     fn is_wide(&self) -> bool {
-        let medians = self.groups.iter().flat_map(|group| &group.values).filter_map(Ordered::median);
-        let medians: Ordered = medians.collect();
+        let medians = self.groups.iter().flat_map(|group| &group.values).filter_map(SortedValues::median);
+        let medians: SortedValues = medians.collect();
         let ends = medians.values().first().zip(medians.values().last());
-        self.shown().is_some_and(|(lo, _)| lo > 0.0) && ends.is_some_and(|(lo, hi)| *hi >= WIDE * lo)
+        self.shown_range().is_some_and(|(lo, _)| lo > 0.0)
+            && ends.is_some_and(|(lo, hi)| *hi >= LOGARITHMIC_RATIO * lo)
     }
 
-    /// Returns the largest value that is shown of a distribution: single points up to the end of the axis, shapes without their tails.
-    fn highest(&self, values: &Ordered) -> Option<f64> {
+    /// Returns the largest value of a distribution that is shown: for points up to the end of the axis, for a shape without its tail.
+    fn highest_shown(&self, values: &SortedValues) -> Option<f64> {
         let (_, hi) = range(values)?;
-        if values.len() > MOST_POINTS {
+        if values.len() > MAX_POINTS {
             return Some(hi);
         }
-        let (_, most) = self.shown()?;
-        values.values().iter().rev().copied().find(|value| *value <= most * NEAR)
+        let (_, most) = self.shown_range()?;
+        values.values().iter().rev().copied().find(|value| *value <= most * ROOM_FOR_POINTS)
     }
 
-    /// Returns the number of values above the range that is shown of them.
-    fn beyond(&self, values: &Ordered) -> usize {
+    /// Returns the number of values above the shown range.
+    fn count_above(&self, values: &SortedValues) -> usize {
         let count = |highest| values.values().iter().filter(|value| **value > highest).count();
-        self.highest(values).map_or(0, count)
+        self.highest_shown(values).map_or(0, count)
     }
 
-    /// Returns the number of values below the range that is shown of them.
-    fn below(&self, values: &Ordered) -> usize {
-        let lowest = if values.len() > MOST_POINTS { range(values) } else { self.shown() };
+    /// Returns the number of values below the shown range.
+    fn count_below(&self, values: &SortedValues) -> usize {
+        let lowest = if values.len() > MAX_POINTS { range(values) } else { self.shown_range() };
         let count = |(lowest, _)| values.values().iter().filter(|value| **value < lowest).count();
         lowest.map_or(0, count)
     }
 
-    fn one(&self, plot: &Plot, values: &Ordered, side: usize, (middle, half): (f64, f64)) -> Vec<Item> {
+    fn distribution_items(
+        &self,
+        plot: &Plot,
+        values: &SortedValues,
+        side: usize,
+        (middle, half): (f64, f64),
+    ) -> Vec<Item> {
         let look = series(side);
         let y = |value: f64| plot.up(value * self.unit.per_si);
         let Some((lo, hi)) = range(values) else { return Vec::new() };
-        let highest = self.highest(values);
+        let highest = self.highest_shown(values);
         let hill = if self.is_wide() { log_density(values, (lo, hi)) } else { density(values, (lo, hi)) };
         let mut items = Vec::new();
-        if hill.len() > 1 && values.len() > MOST_POINTS {
+        if hill.len() > 1 && values.len() > MAX_POINTS {
             let edge =
                 |sign: f64| hill.iter().map(move |(value, dense)| (middle + sign * half * dense, y(*value)));
             let outline: Vec<(f64, f64)> =
                 edge(1.0).chain(edge(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
             items.push(Item::path(Path::polygon(outline), look.shape()));
         } else {
-            let lowest = self.shown().map_or(lo, |(lowest, _)| lowest);
+            let lowest = self.shown_range().map_or(lo, |(lowest, _)| lowest);
             let is_shown = |value: &&f64| **value >= lowest && highest.is_some_and(|most| **value <= most);
             for (number, value) in values.values().iter().filter(is_shown).enumerate() {
                 // Points are spread to the sides by the golden ratio, so that each is visible and the figure is reproducible.
@@ -179,7 +186,11 @@ impl Paired {
         {
             let bar = |grow: f64, style: Style| {
                 let (from, to) = (At::new(middle, y(high)), At::new(middle, y(low)));
-                Item::rect(from.aside(-BAR - grow, -grow), to.aside(BAR + grow, grow), style)
+                Item::rect(
+                    from.aside(-BAR_HALF_WIDTH - grow, -grow),
+                    to.aside(BAR_HALF_WIDTH + grow, grow),
+                    style,
+                )
             };
             items.push(bar(RIM, Style::area("rim", Fill::of(WHITE))));
             items.push(bar(0.0, Style::area("quartiles", Fill::of(INK_2.light))));
@@ -189,7 +200,7 @@ impl Paired {
             items.push(Item::mark(at, look.mark, RADIUS + RIM, Style::area("rim", Fill::of(WHITE))));
             items.push(Item::mark(at, look.mark, RADIUS, Style::ink()));
         }
-        let above = self.beyond(values);
+        let above = self.count_above(values);
         if let Some(highest) = highest.filter(|_| above > 0) {
             // The label must not touch the highest point.
             let at = At::new(middle, y(highest)).aside(0.0, -3.0);
@@ -201,14 +212,14 @@ impl Paired {
 }
 
 /// Returns the density of the logarithms, which is the width of the shape on a logarithmic axis.
-fn log_density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
-    let logarithms: Ordered =
+fn log_density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
+    let logarithms: SortedValues =
         values.values().iter().filter(|value| **value > 0.0).map(|value| value.ln()).collect();
     density(&logarithms, (lo.ln(), hi.ln())).into_iter().map(|(at, dense)| (at.exp(), dense)).collect()
 }
 
-/// Returns the count: `n = 1,200`.
-fn n_of(values: &Ordered) -> String {
+/// Returns the text of a count, such as `n = 1,200`.
+fn count_text(values: &SortedValues) -> String {
     format!("n = {}", fixed(values.len() as f64, 0))
 }
 
@@ -222,8 +233,8 @@ impl Paired {
         Figure {
             title: self.title.clone(),
             legend: self.sides.iter().enumerate().map(key).collect(),
-            notes: self.reading(),
-            plots: self.shown().map(|shown| self.plot(shown)).into_iter().collect(),
+            notes: self.reading_notes(),
+            plots: self.shown_range().map(|shown| self.plot(shown)).into_iter().collect(),
             ..Figure::default()
         }
     }
@@ -232,10 +243,10 @@ impl Paired {
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
         if self.is_wide() {
             // A logarithmic axis needs the same room for the ratios above, as a factor.
-            let room = (hi / lo).powf(ABOVE);
+            let room = (hi / lo).powf(ROOM_ABOVE);
             Scale::logarithmic((lo / room.sqrt(), hi * room))
         } else {
-            Scale::from_zero((lo, hi * (1.0 + ABOVE)))
+            Scale::from_zero((lo, hi * (1.0 + ROOM_ABOVE)))
         }
     }
 
@@ -243,7 +254,7 @@ impl Paired {
         let step = 1.0 / self.groups.len().max(1) as f64;
         let place = |number: usize| step * (number as f64 + 0.5);
         let names: Vec<&str> = self.groups.iter().map(|group| group.name.as_str()).collect();
-        let names = shorten_apart(&names, TEXT, ACROSS * step - 1.8);
+        let names = shorten_apart(&names, TEXT, PLOT_WIDTH * step - 1.8);
         let counts = if self.has_room_for_counts() { "\u{a0}\n" } else { "" };
         let ticks = names.into_iter().enumerate();
         let ticks = ticks.map(|(number, name)| Tick {
@@ -257,11 +268,12 @@ impl Paired {
             let lane = step * 0.9 / group.values.len().max(1) as f64;
             for (side, values) in group.values.iter().enumerate() {
                 let middle = step * (number as f64 + 0.05) + lane * (side as f64 + 0.5);
-                let items = self.one(&plot, values, side, (middle, (lane * 0.4).min(WIDEST)));
+                let items =
+                    self.distribution_items(&plot, values, side, (middle, (lane * 0.4).min(MAX_HALF_WIDTH)));
                 plot.items.extend(items);
                 if !counts.is_empty() && !values.is_empty() {
-                    let at = At::new(middle, 1.0).aside(0.0, COUNT);
-                    let label = Label::new(at, n_of(values), TextStyle::AXIS).anchored(Anchor::Middle);
+                    let at = At::new(middle, 1.0).aside(0.0, COUNT_DISTANCE);
+                    let label = Label::new(at, count_text(values), TextStyle::AXIS).anchored(Anchor::Middle);
                     plot.items.push(Item::Text(label.shifted(0.0, 0.0)));
                 }
             }

@@ -2,7 +2,7 @@
 
 use super::*;
 
-pub(super) fn histogram(values: Ordered) -> Histogram {
+pub(super) fn histogram(values: SortedValues) -> Histogram {
     Histogram {
         title: "Upload time · robot".to_owned(),
         unit: Unit::milliseconds("Upload time"),
@@ -13,7 +13,7 @@ pub(super) fn histogram(values: Ordered) -> Histogram {
 }
 
 #[test]
-fn a_histogram_has_a_bar_for_each_bin_as_high_as_its_count() {
+fn bars_are_as_high_as_bin_counts() {
     // 30, 60 and 10 values far enough apart.
     let values = [(10.0, 30), (20.0, 60), (90.0, 10)];
     let values = millis(values.iter().flat_map(|(value, count)| std::iter::repeat_n(*value, *count)));
@@ -104,7 +104,7 @@ fn areas(svg: &str, stage: &str) -> Elements {
 }
 
 #[test]
-fn no_grid_runs_through_the_figures_of_a_bar() {
+fn grid_does_not_cross_bar_numbers() {
     let long = "a long label that is not to stand below a bar";
     for label in ["a", long] {
         let svg = stacked(vec![(label, [10.0, 40.0, 50.0], Some(5.0))]).svg();
@@ -117,7 +117,7 @@ fn no_grid_runs_through_the_figures_of_a_bar() {
 }
 
 #[test]
-fn parts_are_as_long_as_their_means_and_follow_upon_one_another() {
+fn parts_are_consecutive_and_proportional() {
     let long = "a long label that is not to stand below a bar";
     let figure = stacked(vec![(long, [10.0, 40.0, 50.0], Some(5.0)), ("b", [10.0, 0.0, 20.0], None)]);
     let svg = figure.svg();
@@ -168,7 +168,7 @@ fn sixty_configurations_have_a_bar_each() {
 }
 
 #[test]
-fn negative_parts_lie_on_the_other_side_of_zero() {
+fn negative_parts_extend_below_zero() {
     let figure = stacked(vec![(
         "uncorrected clocks and a label that is too long to stand below a bar of a figure of this width",
         [10.0, -4.0, 20.0],

@@ -3,13 +3,13 @@
 use super::*;
 use crate::look::{Style, series};
 
-fn curve(number: usize, values: Ordered) -> CumulativeCurve {
+fn curve(number: usize, values: SortedValues) -> CumulativeCurve {
     let look = series(number);
     let (line, mark): (Style, _) = (look.line(0.9), (look.mark, look.marks()));
     CumulativeCurve { name: format!("configuration {number}"), line, mark, values }
 }
 
-fn cumulative(values: Vec<Ordered>) -> Cumulative {
+fn cumulative(values: Vec<SortedValues>) -> Cumulative {
     Cumulative {
         title: "Total by configuration".to_owned(),
         unit: Unit::milliseconds("Total"),
@@ -43,7 +43,7 @@ fn a_curve_goes_from_nothing_to_all() {
 }
 
 #[test]
-fn what_is_beyond_the_axis_is_counted_for_each_curve() {
+fn values_beyond_axis_are_counted_per_curve() {
     let late = |extra: f64| millis((0..400).map(|i| 10.0 + f64::from(i % 50)).chain([extra]));
     let one = cumulative(vec![late(9e4)]);
     assert!(texts(&one.svg()).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&one.svg()));

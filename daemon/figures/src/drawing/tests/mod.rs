@@ -15,7 +15,7 @@ use crate::look::stage;
 use crate::plot::Figure;
 use crate::sheet::{export, file};
 use crate::text::{self, missing_glyph};
-use peernet_analysis::order::Ordered;
+use peernet_analysis::order::SortedValues;
 
 /// The elements of a kind in an SVG: their attributes.
 struct Elements(Vec<HashMap<String, String>>);
@@ -84,7 +84,7 @@ macro_rules! draw {
 
 draw!(Accuracy, Course, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked);
 
-fn millis(values: impl IntoIterator<Item = f64>) -> Ordered {
+fn millis(values: impl IntoIterator<Item = f64>) -> SortedValues {
     values.into_iter().map(|value| value / 1e3).collect()
 }
 
@@ -131,7 +131,7 @@ fn assert_on_paper(svg: &str) {
 }
 
 #[test]
-fn a_figure_is_as_wide_as_a_column_in_all_files() {
+fn figure_files_have_column_width() {
     let folder = tempfile::tempdir().expect("a folder");
     let figure = bars::histogram(millis((0..100).map(f64::from)));
     let [png, svg, pdf, txt] = export::write(&figure.figure(), folder.path(), "some-time").expect("written");

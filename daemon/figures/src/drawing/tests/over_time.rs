@@ -45,7 +45,7 @@ fn a_hundred_thousand_iterations_are_a_small_file() {
 }
 
 #[test]
-fn one_stall_of_a_steady_stage_does_not_hide_the_run() {
+fn single_stall_does_not_hide_the_run() {
     let stalled = |at: u32, value: f64| (f64::from(at) / 10.0, if at == 300 { 12.0 } else { value });
     let figure = Course {
         stages: vec![Line {

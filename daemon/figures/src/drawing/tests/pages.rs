@@ -13,7 +13,7 @@ fn assert_of_a_page(html: &str) {
 }
 
 #[test]
-fn a_distribution_has_its_bars_and_lines_on_a_page() {
+fn page_distribution_has_bars_and_lines() {
     let figure = bars::histogram(millis((0..1000).map(f64::from).chain([9e5, 1e6]))).figure();
     let html = page::plot(&figure.plots[0], "histogram", "in words");
     assert_of_a_page(&html);

@@ -3,12 +3,13 @@
 use super::*;
 use crate::look::series;
 
-fn hill(middle: f64, count: u32) -> Ordered {
+fn hill(middle: f64, count: u32) -> SortedValues {
     millis((0..count).map(|i| middle * (1.0 + 0.4 * ((f64::from(i) + 0.5) / f64::from(count) - 0.5).powi(3))))
 }
 
-fn paired(groups: Vec<Vec<Ordered>>) -> Paired {
-    let group = |(number, values): (usize, Vec<Ordered>)| Group { name: format!("model-{number}"), values };
+fn paired(groups: Vec<Vec<SortedValues>>) -> Paired {
+    let group =
+        |(number, values): (usize, Vec<SortedValues>)| Group { name: format!("model-{number}"), values };
     Paired {
         title: "Inference by model".to_owned(),
         unit: Unit::milliseconds("Inference"),
@@ -19,7 +20,7 @@ fn paired(groups: Vec<Vec<Ordered>>) -> Paired {
 }
 
 #[test]
-fn many_values_are_a_shape_and_few_are_points() {
+fn many_values_are_shape_few_are_points() {
     let figure = paired(vec![vec![hill(50.0, 400), hill(20.0, 400)], vec![hill(90.0, 9), hill(30.0, 0)]]);
     let svg = figure.svg();
     // The two shapes have hundreds of corners.
@@ -35,7 +36,7 @@ fn many_values_are_a_shape_and_few_are_points() {
 }
 
 #[test]
-fn models_of_very_different_latency_share_a_logarithmic_axis() {
+fn very_different_models_share_logarithmic_axis() {
     let figure = paired(vec![vec![hill(0.5, 400), hill(0.2, 9)], vec![hill(9000.0, 400), hill(3000.0, 400)]]);
     let svg = figure.svg();
     for text in ["Inference, ms (log scale)", "1", "10,000"] {
@@ -59,10 +60,10 @@ fn long_names_of_models_stay_apart() {
 }
 
 #[test]
-fn a_shape_is_whole_however_narrow_its_hills_are() {
+fn shape_with_narrow_peaks_is_complete() {
     // The values are a peak of 0.4 ms, a second one, and a few values far above.
     let hill = |from: f64, n: u32| (0..n).map(move |i| from + 0.4 * (f64::from(i) + 0.5) / f64::from(n));
-    let far: Ordered =
+    let far: SortedValues =
         millis(hill(2.0, 150).chain(hill(9.0, 60)).chain([20.0, 30.0, 40.0, 40.1, 40.2, 41.0]));
     let figure = paired(vec![vec![far]]);
     let picture = export::Exported::of(&figure.svg()).and_then(|exported| exported.pixels()).expect("drawn");
@@ -109,8 +110,9 @@ fn height(svg: &str, wanted: &str) -> f64 {
 }
 
 #[test]
-fn points_that_have_room_are_drawn_and_no_count_lies_on_one() {
-    let late = |extra: f64| hill(20.0, 30).values().iter().copied().chain([extra / 1e3]).collect::<Ordered>();
+fn spaced_points_are_drawn_without_overlapping_counts() {
+    let late =
+        |extra: f64| hill(20.0, 30).values().iter().copied().chain([extra / 1e3]).collect::<SortedValues>();
     let figure = paired(vec![vec![late(40.0), hill(60.0, 30)], vec![late(90.0), hill(50.0, 30)]]);
     let svg = figure.svg();
     assert!(has(&svg, "+1") && !has(&svg, "+2"), "the one at 40 ms has room: {:?}", texts(&svg));

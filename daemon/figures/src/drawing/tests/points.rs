@@ -35,7 +35,7 @@ fn levels(svg: &str) -> Vec<f64> {
 }
 
 #[test]
-fn a_level_line_stands_at_its_height_or_not_at_all() {
+fn level_line_is_drawn_at_height_or_omitted() {
     let figure = scaling(Some((1e9, 0.0)), None);
     let svg = figure.svg();
     let discs = Elements::of(&svg, "circle").numbers("cy");
@@ -75,7 +75,7 @@ fn accuracy(scores: Vec<Score>) -> Accuracy {
 }
 
 #[test]
-fn each_configuration_is_a_numbered_point_with_its_figures_below() {
+fn each_configuration_is_numbered_point() {
     let scores = vec![score("s", 70, 100, 0.02), score("m", 80, 100, 0.04), score("l", 90, 100, 0.041)];
     let figure = accuracy(scores);
     let svg = figure.svg();
@@ -98,7 +98,7 @@ fn each_configuration_is_a_numbered_point_with_its_figures_below() {
 }
 
 #[test]
-fn whiskers_that_would_lie_on_one_another_are_left_out() {
+fn overlapping_whiskers_are_omitted() {
     let figure =
         accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.025), score("c", 99, 100, 0.1)]);
     let svg = figure.svg();

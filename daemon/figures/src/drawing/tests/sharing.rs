@@ -20,7 +20,7 @@ fn sharing(curves: Vec<(&str, Vec<SharingPoint>)>) -> Sharing {
 }
 
 #[test]
-fn the_axis_is_marked_at_whole_edges_that_were_measured() {
+fn axis_ticks_are_measured_edge_counts() {
     let points = [1, 2, 4, 8].map(|edges| point(edges, 0.01 + 0.01 * edges as f64, Some(1.0 / edges as f64)));
     let figure = sharing(vec![("", points.to_vec())]);
     let svg = figure.svg();

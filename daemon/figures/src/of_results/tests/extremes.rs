@@ -23,7 +23,7 @@ fn odd(odd: f64, from: u64) -> Loaded {
 }
 
 #[test]
-fn every_figure_comes_to_an_end_whatever_its_numbers() {
+fn every_figure_handles_extreme_numbers() {
     let here = placed("m", "local", 7.0);
     for (value, from) in [(f64::MAX, 1), (-1e308, 50), (f64::INFINITY, 50), (1e-300, 1), (1e18, 50)] {
         let runs = [odd(value, from), here.clone()];
@@ -36,7 +36,7 @@ fn every_figure_comes_to_an_end_whatever_its_numbers() {
 }
 
 #[test]
-fn what_is_larger_than_anything_measured_is_left_out_and_told() {
+fn implausibly_large_values_are_excluded_and_noted() {
     let some = odd(1e308, 51);
     let drawn = series::drawings(&some.record, &some.rows).expect("most can be drawn");
     let Shown::Course(course) = &drawn[0].shown else { panic!("{drawn:?}") };

@@ -6,7 +6,7 @@ use super::*;
 use peernet_analysis::Passage;
 
 #[test]
-fn labels_that_are_no_classes_are_told_in_the_figure_of_accuracy() {
+fn accuracy_figure_notes_unknown_labels() {
     let foreign = |from: u64| {
         let mut run = Loaded { record: placed("s", "local", 1.0).record, ..run_with_total(20.0) };
         run.rows.change(|row| {
@@ -19,7 +19,7 @@ fn labels_that_are_no_classes_are_told_in_the_figure_of_accuracy() {
         run.record.facts = facts.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
         run
     };
-    let why = "because the label is no class of the model (the data set says cat, dog; the model knows good, dented)";
+    let why = "because the label is not a class of the model (labels: cat, dog; classes: good, dented)";
     let drawings = accuracy::drawings(&[foreign(90)]).expect("some are scored");
     let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
     assert_eq!(figure.notes[2..], [format!("left out: 10 iterations, {why}")]);
@@ -31,7 +31,7 @@ fn labels_that_are_no_classes_are_told_in_the_figure_of_accuracy() {
 }
 
 #[test]
-fn delays_that_are_not_known_make_no_bar_shorter() {
+fn unknown_delays_do_not_shorten_bars() {
     let unknown = Passage {
         payload_bytes: 1,
         logger_bytes: 1,

@@ -15,7 +15,7 @@ fn varied(count: u64) -> Loaded {
 }
 
 #[test]
-fn a_direction_that_is_not_drawn_is_told_with_its_sizes() {
+fn omitted_direction_is_noted_with_sizes() {
     let folder = tempfile::tempdir().expect("a folder");
     let alike = run(60, |number| {
         let answer = [100.0, 9e4][number as usize % 2];
@@ -34,7 +34,7 @@ fn a_direction_that_is_not_drawn_is_told_with_its_sizes() {
 }
 
 #[test]
-fn messages_without_a_known_delay_and_sizes_below_zero_are_counted() {
+fn unknown_delays_and_negative_sizes_are_counted() {
     let mut run = run(100, |number| {
         let bytes = [1e3, 1e4, 1e5, 1e6][number as usize % 4];
         vec![("upload-bytes", bytes), ("upload", if bytes < 2e3 { -0.1 } else { bytes / 1e5 })]
@@ -57,7 +57,7 @@ fn messages_without_a_known_delay_and_sizes_below_zero_are_counted() {
 }
 
 #[test]
-fn a_link_without_a_figure_of_its_own_is_told_in_the_first() {
+fn link_without_figure_is_noted_in_first() {
     let mut other = remote(60);
     other.rows.change(|row| row.values.push(("upload-bytes".into(), 500.0)));
     other.record.edge = HostRecord { name: "arm".to_owned(), ..HostRecord::default() };
@@ -68,7 +68,7 @@ fn a_link_without_a_figure_of_its_own_is_told_in_the_first() {
 }
 
 #[test]
-fn a_run_without_the_column_is_told_among_pairs() {
+fn run_without_column_is_noted_in_pairs() {
     let mut without = placed("s", "remote", 1.0);
     without.rows.change(|row| row.values.retain(|(name, _)| name != "inference"));
     let runs = [placed("s", "remote", 4.0), placed("s", "local", 20.0), placed("m", "local", 9.0), without];
@@ -92,7 +92,7 @@ fn stages_without_a_line_are_named() {
 }
 
 #[test]
-fn bars_of_few_iterations_are_known_by_their_counts() {
+fn bars_of_few_iterations_show_counts() {
     let mut few = placed("s", "local", 20.0);
     few.rows.change(|row| row.warm_up = row.iteration > 10);
     let drawings = stacked::drawings(&[few, placed("s", "remote", 4.0)]).expect("bars");
@@ -101,7 +101,7 @@ fn bars_of_few_iterations_are_known_by_their_counts() {
 }
 
 #[test]
-fn a_rate_that_sizes_cannot_tell_is_not_given() {
+fn undetermined_rate_is_not_given() {
     let noisy = run(300, |number| {
         let place = number as usize % 4;
         // The growth with size is smaller than its variation.

@@ -35,7 +35,7 @@ fn figure() -> Figure {
 }
 
 #[test]
-fn a_figure_is_as_wide_as_a_column_and_its_caption_is_one_line() {
+fn figure_has_column_width_and_one_line_caption() {
     let svg = svg(&figure());
     assert!(svg.contains("width=\"3.5in\"") && svg.contains("viewBox=\"0 0 252 "), "{svg}");
     assert!(svg.contains(">Upload time · robot → cloud · n = 1,200 (600 each)<"), "{svg}");

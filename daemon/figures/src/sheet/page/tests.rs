@@ -32,7 +32,7 @@ fn labels_leave_before_they_touch() {
 }
 
 #[test]
-fn a_page_has_classes_and_shares_and_no_colours() {
+fn page_has_classes_and_shares_without_colours() {
     let x = Axis::new(Scale::linear((0.0, 10.0)).widened(5), "Upload, ms", "ms");
     let y = Axis::new(Scale::logarithmic((1.0, 100.0)), "Iterations", "").with_grid();
     let mut plot = Plot::new(x, y);
@@ -64,7 +64,7 @@ fn a_page_has_classes_and_shares_and_no_colours() {
 }
 
 #[test]
-fn text_is_shown_from_the_width_on_at_which_it_fits() {
+fn text_appears_at_width_where_it_fits() {
     let from = |share: f64, words: &str| {
         Label::new(At::new(0.5, 0.5), words, TextStyle::ON_PALE).fits_within(share).from
     };

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use clap::ArgGroup;
 use peernet_cli::clock;
-use peernet_cli::exit::{Exit, Failure, in_one_line};
+use peernet_cli::exit::{Exit, Failure, error_line};
 use peernet_cli::output::{complain, say};
 use peernet_clock::{ClockIdentity, WallTime};
 use peernet_store::maintenance::{Examination, Finding, Report, Severity, examine};
@@ -127,7 +127,7 @@ impl Examined {
         if let Some(path) = &data_files.spool {
             match spool::examine(path).await {
                 Ok(report) => all.spool = Some(report),
-                Err(error) => all.unavailable.push(in_one_line(&error)),
+                Err(error) => all.unavailable.push(error_line(&error)),
             }
         }
         all.healthy = all.exit() == Exit::Ok;

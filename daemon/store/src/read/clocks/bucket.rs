@@ -1,6 +1,6 @@
 //! Summary of several seconds as one point.
 
-use peernet_analysis::delays::{DelaySum, round_trip};
+use peernet_analysis::delays::{DelaySum, merged_round_trip};
 use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_stream::{ProbeCounts, RoundTrip};
 
@@ -80,7 +80,7 @@ impl Bucket {
             window,
             offset: self.widest,
             probes: self.probes,
-            round_trip: round_trip(self.round_trips),
+            round_trip: merged_round_trip(self.round_trips),
             up: self.up.second(),
             down: self.down.second(),
             clocks: self.clocks,

@@ -51,7 +51,7 @@ fn node(name: &str, count: u64, mean: f64) -> StageStatistics {
 }
 
 fn report(run: &RunDetail, stages: Vec<StageStatistics>) -> Report {
-    Report::of(&collect(run, &RunStatistics { stages, ..RunStatistics::default() }, &[]))
+    Report::new(&collect(run, &RunStatistics { stages, ..RunStatistics::default() }, &[]))
 }
 
 /// A run of 300 iterations in 59 s.
@@ -61,7 +61,7 @@ fn detail(configuration: &str, reason: &str) -> RunDetail {
 
 fn end(run: &RunDetail) -> Option<(Grade, String)> {
     let report = report(run, Vec::new());
-    let found = report.sentences.into_iter().find(|sentence| sentence.about == "end");
+    let found = report.findings.into_iter().find(|sentence| sentence.about == "end");
     found.map(|sentence| (sentence.grade, sentence.text))
 }
 
@@ -93,7 +93,7 @@ fn answers_without_score_are_reported() {
     let ok = run.summary.counts.ok;
     let said = |count| {
         let report = report(&run, vec![node("top-1", count, 0.75)]);
-        report.sentences.into_iter().find(|sentence| sentence.text.contains("top-1"))
+        report.findings.into_iter().find(|sentence| sentence.text.contains("top-1"))
     };
     let text = said(ok - 12).expect("a sentence").text;
     assert!(text.contains("12"), "{text}");
@@ -103,9 +103,9 @@ fn answers_without_score_are_reported() {
 #[test]
 fn restarted_process_is_reported() {
     let report = report(&detail("", "finished"), vec![node(&stage::RESTART, 2, 0.5)]);
-    let said = report.sentences.iter().find(|sentence| sentence.about == "restarts").expect("said");
+    let said = report.findings.iter().find(|sentence| sentence.about == "restarts").expect("said");
     assert!(
-        said.text.contains("The model's process was started anew in 2 iterations, which waited 1,000"),
+        said.text.contains("The model's process was restarted in 2 iterations, which waited 1,000"),
         "{said:?}"
     );
 }
@@ -115,7 +115,7 @@ fn labels_outside_models_classes_are_reported() {
     let mut run = detail("", "finished");
     run.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
     let report = report(&run, vec![node(UNKNOWN_LABEL, 12, 1.0)]);
-    let said = report.sentences.iter().find(|sentence| sentence.about == "accuracy").expect("said");
+    let said = report.findings.iter().find(|sentence| sentence.about == "accuracy").expect("said");
     assert!(said.text.starts_with("Not scored: 12 of") && said.text.contains("good, dented"), "{said:?}");
 }
 
@@ -125,11 +125,11 @@ fn skipped_starts_are_reported_with_ordered_rate() {
     let mut said = |skipped_starts| {
         run.summary.skipped_starts = skipped_starts;
         let report = report(&run, Vec::new());
-        let found = report.sentences.into_iter().find(|sentence| sentence.about == "skipped starts");
+        let found = report.findings.into_iter().find(|sentence| sentence.about == "skipped starts");
         found.map(|sentence| (sentence.grade, sentence.text)).expect("said")
     };
     let (grade, text) = said(300);
-    let rates = "40.0\u{202f}Hz were ordered, 5.17 starts a second were made";
+    let rates = "40.0\u{202f}Hz were configured, 5.17\u{202f}Hz achieved";
     assert!(grade == Grade::Bad && text.starts_with("300 of 600 starts") && text.contains(rates), "{text}");
     assert_eq!(said(0).0, Grade::Good);
 }
@@ -144,6 +144,6 @@ fn unknown_number_of_missing_events_is_not_reported() {
     assert_eq!(end(&run), None, "an unknown number");
     run.gaps.clear();
     run.summary.ended = None;
-    let open = "The run has no end yet: all this is of what is there so far.";
+    let open = "The run has not ended: the findings cover the iterations so far.";
     assert_eq!(end(&run), Some((Grade::Unknown, open.to_owned())));
 }

@@ -9,10 +9,10 @@ pub(super) fn sentence(growth: &Growth, what: &str, each: f64) -> String {
     let (value, lo, hi) = (fit.slope.value * each, interval.0 * each, interval.1 * each);
     let (size, near, far) = (value.abs(), lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
     let more = if value > 0.0 { "more" } else { "less" };
-    let found = if growth.is_certain() {
+    let found = if growth.is_significant() {
         let slope = Estimate::new(size, (near, far));
         let interval = slope.between();
-        if growth.is_vague() {
+        if growth.is_imprecise() {
             format!("Each further {what} takes {interval}{SPACE}ms {more} (95{SPACE}%)")
         } else {
             let value = slope.value();

@@ -115,7 +115,8 @@ fn a_sample_says_of_how_many_it_is_and_what_was_deleted() {
 
 #[test]
 fn what_cannot_be_told_is_not_told() {
-    let sentence = |points: &[(f64, f64)]| Growth::of(points).map(|growth| sentence(&growth, "kB", 1e3));
+    let sentence =
+        |points: &[(f64, f64)]| Growth::from_iterations(points).map(|growth| sentence(&growth, "kB", 1e3));
     assert_eq!(sentence(&answered(59)), None, "too few");
     let alike: Vec<(f64, f64)> =
         answered(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
@@ -124,7 +125,7 @@ fn what_cannot_be_told_is_not_told() {
         (0..400).map(|n| (f64::from(n % 97), 0.1 + 0.01 * (f64::from(n) * 1.7).sin())).collect();
     let text = sentence(&flat).expect("enough");
     assert!(text.starts_with("Whether longer answers take longer cannot be told: \u{2212}"), "{text}");
-    assert_eq!(Growth::of(&flat).and_then(|growth| growth.line()), None);
+    assert_eq!(Growth::from_iterations(&flat).and_then(|growth| growth.line()), None);
     let falling: Vec<(f64, f64)> = answered(400).iter().map(|(x, y)| (320.0 - x, *y)).collect();
     let text = sentence(&falling).expect("enough");
     assert!(text.starts_with("Each further kB takes ") && text.contains("\u{202f}ms less (95"), "{text}");
@@ -153,7 +154,7 @@ fn held(iterations: usize, iteration: impl Fn(&mut SplitMix64) -> (f64, f64)) ->
             (tokens, 0.030 + SLOPE * tokens + other)
         };
         let points: Vec<(f64, f64)> = (0..iterations).map(answer).collect();
-        let (lo, hi) = Growth::of(&points).expect("enough").interval;
+        let (lo, hi) = Growth::from_iterations(&points).expect("enough").interval;
         assert!(hi - lo < SLOPE, "it says something: {lo} {hi}");
         (lo..=hi).contains(&SLOPE)
     };
@@ -177,7 +178,7 @@ fn a_slope_of_nanoseconds_has_digits() {
     let points: Vec<(f64, f64)> = answered(200).iter().map(|(x, _)| (*x, 1e-3 + x * 2.0e-9)).collect();
     let noisy: Vec<(f64, f64)> =
         points.iter().enumerate().map(|(n, (x, y))| (*x, y + 2e-9 * (n as f64 * 1.7).sin())).collect();
-    let text = sentence(&Growth::of(&noisy).expect("enough"), "token", 1.0);
+    let text = sentence(&Growth::from_iterations(&noisy).expect("enough"), "token", 1.0);
     let start = "Each further token takes 0.0000020";
     assert!(
         text.starts_with(start) && !text.contains("0.000 ") && text.contains("(95\u{202f}%: 0.00000"),

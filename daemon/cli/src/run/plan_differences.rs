@@ -3,14 +3,14 @@
 use serde_json::Value;
 
 /// Maximum number of reported differences.
-const MOST: usize = 8;
+const MAX_DIFFERENCES: usize = 8;
 
 /// Returns one line for each difference: the path, the earlier value, the present value.
 pub(super) fn differences(before: &Value, now: &Value) -> Vec<String> {
     let mut found = Vec::new();
     compare("", before, now, &mut found);
-    let more = found.len().saturating_sub(MOST);
-    found.truncate(MOST);
+    let more = found.len().saturating_sub(MAX_DIFFERENCES);
+    found.truncate(MAX_DIFFERENCES);
     if more > 0 {
         found.push(format!("and {more} more"));
     }

@@ -1,32 +1,32 @@
-//! Which of the results that were found are compared.
+//! Selection among the results that were found.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::collect::is_same;
 use super::experiment::{Experiment, Experiments};
-use crate::experiment::{RUNS, left_out};
+use crate::experiment::{RUNS, unfinished_runs_note};
 
-/// Results that are compared: those found, without runs of experiments that are not done.
-pub(super) struct Chosen {
+/// Results to compare: all that were found, without unfinished runs of experiments.
+pub(super) struct SelectedResults {
     /// The results, each once.
     pub(super) paths: Vec<PathBuf>,
-    /// Runs that are left out, of each experiment.
-    pub(super) left_out: Vec<LeftOut>,
+    /// Unfinished runs of each experiment.
+    pub(super) unselected: Vec<UnselectedRuns>,
 }
 
-/// Runs of an experiment that are not compared.
+/// Notes on runs of one experiment that are not compared.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct LeftOut {
-    /// Which, in a sentence.
+pub(super) struct UnselectedRuns {
+    /// Sentence for the caveats of the tables: the runs and their states.
     pub(super) what: String,
-    /// Which, where, and what is to be done.
+    /// Message for the terminal: the runs, their experiment, and the command that completes them.
     pub(super) remark: String,
 }
 
-impl Chosen {
-    /// Chooses among the results that were found in each place. A run that is a place itself is wanted as it is.
-    pub(super) fn of(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
+impl SelectedResults {
+    /// Selects among the results that were found in each place. A run whose own folder is on the command line is always selected.
+    pub(super) fn new(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
         let mut paths: Vec<PathBuf> = Vec::new();
         let mut searched: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
         for (place, path) in
@@ -44,19 +44,19 @@ impl Chosen {
         }
         let read: Vec<PathBuf> =
             paths.iter().filter_map(|path| Some(experiments.run(path)?.folder())).collect();
-        let left_out = searched.into_iter().filter_map(|(home, (place, experiment))| {
+        let unselected = searched.into_iter().filter_map(|(home, (place, experiment))| {
             let is_read = |name: &str| read.contains(&home.join(RUNS).join(name));
             let others = experiment.runs().filter(|(name, _)| !is_read(name));
-            let what = left_out(&experiment.name, others)?;
+            let what = unfinished_runs_note(&experiment.name, others)?;
             let (place, remedy) = (as_typed(place, home), experiment.remedy());
-            let remark = format!("{} is shown {what}; {remedy} does them", place.display());
-            Some(LeftOut { what: format!("Shown {what}."), remark })
+            let remark = format!("{} is shown {what}; {remedy} completes them", place.display());
+            Some(UnselectedRuns { what: format!("Shown {what}."), remark })
         });
-        Self { left_out: left_out.collect(), paths }
+        Self { unselected: unselected.collect(), paths }
     }
 }
 
-/// Whether a place that a user typed is that of a run: the folder of its results, or one in the run's own folder.
+/// Returns whether a path on the command line is the folder of these results, or a folder within the run's folder.
 pub(super) fn is_named(place: &Path, results: &Path, experiments: &Experiments) -> bool {
     let is_within = |folder: &Path| place.canonicalize().is_ok_and(|place| place.starts_with(folder));
     match experiments.run(results) {
@@ -65,7 +65,7 @@ pub(super) fn is_named(place: &Path, results: &Path, experiments: &Experiments) 
     }
 }
 
-/// An experiment's folder, which is given in full, as far as possible by the place in which it was found.
+/// Shortens the absolute path of an experiment's folder: it starts with the path on the command line if possible.
 fn as_typed(place: &Path, home: &Path) -> PathBuf {
     let below = place.canonicalize().ok().and_then(|full| Some(home.strip_prefix(full).ok()?.to_owned()));
     match below {
@@ -112,7 +112,7 @@ mod tests {
     }
 
     const LEFT: &str = "Shown without the runs of experiment rates that are not done: 002-a (failed), \
-                        003-b (under way or killed), 004-b (to do).";
+                        003-b (in progress or killed), 004-b (to do).";
 
     #[test]
     fn an_experiment_is_its_runs_that_are_done() {
@@ -122,28 +122,28 @@ mod tests {
         // Wherever the search begins.
         for place in [home.clone(), home.join(RUNS), folder.path().to_owned()] {
             let found = collect(&[place], None, &|_| true).expect("one is done");
-            assert_eq!((names(&found), found.left_out), (vec!["001-a".to_owned()], vec![LEFT.to_owned()]));
+            assert_eq!((names(&found), found.notes), (vec!["001-a".to_owned()], vec![LEFT.to_owned()]));
         }
-        let undone = home.join(RUNS).join("003-b");
-        let found = collect(&[home.clone(), undone.clone()], None, &|_| true).expect("two are wanted");
+        let unfinished = home.join(RUNS).join("003-b");
+        let found = collect(&[home.clone(), unfinished.clone()], None, &|_| true).expect("two are wanted");
         assert_eq!(names(&found), ["001-a", "003-b"], "what is named itself is wanted");
-        assert!(!found.left_out.concat().contains("003-b"), "{:?}", found.left_out);
-        let found = collect(&[undone.join("data.csv")], Some(&home.join("runs/002-a")), &|_| true);
+        assert!(!found.notes.concat().contains("003-b"), "{:?}", found.notes);
+        let found = collect(&[unfinished.join("data.csv")], Some(&home.join("runs/002-a")), &|_| true);
         let found = found.expect("both are named");
-        assert_eq!((names(&found).len(), found.left_out.len()), (2, 0));
+        assert_eq!((names(&found).len(), found.notes.len()), (2, 0));
 
         let found = collect(std::slice::from_ref(&home), Some(&home.join("runs/002-a")), &|_| true);
         let found = found.expect("one is done, one is named");
         assert_eq!((names(&found), found.baseline), (vec!["002-a".to_owned(), "001-a".to_owned()], vec![0]));
-        assert!(!found.left_out.concat().contains("002-a"), "{:?}", found.left_out);
+        assert!(!found.notes.concat().contains("002-a"), "{:?}", found.notes);
 
         std::fs::remove_dir_all(home.join("runs/001-a")).expect("removed");
         let nothing = collect(&[home], None, &|_| true).err().expect("nothing is left");
-        assert!(nothing.to_string().contains("nothing is left"), "{nothing}");
+        assert!(nothing.to_string().contains("can be compared"), "{nothing}");
     }
 
     #[test]
-    fn a_record_that_tells_nothing_is_told_where_its_runs_are_shown() {
+    fn unreadable_experiment_record_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         let home = folder.path().join("rates");
         experiment(&home);
@@ -152,7 +152,7 @@ mod tests {
         let told = || {
             let found = collect(std::slice::from_ref(&home), None, &|_| true).expect("three can be read");
             assert_eq!(names(&found), ["001-a", "002-a", "003-b"]);
-            found.left_out.concat()
+            found.notes.concat()
         };
         let cut = &whole[..whole.len() / 2];
         let few = whole
@@ -164,15 +164,15 @@ mod tests {
             (cut, "EOF"),
             ("\0", "expected value"),
             ("{}", "missing field `format`"),
-            (&few, "it has 4 runs, and how 5 of them fare"),
+            (&few, "it has 4 runs, but 5 states"),
             (&strange, "unknown variant `eaten`"),
-            (&later, "its format is 2, this program knows 1"),
+            (&later, "its format is 2, but this program reads format 1"),
         ] {
             std::fs::write(&record, text).expect("written");
             let told = told();
             let beginning = format!("Cannot read {}: ", record.canonicalize().expect("there").display());
             assert!(told.starts_with(&beginning) && told.contains(why), "{why}: {told}");
-            assert!(told.ends_with("; which of its runs are done is not known."), "{told}");
+            assert!(told.ends_with("; the states of its runs are unknown."), "{told}");
         }
         std::fs::remove_file(&record).expect("removed");
         assert_eq!(told(), "", "results of other programs have none");
@@ -185,15 +185,19 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_is_told_with_its_place_and_what_to_do() {
+    fn excluded_runs_are_listed_with_advice() {
         let folder = tempfile::tempdir().expect("a folder");
         let home = folder.path().join("rates");
         experiment(&home);
         let found = vec![(folder.path().to_owned(), vec![home.join("runs/001-a"), home.join("runs/002-a")])];
-        let experiments = Experiments::of(found[0].1.iter().map(PathBuf::as_path));
-        let [told] = Chosen::of(&found, &experiments).left_out.try_into().expect("one experiment");
+        let experiments = Experiments::find(found[0].1.iter().map(PathBuf::as_path));
+        let [told] =
+            SelectedResults::new(&found, &experiments).unselected.try_into().expect("one experiment");
         assert!(told.remark.starts_with(&format!("{} is shown without", home.display())), "{told:?}");
-        assert!(told.remark.contains("; `peernet run e.toml` again"), "{told:?}");
+        assert!(
+            told.remark.contains("; `peernet run e.toml` with the same options completes them"),
+            "{told:?}"
+        );
         let failed = experiments.run(&home.join("runs/002-a/user-1"));
         assert!(failed.is_none(), "there is no such folder");
         let failed = experiments.run(&home.join("runs/002-a")).expect("it is one of its runs");

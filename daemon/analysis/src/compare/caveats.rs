@@ -4,7 +4,7 @@ use peernet_clock::Verdict;
 use peernet_statistics::Summary;
 use peernet_statistics::number::counted;
 
-use super::render::named;
+use super::render::with_name;
 use super::{LATENCIES, Line, NEARLY_ALL};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
@@ -12,13 +12,15 @@ use crate::trust::Starts;
 
 /// Returns sentences about skipped starts, incomplete folders, and numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
-    let lacking: Vec<String> =
-        runs.iter().filter_map(|run| Some(format!("{}: {}", run.folder.display(), run.lacking()?))).collect();
+    let lacking: Vec<String> = runs
+        .iter()
+        .filter_map(|run| Some(format!("{}: {}", run.folder.display(), run.incompleteness()?)))
+        .collect();
     let missing: Vec<String> = lines.iter().flat_map(|line| missing(runs, line)).collect();
     let mut told: Vec<String> =
         skipped_starts(lines.iter().map(|line| (line.name(), line.starts))).into_iter().collect();
     if !lacking.is_empty() {
-        told.push(format!("Results are not whole: {}.", lacking.join("; ")));
+        told.push(format!("Incomplete results: {}.", lacking.join("; ")));
     }
     if !missing.is_empty() {
         told.push(format!(
@@ -32,19 +34,19 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
 /// Returns a sentence about configurations of which starts were skipped, each by its name; a single one may have none. `None` if no start
 /// was skipped.
 pub fn skipped_starts(of: impl IntoIterator<Item = (String, Starts)>) -> Option<String> {
-    let told = |(name, starts): (String, Starts)| Some(named(&name, &starts.told()?));
+    let told = |(name, starts): (String, Starts)| Some(with_name(&name, &starts.skipped_text()?));
     let told: Vec<String> = of.into_iter().filter_map(told).collect();
     (!told.is_empty()).then(|| {
         format!(
-            "Starts were skipped, because the pipeline was too far behind; these latencies are not those of the rate that \
-             was ordered: {}.",
+            "Starts were skipped because the pipeline could not keep up; these latencies are not those of the configured \
+             rate: {}.",
             told.join("; ")
         )
     })
 }
 
 fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
-    let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.counts());
+    let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.is_counted());
     let told = |(name, latency): (&str, &Option<super::Latency>)| {
         let known = (*latency)?.count as f64 / line.count as f64;
         // If many delays are unknown, a different sentence covers them.
@@ -77,7 +79,7 @@ mod tests {
     use crate::compare::{Comparison, is_compared};
 
     #[test]
-    fn a_number_that_is_too_large_is_not_called_infinite() {
+    fn too_large_number_is_not_reported_as_infinite() {
         let mut runs = paper();
         runs[1].rows.change(|row| {
             if row.iteration == 50 {
@@ -88,22 +90,19 @@ mod tests {
             }
         });
         let told = "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: sensing of cuda:0, lan 1 of 100 iterations.";
-        let text = Comparison::of(&runs).text();
+        let text = Comparison::new(&runs).text();
         assert!(text.contains(told), "{text}");
     }
 
     #[test]
-    fn starts_that_were_skipped_stand_below_the_table() {
+    fn skipped_starts_are_noted_below_table() {
         let mut runs = paper();
         runs[1].rows.change(|row| {
             row.values.push(("skipped-starts".into(), if row.iteration == 50 { 101.0 } else { 0.0 }));
         });
-        let text = Comparison::of(&runs).text();
-        assert!(
-            text.contains(" of the rate that was ordered: cuda:0, lan: 101 of 202 starts (50.0 %)."),
-            "{text}"
-        );
-        assert!(!Comparison::of(&paper()).text().contains("skipped"));
+        let text = Comparison::new(&runs).text();
+        assert!(text.contains(" of the configured rate: cuda:0, lan: 101 of 202 starts (50.0 %)."), "{text}");
+        assert!(!Comparison::new(&paper()).text().contains("skipped"));
         assert!(is_compared("skipped-starts"), "else it is not read");
     }
 }

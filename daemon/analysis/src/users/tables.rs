@@ -6,7 +6,7 @@ use super::{Users, UsersLine};
 use crate::table::{Table, csv_text};
 
 /// Cell of an unknown value.
-pub(super) const NOTHING: &str = "—";
+pub(super) const EMPTY_CELL: &str = "—";
 const NOTE: &str = "Counted while all edges of a run were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
                     are served alike, 1/n when one of n gets everything.";
 
@@ -34,7 +34,7 @@ impl Users {
         let number = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
         let row = |line: &UsersLine| {
             let mut cells = line.labels.clone();
-            let (least, most) = line.extremes().unzip();
+            let (least, most) = line.rate_range().unzip();
             cells.push(line.edges.to_string());
             cells.extend([line.rate, least, most, line.fairness].map(number));
             cells.push(line.totals.count.to_string());
@@ -50,13 +50,13 @@ impl Users {
         header.extend(["edges", "iterations/s", "per edge", "fairness"].map(str::to_owned));
         header.extend(["mean ms", "p50 ms", "p95 ms", "p99 ms"].map(|name| format!("total {name}")));
         let told =
-            |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NOTHING.to_owned(), form);
+            |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| EMPTY_CELL.to_owned(), form);
         let row = |line: &UsersLine| {
             let mut cells = line.labels.clone();
             cells.push(line.edges.to_string());
             cells.push(told(line.rate, significant));
-            cells.push(line.extremes().map_or_else(
-                || NOTHING.to_owned(),
+            cells.push(line.rate_range().map_or_else(
+                || EMPTY_CELL.to_owned(),
                 |(least, most)| format!("{} – {}", significant(least), significant(most)),
             ));
             cells.push(told(line.fairness, |value| fixed(value, 3)));

@@ -1,8 +1,8 @@
 //! Edges that were measured at the same time, and the share of each of them.
 
-use super::Share;
+use super::EdgeShare;
 use crate::loaded::Loaded;
-use crate::order::Ordered;
+use crate::order::SortedValues;
 use crate::rows::RowRef;
 
 /// Returns the edges of each run, in the order of the input: those of one repeat of one configuration of an experiment.
@@ -24,9 +24,9 @@ pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
 
 /// Returns each edge's share and all totals, from the time in which all edges were measuring; `None` if there is no such time. For an edge
 /// alone this is its whole run: all its totals count.
-pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
+pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
     let rows: Vec<Vec<RowRef<'_>>> =
-        edges.iter().map(|edge| edge.rows.iter().filter(|row| row.counts()).collect()).collect();
+        edges.iter().map(|edge| edge.rows.iter().filter(|row| row.is_counted()).collect()).collect();
     let first = |rows: &Vec<RowRef<'_>>| rows.iter().map(|row| row.at()).reduce(f64::min);
     let last = |rows: &Vec<RowRef<'_>>| rows.iter().map(|row| row.at()).reduce(f64::max);
     let from = rows.iter().map(first).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::max)?;
@@ -40,9 +40,9 @@ pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
         (rows.iter().filter(|row| within(row)).count(), totals.collect())
     };
     let totals: Vec<(usize, Vec<f64>)> = rows.iter().map(of).collect();
-    let share = |(count, totals): &(usize, Vec<f64>)| Share {
+    let share = |(count, totals): &(usize, Vec<f64>)| EdgeShare {
         rate: *count as f64 / (to - from),
-        median: totals.iter().copied().collect::<Ordered>().median(),
+        median: totals.iter().copied().collect::<SortedValues>().median(),
     };
     let shares = totals.iter().map(share).collect();
     Some((shares, totals.into_iter().flat_map(|(_, totals)| totals).collect()))

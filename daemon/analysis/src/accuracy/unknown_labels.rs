@@ -4,55 +4,56 @@ use peernet_statistics::number::{counted, fixed};
 
 use crate::rows::Rows;
 
-/// The column that is 1 for such a sample.
+/// Name of the column that is 1 for a sample whose label is not a class of the model.
 pub const UNKNOWN_LABEL: &str = "unknown-label";
-/// Names of the facts of a run that contain examples behind a count: `100 of 100: dented, good`, `4: good, scratched, …`.
-const LABELS: &str = "Labels";
-const CLASSES: &str = "Classes";
+/// Name of the fact of a run that has a count and examples of labels: `100 of 100: dented, good`.
+const LABELS_FACT: &str = "Labels";
+/// Name of the fact of a run that has a count and examples of classes: `4: good, scratched, …`.
+const CLASSES_FACT: &str = "Classes";
 
-/// Count of the iterations whose label is not a class of the model, with an example of the words of either side.
+/// Count of the iterations whose label is not a class of the model, with examples of labels and classes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownLabels {
     /// Number of counted iterations with such a label; at least one.
     pub count: u64,
-    /// Text ` (the data set says …; the model knows …)`; empty if neither is known.
-    words: String,
+    /// Text ` (labels: …; classes: …)`; empty if neither is known.
+    examples: String,
 }
 
 impl UnknownLabels {
     /// Returns the unknown labels of a run with these facts, which contain examples; `None` if `count` is 0.
     pub fn new(count: u64, facts: &[(String, String)]) -> Option<Self> {
-        let words = |fact: &str, side: &str| {
+        let example = |fact: &str, side: &str| {
             let (_, text) = facts.iter().find(|(name, _)| name == fact)?;
             let (_, words) = text.split_once(": ")?;
             Some(format!("{side} {words}"))
         };
-        let sides = [words(LABELS, "the data set says"), words(CLASSES, "the model knows")];
+        let sides = [example(LABELS_FACT, "labels:"), example(CLASSES_FACT, "classes:")];
         let sides: Vec<String> = sides.into_iter().flatten().collect();
-        let words = if sides.is_empty() { String::new() } else { format!(" ({})", sides.join("; ")) };
-        (count > 0).then_some(Self { count, words })
+        let examples = if sides.is_empty() { String::new() } else { format!(" ({})", sides.join("; ")) };
+        (count > 0).then_some(Self { count, examples })
     }
 
-    /// Counts the rows with an unknown label among those that count.
-    pub fn of(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
-        Self::new(rows.counted(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
+    /// Counts the counted rows with an unknown label.
+    pub fn from_rows(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
+        Self::new(rows.counted_values(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
     }
 
     /// Adds the count of another run; the examples stay those of this one.
     #[must_use]
-    pub(crate) fn with(self, other: &Self) -> Self {
+    pub(crate) fn merged_with(self, other: &Self) -> Self {
         Self { count: self.count + other.count, ..self }
     }
 
-    /// Returns a sentence; `all` is the number of iterations that count.
+    /// Returns a sentence; `all` is the number of counted iterations.
     pub fn sentence(&self, all: u64) -> String {
         let of = format!("{} of {}", fixed(self.count as f64, 0), counted(all, "iteration"));
         format!("Not scored: {of}, {}.", self.reason())
     }
 
-    /// Returns why they have no score, with examples.
+    /// Returns the reason for the missing scores, with examples.
     pub fn reason(&self) -> String {
-        format!("because the label is no class of the model{}", self.words)
+        format!("because the label is not a class of the model{}", self.examples)
     }
 }
 
@@ -67,15 +68,15 @@ mod tests {
     }
 
     #[test]
-    fn the_words_of_both_sides_are_shown_where_they_are_known() {
+    fn sentence_has_known_examples_of_both_sides() {
         let labels = ("Labels", "30 of 30: dented, good");
         let classes = ("Classes", "1000: tench, goldfish, …");
-        let plain = "Not scored: 2 of 1,000 iterations, because the label is no class of the model";
+        let plain = "Not scored: 2 of 1,000 iterations, because the label is not a class of the model";
         assert_eq!(
             sentence(&[labels, classes]),
-            format!("{plain} (the data set says dented, good; the model knows tench, goldfish, …).")
+            format!("{plain} (labels: dented, good; classes: tench, goldfish, …).")
         );
-        assert_eq!(sentence(&[classes]), format!("{plain} (the model knows tench, goldfish, …)."));
+        assert_eq!(sentence(&[classes]), format!("{plain} (classes: tench, goldfish, …)."));
         assert_eq!(sentence(&[("Labels", "30 of 30")]), format!("{plain}."));
         assert_eq!(UnknownLabels::new(0, &[]), None);
     }

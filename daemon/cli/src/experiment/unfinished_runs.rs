@@ -1,26 +1,26 @@
-//! Runs of an experiment that no table and no figure has, because they are not done.
+//! Note on runs of an experiment that its tables and figures exclude because they are not finished.
 
 use super::Stage;
 
-/// Most runs that are named.
-const MOST: usize = 8;
+/// Maximum number of runs in the note.
+const MAX_NAMED: usize = 8;
 
 /// Returns the note on the runs that tables and figures of an experiment lack: their folders and states. `None` if all are done.
-pub(crate) fn left_out<'a>(
+pub(crate) fn unfinished_runs_note<'a>(
     experiment: &str,
     runs: impl IntoIterator<Item = (&'a str, Stage)>,
 ) -> Option<String> {
-    let mut undone: Vec<String> = runs
+    let mut unfinished: Vec<String> = runs
         .into_iter()
         .filter(|(_, stage)| !stage.is_done())
         .map(|(folder, stage)| format!("{folder} ({})", stage.state(None).name()))
         .collect();
-    let more = undone.len().saturating_sub(MOST);
-    undone.truncate(MOST);
+    let more = unfinished.len().saturating_sub(MAX_NAMED);
+    unfinished.truncate(MAX_NAMED);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    let undone = undone.join(", ");
-    (!undone.is_empty())
-        .then(|| format!("without the runs of experiment {experiment} that are not done: {undone}{more}"))
+    let unfinished = unfinished.join(", ");
+    (!unfinished.is_empty())
+        .then(|| format!("without the runs of experiment {experiment} that are not done: {unfinished}{more}"))
 }
 
 #[cfg(test)]
@@ -28,12 +28,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_done_is_named_as_far_as_there_is_room() {
-        let told = |runs: &[(&str, Stage)]| left_out("e", runs.iter().copied());
+    fn unfinished_runs_are_named_up_to_limit() {
+        let told = |runs: &[(&str, Stage)]| unfinished_runs_note("e", runs.iter().copied());
         assert_eq!(told(&[("001", Stage::Finished)]), None);
         let two = [("001", Stage::Finished), ("002", Stage::Running), ("003", Stage::Pending)];
         let text =
-            "without the runs of experiment e that are not done: 002 (under way or killed), 003 (to do)";
+            "without the runs of experiment e that are not done: 002 (in progress or killed), 003 (to do)";
         assert_eq!(told(&two).as_deref(), Some(text));
         let many = told(&[("0", Stage::Failed); 20]).expect("none is done");
         assert!(many.ends_with("0 (failed), 0 (failed) and 12 more"), "{many}");

@@ -27,7 +27,7 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
                 run_records.iter().filter_map(|run_record| external_files.changed_since(run_record, &run)),
             ),
             Err(why) => {
-                complain(format_args!("run {} is done again: {why}", run.number));
+                complain(format_args!("run {} is repeated: {why}", run.number));
                 record.forget(&run);
             }
         }
@@ -35,12 +35,12 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
     changed.iter().for_each(complain);
 }
 
-/// Returns a note if an experiment was begun by another version and runs remain.
-pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Option<String> {
+/// Returns a note if an experiment was started by another version and runs remain.
+pub(super) fn version_change_note(record: &Record, to_do: &[Run], version: &str) -> Option<String> {
     let goes_on = !to_do.is_empty() && record.count(Stage::Finished) > 0;
     (goes_on && record.version != version).then(|| {
         format!(
-            "begun by PEERNet {}, and gone on with by {version}: run.json of each run has the version that measured it",
+            "started by PEERNet {}, and continued by {version}: run.json of each run has the version that measured it",
             printable_line(&record.version)
         )
     })
@@ -49,7 +49,7 @@ pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Optio
 /// The reason why the results of a finished run cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum UnusableResults {
-    #[error("its results are gone")]
+    #[error("its results are missing")]
     Gone,
     #[error(transparent)]
     Folder(#[from] FolderError),

@@ -1,7 +1,7 @@
 //! The command line as it was typed.
 
 /// Returns the command line, quoted for a shell. It is for display only: parts that are not UTF-8 are replaced.
-pub(crate) fn typed() -> String {
+pub(crate) fn command_line() -> String {
     let words = std::env::args_os().map(|word| {
         let word = word.to_string_lossy().into_owned();
         let plain = |char: char| char.is_ascii_alphanumeric() || "-_./:=,@+%".contains(char);
