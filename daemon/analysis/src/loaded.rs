@@ -76,5 +76,5 @@ impl Loaded {
 
 /// Returns the unknown labels of several runs together, with the words of the first that has some.
 pub fn unknown_labels<'a>(runs: impl IntoIterator<Item = &'a Loaded>) -> Option<UnknownLabels> {
-    runs.into_iter().filter_map(Loaded::unknown_labels).reduce(|all, more| all.with(&more))
+    runs.into_iter().filter_map(Loaded::unknown_labels).reduce(|all, more| all.merged_with(&more))
 }

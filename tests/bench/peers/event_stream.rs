@@ -109,7 +109,7 @@ impl Agent {
                 return action;
             }
             let bytes = self.asked.take()?;
-            self.machine.received(&ToAgent::Echo { bytes }, self.clock.stamp());
+            self.machine.on_message(&ToAgent::Echo { bytes }, self.clock.stamp());
         }
     }
 
@@ -121,18 +121,18 @@ impl Agent {
                 Action::Send(frame) => self.send(frame),
                 Action::Append { batches, .. } => {
                     self.spool.extend(batches);
-                    self.machine.appended(now);
+                    self.machine.on_appended(now);
                 }
                 Action::Load { from, bytes } => {
                     let batches = self.load(from, bytes);
-                    self.machine.loaded(batches, now);
+                    self.machine.on_loaded(batches, now);
                 }
                 Action::Delete { through, .. } => {
                     while self.spool.pop_front_if(|batch| batch.number <= through).is_some() {}
-                    self.machine.deleted();
+                    self.machine.on_deleted();
                 }
                 // Happens only if an aggregator has other batches of this stream.
-                Action::Renew { .. } => self.machine.renewed(now),
+                Action::Renew { .. } => self.machine.on_renewed(now),
             }
         }
     }
@@ -165,7 +165,7 @@ impl Agent {
         let socket = Socket::new(SocketType::Dealer, options);
         socket.connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
         let began = self.clock.mono();
-        self.machine.connected(began);
+        self.machine.on_connected(began);
         loop {
             self.act();
             if self.machine.is_idle() {
@@ -186,7 +186,7 @@ impl Agent {
             while let Some((_, frame)) = self.down.pop_front_if(|(at, _)| *at <= Instant::now()) {
                 let message: ToAgent =
                     codec::decode(&frame).context("the aggregator's message makes no sense")?;
-                self.machine.received(&message, self.clock.stamp());
+                self.machine.on_message(&message, self.clock.stamp());
             }
         }
         let seconds = (self.clock.mono() - began).seconds();

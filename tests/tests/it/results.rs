@@ -120,7 +120,7 @@ fn full_disk_keeps_rows_that_fit() {
     let path = writer.path().to_owned();
     // All rows belong to one second, so that they are written together.
     (1..=9000).for_each(|number| writer.write(&Row { at: 0.5, ..row(number) }));
-    assert!(writer.end().is_err(), "there is no room for all");
+    assert!(writer.finish().is_err(), "there is no room for all");
     let there = numbers(&path);
     assert_eq!(there, (1..=there.len() as u64).collect::<Vec<_>>());
     let bytes = std::fs::metadata(&path).expect("it is there").len();
@@ -138,23 +138,23 @@ fn a_disk_that_fills_up_loses_no_row() {
     rows[..500].iter().for_each(|row| writer.write(row));
     disk.fill();
     rows[500..1500].iter().for_each(|row| writer.write(row));
-    let trouble = writer.trouble().expect("it is full").to_string();
+    let trouble = writer.write_error().expect("it is full").to_string();
     assert!(trouble.contains("No space left on device"), "{trouble}");
     let there = numbers(&path);
     assert!((500..1500).contains(&there.len()), "a row went on to the last page: {}", there.len());
 
     disk.free();
     writer.write(&rows[1500]);
-    assert!(writer.trouble().is_none());
+    assert!(writer.write_error().is_none());
     assert_eq!(numbers(&path), (1..=1501).collect::<Vec<_>>());
 
     disk.fill();
     rows[1501..].iter().for_each(|row| writer.write(row));
-    assert!(writer.end().is_err(), "it is full at the end, too");
+    assert!(writer.finish().is_err(), "it is full at the end, too");
     assert_eq!(numbers(&path)[..1501], (1..=1501).collect::<Vec<_>>());
     let rows: Rows = rows.into_iter().collect();
     let finished = folder.finish(&RunRecord::default(), &rows).expect("the temporary folder has room");
-    assert!(finished.trouble.is_some() && !finished.folder.starts_with(disk.folder()));
+    assert!(finished.write_error.is_some() && !finished.folder.starts_with(disk.folder()));
     assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, rows);
     std::fs::remove_dir_all(finished.folder).expect("it is ours");
 }

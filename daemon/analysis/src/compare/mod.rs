@@ -165,7 +165,7 @@ impl Comparison {
             other_differences,
             caveats,
         };
-        best::mark(&mut this, runs);
+        best::rank_lines(&mut this, runs);
         this
     }
 }

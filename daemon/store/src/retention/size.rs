@@ -52,7 +52,7 @@ impl SizeLimit {
         deletions: &mut Vec<Deletion>,
     ) -> Result<bool, sqlx::Error> {
         for kind in ORDER {
-            let TrimResult { rows: deleted, through } =
+            let TrimResult { rows: deleted, complete } =
                 arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, rows, deletions).await?;
             if deleted > 0 {
                 if !self.is_reported {
@@ -67,7 +67,7 @@ impl SizeLimit {
                 note(connection, now, deleted).await?;
                 return Ok(true);
             }
-            if !through {
+            if !complete {
                 return Ok(true);
             }
         }

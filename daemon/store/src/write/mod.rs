@@ -41,7 +41,7 @@ pub use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::Refusal;
 pub use self::work::{Introduction, RunName, UnstorableBatch, Work};
-use super::foreign_log::mark;
+use super::foreign_log::assign_id;
 use super::limits::BUSY_TIMEOUT;
 use super::retention::{self, Retention, Step};
 use crate::database_error::DatabaseError;
@@ -254,7 +254,7 @@ impl Writer {
 
     /// Writes without a change, to check that the database can be written.
     pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
-        mark(&mut self.connection).await.map_err(DatabaseError::new)?;
+        assign_id(&mut self.connection).await.map_err(DatabaseError::new)?;
         self.file.record_log();
         Ok(())
     }

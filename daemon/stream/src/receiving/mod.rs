@@ -13,7 +13,7 @@ use peernet_clock::{MonoTime, Span};
 
 use self::admission::{Admission, Session};
 pub use self::challenges::{Challenges, ProofResult};
-use self::defer_batch::DeferredStreams;
+use self::deferred::DeferredStreams;
 use self::parts::PartAssembler;
 use self::progress::Progress;
 use super::codec::Part;

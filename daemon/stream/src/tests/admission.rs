@@ -69,7 +69,7 @@ fn numbers_that_cannot_be_are_refused() {
     let good = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
     for (first, oldest) in [(0, 0), (0, 1), (5, 4), (u64::MAX, u64::MAX), (1, u64::MAX), (1, 1 << 63)] {
         let bad = Hello { first, oldest, ..good.clone() };
-        let reason = reason(receiving().hello(&bad, known(None), at(0).mono));
+        let reason = reason(receiving().handle_hello(&bad, known(None), at(0).mono));
         assert!(reason.contains("spool of this agent is damaged"), "{reason}");
     }
 }

@@ -27,7 +27,7 @@ fn chosen(hello: &Hello) -> Option<u16> {
 fn first_version_agent_gets_known_messages_only() {
     let old = hello_of(5, None);
     assert_eq!((chosen(&old), HelloExtension::from_versions(&VersionRange::single(5))), (None, None));
-    welcomed(&receiving().hello(&old, known(None), at(0).mono));
+    welcomed(&receiving().handle_hello(&old, known(None), at(0).mono));
     let frame = encode(&ToAggregator::Hello(old.clone()));
     assert_eq!(decode(&frame), Ok(ToAggregator::Hello(old)));
 }
@@ -36,7 +36,7 @@ fn first_version_agent_gets_known_messages_only() {
 fn later_agent_is_served_in_newest_common_version() {
     let newest = STREAM_VERSIONS.newest();
     let later = hello_of(STREAM_VERSIONS.oldest(), extension(newest + 3));
-    welcomed(&receiving().hello(&later, known(None), at(0).mono));
+    welcomed(&receiving().handle_hello(&later, known(None), at(0).mono));
     let (oldest, version) = (later.protocol, chosen(&later));
     assert_eq!(version.unwrap_or(oldest), newest);
     assert_eq!(chosen(&hello_of(newest - 1, extension(newest + 1))), Some(newest));
@@ -61,7 +61,7 @@ fn unknown_names_in_hello_are_ignored() {
 #[test]
 fn agent_without_common_version_is_refused_with_release() {
     let refusal = |hello: Hello| {
-        let said = reason(receiving().hello(&hello, known(None), at(0).mono));
+        let said = reason(receiving().handle_hello(&hello, known(None), at(0).mono));
         assert_eq!(Receiving::version_refusal(&hello), Some(said.clone()));
         said
     };

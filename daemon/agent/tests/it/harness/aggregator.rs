@@ -246,7 +246,7 @@ impl AggregatorState {
         let mark_of = |stream| seen.marks.get(&stream).copied();
         let known = StreamRecord {
             mark: mark_of(hello.stream),
-            came: seen.streams.contains(&hello.stream),
+            was_used: seen.streams.contains(&hello.stream),
             last: seen.streams.last().copied(),
             previous: hello.previous.and_then(mark_of),
             seniority: None,
