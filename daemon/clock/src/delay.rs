@@ -130,7 +130,7 @@ names!(Verdict {
 });
 
 /// The delay of one message from one host to another; or the difference between the times at which two receivers got
-/// the same message ([`Relation::differences`](crate::Relation::differences)).
+/// the same message ([`Relation::reception_differences`](crate::Relation::reception_differences)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OneWayDelay {
     /// Receive stamp minus send stamp, each from its own host's clock. It is always kept, so that the correction can be

@@ -157,13 +157,13 @@ impl Knowledge {
         let is_down_current =
             |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
         if let Some(down) = down.filter(|down| is_up_current && is_down_current(down)) {
-            let [there, back] = self.relation.differences(up.times(), down.times());
+            let [there, back] = self.relation.reception_differences(up.times(), down.times());
             return [Some(up.with_raw_difference(there)), Some(down.with_raw_difference(back))];
         }
         let judge = |crossing: &Crossing, is_current: bool, direction| {
             let (sent, received) = crossing.times();
             if is_current {
-                crossing.with_raw_difference(self.relation.difference(direction, sent, received))
+                crossing.with_raw_difference(self.relation.reception_difference(direction, sent, received))
             } else {
                 crossing.stepped()
             }
@@ -197,7 +197,7 @@ impl Knowledge {
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
                 // Its stamps are from before and after a step of this host's clock, so that only the step is learnt.
-                self.update_relation((*epoch, None), |relation| relation.edge_stepped(*epoch));
+                self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));
             }
             // The exchange was counted as answered before.
             ProbeResult::Refined(observation) => {
@@ -235,7 +235,7 @@ impl Knowledge {
     /// Handles new information about this host's clocks.
     pub(super) fn edge_announced(&mut self, clock: PeerClock, now: RawTime) {
         if let Some(epoch) = self.edge.announce(clock, now) {
-            self.update_relation((epoch, None), |relation| relation.edge_stepped(epoch));
+            self.update_relation((epoch, None), |relation| relation.restart_after_edge_step(epoch));
         }
         self.disciplines(now);
     }
@@ -244,7 +244,7 @@ impl Knowledge {
     pub(super) fn cloud_announced(&mut self, clock: PeerClock, now: RawTime) -> KnowledgeChanges {
         let before = self.cloud.wall_epoch();
         if let Some(epoch) = self.cloud.announce(clock, now) {
-            self.update_relation((0, Some(epoch)), |relation| relation.cloud_stepped(epoch));
+            self.update_relation((0, Some(epoch)), |relation| relation.restart_after_cloud_step(epoch));
         }
         self.disciplines(now);
         let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
@@ -337,7 +337,7 @@ impl Knowledge {
         let settings = *self.relation.settings();
         match learned {
             LearnResult::Refused(_) => return,
-            LearnResult::Taken => {}
+            LearnResult::Accepted => {}
             LearnResult::Restarted(moved) => {
                 let limit = |doubt| match doubt {
                     Doubt::Drift => settings.max_drift_ppm,

@@ -279,7 +279,7 @@ impl Band {
     }
 
     /// Returns the estimated change of the offset between two neighbouring times.
-    pub(crate) fn growth(&self, from: RawTime, to: RawTime) -> Span {
+    pub(crate) fn offset_change(&self, from: RawTime, to: RawTime) -> Span {
         let slope = self.trend.slope_at(from.nanos(), self.drift.limit.slope()).unwrap_or(0.0);
         Span::from_nanos((slope * (to - from).nanos() as f64).round() as i64)
     }
@@ -308,7 +308,7 @@ impl Band {
 
     /// Returns the time from which on exchanges bound the offset at `at`: the begin of the window, or of the latest
     /// exchanges where these are rare.
-    pub(crate) fn bounds_from(&self, at: RawTime) -> RawTime {
+    pub(crate) fn window_start(&self, at: RawTime) -> RawTime {
         let begin = at.nanos().saturating_sub(self.window);
         let oldest = self.latest.front().map_or(begin, |oldest| oldest.upper.x);
         RawTime::from_nanos(begin.min(oldest))

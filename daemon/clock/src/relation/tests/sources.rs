@@ -92,6 +92,6 @@ fn claim_holds_without_exchanges_until_step() {
     relation.set_disciplines(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
     let late = relation.offset(at(300), WallTime::default()).expect("known");
     assert_eq!((late.source, late.verdict), (DelaySource::Chrony, Verdict::Ok));
-    relation.edge_stepped(1);
+    relation.restart_after_edge_step(1);
     assert_eq!(relation.offset(at(300), WallTime::default()), None);
 }

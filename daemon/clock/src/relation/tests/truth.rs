@@ -29,7 +29,7 @@ proptest! {
         for (count, trip) in trips.iter().enumerate() {
             let judged = relation.judge(&trip.observation());
             // Jitter alone looks like a jump now and then, which makes no delay wrong.
-            prop_assert!(matches!(judged.learned, LearnResult::Taken | LearnResult::Jumped(_)), "{:?}", judged.learned);
+            prop_assert!(matches!(judged.learned, LearnResult::Accepted | LearnResult::Jumped(_)), "{:?}", judged.learned);
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 prop_assert!(contains(&delay, truth), "{delay:?} {truth}");
                 let (value, bounds) = (delay.value.expect("has a value"), delay.bounds.expect("has bounds"));
@@ -82,13 +82,13 @@ proptest! {
             let exchange = &trip.exchange;
             let up = (exchange.sent + late, exchange.received);
             let down = (exchange.replied, exchange.returned + late);
-            let both = relation.differences(up, down);
+            let both = relation.reception_differences(up, down);
             let counts = relation.counts();
             for (difference, truth) in both.iter().zip([trip.up - late, trip.down + late]) {
                 prop_assert_eq!(difference.verdict == Verdict::Unsynchronised, count == 0);
                 prop_assert!(count == 0 || contains(difference, truth), "{difference:?} {truth}");
             }
-            let alone = relation.difference(Direction::Up, up.0, up.1);
+            let alone = relation.reception_difference(Direction::Up, up.0, up.1);
             prop_assert_eq!(alone.bounds, both[0].bounds);
             prop_assert_eq!(relation.counts(), counts, "nothing is learnt");
             relation.learn(&trip.observation());
@@ -128,7 +128,7 @@ fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
         // Ten seconds of service: the cloud's clock gains 500 µs meanwhile, and both directions together take 60 µs.
         let trip = host_clocks.trip(f64::from(n) * 1e9, 30e3, 10e9, 30e3);
         let judged = relation.judge(&trip.observation());
-        assert_eq!(judged.learned, LearnResult::Taken);
+        assert_eq!(judged.learned, LearnResult::Accepted);
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
     }
 }

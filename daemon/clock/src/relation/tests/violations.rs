@@ -175,7 +175,7 @@ fn path_that_becomes_shorter_is_no_jump() {
     for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
         for trip in route.trips(&host_clocks, seconds, 20.0, &mut random) {
             let judged = relation.judge(&trip.observation());
-            assert_eq!(judged.learned, LearnResult::Taken);
+            assert_eq!(judged.learned, LearnResult::Accepted);
             assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down), "{judged:?}");
             widths.push((trip.ended, judged.up.bounds.expect("bounds").width()));
         }
@@ -289,8 +289,8 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
         ] {
             assert!(spans_the_jump || contains(&delay, truth), "{delay:?} {truth} at {}", trip.ended);
             hulls += u32::from(delay.bounds.is_some_and(|bounds| bounds.width() > Span::from_millis(60)));
-            let is_unsettled = (30.3e9..39.5e9).contains(&trip.ended);
-            assert!(!is_unsettled || delay.verdict == Verdict::Limited, "{delay:?}");
+            let is_near_suspected_jump = (30.3e9..39.5e9).contains(&trip.ended);
+            assert!(!is_near_suspected_jump || delay.verdict == Verdict::Limited, "{delay:?}");
         }
     }
     assert!((2..30).contains(&hulls), "{hulls}");
@@ -308,7 +308,7 @@ fn exchange_hiding_jump_bounds_no_earlier_delay() {
     let near = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
     (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).observation()));
     let waited = host_clocks.trip(30.02e9, 60e6, 1e5, 20e6);
-    assert_eq!(relation.learn(&waited.observation()), LearnResult::Taken);
+    assert_eq!(relation.learn(&waited.observation()), LearnResult::Accepted);
     assert!(matches!(relation.learn(&near(30.1).observation()), LearnResult::Jumped(_)));
     let before = near(29.8);
     let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);

@@ -175,7 +175,7 @@ async fn rejudge(
     };
     let Some(relation) = clouds.relation(cloud, time).await? else { return Ok(as_it_was) };
     let now = match is_observed {
-        true => relation.difference(direction, stamps.sent, stamps.received),
+        true => relation.reception_difference(direction, stamps.sent, stamps.received),
         false => relation.delay(direction, stamps.sent, stamps.received),
     };
     Ok(RejudgedDelay { after: Some(joined(before, now)), clocks: Some(clocks), ..as_it_was })
