@@ -217,7 +217,7 @@ fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime
     let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
     let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
     // The kernel stamps by the system's clock, from which a clock with injected faults differs.
-    Some(clock.adopt(WallTime::from_unix_nanos(system)))
+    Some(clock.apply_faults(WallTime::from_unix_nanos(system)))
 }
 
 /// Returns whether the kernel's stamp of a packet lies between two readings of the clock, one before it was sent and

@@ -79,7 +79,7 @@ fn unreported_text(unreported: u32) -> String {
 /// Returns the text of a proven skew beyond the limit.
 pub(super) fn excess_text(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
     let ExcessSkew { proven, limit_ppm } = excess;
-    let (least, most) = (proven.least_ppm.min(proven.most_ppm), proven.most_ppm.max(proven.least_ppm));
+    let (least, most) = (proven.min_ppm.min(proven.max_ppm), proven.max_ppm.max(proven.min_ppm));
     format!(
         "the exchanges prove that the clock of {cloud} gains {least:.1} to {most:.1} ppm on that of {edge}, more than [clock] \
          max_drift_ppm = {limit_ppm} allows: no delay is believed; raise max_drift_ppm on {edge}"
@@ -140,7 +140,7 @@ mod tests {
         for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {
             assert!(text.contains(part), "{text}");
         }
-        let proven = ProvenSkew { least_ppm: 61.25, most_ppm: 140.0 };
+        let proven = ProvenSkew { min_ppm: 61.25, max_ppm: 140.0 };
         let text = excess_text(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
         assert!(text.contains("61.2 to 140.0 ppm") && text.contains("max_drift_ppm = 50 "), "{text}");
     }

@@ -395,7 +395,7 @@ impl Knowledge {
             proven_skew_ppm: self
                 .relation
                 .proven_skew()
-                .map(|skew| (skew.least_ppm.min(skew.most_ppm), skew.most_ppm.max(skew.least_ppm))),
+                .map(|skew| (skew.min_ppm.min(skew.max_ppm), skew.max_ppm.max(skew.min_ppm))),
             grown_window: self.relation.window_reach(at.raw).filter(|reach| *reach > settings.window),
             claims_trusted: settings.trust_time_daemons,
             probes_authenticated: self.second.authenticated,

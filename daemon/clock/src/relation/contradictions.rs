@@ -85,7 +85,7 @@ impl SuspectExchanges {
     #[cold]
     pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
         let start = current.window_start(exchange.sent());
-        let bounding = current.since(start);
+        let bounding = current.without_exchanges_before(start);
         let is_open = |suspect: &Bounds| suspect.sent() >= start && bounding.contradiction(suspect).is_some();
         let is_contradicted = |band: &Band| band.contradiction(exchange).is_some();
         if self.band.as_ref().is_some_and(is_contradicted) || !self.bounds.iter().any(is_open) {

@@ -87,7 +87,7 @@ impl Relation {
         };
         let (lo, hi, value) = subtract_offset(direction, raw, &offset);
         // The difference may be measured by either clock, and the clocks drift apart during it.
-        let rate = Span::from_nanos(self.windows.limit().over(lo.abs().max(hi.abs()).nanos()));
+        let rate = Span::from_nanos(self.windows.limit().max_change_over(lo.abs().max(hi.abs()).nanos()));
         // There is no drift between two stamps of one clock.
         let is_exact = offset.source == DelaySource::SameClock && offset.is_consistent;
         let bounds =
@@ -188,7 +188,7 @@ impl Relation {
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, offset.source);
         }
-        let rate = Span::from_nanos(self.windows.limit().over(hi.nanos()));
+        let rate = Span::from_nanos(self.windows.limit().max_change_over(hi.nanos()));
         let bounds = Interval { lo: (lo - rate).max(Span::ZERO), hi: hi + rate };
         // The estimate assumes a symmetric path, so that it may lie outside of the proven interval.
         let value = value.clamp(lo.max(Span::ZERO), hi);

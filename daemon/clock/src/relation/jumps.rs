@@ -89,8 +89,10 @@ impl ShortestRoundTrips {
             let moved = moved(earlier).abs();
             let waited = extra_round_trip.saturating_add(earlier.round_trip - self.shortest) / 2;
             // The middle belongs to the bounds at two times, between which the offset drifts.
-            let drifted = drift
-                .between(earlier.sent.min(point.sent).nanos(), earlier.returned.max(point.returned).nanos());
+            let drifted = drift.max_change_between(
+                earlier.sent.min(point.sent).nanos(),
+                earlier.returned.max(point.returned).nanos(),
+            );
             let explained = [waited, drifted, tolerance, self.spread, point.uncertainty, earlier.uncertainty];
             extra_round_trip <= moved / 4 && moved > explained.into_iter().fold(0, i64::saturating_add)
         };

@@ -265,7 +265,8 @@ impl Relation {
     /// negative by more than the stamps' uncertainty and the clocks' drift.
     fn is_possible(&self, exchange: &Exchange) -> bool {
         let Exchange { sent, received, replied, returned, uncertainty } = *exchange;
-        let max_drift = Span::from_nanos(self.windows.limit().between(sent.nanos(), returned.nanos()));
+        let max_drift =
+            Span::from_nanos(self.windows.limit().max_change_between(sent.nanos(), returned.nanos()));
         let is_too_large = [sent, received, replied, returned]
             .into_iter()
             .map(|stamp| stamp - RawTime::from_nanos(0))

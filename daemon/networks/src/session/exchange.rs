@@ -155,7 +155,7 @@ pub(crate) fn absorb(
     }
     let cloud_times = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
         // The cloud's wall clock replaces its free-running clock.
-        (false, ..) => (RawTime::of_wall(delta.closed.1), RawTime::of_wall(departure.sent)),
+        (false, ..) => (RawTime::from_wall(delta.closed.1), RawTime::from_wall(departure.sent)),
         (true, Some(received), Some(replied)) => (received, replied),
         (true, ..) => return Err(TreeDeltaError::NoRawStamps),
     };

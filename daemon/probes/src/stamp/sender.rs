@@ -323,7 +323,7 @@ impl SenderState {
             return Ok(ReflectorTimes { received, replied, epoch: Some(epoch), previous });
         }
         let format = reply.estimate.format();
-        let decode = |bits| if bits == 0 { None } else { format.decode(bits, near).map(RawTime::of_wall) };
+        let decode = |bits| if bits == 0 { None } else { format.decode(bits, near).map(RawTime::from_wall) };
         let stamps = decode(reply.received).zip(decode(reply.timestamp));
         let (received, replied) = stamps.ok_or("without the reflector's stamps")?;
         let previous = tlv_values

@@ -143,7 +143,7 @@ async fn bounds_contain_offset_of_shifted_clock() {
 fn repeatedly_set_clock(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
     let truth = system_clock(name);
     let at = |number: i64| Span::from_nanos(every.nanos() * number);
-    let steps = (1..=1000).map(|number| ClockFaultStep::of_wall(at(number), by[number as usize % 2]));
+    let steps = (1..=1000).map(|number| ClockFaultStep::wall_step(at(number), by[number as usize % 2]));
     let description =
         ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: steps.collect(), since: truth.wall() };
     std::sync::Arc::new(FaultyClock::new(truth, ClockIdentity::new("test", name), description))

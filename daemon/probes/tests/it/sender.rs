@@ -143,7 +143,7 @@ fn next_reply_refines_departure_of_previous_one() {
         let ExchangeObservation { exchange, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
         assert_eq!(exchange.sent, begun.raw);
-        assert_eq!(exchange.received, RawTime::of_wall(begun.wall + ONE_WAY_DELAY + pair.ahead));
+        assert_eq!(exchange.received, RawTime::from_wall(begun.wall + ONE_WAY_DELAY + pair.ahead));
         assert_eq!(exchange.replied, exchange.received + Span::from_micros(50));
         assert_eq!(exchange.returned, pair.clock.raw());
         assert_eq!(exchange.uncertainty, uncertainty::OWN);

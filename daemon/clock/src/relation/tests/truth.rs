@@ -39,7 +39,7 @@ proptest! {
             }
             // The exchange itself bounds both delays, as long as the clocks do not drift apart while the cloud serves.
             let sum = judged.up.value.expect("a value") + judged.down.value.expect("a value");
-            let slack = Span::from_nanos(relation.windows.limit().over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
+            let slack = Span::from_nanos(relation.windows.limit().max_change_over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
             prop_assert!((sum - (trip.up + trip.down)).abs() <= slack + slack + slack, "{sum} {} {}", trip.up, trip.down);
         }
     }
