@@ -12,7 +12,7 @@ use crate::support::{
 
 /// Returns the number of probes that the reflector has read from its socket.
 fn probes_read(running: &RunningReflector) -> u64 {
-    let counts = running.figures.read();
+    let counts = running.counters.read();
     counts.answered + counts.refused.iter().map(|(_, count)| count).sum::<u64>()
 }
 
@@ -53,7 +53,7 @@ async fn peers_are_answered_while_forged_sources_flood() {
         }
     }
     let seconds = (clock.mono() - begun).seconds();
-    let counts = running.figures.read();
+    let counts = running.counters.read();
     let most = 200.0 * (1.0 + seconds) + f64::from(answered) + 1.0;
     assert!((counts.answered as f64) <= most, "{} in {seconds} s: {counts:?}", counts.answered);
     assert!(counts.refused(Refusal::TooMany) > 0, "{counts:?}");

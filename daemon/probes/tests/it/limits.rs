@@ -16,7 +16,7 @@ fn forged(number: u32) -> IpAddr {
 }
 
 fn admitted(limiter: &mut Limiter, address: IpAddr, now: MonoTime, asked: usize) -> usize {
-    (0..asked).filter(|_| limiter.admit(address, now).is_ok()).count()
+    (0..request).filter(|_| limiter.admit(address, now).is_ok()).count()
 }
 
 #[test]
