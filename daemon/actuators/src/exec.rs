@@ -52,10 +52,10 @@ impl Actuator for Exec {
         let failed = |error| ActuatorError::Program { command: self.command.clone(), error };
         let exchange = self.program.ask(request).map_err(failed)?;
         if let Some((from, to)) = exchange.restart() {
-            log.timed(stage::ACTUATION_RESTART, from, to);
+            log.record_timer(stage::ACTUATION_RESTART, from, to);
         }
         for (name, span) in &exchange.notes.stages {
-            log.timed(Name::from(name.as_str()), exchange.began, exchange.began + *span);
+            log.record_timer(Name::from(name.as_str()), exchange.began, exchange.began + *span);
         }
         for (name, value, unit) in &exchange.notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
@@ -95,8 +95,8 @@ mod tests {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut actuator = config.build(&clock).expect("sh is there");
         assert!(actuator.blocks());
-        let mut log = Recorder::begin(SharedClock::clone(&clock), HostId::random());
-        let answer = Sample::of(Description::unshaped(MediaType::Text), "left".into());
+        let mut log = Recorder::new(SharedClock::clone(&clock), HostId::random());
+        let answer = Sample::from_part(Description::unshaped(MediaType::Text), "left".into());
         actuator.act("door", &answer, &mut log).expect("acts");
         assert_eq!(log.tree().find(&["force"]).and_then(|(_, node)| node.measure.value()), Some(2.5));
         let error = actuator.act("wall", &answer, &mut log).expect_err("says so").to_string();
@@ -115,8 +115,8 @@ mod tests {
         for (answer, acts, restarted) in
             [("go", true, false), ("die", false, false), ("go", true, true), ("go", true, false)]
         {
-            let mut log = Recorder::begin(SharedClock::clone(&clock), HostId::random());
-            let answer = Sample::of(Description::unshaped(MediaType::Text), answer.into());
+            let mut log = Recorder::new(SharedClock::clone(&clock), HostId::random());
+            let answer = Sample::from_part(Description::unshaped(MediaType::Text), answer.into());
             assert_eq!(actuator.act("door", &answer, &mut log).is_ok(), acts);
             let waited = log.tree().find(&["actuation-restart"]).and_then(|(_, node)| node.measure.value());
             assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");

@@ -55,7 +55,7 @@ fn main() {
 fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
     let mut program = Program::start(config, Role::Model, "bench", &clock).expect("it starts");
-    let sample = Sample::of(Description::bytes(), vec![7; size].into());
+    let sample = Sample::from_part(Description::bytes(), vec![7; size].into());
     let mut taken: Vec<f64> = (0..rounds + rounds / 10)
         .map(|_| {
             let exchange = program.ask(Request::Sample(&sample)).expect("it answers");

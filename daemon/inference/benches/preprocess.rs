@@ -29,13 +29,13 @@ fn main() {
     let bank = Bank::new(vec![config], OnnxRuntimeConfig::default(), Arc::clone(&clock));
     let pool = bank.load(&name, None).expect("the model loads");
     let bytes = std::fs::read(&picture).expect("the picture is readable").into();
-    let sample = Sample::of(Description::unshaped(MediaType::Jpeg), bytes);
+    let sample = Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes);
 
     let mut taken = STAGES.map(|_| Vec::with_capacity(rounds));
     for _ in 0..rounds {
         let (sender, receiver) = sync_channel(1);
         let reply = Box::new(move |done: Done| sender.send(done).expect("is awaited"));
-        let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+        let log = Recorder::new(Arc::clone(&clock), HostId::random());
         let job = Job { sample: sample.clone(), log, received: clock.mono(), reply };
         pool.submit(job).expect("the queue is empty");
         let Done { log, result } = receiver.recv().expect("is answered");

@@ -33,7 +33,7 @@ impl WorkerSlot {
     /// Computes one job; the caller passes the result to [`deliver`]. Never panics.
     pub(crate) fn compute(&mut self, job: Job) -> (Reply, Done) {
         let Job { sample, mut log, received, reply } = job;
-        log.timed(stage::QUEUE, received, self.clock.mono());
+        log.record_timer(stage::QUEUE, received, self.clock.mono());
         let result = self.infer(&sample, &mut log);
         (reply, Done { log, result })
     }
@@ -47,7 +47,7 @@ impl WorkerSlot {
                     model: self.name.to_string(),
                     reason: format!("its worker could not be rebuilt after a panic: {error}"),
                 })?;
-                log.timed(stage::RESTART, from, self.clock.mono());
+                log.record_timer(stage::RESTART, from, self.clock.mono());
                 worker
             }
         };

@@ -51,7 +51,7 @@ pub(crate) struct Echo {
 
 impl Echo {
     pub(crate) fn new(config: EchoConfig) -> Self {
-        let fixed = |length| Sample::of(Description::bytes(), Bytes::from(vec![0; length]));
+        let fixed = |length| Sample::from_part(Description::bytes(), Bytes::from(vec![0; length]));
         let answer = config.answer_bytes.map(fixed);
         Self { config, answer }
     }

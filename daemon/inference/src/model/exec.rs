@@ -116,7 +116,7 @@ impl Worker for ExecWorker {
         let exchange =
             self.program.ask(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
         for stage in exchange.stages().map_err(|error| failed(error.to_string()))? {
-            log.timed(Name::from(stage.name), stage.from, stage.to);
+            log.record_timer(Name::from(stage.name), stage.from, stage.to);
         }
         for (name, value, unit) in &exchange.notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));

@@ -96,9 +96,9 @@ impl Worker for PythonWorker {
         let called = self.object.call(&sample.parts);
         let begun = called.times.begun;
         if let Some(from) = called.times.restarted {
-            log.timed(stage::RESTART, from, begun);
+            log.record_timer(stage::RESTART, from, begun);
         }
-        log.timed(stage::IPC, begun, begun + called.times.overhead());
+        log.record_timer(stage::IPC, begun, begun + called.times.overhead());
         let has_inferred = called.times.stages.iter().any(|(own, ..)| *own == Stage::Infer);
         for (own, from, to) in called.times.stages {
             let name = match own {
@@ -107,7 +107,7 @@ impl Worker for PythonWorker {
                 Stage::Postprocess => stage::POSTPROCESSING,
                 Stage::Sample => stage::CAPTURE,
             };
-            log.timed(name, from, to);
+            log.record_timer(name, from, to);
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {

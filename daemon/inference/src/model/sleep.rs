@@ -106,6 +106,6 @@ impl Worker for SleepWorker {
             let _stage = log.time(name.clone());
             std::thread::sleep(*duration);
         }
-        Ok(Sample::of(Description::bytes(), Bytes::new()))
+        Ok(Sample::from_part(Description::bytes(), Bytes::new()))
     }
 }

@@ -55,11 +55,11 @@ fn start(model: Arc<dyn Model>, sizes: Sizes, clock: Arc<ManualClock>) -> Arc<Po
 }
 
 fn sample(text: &'static str) -> Sample {
-    Sample::of(Description::bytes(), Bytes::from(text))
+    Sample::from_part(Description::bytes(), Bytes::from(text))
 }
 
 fn job(text: &'static str, reply: impl FnOnce(Done) + Send + 'static) -> Job {
-    let log = Recorder::begin(clock(), HostId::random());
+    let log = Recorder::new(clock(), HostId::random());
     Job { sample: sample(text), log, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
 }
 

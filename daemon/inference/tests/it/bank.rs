@@ -13,7 +13,7 @@ const SLEEP: &str =
     "name = \"nap\"\nkind = \"sleep\"\npreprocessing_ms = 1\ninference_ms = 2\npostprocessing_ms = 1";
 
 fn bytes(count: usize) -> Sample {
-    Sample::of(Description::bytes(), vec![7; count].into())
+    Sample::from_part(Description::bytes(), vec![7; count].into())
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn shutdown_does_not_wait_for_long_computation() {
         loaded(&bank, name);
     }
     let long = loaded(&bank, "long");
-    let log = Recorder::begin(clock(), HostId::random());
+    let log = Recorder::new(clock(), HostId::random());
     let received = log.clock().mono();
     let reply = Box::new(|_| ());
     long.submit(Job { sample: bytes(1), log, received, reply }).expect("the queue has room");

@@ -53,7 +53,7 @@ fn loaded(bank: &Bank, name: &str) -> Arc<Pool> {
 }
 
 fn jpeg(bytes: Vec<u8>) -> Sample {
-    Sample::of(Description::unshaped(MediaType::Jpeg), bytes.into())
+    Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes.into())
 }
 
 /// Submits a sample and waits for its answer.
@@ -61,7 +61,7 @@ fn run(pool: &Pool, sample: Sample) -> Done {
     let (sender, receiver) = sync_channel(1);
     let clock = clock();
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
-    let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+    let log = Recorder::new(Arc::clone(&clock), HostId::random());
     pool.submit(Job { sample, log, received: clock.mono(), reply }).expect("the queue has room");
     receiver.recv().expect("is answered")
 }

@@ -169,7 +169,7 @@ pub(crate) fn absorb(
         measure: Measure::Transit(Box::new(transit)),
     });
     let observation = observation(departed, raw, cloud_times, departure, arrived);
-    log.tree_mut().absorb(delta)?;
+    log.tree_mut().apply_delta(delta)?;
     let up = RawStamps { sent: departed.at.raw, received: cloud_times.0 };
     set_raw_stamps(log.tree_mut(), departed.upload, up);
     let last = log.tree().nodes().len() - 1;

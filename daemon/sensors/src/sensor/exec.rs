@@ -64,7 +64,7 @@ impl Exec {
     /// Records the stages, values and dropped samples that the program reported with its sample.
     fn record_notes(&mut self, notes: &Notes, log: &mut Recorder, began: MonoTime) {
         for (name, span) in &notes.stages {
-            log.timed(Name::from(name.as_str()), began, began + *span);
+            log.record_timer(Name::from(name.as_str()), began, began + *span);
         }
         for (name, value, unit) in &notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
@@ -86,7 +86,7 @@ impl Sensor for Exec {
         let restart = exchange.restart();
         let ReplyOutcome::Parts(parts) = exchange.outcome else { return Ok(None) };
         if let Some((from, to)) = restart {
-            log.timed(stage::CAPTURE_RESTART, from, to);
+            log.record_timer(stage::CAPTURE_RESTART, from, to);
         }
         self.record_notes(&exchange.notes, log, exchange.began);
         let Notes { source, label, .. } = exchange.notes;

@@ -45,10 +45,10 @@ impl Sensor for Python {
         let called = self.object.call(&[]);
         let begun = called.times.begun;
         if let Some(from) = called.times.restarted {
-            log.timed(stage::CAPTURE_RESTART, from, begun);
+            log.record_timer(stage::CAPTURE_RESTART, from, begun);
         }
         // Summaries group nodes by name, so that this stage must not have the name of the model's `ipc`.
-        log.timed(stage::CAPTURE_IPC, begun, begun + called.times.overhead());
+        log.record_timer(stage::CAPTURE_IPC, begun, begun + called.times.overhead());
         let Some(parts) = called.result? else { return Ok(None) };
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))
     }

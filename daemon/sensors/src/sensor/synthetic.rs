@@ -75,7 +75,7 @@ impl Sensor for Synthetic {
     fn sample(&mut self, _log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let payload = self.payloads[self.next].clone();
         self.next = (self.next + 1) % self.payloads.len();
-        Ok(Some(Sample::of(Description::bytes(), payload)))
+        Ok(Some(Sample::from_part(Description::bytes(), payload)))
     }
 
     fn blocks(&self) -> bool {

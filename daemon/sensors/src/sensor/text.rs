@@ -54,7 +54,7 @@ struct Text {
 impl Sensor for Text {
     fn sample(&mut self, _log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let text = Alphanumeric.sample_string(&mut self.random, self.length);
-        Ok(Some(Sample::of(Description::unshaped(MediaType::Text), text.into())))
+        Ok(Some(Sample::from_part(Description::unshaped(MediaType::Text), text.into())))
     }
 
     /// Generating a long text takes longer than waking a thread.

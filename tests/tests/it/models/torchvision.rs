@@ -104,7 +104,7 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
 fn logits(pool: &Pool, sample: Sample) -> Vec<f64> {
     let (sender, receiver) = sync_channel(1);
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
-    let log = Recorder::begin(clock(), HostId::random());
+    let log = Recorder::new(clock(), HostId::random());
     let received = log.clock().mono();
     pool.submit(Job { sample, log, received, reply }).expect("the queue has room");
     let answer = receiver.recv().expect("is answered").result.unwrap_or_else(|error| panic!("{error}"));
@@ -121,12 +121,12 @@ fn logits(pool: &Pool, sample: Sample) -> Vec<f64> {
 
 fn jpeg(reference: &Reference) -> Sample {
     let bytes = std::fs::read(&reference.file).expect("is committed");
-    Sample::of(Description::unshaped(MediaType::Jpeg), bytes.into())
+    Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes.into())
 }
 
 fn pixels(reference: &Reference) -> Sample {
     let bytes = std::fs::read(&reference.pixels).expect("the script wrote them");
-    Sample::of(Description::pixels(PixelFormat::Rgb8, reference.width, reference.height), bytes.into())
+    Sample::from_part(Description::pixels(PixelFormat::Rgb8, reference.width, reference.height), bytes.into())
 }
 
 /// Returns the largest difference of two answers, as a share of the largest number of the first one.

@@ -24,7 +24,7 @@ fn start(role: Role, script: &str, timeout_ms: u64) -> Program {
 const PATIENT: u64 = 60_000;
 
 fn echo() -> Sample {
-    Sample::of(Description::bytes(), Bytes::from_static(b"payload\nwith a line"))
+    Sample::from_part(Description::bytes(), Bytes::from_static(b"payload\nwith a line"))
 }
 
 const ECHO: &str = "while read -r word bytes media shape source; do \
@@ -44,7 +44,7 @@ fn a_shell_echoes_samples() {
 #[test]
 fn sample_larger_than_pipe_passes_both_ways() {
     let mut program = start(Role::Model, ECHO, PATIENT);
-    let large = Sample::of(Description::bytes(), vec![7; 5 << 20].into());
+    let large = Sample::from_part(Description::bytes(), vec![7; 5 << 20].into());
     assert_eq!(
         program.ask(Request::Sample(&large)).expect("replies").outcome,
         ReplyOutcome::Parts(large.parts)
@@ -73,7 +73,7 @@ fn error_reply_is_returned_and_program_continues() {
         "n=0; while read -r line; do n=$((n+1)); echo \"error number $n\"; done",
         PATIENT,
     );
-    let empty = Sample::of(Description::bytes(), Bytes::new());
+    let empty = Sample::from_part(Description::bytes(), Bytes::new());
     for number in 1..3 {
         let error = program.ask(Request::Answer { answer: &empty, source: "x" }).expect_err("an error");
         assert_eq!(error.to_string(), format!("the program says: number {number}"), "the same process");

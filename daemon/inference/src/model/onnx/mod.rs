@@ -26,7 +26,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use peernet_logger::{Name, Slug};
-use peernet_sample::{examples, plain_label};
+use peernet_sample::{list_examples, normalized_label};
 
 use super::{LoadContext, SharedKeys};
 use crate::{LoadError, Model, Worker};
@@ -115,7 +115,7 @@ impl Onnx {
         let plan = Plan {
             name: shared.name.clone(),
             file,
-            classes: card.output.labels.iter().map(|label| plain_label(label)).collect(),
+            classes: card.output.labels.iter().map(|label| normalized_label(label)).collect(),
             card,
             device,
             workers: shared.workers.get(),
@@ -155,5 +155,5 @@ impl Model for Onnx {
 
 /// Returns the number of classes and the first of their names.
 fn classes(labels: &[String]) -> String {
-    format!("{}: {}", labels.len(), examples(labels.iter().map(String::as_str)))
+    format!("{}: {}", labels.len(), list_examples(labels.iter().map(String::as_str)))
 }

@@ -173,7 +173,7 @@ mod tests {
     use super::*;
 
     fn pixels(format: PixelFormat, width: u32, height: u32, bytes: &'static [u8]) -> Sample {
-        Sample::of(Description::pixels(format, width, height), bytes.into())
+        Sample::from_part(Description::pixels(format, width, height), bytes.into())
     }
 
     #[test]
@@ -235,7 +235,7 @@ mod tests {
         };
         let nothing = Sample { parts: Vec::new(), source: String::new(), label: None };
         assert_eq!(fill(&mut preprocessor, &nothing), "it has no payload");
-        let plain = Sample::of(Description::bytes(), vec![0; 4].into());
+        let plain = Sample::from_part(Description::bytes(), vec![0; 4].into());
         assert_eq!(fill(&mut preprocessor, &plain), "it is plain bytes, not a picture");
     }
 }

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use ort::session::Session;
 use ort::value::TensorRef;
 use peernet_logger::{Recorder, Unit, stage};
-use peernet_sample::{Description, MediaType, Sample, plain_label};
+use peernet_sample::{Description, MediaType, Sample, normalized_label};
 
 use super::card::Card;
 use super::classify::classify;
@@ -92,9 +92,9 @@ impl Worker for OnnxWorker {
             classify(&self.plan.card.output, &mut self.numbers)
                 .map_err(|error| failed(&self.plan, error.to_string()))?
         };
-        if sample.label.as_ref().is_some_and(|label| !self.plan.classes.contains(&plain_label(label))) {
+        if sample.label.as_ref().is_some_and(|label| !self.plan.classes.contains(&normalized_label(label))) {
             log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         }
-        Ok(Sample::of(Description::unshaped(MediaType::Json), Bytes::from(json)))
+        Ok(Sample::from_part(Description::unshaped(MediaType::Json), Bytes::from(json)))
     }
 }

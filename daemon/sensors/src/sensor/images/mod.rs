@@ -141,7 +141,7 @@ impl Images {
         let all: Vec<&str> = self.pictures.iter().filter_map(|picture| picture.label.as_deref()).collect();
         let of = format!("{} of {}", all.len(), self.pictures.len());
         let different: BTreeSet<&str> = all.into_iter().collect();
-        if different.is_empty() { of } else { format!("{of}: {}", examples(different)) }
+        if different.is_empty() { of } else { format!("{of}: {}", list_examples(different)) }
     }
 }
 
@@ -159,7 +159,7 @@ impl Sensor for Images {
         self.next += 1;
         let bytes = fs::read(&picture.file)
             .map_err(|error| SensorError::Read { path: picture.file.clone(), error })?;
-        let mut sample = Sample::of(Description::unshaped(picture.media.clone()), Bytes::from(bytes));
+        let mut sample = Sample::from_part(Description::unshaped(picture.media.clone()), Bytes::from(bytes));
         sample.source.clone_from(&picture.source);
         sample.label.clone_from(&picture.label);
         Ok(Some(sample))

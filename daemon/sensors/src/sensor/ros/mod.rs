@@ -148,8 +148,8 @@ impl Ros {
             StampClock::Unknown => OneWayDelay::unsynchronised(raw),
         };
         let sent = Stamp { wall: stamp, mono: log.clock().mono(), ..Stamp::default() };
-        let node = log.depart(CAPTURE_DELAY, sent);
-        log.arrive(node, received);
+        let node = log.start_transit(CAPTURE_DELAY, sent);
+        log.end_transit(node, received);
         if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(node) {
             transit.delay = Some(delay);
         }
