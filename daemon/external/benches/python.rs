@@ -55,7 +55,7 @@ fn main() {
 fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     fs::write(folder.path().join("echo.py"), ECHO).expect("it can be written");
-    let mut config = PythonConfig::of("echo::Echo");
+    let mut config = PythonConfig::new("echo::Echo");
     config.folder = Some(folder.path().to_owned());
     let mut object = PythonObject::start(&config, Role::Model, "bench", None, clock).expect("it starts");
     let parts = std::slice::from_ref(part);
@@ -78,7 +78,7 @@ fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
         arguments: Vec::new(),
         folder: None,
         environment: Default::default(),
-        inherits: None,
+        inherited_file: None,
     };
     let mut process = Process::start(&launch, clock).expect("cat is there");
     let mut taken = Vec::with_capacity(rounds);

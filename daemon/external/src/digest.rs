@@ -1,4 +1,4 @@
-//! SHA-256 of files, by which two runs can be recognised as using the same files.
+//! SHA-256 of files, which shows whether two runs used the same files.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read};
@@ -50,15 +50,15 @@ pub fn describe_with_hash(file: &Path) -> String {
 fn hash_file(file: &Path) -> io::Result<String> {
     // The type is checked before opening, because opening a device may have effects, and after it, because the file
     // may have been replaced.
-    let regular = |about: Metadata| match about.is_file() {
-        true => Ok(about.len()),
+    let regular_length = |metadata: Metadata| match metadata.is_file() {
+        true => Ok(metadata.len()),
         false => Err(io::Error::other("it is not a regular file")),
     };
-    regular(file.metadata()?)?;
+    regular_length(file.metadata()?)?;
     // Opening a named pipe would otherwise wait for a writer.
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let opened = File::from(rustix::fs::open(file, flags, Mode::empty())?);
-    let length = regular(opened.metadata()?)?;
+    let length = regular_length(opened.metadata()?)?;
     if length > MAX_HASHED_BYTES {
         return Ok(format!("of {length} bytes, not hashed"));
     }
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_are_told_with_the_hash_of_sha256sum() {
+    fn files_are_described_with_hash() {
         let folder = tempfile::tempdir().expect("a folder");
         let (file, large) = (folder.path().join("own.py"), folder.path().join("weights"));
         std::fs::write(&file, "abc").expect("writable");

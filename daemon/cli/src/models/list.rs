@@ -92,7 +92,7 @@ mod tests {
         std::fs::create_dir(models.path().join("torn_card")).expect("made");
         std::fs::write(models.path().join("torn_card/model.toml"), "name = 'x'\ntask = 7\n")
             .expect("written");
-        let found = ModelFolders::of([models.path().to_owned()]).list();
+        let found = ModelFolders::new([models.path().to_owned()]).list();
         let row = row(&found[0]);
         assert_eq!((row[0].as_str(), row.len()), ("torn_card", 7));
         assert!(row[6].contains("model.toml") && !row[6].contains('\n'), "{row:?}");

@@ -38,7 +38,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
     let device = device(given.unwrap_or(DEVICE));
     // A user's program or object may be run because this command line names it.
     let shared = |name| {
-        let shared = SharedKeys::of(slug(name));
+        let shared = SharedKeys::new(slug(name));
         if given.is_some() { SharedKeys { device: device.to_owned(), ..shared } } else { shared }
     };
     Ok(match super::program(wanted)? {

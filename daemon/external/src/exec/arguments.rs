@@ -15,7 +15,7 @@ use super::CommandLine;
 const FINGERPRINT_DIGITS: usize = 12;
 
 /// Prefix of the fact about a program.
-const PROGRAM: &str = "the program ";
+const PROGRAM_FACT_PREFIX: &str = "the program ";
 
 /// Names of the facts about programs.
 const FACT_NAMES: [&str; 3] = ["Sensor", "Model", "Actuator"];
@@ -37,7 +37,7 @@ impl FingerprintKey {
     }
 
     /// Returns the fingerprint of the whole command: the first 48 bits of HMAC-SHA256 (RFC 2104).
-    fn of(&self, command: &CommandLine) -> String {
+    fn fingerprint(&self, command: &CommandLine) -> String {
         let mut mac = Hmac::<Sha256>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
         // The length marks where each word ends.
         let mut word = |word: &str| {
@@ -62,8 +62,8 @@ impl fmt::Debug for FingerprintKey {
 impl CommandLine {
     /// Returns the number of arguments and the fingerprint as text; `None` if there are no arguments.
     pub(super) fn fingerprint(&self, key: &FingerprintKey) -> Option<String> {
-        let count = self.arguments();
-        (count > 0).then(|| format!("{count}, fingerprint {}", key.of(self)))
+        let count = self.argument_count();
+        (count > 0).then(|| format!("{count}, fingerprint {}", key.fingerprint(self)))
     }
 }
 
@@ -99,7 +99,7 @@ struct PublicCommand<'a> {
 
 impl<'a> From<&'a CommandLine> for PublicCommand<'a> {
     fn from(command: &'a CommandLine) -> Self {
-        Self { arguments: command.arguments(), program: command.program() }
+        Self { arguments: command.argument_count(), program: command.program() }
     }
 }
 
@@ -121,7 +121,7 @@ pub fn hide_arguments(configuration: &str) -> String {
         return configuration.to_owned();
     }
     let Ok(mut table) = configuration.parse::<Table>() else {
-        return "# cannot be shown: it is no TOML, and may hold arguments of programs\n".to_owned();
+        return "# cannot be shown: it is not TOML, and may contain arguments of programs\n".to_owned();
     };
     for name in TABLES {
         let command = table.get_mut(name).and_then(|inner| inner.get_mut("command"));
@@ -129,7 +129,7 @@ pub fn hide_arguments(configuration: &str) -> String {
             && let Ok(line) = command.clone().try_into::<CommandLine>()
         {
             match Value::try_from(PublicCommand::from(&line)) {
-                Ok(told) => *command = told,
+                Ok(public) => *command = public,
                 Err(error) => return format!("# cannot be written down: {error}\n"),
             }
         }
@@ -141,17 +141,17 @@ pub fn hide_arguments(configuration: &str) -> String {
 pub fn hide_arguments_in_facts(facts: &mut [(String, String)]) {
     for (name, fact) in facts {
         if FACT_NAMES.contains(&name.as_str())
-            && let Some(line) = fact.strip_prefix(PROGRAM)
+            && let Some(line) = fact.strip_prefix(PROGRAM_FACT_PREFIX)
         {
             let line = CommandLine::Shell(line.to_owned());
-            *fact = fact_of(&line);
+            *fact = program_fact(&line);
         }
     }
 }
 
 /// Returns the value of the fact about a program: `the program ./blur`.
-pub(super) fn fact_of(command: &CommandLine) -> String {
-    format!("{PROGRAM}{}", command.program())
+pub(super) fn program_fact(command: &CommandLine) -> String {
+    format!("{PROGRAM_FACT_PREFIX}{}", command.program())
 }
 
 #[cfg(test)]

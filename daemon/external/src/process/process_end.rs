@@ -37,7 +37,7 @@ impl Fault {
         match self {
             Self::ClosedInput => "closed its standard input",
             Self::ClosedOutput => "closed its standard output",
-            Self::IgnoredTermination => "did not end when it was asked to",
+            Self::IgnoredTermination => "did not end after SIGTERM",
         }
     }
 }
@@ -79,7 +79,7 @@ impl ProcessEnd {
     pub fn stderr_suffix(&self) -> String {
         match self.last_lines.as_slice() {
             [] => String::new(),
-            lines => format!("; its last words: {}", lines.join(" / ")),
+            lines => format!("; last lines of its standard error: {}", lines.join(" / ")),
         }
     }
 }

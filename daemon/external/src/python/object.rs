@@ -76,11 +76,11 @@ pub struct PythonObject {
     role: Role,
     launch: Launch,
     clock: SharedClock,
-    about: ObjectDescription,
+    description: ObjectDescription,
     worker: Option<Worker>,
     restart_backoff: RestartBackoff,
     /// Text of the last failure, returned to callers while the process is not restarted.
-    last: String,
+    last_failure: String,
 }
 
 impl PythonObject {
@@ -112,31 +112,31 @@ impl PythonObject {
             role,
             launch: interpreter::launch(config, name.to_owned(), device)?,
             clock: SharedClock::clone(clock),
-            about: ObjectDescription::default(),
+            description: ObjectDescription::default(),
             worker: None,
             restart_backoff: RestartBackoff::default(),
-            last: String::new(),
+            last_failure: String::new(),
         };
         object.worker = Some(object.start_worker()?);
         Ok(object)
     }
 
     /// Returns the description of the object.
-    pub fn about(&self) -> &ObjectDescription {
-        &self.about
+    pub fn description(&self) -> &ObjectDescription {
+        &self.description
     }
 
     /// Calls the object with a value; `sample()` takes none. Blocks until the object has answered, the timeout is
     /// over, or the process has ended. After a failure the next call restarts the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
-        let asked = self.clock.mono();
-        let restarted = self.worker.is_none().then_some(asked);
+        let called_at = self.clock.mono();
+        let restarted = self.worker.is_none().then_some(called_at);
         let answer = self.take_or_start_worker().and_then(|mut worker| {
             let begun = self.clock.mono();
             let until = begun + milliseconds(self.config.timeout_ms.get());
             match worker.call(parts, until) {
-                // A process is kept only after an answer: what is left in the pipe after a failure would be taken for
-                // the answer to the next call.
+                // A process is used again only after an answer: after a failure, bytes in the pipe would be taken for the
+                // answer to the next call.
                 Ok(answer) => {
                     self.worker = Some(worker);
                     self.restart_backoff.record_success();
@@ -149,15 +149,15 @@ impl PythonObject {
         match answer {
             Ok((begun, (reply, bytes))) => {
                 let mut call_result = self.call_result(reply, bytes, begun, ended);
-                call_result.times.restarted = restarted;
+                call_result.times.restarted_at = restarted;
                 call_result
             }
             Err(error) => {
                 if !matches!(error, PythonError::RestartDelayed { .. }) {
                     self.restart_backoff.record_failure(ended);
-                    self.last = error.to_string();
+                    self.last_failure = error.to_string();
                 }
-                CallResult { result: Err(error), times: CallTimes::new(asked, ended, &[]) }
+                CallResult { result: Err(error), times: CallTimes::new(called_at, ended, &[]) }
             }
         }
     }
@@ -199,14 +199,10 @@ impl PythonObject {
             return Err(PythonError::RestartDelayed {
                 object: self.config.object.clone(),
                 left,
-                last: self.last.clone(),
+                last: self.last_failure.clone(),
             });
         }
-        tracing::info!(
-            name = self.launch.name,
-            object = self.config.object,
-            "a Python process is started anew"
-        );
+        tracing::info!(name = self.launch.name, object = self.config.object, "restarting a Python process");
         self.start_worker()
     }
 
@@ -226,16 +222,16 @@ impl PythonObject {
             window: worker.window(),
         };
         match worker.create_object(&settings, until) {
-            Ok((Reply::Ready(about), _)) => {
-                self.about = about;
+            Ok((Reply::Ready(description), _)) => {
+                self.description = description;
                 Ok(worker)
             }
             Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(self.start_error(text)),
-            Ok(_) => Err(self.start_error("it answers before it was asked".to_owned())),
+            Ok(_) => Err(self.start_error("it answered before a request".to_owned())),
             Err(WorkerError::Process(ProcessError::TimedOut)) => {
                 let (allowed, stderr_suffix) = (allowed.seconds(), worker.kill().stderr_suffix());
                 Err(self.start_error(format!(
-                    "it was not ready within {allowed} s and was killed{stderr_suffix}; raise start_timeout_ms when it needs \
+                    "it was not ready within {allowed} s and was killed{stderr_suffix}; raise start_timeout_ms if it needs \
                      longer"
                 )))
             }
@@ -274,7 +270,7 @@ impl Drop for PythonObject {
         if let Some(worker) = self.worker.take() {
             let ended = worker.end(STOP_TIMEOUT);
             if !ended.ended_as_requested() {
-                tracing::warn!(name = self.launch.name, "at its end, {ended}");
+                tracing::warn!(name = self.launch.name, "the Python process did not exit cleanly: {ended}");
             }
         }
     }

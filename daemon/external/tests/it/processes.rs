@@ -25,7 +25,7 @@ fn shell(script: &str, clock: &SharedClock) -> Process {
         arguments: vec!["-c".into(), script.into()],
         folder: None,
         environment: [].into(),
-        inherits: None,
+        inherited_file: None,
     };
     Process::start(&launch, clock).expect("sh is there")
 }

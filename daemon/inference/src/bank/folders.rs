@@ -38,11 +38,11 @@ impl ModelFolders {
     pub fn search(extra: &[PathBuf]) -> Self {
         let variable = std::env::var_os(VARIABLE).unwrap_or_default();
         let named = std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty());
-        Self::of(extra.iter().cloned().chain(named).chain([INSTALLED.into(), "models".into()]))
+        Self::new(extra.iter().cloned().chain(named).chain([INSTALLED.into(), "models".into()]))
     }
 
     /// Creates the list of these folders. A folder that occurs again, perhaps by another path, is left out.
-    pub fn of(folders: impl IntoIterator<Item = PathBuf>) -> Self {
+    pub fn new(folders: impl IntoIterator<Item = PathBuf>) -> Self {
         let mut seen = HashSet::new();
         let new = |folder: &PathBuf| seen.insert(folder.canonicalize().unwrap_or_else(|_| folder.clone()));
         Self(folders.into_iter().filter(new).collect())

@@ -19,7 +19,7 @@ pub(super) struct ModelCache {
 
 impl ModelCache {
     pub(super) fn new(config: BankConfig) -> Self {
-        let folders = ModelFolders::of(config.folders.iter().cloned());
+        let folders = ModelFolders::new(config.folders.iter().cloned());
         Self { config, folders, entries: Mutex::default() }
     }
 

@@ -20,7 +20,7 @@ const DEVICE: &str = "PEERNET_DEVICE";
 impl ModelConfig {
     /// Returns the configuration of a program, given as a line for the shell.
     pub fn program(shared: SharedKeys, command: &str) -> Self {
-        ModelTable { shared, own: ExecConfig::of(CommandLine::Shell(command.to_owned())) }.into()
+        ModelTable { shared, own: ExecConfig::new(CommandLine::Shell(command.to_owned())) }.into()
     }
 }
 
@@ -33,8 +33,8 @@ impl ModelKind for ExecConfig {
         true
     }
 
-    fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
-        Self::arguments(self, Role::Model, key)
+    fn arguments_fact(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        Self::arguments_fact(self, Role::Model, key)
     }
 
     fn hide_secrets(&mut self) {
@@ -42,7 +42,7 @@ impl ModelKind for ExecConfig {
     }
 
     fn leave_out_defaults(&self, keys: &mut Keys) {
-        if self.timeout_ms == Self::of(self.command.clone()).timeout_ms {
+        if self.timeout_ms == Self::new(self.command.clone()).timeout_ms {
             keys.remove("timeout_ms");
         }
     }
@@ -114,7 +114,7 @@ impl Worker for ExecWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let exchange =
-            self.program.ask(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
+            self.program.call(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
         for stage in exchange.stages().map_err(|error| failed(error.to_string()))? {
             log.record_timer(Name::from(stage.name), stage.from, stage.to);
         }

@@ -15,7 +15,7 @@ use crate::{InferenceError, LoadError, Model, Worker};
 impl ModelConfig {
     /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
     pub fn python_object(shared: SharedKeys, object: &str, pickle: bool) -> Self {
-        ModelTable { shared, own: PythonConfig { pickle, ..PythonConfig::of(object) } }.into()
+        ModelTable { shared, own: PythonConfig { pickle, ..PythonConfig::new(object) } }.into()
     }
 }
 
@@ -29,7 +29,7 @@ impl ModelKind for PythonConfig {
     }
 
     fn leave_out_defaults(&self, keys: &mut Keys) {
-        let default = Self::of(&self.object);
+        let default = Self::new(&self.object);
         if self.timeout_ms == default.timeout_ms {
             keys.remove("timeout_ms");
         }
@@ -46,7 +46,7 @@ impl ModelKind for PythonConfig {
     fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
         let (config, shared, clock) = (self.clone(), shared.clone(), SharedClock::clone(context.clock));
         let object = start(&config, &shared, &clock)?;
-        let facts = object.about().facts("Model");
+        let facts = object.description().facts("Model");
         Ok(Arc::new(Python { config, shared, clock, facts, first: Mutex::new(Some(object)) }))
     }
 }
@@ -94,8 +94,8 @@ struct PythonWorker {
 impl Worker for PythonWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let called = self.object.call(&sample.parts);
-        let begun = called.times.begun;
-        if let Some(from) = called.times.restarted {
+        let begun = called.times.started_at;
+        if let Some(from) = called.times.restarted_at {
             log.record_timer(stage::RESTART, from, begun);
         }
         log.record_timer(stage::IPC, begun, begun + called.times.overhead());

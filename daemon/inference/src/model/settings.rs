@@ -13,7 +13,7 @@ impl ModelConfig {
     /// Returns the settings of the model and the environment that it runs in, as pairs.
     pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
-        facts.extend(key.and_then(|key| self.own().arguments(key)));
+        facts.extend(key.and_then(|key| self.own().arguments_fact(key)));
         facts.extend(environment().into_iter().map(|(name, value)| (format!("Model {name}"), value)));
         facts
     }

@@ -63,7 +63,7 @@ impl ModelConfig {
             inference_ms: eighty_ms(),
             postprocessing_ms: ten_ms(),
         };
-        ModelTable { shared: SharedKeys::of(name), own }.into()
+        ModelTable { shared: SharedKeys::new(name), own }.into()
     }
 }
 

@@ -46,7 +46,7 @@ const fn sixteen() -> NonZeroUsize {
 
 impl SharedKeys {
     /// Returns the keys of a model with this name and otherwise the defaults.
-    pub fn of(name: Slug) -> Self {
+    pub fn new(name: Slug) -> Self {
         Self { name, device: cpu(), workers: one(), queue: sixteen() }
     }
 

@@ -39,7 +39,7 @@ fn models_are_found_by_name_and_path() {
     put(&second, "-no-name");
     fs::create_dir(second.join("torn")).expect("made");
     fs::write(second.join("torn/model.toml"), "name = 7").expect("written");
-    let folders = ModelFolders::of([first, root.path().join("nowhere"), second.clone(), second]);
+    let folders = ModelFolders::new([first, root.path().join("nowhere"), second.clone(), second]);
 
     let listed: Vec<(String, bool, bool)> = folders
         .list()
@@ -196,7 +196,7 @@ fn invalid_card_blocks_no_other_model() {
     std::fs::write(folder("long").join("model.toml"), vec![b'#'; 2 << 20]).expect("writable");
     std::fs::write(folder("secret").join("model.toml"), "root:x:0:0:root").expect("writable");
 
-    let found = ModelFolders::of([place.path().to_owned()]).list();
+    let found = ModelFolders::new([place.path().to_owned()]).list();
     let reasons: Vec<_> =
         found.iter().map(|found| found.card.as_ref().expect_err("no card").to_string()).collect();
     assert_eq!(found.len(), 3, "{reasons:?}");

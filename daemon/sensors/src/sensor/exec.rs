@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, SharedClock};
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
-    CommandLine, ExchangeError, FingerprintKey, Notes, Program, ReplyOutcome, Request, Role,
+    CommandLine, ExchangeError, FingerprintKey, Program, ReplyNotes, ReplyOutcome, Request, Role,
 };
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
@@ -40,8 +40,8 @@ impl SensorKind for ExecConfig {
         true
     }
 
-    fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
-        Self::arguments(self, Role::Sensor, key)
+    fn arguments_fact(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        Self::arguments_fact(self, Role::Sensor, key)
     }
 
     fn hide_secrets(&mut self) {
@@ -52,7 +52,7 @@ impl SensorKind for ExecConfig {
 impl SensorConfig {
     /// Returns the configuration of a program, given as a line for the shell.
     pub fn program(command: &str) -> Self {
-        ExecConfig::of(CommandLine::Shell(command.to_owned())).into()
+        ExecConfig::new(CommandLine::Shell(command.to_owned())).into()
     }
 }
 
@@ -62,9 +62,9 @@ impl Exec {
     }
 
     /// Records the stages, values and dropped samples that the program reported with its sample.
-    fn record_notes(&mut self, notes: &Notes, log: &mut Recorder, began: MonoTime) {
+    fn record_notes(&mut self, notes: &ReplyNotes, log: &mut Recorder, started_at: MonoTime) {
         for (name, span) in &notes.stages {
-            log.record_timer(Name::from(name.as_str()), began, began + *span);
+            log.record_timer(Name::from(name.as_str()), started_at, started_at + *span);
         }
         for (name, value, unit) in &notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
@@ -82,14 +82,14 @@ impl Exec {
 
 impl Sensor for Exec {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
-        let exchange = self.program.ask(Request::Next).map_err(|error| self.failed(error))?;
-        let restart = exchange.restart();
+        let exchange = self.program.call(Request::Next).map_err(|error| self.failed(error))?;
+        let restart = exchange.restart_interval();
         let ReplyOutcome::Parts(parts) = exchange.outcome else { return Ok(None) };
         if let Some((from, to)) = restart {
             log.record_timer(stage::CAPTURE_RESTART, from, to);
         }
-        self.record_notes(&exchange.notes, log, exchange.began);
-        let Notes { source, label, .. } = exchange.notes;
+        self.record_notes(&exchange.notes, log, exchange.started_at);
+        let ReplyNotes { source, label, .. } = exchange.notes;
         Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))
     }
 

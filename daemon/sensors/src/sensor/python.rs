@@ -36,15 +36,15 @@ impl SensorKind for PythonConfig {
 impl SensorConfig {
     /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
     pub fn python_object(object: &str, pickle: bool) -> Self {
-        PythonConfig { pickle, ..PythonConfig::of(object) }.into()
+        PythonConfig { pickle, ..PythonConfig::new(object) }.into()
     }
 }
 
 impl Sensor for Python {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let called = self.object.call(&[]);
-        let begun = called.times.begun;
-        if let Some(from) = called.times.restarted {
+        let begun = called.times.started_at;
+        if let Some(from) = called.times.restarted_at {
             log.record_timer(stage::CAPTURE_RESTART, from, begun);
         }
         // Summaries group nodes by name, so that this stage must not have the name of the model's `ipc`.
@@ -54,6 +54,6 @@ impl Sensor for Python {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        self.object.about().facts("Sensor")
+        self.object.description().facts("Sensor")
     }
 }

@@ -52,7 +52,7 @@ fn card_mistakes_exceed_the_answer_tolerance() {
 
 #[test]
 fn card_matches_exported_weights() {
-    let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
+    let found = ModelFolders::new([exported().models.clone()]).find(NAME).expect("was exported");
     let hash = found.hash().expect("is read");
     let card = found.card.expect("is right");
     assert_eq!((card.labels.len(), card.labels[0].as_str()), (1000, "tench"));
@@ -74,7 +74,7 @@ fn best(logits: &[f64]) -> Vec<usize> {
 /// Loads the exported model with a card that lists all numbers of the output unchanged, and in which these keys are
 /// replaced.
 fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
-    let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
+    let found = ModelFolders::new([exported().models.clone()]).find(NAME).expect("was exported");
     let models = tempfile::tempdir().expect("a folder");
     let folder = models.path().join(NAME);
     std::fs::create_dir(&folder).expect("made");
@@ -95,7 +95,7 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
     }
     std::fs::write(folder.join("model.toml"), card.to_string()).expect("written");
     std::os::unix::fs::symlink(found.folder.join("model.onnx"), folder.join("model.onnx")).expect("linked");
-    let model = ModelFolders::of([models.path().to_owned()]).find(NAME).expect("is complete");
+    let model = ModelFolders::new([models.path().to_owned()]).find(NAME).expect("is complete");
     let bank = Bank::new(vec![model.configuration("cpu")], OnnxRuntimeConfig::default(), clock());
     bank.load(&model.name, None).unwrap_or_else(|error| panic!("{error}"))
 }

@@ -88,7 +88,7 @@ fn process_end_is_reported_others_fail_one_call() {
     for (input, parts) in [
         (&b"early"[..], ["exit status 1", "not with me"]),
         (b"interrupt", ["SIGINT", "KeyboardInterrupt"]),
-        (b"spoil", ["does not speak as agreed", "garbage"]),
+        (b"spoil", ["sent an invalid message", "garbage"]),
     ] {
         let before = number(&mut model);
         let said = failure(&mut model, &[bytes(input)]);
@@ -143,7 +143,7 @@ class Own:
     assert!(failure(&mut model, &[bytes(b"exit")]).contains("exit status 4"));
     assert!(failure(&mut model, &[bytes(b"on")]).contains("the camera is in use"));
     let resting = failure(&mut model, &[bytes(b"on")]);
-    assert!(resting.contains("keeps dying") && resting.contains("the camera is in use"), "{resting}");
+    assert!(resting.contains("failed repeatedly") && resting.contains("the camera is in use"), "{resting}");
 }
 
 #[test]

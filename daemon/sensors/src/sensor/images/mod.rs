@@ -13,7 +13,7 @@ use bytes::Bytes;
 use peernet_clock::SharedClock;
 use peernet_external::describe_with_hash;
 use peernet_logger::Recorder;
-use peernet_sample::{Description, MediaType, Sample, examples};
+use peernet_sample::{Description, MediaType, Sample, list_examples};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -63,7 +63,7 @@ const fn yes() -> bool {
 
 impl ImagesConfig {
     /// Returns the configuration of pictures with all defaults.
-    fn of(path: PathBuf) -> Self {
+    fn new(path: PathBuf) -> Self {
         Self { path, order: Order::default(), seed: default_seed(), repeat: yes(), labels: None }
     }
 }
@@ -77,12 +77,12 @@ impl SensorKind for ImagesConfig {
 impl SensorConfig {
     /// Returns the configuration of a picture, or of a folder's pictures by name, repeated.
     pub fn pictures(path: PathBuf) -> Self {
-        ImagesConfig::of(path).into()
+        ImagesConfig::new(path).into()
     }
 
     /// Returns the configuration of a picture, or of a folder's pictures by name, each once.
     pub fn pictures_once(path: PathBuf) -> Self {
-        ImagesConfig { repeat: false, ..ImagesConfig::of(path) }.into()
+        ImagesConfig { repeat: false, ..ImagesConfig::new(path) }.into()
     }
 }
 
