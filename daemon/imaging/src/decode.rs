@@ -23,7 +23,7 @@ const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// Returns the format of a file by its first bytes, regardless of its name and description.
-pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
+pub(crate) fn detect_format(file: &[u8]) -> Result<MediaType, ImageError> {
     match file {
         file if file.starts_with(JPEG) => Ok(MediaType::Jpeg),
         file if file.starts_with(PNG) => Ok(MediaType::Png),
@@ -39,7 +39,7 @@ pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
 /// If the file has another format, is damaged or truncated, or is too large. The contents of `picture` are undefined
 /// then.
 pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
-    if recognise(file)? == MediaType::Jpeg {
+    if detect_format(file)? == MediaType::Jpeg {
         decode_jpeg(file, format, picture)
     } else {
         decode_png(file, format, picture)
@@ -114,11 +114,11 @@ fn damaged_jpeg(reason: &str) -> ImageError {
 /// Decodes a PNG file. Bit depths, palettes and transparency are converted to eight bits per channel.
 fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     let OpenedImage { decoder, width, height } = open_png(file)?;
-    let as_wanted = matches!(
+    let is_target_format = matches!(
         (decoder.color_type(), format),
         (image::ColorType::Rgb8, PixelFormat::Rgb8) | (image::ColorType::L8, PixelFormat::Grey8)
     );
-    if as_wanted {
+    if is_target_format {
         let target = picture.reshape(format, width, height);
         return decoder.read_image(target).map_err(|error| png_error(&error));
     }

@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn without_antialiasing_only_the_nearest_pixels_count() {
+    fn without_antialias_only_nearest_pixels_count() {
         // Pixel 0 of 8 in a row of 64 is at 3.5: halfway between a white and a black pixel, regardless of the pixels
         // beside them.
         let mut lone = vec![0; 64];

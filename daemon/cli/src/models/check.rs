@@ -48,7 +48,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     say(format_args!(
         "loaded on {} in {} s and run on zeros",
         pool.device(),
-        fixed(pool.loaded_in().seconds(), 2)
+        fixed(pool.load_duration().seconds(), 2)
     ));
     let Some(input) = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())? else {
         say("no test pictures: none in its folder `pictures`, none named with --pictures");

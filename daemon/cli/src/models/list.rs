@@ -57,7 +57,7 @@ fn row(found: &ModelOnDisk) -> Vec<String> {
 
 /// Returns the reason why the model cannot be used, if there is one.
 fn problem(found: &ModelOnDisk) -> Option<String> {
-    match (&found.card, &found.hidden_by) {
+    match (&found.card, &found.shadowed_by) {
         // Errors of the TOML parser have several lines.
         (Err(error), _) => Some(error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")),
         (Ok(_), Some(other)) => Some(format!("hidden by {}", other.display())),

@@ -71,7 +71,7 @@ pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         error if error.is_missing() => Exit::NoInput,
         error if error.is_misnamed() => Exit::Usage,
-        LoadError::NoSuchDevice(_) | LoadError::TooMuch { .. } => Exit::Usage,
+        LoadError::InvalidDevice(_) | LoadError::AboveLimit { .. } => Exit::Usage,
         _ => Exit::Unavailable,
     };
     if let LoadError::NoProvider { device, .. } | LoadError::Session { device, .. } = &error

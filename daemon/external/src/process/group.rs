@@ -38,7 +38,9 @@ impl Group {
         let leader = spawner::spawn(command)?;
         let watcher = Watcher::start(&leader)
             // Without it only the leader ends when this program is killed.
-            .inspect_err(|error| tracing::warn!(%error, "failed to start the watcher of a program's processes; they may outlive this program"))
+            .inspect_err(|error| {
+                tracing::warn!(%error, "cannot start the watcher of a program; its processes may outlive this program");
+            })
             .ok();
         Ok(Self { leader, watcher })
     }

@@ -58,7 +58,7 @@ impl Echo {
 }
 
 impl Model for Echo {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         Ok(Box::new(EchoWorker { answer: self.answer.clone() }))
     }
 

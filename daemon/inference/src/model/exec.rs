@@ -41,7 +41,7 @@ impl ModelKind for ExecConfig {
         hide_values(&mut self.env);
     }
 
-    fn leave_out_defaults(&self, keys: &mut Keys) {
+    fn remove_defaults(&self, keys: &mut Keys) {
         if self.timeout_ms == Self::new(self.command.clone()).timeout_ms {
             keys.remove("timeout_ms");
         }
@@ -81,7 +81,7 @@ struct Exec {
 }
 
 impl Model for Exec {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
         let program = first.map_or_else(|| start(&self.config, &self.shared, &self.clock), Ok)?;
         Ok(Box::new(ExecWorker { model: self.shared.name.to_string(), program }))
@@ -123,7 +123,7 @@ impl Worker for ExecWorker {
         }
         match exchange.outcome {
             ReplyOutcome::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
-            other => Err(failed(format!("it answered as a model does not: {other:?}"))),
+            other => Err(failed(format!("it replied with {other:?} instead of an answer"))),
         }
     }
 }

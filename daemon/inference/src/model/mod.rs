@@ -67,7 +67,7 @@ pub trait ModelKind {
     /// Removes keys that are not recorded while they have their defaults.
     // Settings of runs are compared as texts: a default that earlier versions did not record would appear as a
     // difference.
-    fn leave_out_defaults(&self, _keys: &mut Keys) {}
+    fn remove_defaults(&self, _keys: &mut Keys) {}
 
     /// Checks the configuration without loading the model or running users' code.
     ///
@@ -168,12 +168,12 @@ impl ModelConfig {
     /// Checks the numbers against their upper limits.
     ///
     /// # Errors
-    /// [`LoadError::TooMuch`] for the first number above its limit.
+    /// [`LoadError::AboveLimit`] for the first number above its limit.
     pub fn check_limits(&self) -> Result<(), LoadError> {
         let of_all = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
         match of_all.into_iter().chain(self.own().limits()).find(|(_, value, most)| value > most) {
             Some((key, value, most)) => {
-                Err(LoadError::TooMuch { key, value: value as u64, most: most as u64 })
+                Err(LoadError::AboveLimit { key, value: value as u64, most: most as u64 })
             }
             None => Ok(()),
         }

@@ -28,7 +28,7 @@ impl ModelKind for PythonConfig {
         hide_values(&mut self.env);
     }
 
-    fn leave_out_defaults(&self, keys: &mut Keys) {
+    fn remove_defaults(&self, keys: &mut Keys) {
         let default = Self::new(&self.object);
         if self.timeout_ms == default.timeout_ms {
             keys.remove("timeout_ms");
@@ -62,7 +62,7 @@ struct Python {
 }
 
 impl Model for Python {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
         let object = first.map_or_else(|| start(&self.config, &self.shared, &self.clock), Ok)?;
         Ok(Box::new(PythonWorker { model: self.shared.name.to_string(), object }))
@@ -94,14 +94,14 @@ struct PythonWorker {
 impl Worker for PythonWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let called = self.object.call(&sample.parts);
-        let begun = called.times.started_at;
+        let started_at = called.times.started_at;
         if let Some(from) = called.times.restarted_at {
-            log.record_timer(stage::RESTART, from, begun);
+            log.record_timer(stage::RESTART, from, started_at);
         }
-        log.record_timer(stage::IPC, begun, begun + called.times.overhead());
-        let has_inferred = called.times.stages.iter().any(|(own, ..)| *own == Stage::Infer);
-        for (own, from, to) in called.times.stages {
-            let name = match own {
+        log.record_timer(stage::IPC, started_at, started_at + called.times.overhead());
+        let has_inferred = called.times.stages.iter().any(|(stage, ..)| *stage == Stage::Infer);
+        for (step, from, to) in called.times.stages {
+            let name = match step {
                 Stage::Preprocess => stage::PREPROCESSING,
                 Stage::Infer => stage::INFERENCE,
                 Stage::Postprocess => stage::POSTPROCESSING,
@@ -119,7 +119,8 @@ impl Worker for PythonWorker {
             }
             error => failed(error.to_string()),
         })?;
-        let parts = parts.ok_or_else(|| failed("it answered as a sensor at its end does".to_owned()))?;
+        let parts = parts
+            .ok_or_else(|| failed("it reported the end of samples, which only a sensor may do".to_owned()))?;
         Ok(Sample { parts, source: String::new(), label: None })
     }
 }

@@ -73,7 +73,7 @@ struct Sleep {
 }
 
 impl Model for Sleep {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let SleepConfig { preprocessing_ms, inference_ms, postprocessing_ms } = self.config;
         let stages = [
             (stage::PREPROCESSING, preprocessing_ms),

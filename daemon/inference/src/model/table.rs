@@ -90,10 +90,10 @@ impl<K: ModelKind + Serialize + DeserializeOwned> Serialize for ModelTable<K> {
         let keys = |group: serde_json::Result<Value>| match group.map_err(ser::Error::custom)? {
             Value::Object(keys) => Ok(keys),
             Value::Null => Ok(Keys::new()),
-            _ => Err(ser::Error::custom("the keys of a model are no table")),
+            _ => Err(ser::Error::custom("the keys of a model are not a table")),
         };
         let mut own = keys(serde_json::to_value(&self.own))?;
-        self.own.leave_out_defaults(&mut own);
+        self.own.remove_defaults(&mut own);
         let mut table = keys(serde_json::to_value(&self.shared))?;
         table.extend(own);
         // The keys are written in the order of their declaration, not in alphabetical order.
@@ -132,7 +132,7 @@ impl<'de> Deserializer<'de> for FieldNames<'_> {
     }
 
     fn deserialize_any<V: Visitor<'de>>(self, _visitor: V) -> Result<V::Value, Self::Error> {
-        Err(de::Error::custom("it is no struct"))
+        Err(de::Error::custom("the type is not a struct"))
     }
 
     forward_to_deserialize_any! {

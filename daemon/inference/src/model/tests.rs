@@ -46,7 +46,7 @@ fn every_number_has_an_upper_limit() {
         };
         assert!(with(most).is_ok(), "{key}");
         let error = with(most + 1).expect_err(key);
-        assert!(matches!(error, LoadError::TooMuch { key: k, .. } if k == key), "{error}");
+        assert!(matches!(error, LoadError::AboveLimit { key: k, .. } if k == key), "{error}");
         assert!(error.to_string().contains(&most.to_string()), "{error}");
     }
 }
@@ -116,7 +116,7 @@ macro_rules! keyless {
     ($($kind:ty),*) => { $(
         impl ModelKind for $kind {
             fn load(&self, _: &SharedKeys, _: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-                Err(LoadError::TooMuch { key: "name", value: 1, most: 0 })
+                Err(LoadError::AboveLimit { key: "name", value: 1, most: 0 })
             }
         }
     )* };

@@ -16,7 +16,7 @@ type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 struct TestModel(Arc<Compute>);
 
 impl Model for TestModel {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         Ok(Box::new(TestModel(Arc::clone(&self.0))))
     }
 
@@ -58,18 +58,18 @@ fn sample(text: &'static str) -> Sample {
     Sample::from_part(Description::bytes(), Bytes::from(text))
 }
 
-fn job(text: &'static str, reply: impl FnOnce(Done) + Send + 'static) -> Job {
+fn job(text: &'static str, reply: impl FnOnce(FinishedJob) + Send + 'static) -> Job {
     let log = Recorder::new(clock(), HostId::random());
     Job { sample: sample(text), log, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
 }
 
 /// Creates a job and the receiver of its result.
-fn job_with_receiver(text: &'static str) -> (Job, Receiver<Done>) {
+fn job_with_receiver(text: &'static str) -> (Job, Receiver<FinishedJob>) {
     let (sender, receiver) = sync_channel(1);
     (job(text, move |done| sender.send(done).expect("is awaited")), receiver)
 }
 
-fn run(pool: &Pool, text: &'static str) -> Done {
+fn run(pool: &Pool, text: &'static str) -> FinishedJob {
     let (job, done) = job_with_receiver(text);
     pool.submit(job).expect("has room");
     done.recv().expect("is answered")
@@ -111,7 +111,7 @@ fn full_queue_returns_the_job() {
     begins.recv().expect("the worker began");
     let (second, second_done) = job_with_receiver("second");
     pool.submit(second).expect("the queue has room");
-    assert_eq!(pool.waiting(), 1);
+    assert_eq!(pool.waiting_samples(), 1);
     let refused = pool.submit(job_with_receiver("third").0).expect_err("the queue is full");
     assert_eq!(refused.job.sample, sample("third"));
     assert_eq!(refused.reason, InferenceError::QueueFull { model: "told".to_owned(), capacity: 1 });
@@ -205,7 +205,7 @@ fn echo_answers_on_thread_of_caller() {
     let pool = start(Arc::new(Echo::new(EchoConfig::default())), Sizes { workers: 1, queue: 1 }, clock());
     let caller = thread::current().id();
     let (sender, receiver) = sync_channel(1);
-    let reply = move |done: Done| sender.send((thread::current().id(), done)).expect("has room");
+    let reply = move |done: FinishedJob| sender.send((thread::current().id(), done)).expect("has room");
     pool.submit(job("abc", reply)).expect("always has room");
     let (computed_on, done) = receiver.try_recv().expect("was answered already");
     assert_eq!((computed_on, done.result), (caller, Ok(sample("abc"))));
@@ -213,7 +213,7 @@ fn echo_answers_on_thread_of_caller() {
 
     let (sender, receiver) = sync_channel(1);
     let again = Arc::clone(&pool);
-    let reply = move |_: Done| {
+    let reply = move |_: FinishedJob| {
         again.submit(job("b", move |done| sender.send(done).expect("has room"))).expect("nests");
     };
     pool.submit(job("a", reply)).expect("always has room");

@@ -37,7 +37,7 @@ fn a_model_is_loaded_once_and_shared() {
     });
     assert!(pools.iter().all(|pool| Arc::ptr_eq(pool, &pools[0])));
     assert_eq!(loads.load(Ordering::SeqCst), 1);
-    assert!(pools[0].loaded_in() > peernet_clock::Span::ZERO);
+    assert!(pools[0].load_duration() > peernet_clock::Span::ZERO);
     assert!(bank.load(&slug("qc"), Some("cpu")).is_ok());
 }
 
@@ -74,7 +74,7 @@ fn shutdown_does_not_wait_for_long_computation() {
     let received = log.clock().mono();
     let reply = Box::new(|_| ());
     long.submit(Job { sample: bytes(1), log, received, reply }).expect("the queue has room");
-    while long.waiting() > 0 {
+    while long.waiting_samples() > 0 {
         std::thread::yield_now();
     }
     assert_eq!(bank.shutdown_within(Duration::from_millis(300)), [slug("long")]);

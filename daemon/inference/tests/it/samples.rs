@@ -65,7 +65,7 @@ fn a_bad_sample_fails_alone_with_the_reason() {
         (jpeg(b"\xff\xd8\xff\xe0 broken".to_vec()), "the jpeg file cannot be read"),
         (jpeg(Vec::new()), "neither a jpeg nor a png"),
         (jpeg(huge), ""),
-        (lie, "40000 × 40000 pixels are not possible"),
+        (lie, "40000 × 40000 pixels is not supported"),
         (plain(MediaType::Bytes), "plain bytes, not a picture"),
         (plain(MediaType::Json), "json, not a picture"),
         (Sample { parts: Vec::new(), source: String::new(), label: None }, "no payload"),

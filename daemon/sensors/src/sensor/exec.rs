@@ -18,7 +18,7 @@ struct Exec {
     facts: Vec<(String, String)>,
     program: Program,
     /// Sequence number of the last sample, if the program numbers its samples.
-    last: Option<u64>,
+    last_sequence: Option<u64>,
 }
 
 impl SensorKind for ExecConfig {
@@ -27,13 +27,14 @@ impl SensorKind for ExecConfig {
         let facts = self.facts(Role::Sensor);
         let program = Program::start(self, Role::Sensor, &format!("sensor {command}"), clock)
             .map_err(|error| SensorError::Program { command: command.clone(), error })?;
-        Ok(Box::new(Exec { command, facts, program, last: None }))
+        Ok(Box::new(Exec { command, facts, program, last_sequence: None }))
     }
 
     fn check(&self, _clock: &SharedClock) -> Result<(), SensorError> {
         // This check does not run the program.
-        Self::check(self)
-            .map_err(|reason| SensorError::Config(format!("the program of an exec sensor: {reason}")))
+        Self::check(self).map_err(|reason| {
+            SensorError::Config(format!("cannot run the program of an exec sensor: {reason}"))
+        })
     }
 
     fn is_program(&self) -> bool {
@@ -72,10 +73,10 @@ impl Exec {
         if let Some(sequence) = notes.sequence {
             // Samples that the program captured and did not pass on leave gaps in its numbers. A smaller number than
             // expected means that the program was restarted; then the number of missed samples is unknown.
-            let next = self.last.and_then(|last| last.checked_add(1));
+            let next = self.last_sequence.and_then(|last| last.checked_add(1));
             let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
             log.value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
-            self.last = Some(sequence);
+            self.last_sequence = Some(sequence);
         }
     }
 }

@@ -31,7 +31,7 @@ impl SensorKind for TextConfig {
     fn open(&self, _clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         if self.length > MAX_LENGTH {
             return Err(SensorError::Config(format!(
-                "a text sensor gives at most {MAX_LENGTH} characters a sample: lower its length"
+                "a text sensor produces at most {MAX_LENGTH} characters per sample; lower its length"
             )));
         }
         Ok(Box::new(Text { length: self.length, random: StdRng::seed_from_u64(self.seed) }))

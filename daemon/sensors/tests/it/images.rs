@@ -111,16 +111,16 @@ fn seed_determines_new_order_of_each_round() {
 #[test]
 fn errors_name_the_wrong_file_or_label() {
     let empty = folder(&[("readme.txt", "")]);
-    assert!(refused(empty.path()).contains("holds no picture"));
+    assert!(refused(empty.path()).contains("contains no picture"));
     assert!(refused(&empty.path().join("missing")).contains("missing"));
     assert!(refused(&empty.path().join("readme.txt")).contains("neither a folder nor"));
     for (labels, named) in [
         ("file,label\nb.jpg,good\n", "b.jpg"),
         ("name,class\na.jpg,good\n", "file,label"),
         ("file,label\na.jpg,good\na.jpg,dented\n", "both good and dented"),
-        ("", "holds no label"),
-        ("file,label\n", "holds no label"),
-        ("file,label\na.jpg,\n", "holds no label"),
+        ("", "contains no label"),
+        ("file,label\n", "contains no label"),
+        ("file,label\na.jpg,\n", "contains no label"),
     ] {
         let folder = folder(&[("a.jpg", ""), ("labels.csv", labels)]);
         let error = refused(folder.path());

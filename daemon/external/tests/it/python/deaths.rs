@@ -69,7 +69,7 @@ fn killed_process_is_reported_and_restarted() {
     });
     let said = failure(&mut model, &[bytes(b"wait")]);
     killer.join().expect("it was there to be killed");
-    assert!(said.contains("signal 9 (SIGKILL") && said.contains("started anew"), "{said}");
+    assert!(said.contains("signal 9 (SIGKILL") && said.contains("it is restarted"), "{said}");
 
     // Two processes die at once, between calls.
     let numbers = [number(&mut model), number(&mut other)];

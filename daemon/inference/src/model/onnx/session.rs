@@ -1,7 +1,7 @@
 //! A session of ONNX Runtime, one per worker.
 //!
 //! `ort` runs a session by `&mut`, because parts of the library are not safe under concurrent runs. Each worker
-//! therefore has its own session, and [`Shared`] lets them share the weights.
+//! therefore has its own session, and [`SharedModel`] lets them share the weights.
 
 use ort::session::Session;
 use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
@@ -9,12 +9,16 @@ use ort::value::{Outlet, TensorElementType};
 
 use super::Plan;
 use super::library::Runtime;
-use super::shared::Shared;
+use super::shared_model::SharedModel;
 use crate::LoadError;
 
 /// Opens a session and checks that the model is the one that the card describes.
-pub(super) fn open(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> Result<Session, LoadError> {
-    let session = build(plan, runtime, shared).map_err(|error| refused(plan, &error))?;
+pub(super) fn open(
+    plan: &Plan,
+    runtime: &Runtime,
+    shared: Option<&SharedModel>,
+) -> Result<Session, LoadError> {
+    let session = build(plan, runtime, shared).map_err(|error| session_error(plan, &error))?;
     let input = &plan.card.input;
     let output = &plan.card.output;
     let classes = output.labels.len();
@@ -26,13 +30,13 @@ pub(super) fn open(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> R
     if let [_, more, ..] = session.inputs() {
         return Err(mismatch(
             plan,
-            format!("it has a second input, {:?}; only one is possible", more.name()),
+            format!("it has a second input, {:?}; models with one input are supported", more.name()),
         ));
     }
     Ok(session)
 }
 
-fn build(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> ort::Result<Session> {
+fn build(plan: &Plan, runtime: &Runtime, shared: Option<&SharedModel>) -> ort::Result<Session> {
     let builder = builder(plan, runtime)?;
     // Other programs may delete temporary folders; a worker that is rebuilt later works without the shared file.
     match shared.filter(|shared| shared.file().exists()) {
@@ -57,7 +61,7 @@ pub(super) fn builder(plan: &Plan, runtime: &Runtime) -> ort::Result<SessionBuil
     Ok(builder)
 }
 
-pub(super) fn refused(plan: &Plan, error: &ort::Error) -> LoadError {
+pub(super) fn session_error(plan: &Plan, error: &ort::Error) -> LoadError {
     LoadError::Session {
         file: plan.file.clone(),
         device: plan.device.to_string(),
@@ -75,7 +79,7 @@ fn reason(text: &str) -> String {
         said.split_once(" : ").filter(|(code, _)| code.parse::<u32>().is_ok()).map_or(said, |(_, it)| it);
     let line = said.split_whitespace().collect::<Vec<_>>().join(" ");
     if line.contains("Failed to load library") {
-        format!("{line}; are the device's own libraries, such as CUDA's, in LD_LIBRARY_PATH?")
+        format!("{line}; check that the device's own libraries, such as CUDA's, are in LD_LIBRARY_PATH")
     } else {
         line
     }
@@ -86,7 +90,7 @@ fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize
         let names: Vec<_> = outlets.iter().map(|outlet| format!("{:?}", outlet.name())).collect();
         return Err(mismatch(
             plan,
-            format!("it has no {what} {name:?} as its card says, but {}", names.join(", ")),
+            format!("its card names the {what} {name:?}, but it has {}", names.join(", ")),
         ));
     };
     let fits = |own: &[i64]| {
@@ -120,7 +124,7 @@ mod tests {
         assert_eq!(reason(said), short);
         let library = "[ONNXRuntimeError] : 1 : FAIL : Failed to load library /opt/libcuda.so with error: file too short";
         assert!(reason(library).ends_with(
-            "file too short; are the device's own libraries, such as CUDA's, in LD_LIBRARY_PATH?"
+            "file too short; check that the device's own libraries, such as CUDA's, are in LD_LIBRARY_PATH"
         ));
         assert_eq!(reason("no such operator"), "no such operator");
     }

@@ -36,7 +36,7 @@ pub(super) struct OnnxWorker {
 impl OnnxWorker {
     /// Creates a worker and runs it once, on zeros: the first run of a session is slow, and a card that does not fit
     /// the model is noticed before a sample arrives.
-    pub(super) fn warm(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
+    pub(super) fn new_warmed_up(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
         let preprocessor = Preprocessor::new(&plan.card);
         let mut worker = Self { session, preprocessor, numbers: Vec::new(), plan };
         worker.run().map_err(|error| LoadError::Session {
@@ -76,7 +76,7 @@ impl Worker for OnnxWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         {
             let _stage = log.time(stage::PREPROCESSING);
-            self.preprocessor.fill(sample).map_err(|error| InferenceError::Input {
+            self.preprocessor.preprocess(sample).map_err(|error| InferenceError::Input {
                 model: self.plan.name.to_string(),
                 sample: sample.source.clone(),
                 reason: error.to_string(),

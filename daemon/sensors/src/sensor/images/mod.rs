@@ -86,18 +86,20 @@ impl SensorConfig {
     }
 }
 
-/// List of pictures, each of which is read when its turn comes.
+/// List of pictures. Each picture is read when its sample is requested.
 struct Images {
     path: PathBuf,
     pictures: Vec<Picture>,
     /// File from which the labels were read.
     labels: Option<PathBuf>,
+    /// Index of the next picture.
     next: usize,
     /// Random numbers for shuffling before every round; `None` keeps the order of names.
     shuffle: Option<StdRng>,
     repeat: bool,
 }
 
+/// A picture file with its label.
 struct Picture {
     file: PathBuf,
     media: MediaType,
@@ -109,9 +111,10 @@ struct Picture {
 impl Images {
     fn open(config: &ImagesConfig) -> Result<Self, SensorError> {
         let (path, labels) = (config.path.as_path(), config.labels.as_deref());
-        let about = fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
+        let metadata =
+            fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
         let (pictures, labels) =
-            if about.is_dir() { read_folder(path, labels)? } else { read_single(path, labels)? };
+            if metadata.is_dir() { read_folder(path, labels)? } else { read_single(path, labels)? };
         let mut images = Self {
             path: path.to_owned(),
             pictures,
@@ -139,9 +142,9 @@ impl Images {
     /// Returns the number of pictures with a label, and some of the labels: `100 of 100: dented, good`.
     fn labels(&self) -> String {
         let all: Vec<&str> = self.pictures.iter().filter_map(|picture| picture.label.as_deref()).collect();
-        let of = format!("{} of {}", all.len(), self.pictures.len());
+        let count = format!("{} of {}", all.len(), self.pictures.len());
         let different: BTreeSet<&str> = all.into_iter().collect();
-        if different.is_empty() { of } else { format!("{of}: {}", list_examples(different)) }
+        if different.is_empty() { count } else { format!("{count}: {}", list_examples(different)) }
     }
 }
 
@@ -204,16 +207,16 @@ fn read_folder(path: &Path, file: Option<&Path>) -> Result<LabelledPictures, Sen
         })
         .collect();
     let labelled = pictures.iter().any(|picture| picture.label.is_some());
-    match (labels.and_then(|left| left.into_keys().min()), file) {
+    match (labels.and_then(|unused| unused.into_keys().min()), file) {
         // A file that the user names may belong to a larger data set.
         (Some(missing), None) => Err(SensorError::Labels {
-            file: path.join(labels::FILE),
+            file: path.join(labels::LABELS_FILE),
             reason: format!("it labels {missing}, which is not among the pictures of the folder"),
         }),
         (Some(other), Some(file)) if !labelled => Err(SensorError::Labels {
             file: file.to_owned(),
             reason: format!(
-                "it labels no picture of {}, but {other}: write paths below that folder",
+                "it labels no picture of {}, but {other}; write paths below that folder",
                 path.display()
             ),
         }),
