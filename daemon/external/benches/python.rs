@@ -83,10 +83,10 @@ fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let mut process = Process::start(&launch, clock).expect("cat is there");
     let mut taken = Vec::with_capacity(rounds);
     for round in 0..rounds + rounds / 10 {
-        let begun = clock.mono();
-        process.write(&[content], begun + PATIENCE).expect("it reads");
-        let back = process.read_exact(content.len(), begun + PATIENCE).expect("it writes");
-        let span = clock.mono() - begun;
+        let started_at = clock.mono();
+        process.write(&[content], started_at + PATIENCE).expect("it reads");
+        let back = process.read_exact(content.len(), started_at + PATIENCE).expect("it writes");
+        let span = clock.mono() - started_at;
         assert_eq!(back.len(), content.len());
         if round >= rounds / 10 {
             taken.push(span.seconds());

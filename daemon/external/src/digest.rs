@@ -78,12 +78,12 @@ mod tests {
         File::create(&large).and_then(|file| file.set_len(MAX_HASHED_BYTES + 1)).expect("writable");
         let missing = folder.path().join("none");
         let files = [file.clone(), large.clone(), missing.clone()];
-        let (name, told) = files_fact("Sensor", &files).expect("there are some");
+        let (name, description) = files_fact("Sensor", &files).expect("there are some");
         assert_eq!(name, "Sensor files");
-        let parts: Vec<&str> = told.split(", ").collect();
+        let parts: Vec<&str> = description.split(", ").collect();
         // Example in FIPS 180-4.
-        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(parts[0], format!("{} SHA-256 {known}", file.display()));
+        let expected_hash = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(parts[0], format!("{} SHA-256 {expected_hash}", file.display()));
         assert_eq!(
             &parts[1..],
             [
@@ -106,8 +106,8 @@ mod tests {
         // The length of this file is 0 although it has contents. Reading the kernel's messages would wait for the
         // next one.
         let nothing = sha256(io::empty()).expect("reads");
-        let told = describe_with_hash(Path::new("/proc/self/status"));
-        assert_eq!(told, format!("/proc/self/status SHA-256 {nothing}"));
+        let description = describe_with_hash(Path::new("/proc/self/status"));
+        assert_eq!(description, format!("/proc/self/status SHA-256 {nothing}"));
         let messages = describe_with_hash(Path::new("/proc/kmsg"));
         assert!(messages.ends_with(&nothing) || messages.contains("cannot be read"), "{messages}");
     }

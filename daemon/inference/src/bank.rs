@@ -255,10 +255,10 @@ impl Bank {
 
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
         config.check_limits()?;
-        let begun = self.clock.mono();
+        let started_at = self.clock.mono();
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
-        let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, begun)?;
+        let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, started_at)?;
         Ok(pool.with_facts(config.facts(self.fingerprints.as_ref())))
     }
 }

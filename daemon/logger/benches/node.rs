@@ -70,25 +70,25 @@ fn main() {
 
 /// Returns the nanoseconds per call.
 fn time(clock: &SharedClock, calls: usize, mut call: impl FnMut()) -> f64 {
-    let begun = clock.mono();
+    let started_at = clock.mono();
     (0..calls).for_each(|_| call());
-    (clock.mono() - begun).nanos() as f64 / calls as f64
+    (clock.mono() - started_at).nanos() as f64 / calls as f64
 }
 
 /// Returns the nanoseconds per timed node over new recorders; `calls` of `record` create [`NODES`] of them.
 fn nodes(clock: &SharedClock, calls: usize, record: impl Fn(&mut Recorder)) -> f64 {
     let host = HostId::random();
     let mut logs: Vec<Recorder> = (0..TREES).map(|_| Recorder::new(clock.clone(), host)).collect();
-    let begun = clock.mono();
+    let started_at = clock.mono();
     for log in &mut logs {
         (0..calls).for_each(|_| record(log));
     }
-    (clock.mono() - begun).nanos() as f64 / (TREES * NODES) as f64
+    (clock.mono() - started_at).nanos() as f64 / (TREES * NODES) as f64
 }
 
 fn two_reads(clock: &SharedClock) {
-    let begun = black_box(clock.mono());
-    black_box(clock.mono() - begun);
+    let started_at = black_box(clock.mono());
+    black_box(clock.mono() - started_at);
 }
 
 fn nested(log: &mut Recorder) {

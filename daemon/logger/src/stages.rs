@@ -206,7 +206,7 @@ mod tests {
         let (edge, cloud) = (clock(1_000_000), clock(1_000_000 + offset));
         let both = [&edge, &cloud];
         let mut log = Recorder::new(Arc::<ManualClock>::clone(&edge), HostId::random());
-        let begun = log.clock().mono();
+        let started_at = log.clock().mono();
         {
             let _sensing = log.time(stage::SENSING);
             pass(both, 10);
@@ -234,7 +234,7 @@ mod tests {
         }
         pass(both, 3);
         let now = log.clock().mono();
-        log.record_timer(stage::TOTAL, begun, now);
+        log.record_timer(stage::TOTAL, started_at, now);
         log.finish()
     }
 

@@ -85,9 +85,9 @@ fn start_reflector(
             };
             let reflector = Reflector::bind(config, clock("cloud")).expect("a free port");
             tell.send(reflector.address()).expect("it is waited for");
-            let begun = busy();
+            let busy_before = busy();
             reflector.run(stopped).await.expect("the socket stays");
-            busy() - begun
+            busy() - busy_before
         })
     });
     (told.blocking_recv().expect("it was bound"), stop, thread)
@@ -118,7 +118,7 @@ fn probe(target: SocketAddr, stamps: StampSource, key: Option<&Key>) -> ProbeTot
         let warm_up = async { while results.recv().await.is_some() {} };
         let _ = tokio::time::timeout(WARM_UP, warm_up).await;
         let mut probed = ProbeTotals::default();
-        let begun = busy();
+        let busy_before = busy();
         let counting = async {
             while let Some(result) = results.recv().await {
                 match result {
@@ -134,7 +134,7 @@ fn probe(target: SocketAddr, stamps: StampSource, key: Option<&Key>) -> ProbeTot
             }
         };
         let _ = tokio::time::timeout(MEASURED_DURATION, counting).await;
-        probed.busy = busy() - begun;
+        probed.busy = busy() - busy_before;
         stop.cancel();
         for prober in probers {
             prober.await.expect("no panic");

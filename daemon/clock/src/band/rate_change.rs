@@ -254,11 +254,11 @@ mod tests {
     proptest! {
         #[test]
         fn hulls_find_about_the_best_of_all_pairs(upper in points(), lower in points(), q in -SECOND..12 * SECOND) {
-            let known = hulls(&upper, &lower).above(q, change());
+            let actual = hulls(&upper, &lower).above(q, change());
             let best = best_of_all_pairs(&upper, &lower, q);
             // The hulls leave out only pairs of points that are neighbours in time, which give weak bounds.
-            prop_assert!(known.is_none_or(|known| best.is_some_and(|best| best <= known)), "{known:?} {best:?}");
-            prop_assert!(best.is_none_or(|best| best > 0 || known.is_some()), "{known:?} {best:?}");
+            prop_assert!(actual.is_none_or(|actual| best.is_some_and(|best| best <= actual)), "{actual:?} {best:?}");
+            prop_assert!(best.is_none_or(|best| best > 0 || actual.is_some()), "{actual:?} {best:?}");
         }
 
         /// Uses exact bounds of an offset whose rate changes at the limit, first in one direction and then in the

@@ -173,8 +173,8 @@ mod tests {
             let mut slots = Slots::new(limit(), 10_000_000_000);
             points.iter().for_each(|point| _ = slots.insert(*point));
             let best = points.iter().map(|point| point.bound_at(limit(), after)).min().expect("points");
-            let known = slots.bound(after, i64::MAX).expect("points");
-            prop_assert!(best <= known && known <= best + 2, "{best} {known}");
+            let actual = slots.bound(after, i64::MAX).expect("points");
+            prop_assert!(best <= actual && actual <= best + 2, "{best} {actual}");
         }
 
         #[test]

@@ -105,12 +105,12 @@ proptest! {
                 let counted = all.iter().enumerate().filter(counts);
                 counted.map(|(_, bounds)| point(bounds).bound_at(drift, q)).min().expect("has exchanges")
             };
-            let known = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
+            let actual = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
             // The oldest slot expires when its best point does, together with points that may be younger.
             let short = window.nanos() - 500_000_000;
             for (point, bound) in [
-                ((|bounds| bounds.upper) as fn(&Bounds) -> Point, known.hi.nanos()),
-                (|bounds| bounds.lower, -known.lo.nanos()),
+                ((|bounds| bounds.upper) as fn(&Bounds) -> Point, actual.hi.nanos()),
+                (|bounds| bounds.lower, -actual.lo.nanos()),
             ] {
                 let (best, worst) = (lowest_bound(point, window.nanos()), lowest_bound(point, short) + 2);
                 prop_assert!(best <= bound && bound <= worst, "{best} {bound} {worst}");

@@ -216,14 +216,14 @@ mod tests {
         let hidden = write();
         assert!(!hidden.contains("hunter"), "{hidden}");
         let table: Table = hidden.parse().expect("TOML");
-        let told = |program: &str, arguments: i64| {
+        let expected = |program: &str, arguments: i64| {
             Value::Table(Table::from_iter([
                 ("program".to_owned(), Value::String(program.to_owned())),
                 ("arguments".to_owned(), Value::Integer(arguments)),
             ]))
         };
-        assert_eq!(table["sensor"]["launch"], told("./light", 2));
-        assert_eq!(table["sensor"]["then"][0], told("sh", 1));
+        assert_eq!(table["sensor"]["launch"], expected("./light", 2));
+        assert_eq!(table["sensor"]["then"][0], expected("sh", 1));
 
         let whole: Table = with_arguments(write).parse().expect("TOML");
         assert_eq!(whole["sensor"]["launch"].clone().try_into(), Ok(launch));
@@ -239,10 +239,10 @@ mod tests {
             fact("Actuator", "log"),
             fact("Notes", "the program ./light 5"),
         ];
-        let told = [("Sensor", "the program ./light"), ("Model", "the program sh"), ("Actuator", "log")];
+        let expected = [("Sensor", "the program ./light"), ("Model", "the program sh"), ("Actuator", "log")];
         for _ in 0..2 {
             hide_arguments_in_facts(&mut facts);
-            assert_eq!(&facts[..3], told.map(|(name, value)| fact(name, value)));
+            assert_eq!(&facts[..3], expected.map(|(name, value)| fact(name, value)));
             assert_eq!(facts[3].1, "the program ./light 5");
         }
     }

@@ -247,25 +247,28 @@ mod tests {
     fn files_of_command_are_recorded() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("own.sh"), "abc").expect("writable");
-        let own = "/own.sh SHA-256 ba7816bf";
+        let script_entry = "/own.sh SHA-256 ba7816bf";
         for (command, files) in [
-            ("['sh', 'own.sh', '--fast']", &["/sh SHA-256", own][..]),
-            ("['./own.sh', 'none']", &[own]),
-            ("'sh own.sh 2> /dev/null'", &["/sh SHA-256", own]),
-            ("'sh \"own.sh\" --fast'", &["/sh SHA-256", own]),
+            ("['sh', 'own.sh', '--fast']", &["/sh SHA-256", script_entry][..]),
+            ("['./own.sh', 'none']", &[script_entry]),
+            ("'sh own.sh 2> /dev/null'", &["/sh SHA-256", script_entry]),
+            ("'sh \"own.sh\" --fast'", &["/sh SHA-256", script_entry]),
             ("'while read x; do own.sh; done'", &[]),
             ("'cd x && cat'", &[]),
         ] {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
             let facts = config.facts(Role::Sensor);
             assert!(facts[0].0 == "Sensor" && facts[0].1.starts_with("the program "), "{facts:?}");
-            let told = facts.get(1).map_or("", |(name, told)| {
+            let recorded = facts.get(1).map_or("", |(name, recorded)| {
                 assert_eq!(name, "Sensor files");
-                told
+                recorded
             });
-            let told: Vec<&str> = told.split(", ").filter(|part| !part.is_empty()).collect();
-            assert_eq!(told.len(), files.len(), "{command}: {told:?}");
-            assert!(told.iter().zip(files).all(|(told, file)| told.contains(file)), "{command}: {told:?}");
+            let recorded: Vec<&str> = recorded.split(", ").filter(|part| !part.is_empty()).collect();
+            assert_eq!(recorded.len(), files.len(), "{command}: {recorded:?}");
+            assert!(
+                recorded.iter().zip(files).all(|(recorded, file)| recorded.contains(file)),
+                "{command}: {recorded:?}"
+            );
         }
     }
 
@@ -275,26 +278,29 @@ mod tests {
         for file in ["act.sh", "answers.txt"] {
             std::fs::write(folder.path().join(file), "abc").expect("writable");
         }
-        let own = "/act.sh SHA-256 ba7816bf";
+        let script_entry = "/act.sh SHA-256 ba7816bf";
         for (command, files) in [
-            ("['sh', 'act.sh', 'answers.txt']", &["/sh SHA-256", own][..]),
-            ("['sh', '-e', 'act.sh', 'answers.txt']", &["/sh SHA-256", own]),
-            ("['/bin/sh', 'act.sh', 'answers.txt']", &["/bin/sh SHA-256", own]),
-            ("['env', 'A=b', './act.sh', 'answers.txt']", &["/env SHA-256", own]),
-            ("['./act.sh', 'answers.txt']", &[own]),
+            ("['sh', 'act.sh', 'answers.txt']", &["/sh SHA-256", script_entry][..]),
+            ("['sh', '-e', 'act.sh', 'answers.txt']", &["/sh SHA-256", script_entry]),
+            ("['/bin/sh', 'act.sh', 'answers.txt']", &["/bin/sh SHA-256", script_entry]),
+            ("['env', 'A=b', './act.sh', 'answers.txt']", &["/env SHA-256", script_entry]),
+            ("['./act.sh', 'answers.txt']", &[script_entry]),
             ("['tee', 'answers.txt']", &["/tee SHA-256"]),
             ("['sh', '-c', 'cat > \"$0\"', 'answers.txt']", &["/sh SHA-256"]),
-            ("'sh act.sh >> answers.txt'", &["/sh SHA-256", own]),
-            ("'./act.sh >> answers.txt'", &[own]),
-            ("'sh act.sh | tee answers.txt'", &[own]),
+            ("'sh act.sh >> answers.txt'", &["/sh SHA-256", script_entry]),
+            ("'./act.sh >> answers.txt'", &[script_entry]),
+            ("'sh act.sh | tee answers.txt'", &[script_entry]),
             ("'cd x && tee answers.txt'", &[]),
         ] {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
             let facts = config.facts(Role::Actuator);
-            let told = facts.get(1).map_or("", |(_, told)| told);
-            let told: Vec<&str> = told.split(", ").filter(|part| !part.is_empty()).collect();
-            assert_eq!(told.len(), files.len(), "{command}: {told:?}");
-            assert!(told.iter().zip(files).all(|(told, file)| told.contains(file)), "{command}: {told:?}");
+            let recorded = facts.get(1).map_or("", |(_, recorded)| recorded);
+            let recorded: Vec<&str> = recorded.split(", ").filter(|part| !part.is_empty()).collect();
+            assert_eq!(recorded.len(), files.len(), "{command}: {recorded:?}");
+            assert!(
+                recorded.iter().zip(files).all(|(recorded, file)| recorded.contains(file)),
+                "{command}: {recorded:?}"
+            );
         }
     }
 

@@ -132,23 +132,23 @@ impl PythonObject {
         let called_at = self.clock.mono();
         let restarted = self.worker.is_none().then_some(called_at);
         let answer = self.take_or_start_worker().and_then(|mut worker| {
-            let begun = self.clock.mono();
-            let until = begun + milliseconds(self.config.timeout_ms.get());
+            let started_at = self.clock.mono();
+            let until = started_at + milliseconds(self.config.timeout_ms.get());
             match worker.call(parts, until) {
                 // A process is used again only after an answer: after a failure, bytes in the pipe would be taken for the
                 // answer to the next call.
                 Ok(answer) => {
                     self.worker = Some(worker);
                     self.restart_backoff.record_success();
-                    Ok((begun, answer))
+                    Ok((started_at, answer))
                 }
                 Err(failure) => Err(self.failure(failure, worker)),
             }
         });
         let ended = self.clock.mono();
         match answer {
-            Ok((begun, (reply, bytes))) => {
-                let mut call_result = self.call_result(reply, bytes, begun, ended);
+            Ok((started_at, (reply, bytes))) => {
+                let mut call_result = self.call_result(reply, bytes, started_at, ended);
                 call_result.times.restarted_at = restarted;
                 call_result
             }
@@ -166,12 +166,12 @@ impl PythonObject {
         &mut self,
         reply: Reply,
         bytes: Vec<Bytes>,
-        begun: MonoTime,
+        started_at: MonoTime,
         ended: MonoTime,
     ) -> CallResult {
         let call_result = |result, stages: &[(Stage, i64, i64)]| CallResult {
             result,
-            times: CallTimes::new(begun, ended, stages),
+            times: CallTimes::new(started_at, ended, stages),
         };
         match reply {
             Reply::Value { parts, stages } => {

@@ -39,7 +39,7 @@ impl ModelKind for EchoConfig {
 impl ModelConfig {
     /// Returns the configuration of a model that answers with its input.
     pub fn echo(name: Slug) -> Self {
-        ModelTable { shared: SharedKeys::new(name), own: EchoConfig::default() }.into()
+        ModelTable { shared: SharedKeys::new(name), kind_keys: EchoConfig::default() }.into()
     }
 }
 

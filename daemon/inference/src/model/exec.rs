@@ -20,7 +20,7 @@ const DEVICE: &str = "PEERNET_DEVICE";
 impl ModelConfig {
     /// Returns the configuration of a program, given as a line for the shell.
     pub fn program(shared: SharedKeys, command: &str) -> Self {
-        ModelTable { shared, own: ExecConfig::new(CommandLine::Shell(command.to_owned())) }.into()
+        ModelTable { shared, kind_keys: ExecConfig::new(CommandLine::Shell(command.to_owned())) }.into()
     }
 }
 

@@ -15,7 +15,7 @@ use crate::{InferenceError, LoadError, Model, Worker};
 impl ModelConfig {
     /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
     pub fn python_object(shared: SharedKeys, object: &str, pickle: bool) -> Self {
-        ModelTable { shared, own: PythonConfig { pickle, ..PythonConfig::new(object) } }.into()
+        ModelTable { shared, kind_keys: PythonConfig { pickle, ..PythonConfig::new(object) } }.into()
     }
 }
 

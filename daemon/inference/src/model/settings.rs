@@ -13,7 +13,7 @@ impl ModelConfig {
     /// Returns the settings of the model and the environment that it runs in, as pairs.
     pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
-        facts.extend(key.and_then(|key| self.own().arguments_fact(key)));
+        facts.extend(key.and_then(|key| self.kind_keys().arguments_fact(key)));
         facts.extend(environment().into_iter().map(|(name, value)| (format!("Model {name}"), value)));
         facts
     }
@@ -21,7 +21,7 @@ impl ModelConfig {
     /// Returns the keys of its table with their values, defaults included: `kind = onnx, workers = 2, …`.
     fn settings(&self) -> String {
         let table = serde_json::to_value(self).unwrap_or_default();
-        let unpublished = [&RECORDED_ELSEWHERE, self.own().unpublished_keys()].concat();
+        let unpublished = [&RECORDED_ELSEWHERE, self.kind_keys().unpublished_keys()].concat();
         let keys = table.as_object().into_iter().flatten();
         let entry = |(key, value): (&String, &Value)| match value {
             _ if unpublished.contains(&key.as_str()) => None,

@@ -58,12 +58,12 @@ impl ModelKind for SleepConfig {
 impl ModelConfig {
     /// Returns the configuration of a model that takes 100 ms.
     pub fn sleep(name: Slug) -> Self {
-        let own = SleepConfig {
+        let kind_keys = SleepConfig {
             preprocessing_ms: ten_ms(),
             inference_ms: eighty_ms(),
             postprocessing_ms: ten_ms(),
         };
-        ModelTable { shared: SharedKeys::new(name), own }.into()
+        ModelTable { shared: SharedKeys::new(name), kind_keys }.into()
     }
 }
 

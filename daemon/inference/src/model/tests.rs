@@ -13,7 +13,7 @@ fn the_short_forms_have_sensible_defaults() {
     let ModelConfig::Sleep(sleep) = read("name = \"s\"\nkind = \"sleep\"").expect("reads") else {
         panic!("kind = sleep is a sleep");
     };
-    let sleep = sleep.own;
+    let sleep = sleep.kind_keys;
     assert_eq!((sleep.preprocessing_ms, sleep.inference_ms, sleep.postprocessing_ms), (10, 80, 10));
 }
 

@@ -53,9 +53,9 @@ fn exceptions_and_unsupported_values_fail_one_sample() {
     let pool = loaded(&bank, "p");
     let done = run(&pool, text(""));
     let error = done.result.expect_err("raises");
-    let said = error.to_string();
-    assert!(matches!(error, InferenceError::Failed { .. }), "{said}");
-    assert!(said.contains("ValueError: nothing to see") && said.contains("net.py"), "{said}");
+    let message = error.to_string();
+    assert!(matches!(error, InferenceError::Failed { .. }), "{message}");
+    assert!(message.contains("ValueError: nothing to see") && message.contains("net.py"), "{message}");
     assert!(done.log.finish().find(&["inference"]).is_none(), "it never began");
     let error = run(&pool, text("set")).result.expect_err("a set does not cross");
     assert!(matches!(error, InferenceError::Failed { .. }), "{error}");

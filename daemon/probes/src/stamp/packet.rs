@@ -129,18 +129,18 @@ impl Reply {
     /// Reads a reply. `None` if the packet is too short. A request can also be read as a reply; the further fields are
     /// then the bytes that follow it.
     pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
-        let own = Request::parse(mode, packet)?;
+        let base_fields = Request::parse(mode, packet)?;
         let at = mode.layout();
         Some(Self {
-            sequence: own.sequence,
-            timestamp: own.timestamp,
-            estimate: own.estimate,
+            sequence: base_fields.sequence,
+            timestamp: base_fields.timestamp,
+            estimate: base_fields.estimate,
             received: u64::from_be_bytes(field(packet, at.received)),
             request: Request {
                 sequence: u32::from_be_bytes(field(packet, at.request_sequence)),
                 timestamp: u64::from_be_bytes(field(packet, at.request_timestamp)),
                 estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(packet, at.request_estimate))),
-                ssid: own.ssid,
+                ssid: base_fields.ssid,
             },
             ttl: packet[at.ttl],
         })
@@ -148,14 +148,14 @@ impl Reply {
 
     /// Writes the whole base packet without its code. `packet` must be at least as long as the base packet.
     pub fn write(&self, mode: Mode, packet: &mut [u8]) {
-        let own = Request {
+        let base_fields = Request {
             sequence: self.sequence,
             timestamp: self.timestamp,
             estimate: self.estimate,
             // A reply repeats the session identifier of its request.
             ssid: self.request.ssid,
         };
-        own.write(mode, packet);
+        base_fields.write(mode, packet);
         let at = mode.layout();
         put(packet, at.received, &self.received.to_be_bytes());
         put(packet, at.request_sequence, &self.request.sequence.to_be_bytes());

@@ -229,7 +229,7 @@ async fn source_above_its_rate_is_answered_at_limit() {
     let request = [0; 44];
     // Far more than the requests of five seconds, in far less time; otherwise the limit would allow more.
     let clock = system_clock("edge");
-    let begun = clock.mono();
+    let started_at = clock.mono();
     for _ in 0..200 {
         socket.send_to(&request, running.address).await.expect("sent");
     }
@@ -244,7 +244,7 @@ async fn source_above_its_rate_is_answered_at_limit() {
         }
     };
     let counts = tokio::time::timeout(crate::support::PATIENCE, all).await.expect("all are looked at");
-    let most = 5.0 + 5.0 * (clock.mono() - begun).seconds();
+    let most = 5.0 + 5.0 * (clock.mono() - started_at).seconds();
     assert!(counts.answered >= 5 && counts.answered as f64 <= most + 1.0, "{counts:?}, most {most}");
     running.stop().await;
 }

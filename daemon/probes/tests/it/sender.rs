@@ -91,8 +91,13 @@ impl Pair {
         reflector_clocks.advance(Span::from_micros(50));
         let stamp = self.reflector.complete(&answer, &mut packet, &reflector_clocks);
         self.reflector.record_sent(&answer, stamp);
-        let left = stamp + Span::from_micros(5);
-        self.reflector.record_departure(&answer.session(), answer.sequence(), left.wall, left.raw);
+        let departed_at = stamp + Span::from_micros(5);
+        self.reflector.record_departure(
+            &answer.session(),
+            answer.sequence(),
+            departed_at.wall,
+            departed_at.raw,
+        );
         self.clock.advance(Span::from_micros(55) + ONE_WAY_DELAY);
         packet
     }
@@ -139,12 +144,12 @@ impl Pair {
 fn next_reply_refines_departure_of_previous_one() {
     for with_key in [false, true] {
         let mut pair = Pair::new(0, with_key);
-        let begun = pair.clock.stamp();
+        let started_at = pair.clock.stamp();
         let first = pair.exchange();
         let ExchangeObservation { exchange, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
-        assert_eq!(exchange.sent, begun.raw);
-        assert_eq!(exchange.received, RawTime::from_wall(begun.wall + ONE_WAY_DELAY + pair.ahead));
+        assert_eq!(exchange.sent, started_at.raw);
+        assert_eq!(exchange.received, RawTime::from_wall(started_at.wall + ONE_WAY_DELAY + pair.ahead));
         assert_eq!(exchange.replied, exchange.received + Span::from_micros(50));
         assert_eq!(exchange.returned, pair.clock.raw());
         assert_eq!(exchange.uncertainty, uncertainty::PEERNET_ENDS);
@@ -168,12 +173,12 @@ fn plausible_kernel_departure_stamp_is_used() {
         [(Span::from_micros(9), true), (-Span::from_nanos(1), false), (Span::from_seconds(2), false)]
     {
         let mut pair = Pair::new(0, false);
-        let begun = pair.clock.stamp();
+        let started_at = pair.clock.stamp();
         let (departure, packet) = pair.send();
-        pair.sender.record_departure(departure.sequence(), begun.wall + late, pair.clock.wall_ahead());
+        pair.sender.record_departure(departure.sequence(), started_at.wall + late, pair.clock.wall_ahead());
         let reply = pair.reflect(packet);
         let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
-        assert_eq!(answered.exchange.sent, if taken { begun.raw + late } else { begun.raw });
+        assert_eq!(answered.exchange.sent, if taken { started_at.raw + late } else { started_at.raw });
     }
 }
 
@@ -269,13 +274,13 @@ fn tlvs_of_another_probe_are_refused() {
     };
     let mut earlier = bound(1);
     let (_, packet) = earlier.send();
-    let told = earlier.reflect(packet);
+    let result = earlier.reflect(packet);
     let mut pair = bound(2);
     pair.clock.advance(Span::from_seconds(9));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
     // Both halves are authentic, each by itself.
-    let spliced = [&reply[..112], &told[112..]].concat();
+    let spliced = [&reply[..112], &result[112..]].concat();
     assert_eq!(pair.receive_reply(&spliced), Err("an answer with the random octets of another probe"));
     // The octets are right, but in a place that is not authenticated.
     let octets = tlv::headers(&reply[112..]).find(|header| header.kind == tlv::EXTRA_PADDING).expect("bound");
@@ -378,11 +383,11 @@ fn reply_of_another_process_is_refused() {
         pair.sender = SenderState::new(SenderConfig { instance: expected, ..config() });
         let (_, packet) = pair.send();
         let reply = pair.reflect(packet);
-        let told = pair.receive_reply(&reply);
-        assert_eq!(told.is_ok(), believed, "{expected:?}: {told:?}");
+        let result = pair.receive_reply(&reply);
+        assert_eq!(result.is_ok(), believed, "{expected:?}: {result:?}");
         if !believed {
             assert_eq!(
-                told,
+                result,
                 Err("the probes are answered by another process than the one that serves the data")
             );
             let real = Pair::with_origin(&reply, |origin| origin.instance = INSTANCE + 1);
@@ -399,9 +404,9 @@ fn reply_without_expected_origin_is_refused() {
     let reply = pair.reflect(packet.clone());
     let foreign = [&reply[..44], &packet[44..]].concat();
     for reply in [&reply[..44], &foreign] {
-        let told = pair.receive_reply(reply);
+        let result = pair.receive_reply(reply);
         assert_eq!(
-            told,
+            result,
             Err("the probes are answered by another program than the agent that serves the data")
         );
     }
@@ -417,21 +422,21 @@ fn reply_with_damaged_tlvs_is_refused_with_reason() {
     let mut altered_request = packet.clone();
     altered_request[112 + tlv::HEADER_BYTES] ^= 1;
     let reply = pair.reflect(altered_request);
-    let said = pair.receive_reply(&reply).expect_err("the probe was altered");
-    assert!(said.contains("HMAC of the probe's TLVs does not fit"), "{said}");
+    let error = pair.receive_reply(&reply).expect_err("the probe was altered");
+    assert!(error.contains("HMAC of the probe's TLVs does not fit"), "{error}");
     let reply = pair.reflect(packet);
     let code = tlv::headers(&reply[112..]).find(|header| header.kind == tlv::HMAC).expect("authenticated");
     for at in 112..112 + code.offset {
         let mut altered = reply.clone();
         altered[at] ^= 1;
-        let said = pair.receive_reply(&altered).expect_err("the reply was altered");
-        assert!(!said.contains("something else answers"), "octet {at}: {said}");
+        let error = pair.receive_reply(&altered).expect_err("the reply was altered");
+        assert!(!error.contains("another program"), "octet {at}: {error}");
     }
     let mut altered = reply.clone();
     *altered.last_mut().expect("not empty") ^= 1;
     assert!(pair.receive_reply(&altered).expect_err("altered").contains("TLVs whose HMAC does not fit"));
-    let said = pair.receive_reply(&reply[..112]).expect_err("cut off");
-    assert!(said.contains("does not say which process wrote it"), "{said}");
+    let error = pair.receive_reply(&reply[..112]).expect_err("cut off");
+    assert!(error.contains("does not say which process wrote it"), "{error}");
     assert!(pair.receive_reply(&reply).is_ok());
 }
 
@@ -447,10 +452,10 @@ fn kernel_stamps_of_another_clock_are_distrusted() {
         let earlier = early.max(Span::ZERO);
         assert_eq!(got, if sound { back.raw - earlier } else { back.raw }, "{early}");
         assert_eq!(pair.sender.ignores_kernel_stamps(), !sound, "{early}");
-        let (begun, back) = (pair.clock.raw(), pair.clock.stamp() + there_and_back);
+        let (started_at, back) = (pair.clock.raw(), pair.clock.stamp() + there_and_back);
         let next = pair.stamped(back.wall - little);
         assert_eq!(next.exchange.returned, if sound { back.raw - little } else { back.raw }, "{early}");
-        assert_eq!(next.exchange.sent, begun, "{early}");
+        assert_eq!(next.exchange.sent, started_at, "{early}");
     }
 }
 
@@ -469,20 +474,23 @@ fn kernel_departure_before_ours_is_distrusted() {
 fn setting_wall_clock_causes_no_distrust_of_kernel() {
     for by in [Span::from_seconds(3), -Span::from_seconds(3)] {
         let mut pair = Pair::raw(false);
-        let begun = pair.clock.raw();
+        let started_at = pair.clock.raw();
         let (departure, packet) = pair.send();
         // It really leaves slightly later; then the clock is set, and only then is the kernel's stamp read.
-        let left = pair.clock.wall() + Span::from_micros(9);
+        let departed_at = pair.clock.wall() + Span::from_micros(9);
         let reply = pair.reflect(packet);
         let kernel = pair.clock.wall();
         let arrived = pair.clock.raw();
         pair.clock.step_wall(by);
-        pair.sender.record_departure(departure.sequence(), left, pair.clock.wall_ahead());
+        pair.sender.record_departure(departure.sequence(), departed_at, pair.clock.wall_ahead());
         pair.clock.advance(Span::from_micros(20));
         let returned = pair.returned(Some(kernel));
         let reply_result = pair.sender.receive(&reply, &returned).expect("an answer");
         let exchange = answered(&reply_result).exchange;
-        assert!(begun <= exchange.sent && exchange.sent <= begun + Span::from_micros(9), "{exchange:?}");
+        assert!(
+            started_at <= exchange.sent && exchange.sent <= started_at + Span::from_micros(9),
+            "{exchange:?}"
+        );
         assert!(arrived <= exchange.returned && exchange.returned <= pair.clock.raw(), "{exchange:?}");
         assert!(exchange.bounds().contains(Span::ZERO), "{exchange:?}");
         assert!(!pair.sender.ignores_kernel_stamps());
@@ -493,11 +501,11 @@ fn setting_wall_clock_causes_no_distrust_of_kernel() {
 fn raw_exchange_is_of_both_free_running_clocks() {
     for with_key in [false, true] {
         let mut pair = Pair::raw(with_key);
-        let begun = pair.clock.raw();
+        let started_at = pair.clock.raw();
         let first = answered(&pair.exchange());
-        assert_eq!((first.exchange.sent, first.exchange.returned), (begun, pair.clock.raw()));
-        assert_eq!(first.exchange.received, begun + ONE_WAY_DELAY, "the same by both");
-        assert_eq!(first.exchange.replied, begun + ONE_WAY_DELAY + Span::from_micros(50));
+        assert_eq!((first.exchange.sent, first.exchange.returned), (started_at, pair.clock.raw()));
+        assert_eq!(first.exchange.received, started_at + ONE_WAY_DELAY, "the same by both");
+        assert_eq!(first.exchange.replied, started_at + ONE_WAY_DELAY + Span::from_micros(50));
         assert_eq!(first.cloud_epoch, Some(0));
         // Steps of wall clocks have no effect.
         pair.clock.step_wall(Span::from_seconds(60));

@@ -43,12 +43,12 @@ fn files_are_sent_unchanged_in_order_of_names() {
     let facts = again.facts();
     assert!(facts[0].1.starts_with("2 images of "), "{facts:?}");
     // sha256sum a.PNG b.jpg | sha256sum
-    let known = "826c0a54f7c2d8bb84fc726a774bca6b068d982bc07be25b818b44d7bb260970";
-    assert_eq!(facts[1], ("Data set".to_owned(), format!("2 files, 20 bytes, SHA-256 {known}")));
+    let expected_hash = "826c0a54f7c2d8bb84fc726a774bca6b068d982bc07be25b818b44d7bb260970";
+    assert_eq!(facts[1], ("Data set".to_owned(), format!("2 files, 20 bytes, SHA-256 {expected_hash}")));
     let single = images(&folder.path().join("b.jpg"), Order::Name, 1, true).expect("opens");
     // sha256sum b.jpg | sha256sum
-    let known = "ae243e0b7ccc10a32b9e0ae51687ae87648850a914e05656bd142517f528bfe9";
-    assert_eq!(single.facts()[1].1, format!("1 file, 10 bytes, SHA-256 {known}"));
+    let expected_hash = "ae243e0b7ccc10a32b9e0ae51687ae87648850a914e05656bd142517f528bfe9";
+    assert_eq!(single.facts()[1].1, format!("1 file, 10 bytes, SHA-256 {expected_hash}"));
 }
 
 #[test]

@@ -88,8 +88,8 @@ impl History {
                 || trip.ended < restart
                 || trip.ended - (trip.up + trip.down).nanos() as f64 - 1e9 > restart
         });
-        let told = trips.into_iter().map(|trip| (trip, u32::from(restarted && trip.ended > restart)));
-        let mut trips: Vec<(Trip, u32)> = told.collect();
+        let with_epochs = trips.into_iter().map(|trip| (trip, u32::from(restarted && trip.ended > restart)));
+        let mut trips: Vec<(Trip, u32)> = with_epochs.collect();
         for (trip, _) in &mut trips {
             trip.ended += if random.chance(0.05) { random.exponential(5e8) } else { 0.0 };
         }

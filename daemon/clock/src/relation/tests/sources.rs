@@ -59,10 +59,10 @@ fn claims_that_are_not_trusted_change_nothing() {
     for trip in Path::VETH.trips(&host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
         relation.learn(&trip.observation());
     }
-    let known = relation.offset(at(10), WallTime::default()).expect("exchanges");
-    assert_eq!((known.source, known.verdict, known.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));
+    let actual = relation.offset(at(10), WallTime::default()).expect("exchanges");
+    assert_eq!((actual.source, actual.verdict, actual.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));
     // The drift is 10 ppm for ten seconds.
-    assert!(known.bounds.contains(Span::from_micros(5_100)));
+    assert!(actual.bounds.contains(Span::from_micros(5_100)));
 }
 
 #[test]

@@ -8,19 +8,19 @@ use super::Module;
 /// Returns the files of a fact as paths below a folder, after checking their hashes.
 fn files(facts: &[(String, String)], folder: &Path) -> Vec<String> {
     let folder = folder.canonicalize().expect("is there");
-    let (_, told) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
-    let file = |told: &str| {
-        let (path, hash) = told.split_once(" SHA-256 ").expect("has one");
+    let (_, libraries_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let file = |libraries_fact: &str| {
+        let (path, hash) = libraries_fact.split_once(" SHA-256 ").expect("has one");
         let bytes = fs::read(path).expect("is there");
         assert_eq!(hash, peernet_external::sha256(bytes.as_slice()).expect("is read"));
         Path::new(path).strip_prefix(&folder).expect("is the user's own").display().to_string()
     };
-    told.split(", ").map(file).collect()
+    libraries_fact.split(", ").map(file).collect()
 }
 
 fn libraries(facts: &[(String, String)]) -> Vec<&str> {
-    let told = facts.iter().find(|(name, _)| name == "Model libraries");
-    told.map_or_else(Vec::new, |(_, told)| told.split(", ").collect())
+    let libraries_fact = facts.iter().find(|(name, _)| name == "Model libraries");
+    libraries_fact.map_or_else(Vec::new, |(_, libraries_fact)| libraries_fact.split(", ").collect())
 }
 
 #[test]
@@ -125,8 +125,8 @@ fn a_sensor_that_imports_nothing_has_no_libraries() {
     let source = "import PIL.Image\nclass Own:\n    def sample(self): return PIL.Image.new('L', (1, 1))\n";
     let module = Module::new(source, "own::Own");
     let facts = module.sensor().about().facts("Sensor");
-    let (name, told) = facts.last().expect("there are some");
-    assert!(name == "Sensor libraries" && told.contains("PIL "), "{facts:?}");
+    let (name, libraries_fact) = facts.last().expect("there are some");
+    assert!(name == "Sensor libraries" && libraries_fact.contains("PIL "), "{facts:?}");
 }
 
 #[test]
@@ -147,9 +147,9 @@ class Own:
     let folder = module.folder.path().canonicalize().expect("is there");
     let bytes = fs::read(folder.join("gear.egg")).expect("was made");
     let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
-    let (_, told) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
-    let parts: Vec<&str> = told.split(", ").collect();
-    assert!(parts.len() == 2 && parts[0].contains("/own.py SHA-256 "), "{told}");
+    let (_, libraries_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let parts: Vec<&str> = libraries_fact.split(", ").collect();
+    assert!(parts.len() == 2 && parts[0].contains("/own.py SHA-256 "), "{libraries_fact}");
     assert_eq!(parts[1], format!("{}/gear.egg SHA-256 {hash}", folder.display()));
 }
 
@@ -163,8 +163,8 @@ fn there_is_an_end_to_what_is_told() {
     }
     let facts = module.model().about().facts("Model");
     assert_eq!(files(&facts, module.folder.path()).len(), 64);
-    let (name, told) = facts.last().expect("there are some");
-    assert!(name == "Model imports" && told.contains("more than is told"), "{facts:?}");
+    let (name, libraries_fact) = facts.last().expect("there are some");
+    assert!(name == "Model imports" && libraries_fact.contains("more than is told"), "{facts:?}");
 }
 
 #[test]
@@ -186,7 +186,9 @@ fn object_with_misleading_attributes_is_described() {
         let facts = module.model().about().facts("Model");
         assert_eq!(facts[0].0, "Model");
         assert!(
-            facts.iter().all(|(_, told)| !told.contains('\x1b') && told.len() < 9000),
+            facts
+                .iter()
+                .all(|(_, libraries_fact)| !libraries_fact.contains('\x1b') && libraries_fact.len() < 9000),
             "{own}: {facts:?}"
         );
     }

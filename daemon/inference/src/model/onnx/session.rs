@@ -74,10 +74,12 @@ pub(super) fn session_error(plan: &Plan, error: &ort::Error) -> LoadError {
 fn reason(text: &str) -> String {
     // As in "…/info.cc:63 static … [ONNXRuntimeError] : 1 : FAIL : options.h:187 Parse Failed to parse …: Invalid
     // device ID: 7".
-    let said = text.rsplit_once("[ONNXRuntimeError] : ").map_or(text, |(_, said)| said);
-    let said =
-        said.split_once(" : ").filter(|(code, _)| code.parse::<u32>().is_ok()).map_or(said, |(_, it)| it);
-    let line = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    let message = text.rsplit_once("[ONNXRuntimeError] : ").map_or(text, |(_, message)| message);
+    let message = message
+        .split_once(" : ")
+        .filter(|(code, _)| code.parse::<u32>().is_ok())
+        .map_or(message, |(_, it)| it);
+    let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
     if line.contains("Failed to load library") {
         format!("{line}; check that the device's own libraries, such as CUDA's, are in LD_LIBRARY_PATH")
     } else {
@@ -93,13 +95,14 @@ fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize
             format!("its card names the {what} {name:?}, but it has {}", names.join(", ")),
         ));
     };
-    let fits = |own: &[i64]| {
+    let fits = |actual: &[i64]| {
         // The model leaves a length of -1 open.
-        own.len() == shape.len() && own.iter().zip(shape).all(|(own, card)| *own < 0 || *own == *card as i64)
+        actual.len() == shape.len()
+            && actual.iter().zip(shape).all(|(actual, card)| *actual < 0 || *actual == *card as i64)
     };
     let dtype = outlet.dtype();
     if dtype.tensor_type() == Some(TensorElementType::Float32)
-        && dtype.tensor_shape().is_some_and(|own| fits(own))
+        && dtype.tensor_shape().is_some_and(|actual| fits(actual))
     {
         return Ok(());
     }
@@ -116,12 +119,12 @@ mod tests {
 
     #[test]
     fn refusal_is_one_line_without_source_location() {
-        let said = "/onnxruntime_src/cuda_execution_provider_info.cc:63 static onnxruntime::Info [ONNXRuntimeError] : 1 : FAIL : \
+        let message = "/onnxruntime_src/cuda_execution_provider_info.cc:63 static onnxruntime::Info [ONNXRuntimeError] : 1 : FAIL : \
                     options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
                     (inclusive) and 1 (exclusive).\n";
         let short = "FAIL : options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
                      (inclusive) and 1 (exclusive).";
-        assert_eq!(reason(said), short);
+        assert_eq!(reason(message), short);
         let library = "[ONNXRuntimeError] : 1 : FAIL : Failed to load library /opt/libcuda.so with error: file too short";
         assert!(reason(library).ends_with(
             "file too short; check that the device's own libraries, such as CUDA's, are in LD_LIBRARY_PATH"

@@ -159,7 +159,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(MODEL), "abc").expect("written");
         // Example in FIPS 180-4.
-        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(hash(folder.path(), MODEL).expect("is read"), known);
+        let expected_hash = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(hash(folder.path(), MODEL).expect("is read"), expected_hash);
     }
 }
