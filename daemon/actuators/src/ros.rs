@@ -128,6 +128,7 @@ impl Ros {
             }
         };
         if written.as_ref().is_err_and(TopicError::is_end) {
+            // The next answer starts another node and publishes again.
             self.writer = None;
         }
         Ok(written?)

@@ -90,12 +90,13 @@ pub(crate) fn open_jpeg(
     Ok(OpenedImage { decoder, width, height })
 }
 
-/// Returns strict options: truncated data are an error instead of a picture with a grey lower part.
+/// Returns the options of the JPEG decoder.
 fn jpeg_options(format: PixelFormat) -> DecoderOptions {
     let colours = match format {
         PixelFormat::Rgb8 => ColorSpace::RGB,
         PixelFormat::Grey8 => ColorSpace::Luma,
     };
+    // Without the strict mode a truncated file gives a picture with a grey lower part instead of an error.
     DecoderOptions::default()
         .set_strict_mode(true)
         .set_max_width(MAX_SIDE as usize)
@@ -119,6 +120,7 @@ fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result
         (image::ColorType::Rgb8, PixelFormat::Rgb8) | (image::ColorType::L8, PixelFormat::Grey8)
     );
     if is_target_format {
+        // Decoded straight into the target, without a copy.
         let target = picture.reshape(format, width, height);
         return decoder.read_image(target).map_err(|error| png_error(&error));
     }

@@ -62,6 +62,7 @@ impl Picture {
     /// Changes format and size, and returns the pixels to be written; their contents are undefined.
     pub(crate) fn reshape(&mut self, format: PixelFormat, width: u32, height: u32) -> &mut [u8] {
         (self.format, self.width, self.height) = (format, width, height);
+        // The allocation is reused, so that a stream of pictures of one size allocates memory once.
         self.pixels.resize(pixel_bytes(format, width, height) as usize, 0);
         &mut self.pixels
     }

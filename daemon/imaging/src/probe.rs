@@ -25,6 +25,7 @@ pub struct Header {
 pub fn probe(file: &[u8]) -> Result<Header, ImageError> {
     let media = detect_format(file)?;
     let (width, height) = if media == MediaType::Jpeg {
+        // The pixel format has no effect, because only the header is read.
         let opened = open_jpeg(file, PixelFormat::Rgb8)?;
         (opened.width, opened.height)
     } else {

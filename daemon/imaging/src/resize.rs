@@ -95,6 +95,7 @@ impl Resizer {
         let pixels = target.reshape(picture.format(), width, height);
         let mut to =
             fir::images::Image::from_slice_u8(width, height, pixels, kind).map_err(|_| impossible())?;
+        // Neither pixel format has an alpha channel.
         let options = fir::ResizeOptions::new().resize_alg(scaling.into().algorithm()).use_alpha(false);
         self.0.resize(&from, &mut to, &options).map_err(|_| impossible())
     }

@@ -41,6 +41,7 @@ pub(crate) fn pixels_size(part: &Part, format: PixelFormat) -> Result<(u32, u32)
 
 /// Refuses sizes that are empty or would take too much memory.
 pub(crate) fn check_size(width: u64, height: u64) -> Result<(), ImageError> {
+    // The sides are checked first, so that their product cannot overflow.
     let sides = 1..=MAX_SIDE;
     if sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS {
         Ok(())

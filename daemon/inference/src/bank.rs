@@ -162,6 +162,7 @@ impl Bank {
         })?;
         let pool = self.load_entry(&entry);
         if pool.is_err() {
+            // The next request reads the files again, which may have been corrected.
             cache.discard(&entry);
         }
         pool

@@ -46,6 +46,7 @@ impl Pool {
             let worker = Some(model.create_worker()?);
             Ok(WorkerSlot { name: name.clone(), model: Arc::clone(&model), clock: Arc::clone(clock), worker })
         };
+        // A model that does not block runs on the thread of its caller, one sample at a time.
         let workers = if model.blocks() { sizes.workers } else { 1 };
         let mut slots = (0..workers).map(slot).collect::<Result<Vec<_>, LoadError>>()?;
         let execution = match slots.pop() {

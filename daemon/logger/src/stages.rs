@@ -96,6 +96,7 @@ impl Transport {
     fn sum(&self) -> Option<Span> {
         // Without a reply to each upload the offset does not cancel.
         let is_paired = self.uploads > 0 && self.uploads == self.downloads && !self.is_unfinished;
+        // A negative sum means that the edge's wall clock was set back meanwhile.
         Some(self.sum).filter(|sum| is_paired && !sum.is_negative())
     }
 

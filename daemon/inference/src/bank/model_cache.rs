@@ -25,6 +25,7 @@ impl ModelCache {
 
     /// Returns the names of the models on disk that can be requested.
     pub(super) fn names(&self) -> Vec<Slug> {
+        // Without a device no model of the folders can be requested.
         if self.config.devices.is_empty() {
             return Vec::new();
         }

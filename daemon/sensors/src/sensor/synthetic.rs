@@ -45,6 +45,7 @@ impl SensorKind for SyntheticConfig {
             Some(_) => return config_error("produces at most 1073741824 bytes per sample; lower its size"),
             None => return config_error("needs size_bytes or sizes_bytes"),
         };
+        // All payloads are slices of one buffer, so that many sizes take no more memory than the largest.
         let mut buffer = vec![0; largest];
         StdRng::seed_from_u64(self.seed).fill_bytes(&mut buffer);
         let buffer = Bytes::from(buffer);

@@ -66,6 +66,7 @@ fn transform_pictures(
             changed = true;
         }
     }
+    // A transform without a picture to work on shows a mistake in the configuration.
     if !changed {
         let media = sample.parts.first().map_or(MediaType::Bytes, |part| part.description.media.clone());
         let error = ImageError::NotAPicture(media);

@@ -59,6 +59,7 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     }
     let digits = format!("{size:.decimals$}");
     let (whole, fraction) = digits.split_once('.').unwrap_or((&digits, ""));
+    // A number that is rounded to zero has no sign.
     let sign = if value < 0.0 && has_digit(&digits) { MINUS } else { "" };
     let point = if fraction.is_empty() { "" } else { "." };
     format!("{sign}{}{point}{fraction}", group(whole))

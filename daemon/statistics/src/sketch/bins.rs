@@ -95,6 +95,7 @@ impl Bins {
         if self.counts.is_empty() {
             self.first = lowest;
         } else if lowest > self.first {
+            // The lowest bins are merged, because the error of the largest quantiles must stay bounded.
             let collapsed = ((lowest - self.first) as usize).min(self.counts.len());
             let sum: u64 = self.counts.drain(..collapsed).sum();
             self.first = lowest;

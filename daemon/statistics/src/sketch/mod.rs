@@ -47,6 +47,7 @@ impl Sketch {
     #[inline]
     pub fn record(&mut self, value: f64) {
         let magnitude = value.abs();
+        // Zero has no logarithm, so that it has a count of its own.
         if magnitude < Self::MIN_MAGNITUDE {
             self.zero += 1;
         } else if magnitude.is_finite() {

@@ -24,6 +24,7 @@ impl Runtime {
     /// Returns the library that the search finds; loads it on the first call.
     pub(super) fn get(config: &OnnxRuntimeConfig) -> Result<Arc<Self>, LibraryError> {
         let search_settings = SearchSettings::from_environment(config.library.as_deref());
+        // The lock is held while the library loads, so that it is loaded once.
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         let (found, mut searched) = search_settings.search()?;
         if let Some(runtime) = loaded.as_ref() {

@@ -34,8 +34,8 @@ pub(super) struct OnnxWorker {
 }
 
 impl OnnxWorker {
-    /// Creates a worker and runs it once, on zeros: the first run of a session is slow, and a card that does not fit
-    /// the model is noticed before a sample arrives.
+    /// Creates a worker, and runs it once on zeros.
+    // The first run of a session is slow. It also shows whether the card fits the model before a sample arrives.
     pub(super) fn new_warmed_up(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
         let preprocessor = Preprocessor::new(&plan.card);
         let mut worker = Self { session, preprocessor, numbers: Vec::new(), plan };

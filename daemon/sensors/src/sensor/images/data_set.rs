@@ -32,8 +32,9 @@ fn hash_files(files: &[(&OsStr, &Path)], largest: u64) -> io::Result<(u64, Strin
     let bytes = sizes.iter().sum();
     let (is_small, mut list) = (bytes <= largest, Vec::new());
     for ((name, file), size) in files.iter().zip(sizes) {
-        let about = if is_small { sha256(File::open(file)?.take(size))? } else { size.to_string() };
-        list.extend([about.as_bytes(), b"  ", name.as_encoded_bytes(), b"\n"].concat());
+        // No more than the size is read, so that a file that grows meanwhile does not delay the run.
+        let hash_or_size = if is_small { sha256(File::open(file)?.take(size))? } else { size.to_string() };
+        list.extend([hash_or_size.as_bytes(), b"  ", name.as_encoded_bytes(), b"\n"].concat());
     }
     let of = if is_small { "SHA-256" } else { "SHA-256 of sizes and names only" };
     Ok((bytes, format!("{of} {}", sha256(list.as_slice())?)))

@@ -199,6 +199,7 @@ fn read_folder(path: &Path, file: Option<&Path>) -> Result<LabelledPictures, Sen
             let media = folder::media(&file)?;
             let below = file.strip_prefix(path).unwrap_or(&file);
             let source = below.to_string_lossy().into_owned();
+            // Without a file of labels, a picture is labelled with the name of its folder.
             let label = match &mut labels {
                 Some(labels) => labels.remove(&source),
                 None => below.iter().rev().nth(1).map(|folder| folder.to_string_lossy().into_owned()),

@@ -135,6 +135,7 @@ impl Ros {
         if let Err(error) = &read
             && error.is_end()
         {
+            // The next sample starts another node and subscribes again.
             self.reader = None;
         }
         read
