@@ -160,8 +160,9 @@ impl Band {
                 .is_some_and(|opposite| opposite < bound)
         };
         let is_excluded = (improves(upper, |bounds| bounds.upper)
-            && excludes(upper.x, negated_upper, Hulls::below))
-            || (improves(lower, |bounds| bounds.lower) && excludes(lower.x, negated_lower, Hulls::above));
+            && excludes(upper.x, negated_upper, Hulls::lower_bound))
+            || (improves(lower, |bounds| bounds.lower)
+                && excludes(lower.x, negated_lower, Hulls::upper_bound));
         is_excluded.then_some(Contradiction::DriftChange)
     }
 
@@ -212,12 +213,13 @@ impl Band {
             lo: Span::from_nanos(lo.saturating_neg()),
             hi: Span::from_nanos(hi),
         };
-        let (hi, lo) = (self.above(q)?, self.below(q)?);
+        let (hi, lo) = (self.upper_bound(q)?, self.lower_bound(q)?);
         let cones = OffsetInterval { interval: interval(hi, lo), is_consistent: true };
         let Some(change) = self.drift.change else { return Some(cones) };
-        let (above, below) =
-            self.query_hulls(q, change, |hulls| (hulls.above(q, change), hulls.below(q, change)));
-        let (hi, lo) = (above.map_or(hi, |bound| bound.min(hi)), below.map_or(lo, |bound| bound.min(lo)));
+        let (upper_bound, lower_bound) =
+            self.query_hulls(q, change, |hulls| (hulls.upper_bound(q, change), hulls.lower_bound(q, change)));
+        let (hi, lo) =
+            (upper_bound.map_or(hi, |bound| bound.min(hi)), lower_bound.map_or(lo, |bound| bound.min(lo)));
         if hi.saturating_add(lo) < 0 {
             return Some(OffsetInterval { is_consistent: false, ..cones });
         }
@@ -276,13 +278,13 @@ impl Band {
 
     /// Returns the upper bound at `q` by the limit of drift, from the points within the window and the latest
     /// exchanges.
-    fn above(&self, q: i64) -> Option<i64> {
+    fn upper_bound(&self, q: i64) -> Option<i64> {
         let latest = lowest_bound(self.latest.iter().map(|bounds| bounds.upper), self.drift.limit, q);
         self.upper.bound(q, self.window).into_iter().chain(latest).min()
     }
 
     /// Returns the lower bound at `q` in the same way, with the opposite sign.
-    fn below(&self, q: i64) -> Option<i64> {
+    fn lower_bound(&self, q: i64) -> Option<i64> {
         let latest = lowest_bound(self.latest.iter().map(|bounds| bounds.lower), self.drift.limit, q);
         self.lower.bound(q, self.window).into_iter().chain(latest).min()
     }

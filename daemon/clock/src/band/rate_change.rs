@@ -80,12 +80,12 @@ impl Hulls {
     }
 
     /// Returns the upper bound at `q`; `None` where no two points give one.
-    pub(super) fn above(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
+    pub(super) fn upper_bound(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
         best_bound(&self.upper, &self.lower, q, change)
     }
 
     /// Returns the lower bound at `q` with the opposite sign.
-    pub(super) fn below(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
+    pub(super) fn lower_bound(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
         best_bound(&self.lower, &self.upper, q, change)
     }
 
@@ -254,7 +254,7 @@ mod tests {
     proptest! {
         #[test]
         fn hulls_find_about_the_best_of_all_pairs(upper in points(), lower in points(), q in -SECOND..12 * SECOND) {
-            let actual = hulls(&upper, &lower).above(q, change());
+            let actual = hulls(&upper, &lower).upper_bound(q, change());
             let best = best_of_all_pairs(&upper, &lower, q);
             // The hulls leave out only pairs of points that are neighbours in time, which give weak bounds.
             prop_assert!(actual.is_none_or(|actual| best.is_some_and(|best| best <= actual)), "{actual:?} {best:?}");
@@ -279,9 +279,9 @@ mod tests {
             let upper: Vec<Point> = times.iter().map(|x| point(x, 1.0)).collect();
             let lower: Vec<Point> = times.iter().map(|x| point(x, -1.0)).collect();
             let hulls = hulls(&upper, &lower);
-            let (above, below) = (hulls.above(q, change()), hulls.below(q, change()));
-            prop_assert!(above.is_none_or(|bound| bound as f64 >= truth(q)), "{above:?} {}", truth(q));
-            prop_assert!(below.is_none_or(|bound| bound as f64 >= -truth(q)), "{below:?} {}", truth(q));
+            let (upper_bound, lower_bound) = (hulls.upper_bound(q, change()), hulls.lower_bound(q, change()));
+            prop_assert!(upper_bound.is_none_or(|bound| bound as f64 >= truth(q)), "{upper_bound:?} {}", truth(q));
+            prop_assert!(lower_bound.is_none_or(|bound| bound as f64 >= -truth(q)), "{lower_bound:?} {}", truth(q));
         }
     }
 
@@ -293,7 +293,7 @@ mod tests {
         let points: Vec<Point> = wild.into_iter().map(|(x, bound)| Point { x, bound }).collect();
         let hulls = hulls(&points, &points);
         for q in [i64::MIN, -1, 0, 1, i64::MAX] {
-            let _ = (hulls.above(q, change()), hulls.below(q, change()));
+            let _ = (hulls.upper_bound(q, change()), hulls.lower_bound(q, change()));
         }
     }
 }
