@@ -245,7 +245,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_sum_is_exact_whatever_the_offset(
+        fn sum_is_exact_whatever_the_offset(
             offset in -1_i64 << 60..1 << 60, up in 0_i64..1 << 40, down in 0_i64..1 << 40, step in -1_i64 << 50..1 << 50,
         ) {
             let stages = offloaded(offset, up, down, step).stages();

@@ -54,7 +54,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn the_truth_is_always_inside(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
+    fn truth_is_always_inside(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
         let mut random = RandomSource::new(seed);
         let (window, kept) = (Span::from_seconds(10), Span::from_seconds(40));
         for host_clocks in host_clock_pairs(Span::from_nanos(ahead), Span::from_seconds(120), &mut random) {

@@ -26,7 +26,7 @@ fn sample(media: &str, parts: &[&'static [u8]]) -> Sample {
 }
 
 #[test]
-fn the_actuator_writes_all_parts_of_an_answer() {
+fn actuator_writes_all_parts_of_an_answer() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("answers");
     let (program, file) = (example("record.sh"), file.to_string_lossy().into_owned());

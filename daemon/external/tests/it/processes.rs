@@ -54,7 +54,7 @@ impl Watched {
 const LEAVES_ONE: &str = "sleep 600 & echo $!; read -r _; exit 3";
 
 #[test]
-fn a_process_that_ends_by_itself_leaves_nothing() {
+fn process_that_ends_by_itself_leaves_nothing() {
     let clock = clock();
     let mut process = shell(LEAVES_ONE, &clock);
     let child = Watched::new(&line(&mut process, &clock).expect("a number"));

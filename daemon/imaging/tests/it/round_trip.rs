@@ -81,7 +81,7 @@ fn file_is_decoded_to_requested_channels() {
 }
 
 #[test]
-fn a_buffer_serves_pictures_of_any_size_in_turn() {
+fn buffer_serves_pictures_of_any_size_in_turn() {
     let mut buffer = Picture::default();
     for (width, height) in [(64, 48), (8, 8), (100, 3)] {
         let original = scene(PixelFormat::Rgb8, width, height);

@@ -7,7 +7,7 @@ fn read(text: &str) -> Result<ModelConfig, toml::de::Error> {
 }
 
 #[test]
-fn the_short_forms_have_sensible_defaults() {
+fn short_forms_have_sensible_defaults() {
     let onnx = read("name = \"q\"\nkind = \"onnx\"\npath = \"models/q\"").expect("reads");
     assert_eq!((onnx.device(), onnx.workers(), onnx.queue()), ("cpu", 1, 16));
     let ModelConfig::Sleep(sleep) = read("name = \"s\"\nkind = \"sleep\"").expect("reads") else {

@@ -90,7 +90,7 @@ fn gated() -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync,
 }
 
 #[test]
-fn the_wait_for_a_worker_is_recorded() {
+fn wait_for_a_worker_is_recorded() {
     let clock = clock();
     let model = Arc::new(TestModel(Arc::new(|sample| Ok(sample.clone()))));
     let pool = start(model, Sizes { workers: 1, queue: 1 }, Arc::clone(&clock));
@@ -137,7 +137,7 @@ fn workers_compute_at_the_same_time() {
 }
 
 #[test]
-fn a_panic_fails_one_sample_and_no_more() {
+fn panic_fails_one_sample_and_no_more() {
     let pool = pool(1, 4, |sample| {
         assert!(&sample.parts[0].bytes[..] != b"bad", "cannot take {}", "this");
         Ok(sample.clone())
@@ -154,7 +154,7 @@ fn a_panic_fails_one_sample_and_no_more() {
 }
 
 #[test]
-fn a_reply_that_panics_leaves_the_pool_working() {
+fn reply_that_panics_leaves_the_pool_working() {
     let pool = pool(1, 4, |sample| Ok(sample.clone()));
     pool.submit(job("a", |_| panic!("the receiver is broken"))).expect("has room");
     assert_eq!(run(&pool, "b").result, Ok(sample("b")));

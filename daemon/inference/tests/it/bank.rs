@@ -24,7 +24,7 @@ fn models_are_listed_in_configured_order() {
 }
 
 #[test]
-fn a_model_is_loaded_once_and_shared() {
+fn model_is_loaded_once_and_shared() {
     let loads = Arc::new(AtomicUsize::new(0));
     let counted = Arc::clone(&loads);
     let bank = bank(&[&quality_control("")]).on_load(move |pool| {

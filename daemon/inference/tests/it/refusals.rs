@@ -9,7 +9,7 @@ fn refused(bank: &Bank, name: &str, device: Option<&str>) -> LoadError {
 }
 
 #[test]
-fn an_unknown_model_is_refused_with_the_list() {
+fn unknown_model_is_refused_with_the_list() {
     let two = bank(&[&quality_control(""), "name = \"echo\"\nkind = \"echo\""]);
     let error = refused(&two, "qd", None);
     assert_eq!(error.to_string(), "no model named qd; this host offers qc, echo");
@@ -52,7 +52,7 @@ fn unsupported_device_is_refused_with_reason() {
 }
 
 #[test]
-fn a_second_library_is_refused_in_one_process() {
+fn second_library_is_refused_in_one_process() {
     let first = bank(&[&quality_control("")]);
     loaded(&first, "qc");
     let folder = tempfile::tempdir().expect("can be made");

@@ -51,7 +51,7 @@ fn decoded_pixels_are_taken_as_well() {
 }
 
 #[test]
-fn a_bad_sample_fails_alone_with_the_reason() {
+fn bad_sample_fails_alone_with_the_reason() {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);

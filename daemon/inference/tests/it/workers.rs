@@ -42,7 +42,7 @@ fn answers_are_independent_of_workers_and_threads() {
 }
 
 #[test]
-fn a_pool_serves_until_it_is_shut_down() {
+fn pool_serves_until_it_is_shut_down() {
     let bank = bank(&[&quality_control("workers = 2")]);
     let pool = loaded(&bank, "qc");
     assert_eq!((pool.workers(), pool.waiting_samples()), (2, 0));

@@ -138,7 +138,7 @@ fn fields_have_the_layout_of_the_rfcs() {
 }
 
 #[test]
-fn the_code_is_hmac_sha_256_cut_to_16_bytes() {
+fn code_is_hmac_sha_256_cut_to_16_bytes() {
     // Test case 1 of RFC 4231.
     let key = Key::from_bytes(&[0x0b; 20]);
     let code =

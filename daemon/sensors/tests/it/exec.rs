@@ -45,7 +45,7 @@ fn failure_names_program_and_next_sample_retries() {
 }
 
 #[test]
-fn a_check_runs_nothing() {
+fn check_runs_nothing() {
     let folder = tempfile::tempdir().expect("can be made");
     let mark = folder.path().join("mark");
     config(&format!("touch {}", mark.display())).check(&real_clock()).expect("is well formed");

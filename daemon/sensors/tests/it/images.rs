@@ -140,7 +140,7 @@ fn only_files_and_links_to_files_are_pictures() {
 }
 
 #[test]
-fn a_picture_that_vanished_fails_alone() {
+fn picture_that_vanished_fails_alone() {
     let folder = folder(&[("a.jpg", ""), ("b.jpg", ""), ("c.jpg", "")]);
     let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
     fs::remove_file(folder.path().join("b.jpg")).expect("is there");

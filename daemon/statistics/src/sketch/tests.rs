@@ -116,7 +116,7 @@ fn quantiles_of_few_numbers_equal_numpy() {
 }
 
 #[test]
-fn an_empty_sketch_has_no_quantile() {
+fn empty_sketch_has_no_quantile() {
     let sketch = Sketch::default();
     assert_eq!((sketch.count(), sketch.quantile(0.5), sketch.fraction_below(1.0)), (0, None, None));
     assert_eq!(sketch.to_bytes().len(), 3);
@@ -143,7 +143,7 @@ fn typical_stage_is_stored_in_few_bytes() {
 }
 
 #[test]
-fn a_sketch_of_impossible_content_is_refused() {
+fn sketch_of_impossible_content_is_refused() {
     for (bytes, error) in [
         (vec![0, 0, 0, 0], PackedError::Trailing(1)),
         (vec![0, 0x81, 0x10, 0], PackedError::TooManyBins(2049)),

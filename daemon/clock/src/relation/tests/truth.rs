@@ -6,7 +6,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
     #[test]
-    fn a_judged_delay_always_contains_the_truth(
+    fn judged_delay_always_contains_the_truth(
         seed: u64,
         up in 1e3..100e6f64,
         down in 1e3..100e6f64,
@@ -45,7 +45,7 @@ proptest! {
     }
 
     #[test]
-    fn a_delay_that_is_judged_again_contains_the_truth(seed: u64, wander in 0.0..50.0f64) {
+    fn delay_that_is_judged_again_contains_the_truth(seed: u64, wander in 0.0..50.0f64) {
         let mut random = RandomSource::new(seed);
         let length = Span::from_seconds(60);
         let host_clocks = HostClocks {
@@ -135,7 +135,7 @@ fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
 
 /// A second of one clock is not a second of the other. The interval contains the delay by either clock.
 #[test]
-fn a_long_delay_is_inside_by_whichever_clock_it_is_counted() {
+fn long_delay_is_inside_by_whichever_clock_it_is_counted() {
     let host_clocks = HostClocks {
         edge: SimulatedClock::drifting(Span::ZERO, 0.0),
         cloud: SimulatedClock::drifting(Span::ZERO, 50.0),

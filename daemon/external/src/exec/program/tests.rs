@@ -31,7 +31,7 @@ const ECHO: &str = "while read -r word bytes media shape source; do \
     stage='stage inference 0'; echo \"$stage\"; echo \"answer $bytes $media $shape\"; head -c \"$bytes\"; done";
 
 #[test]
-fn a_shell_echoes_samples() {
+fn shell_echoes_samples() {
     let mut program = start(Role::Model, ECHO, PATIENT);
     for _ in 0..3 {
         let exchange = program.call(Request::Sample(&echo())).expect("replies");

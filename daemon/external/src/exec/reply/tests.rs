@@ -45,7 +45,7 @@ fn error(role: Role, written: &str) -> String {
 }
 
 #[test]
-fn an_answer_is_one_line_and_its_bytes() {
+fn answer_is_one_line_and_its_bytes() {
     let answer = reply(Role::Model, "answer 13 application/json\n{\"label\":\"a\"}");
     let ReplyOutcome::Parts(parts) = answer.outcome else { panic!("is an answer") };
     assert_eq!(

@@ -117,7 +117,7 @@ class Own:
 }
 
 #[test]
-fn a_sensor_that_imports_nothing_has_no_libraries() {
+fn sensor_that_imports_nothing_has_no_libraries() {
     let module = Module::new("class Own:\n    def sample(self): return b'1'\n", "own::Own");
     let facts = module.sensor().about().facts("Sensor");
     let names: Vec<&str> = facts.iter().map(|(name, _)| name.as_str()).collect();

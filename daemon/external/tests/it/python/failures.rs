@@ -61,7 +61,7 @@ class Own:
 }
 
 #[test]
-fn a_long_traceback_is_bounded() {
+fn long_traceback_is_bounded() {
     let source = "
 class Own:
     def infer(self, x):

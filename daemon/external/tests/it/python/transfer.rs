@@ -109,7 +109,7 @@ class Named:
 }
 
 #[test]
-fn the_process_ends_with_its_object() {
+fn process_ends_with_its_object() {
     let mut sensor = Module::new(ECHO, "own::Number").sensor();
     let number = String::from_utf8(value(&mut sensor, &[])[0].bytes.to_vec()).expect("a number");
     let there = || Path::new("/proc").join(&number).exists();

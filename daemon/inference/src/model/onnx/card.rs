@@ -335,7 +335,7 @@ labels = ["a", "b"]
     }
 
     #[test]
-    fn a_card_is_read_with_its_defaults() {
+    fn card_is_read_with_its_defaults() {
         let card = changed("", "").expect("is right");
         assert_eq!(card.output.top_k, 5);
         assert_eq!(

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_is_configuration_variable_folders() {
+    fn order_is_configuration_variable_folders() {
         let root = tempfile::tempdir().expect("can be made");
         let at = |path: &str| root.path().join(path);
         let mut search_settings = SearchSettings {

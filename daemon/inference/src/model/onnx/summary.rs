@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_is_that_of_sha256sum() {
+    fn hash_is_that_of_sha256sum() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(MODEL), "abc").expect("written");
         // Example in FIPS 180-4.
