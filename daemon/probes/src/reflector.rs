@@ -236,7 +236,7 @@ impl Reflector {
 
     fn log_refusal(&mut self, why: Refusal, source: SocketAddr) {
         if let Some((count, advice)) = self.refusal_log.record(why, self.clock.mono()) {
-            let (why, listen) = (why.in_words(), self.address());
+            let (why, listen) = (why.description(), self.address());
             tracing::warn!(
                 %source, %listen, count,
                 "refused a probe: {why}; {advice} (logged at most once a minute; count has the number since the last line)"

@@ -69,7 +69,7 @@ fn requested_end_leaves_no_processes() {
     let clock = clock();
     let mut process = shell(LEAVES_ONE, &clock);
     let child = Watched::new(&line(&mut process, &clock).expect("a number"));
-    assert!(process.end(PATIENT).in_words().contains("exit status 3"));
+    assert!(process.end(PATIENT).status_text().contains("exit status 3"));
     assert!(child.ends());
 }
 

@@ -35,7 +35,7 @@ impl Refusal {
     ];
 
     /// Returns the reason in a few words, for people and for labels of metrics.
-    pub const fn in_words(self) -> &'static str {
+    pub const fn description(self) -> &'static str {
         match self {
             Self::Short => "shorter than a request",
             Self::Unauthenticated => "not authenticated by the key",
