@@ -1,6 +1,6 @@
 //! Texts for people about steps, jumps, lost proofs and violated assumptions.
 
-use peernet_clock::Doubt;
+use peernet_clock::ViolatedLimit;
 use peernet_logger::Slug;
 
 use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
@@ -26,8 +26,10 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
         None => "their relation is learnt anew".to_owned(),
         Some((doubt, limit)) => {
             let seem = match doubt {
-                Doubt::Drift => "drift apart faster than [clock] max_drift_ppm",
-                Doubt::DriftChange => "change their drift faster than [clock] max_drift_change_ppm_per_s",
+                ViolatedLimit::Drift => "drift apart faster than [clock] max_drift_ppm",
+                ViolatedLimit::DriftChange => {
+                    "change their drift faster than [clock] max_drift_change_ppm_per_s"
+                }
             };
             format!(
                 "not for the first time within a minute: they seem to {seem} = {limit}; nothing is believed until that has \
@@ -124,8 +126,8 @@ mod tests {
             assert!(text.starts_with(begin) && text.contains(expected), "{text}");
         }
         for (doubt, key) in [
-            ((Doubt::Drift, 50.0), "max_drift_ppm = 50;"),
-            ((Doubt::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
+            ((ViolatedLimit::Drift, 50.0), "max_drift_ppm = 50;"),
+            ((ViolatedLimit::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
         ] {
             let restart = Restart { moved: None, edge: false, cloud: false, doubt: Some(doubt) };
             let text = restart_text(restart, &edge, &cloud);

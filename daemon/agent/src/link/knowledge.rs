@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use peernet_clock::{
-    Direction, Doubt, ExchangeObservation, JudgedExchange, LearnResult, Offset, OneWayDelay, RawTime,
-    RelatedClocks, Relation, Span, Stamp, Verdict, WallTime,
+    Direction, ExchangeObservation, JudgedExchange, LearnResult, Offset, OneWayDelay, RawTime, RelatedClocks,
+    Relation, Span, Stamp, Verdict, ViolatedLimit, WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
@@ -340,10 +340,10 @@ impl Knowledge {
             LearnResult::Accepted => {}
             LearnResult::Restarted(moved) => {
                 let limit = |doubt| match doubt {
-                    Doubt::Drift => settings.max_drift_ppm,
-                    Doubt::DriftChange => settings.max_drift_change_ppm_per_s,
+                    ViolatedLimit::Drift => settings.max_drift_ppm,
+                    ViolatedLimit::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
-                let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
+                let doubt = self.relation.violated_limit().map(|violated| (violated, limit(violated)));
                 changes.restart = self.reports.restarted(moved, doubt).or(changes.restart.take());
             }
             LearnResult::Jumped(moved) => {
@@ -396,7 +396,7 @@ impl Knowledge {
                 .relation
                 .proven_skew()
                 .map(|skew| (skew.min_ppm.min(skew.max_ppm), skew.max_ppm.max(skew.min_ppm))),
-            grown_window: self.relation.window_reach(at.raw).filter(|reach| *reach > settings.window),
+            grown_window: self.relation.window_span(at.raw).filter(|span| *span > settings.window),
             claims_trusted: settings.trust_time_daemons,
             probes_authenticated: self.second.authenticated,
         };
@@ -422,7 +422,7 @@ impl Knowledge {
     /// Passes the current claims of the time daemons to the relation.
     fn disciplines(&mut self, now: RawTime) {
         let limit = self.relation.settings().max_drift_ppm;
-        self.relation.set_disciplines(self.edge.claim(now, limit), self.cloud.claim(now, limit));
+        self.relation.set_claims(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }
 }
 

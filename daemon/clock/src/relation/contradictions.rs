@@ -1,17 +1,17 @@
 //! Exchanges that contradict the band: they are wrong, or the first after a step that no host reported.
 
-use super::types::Doubt;
+use super::types::ViolatedLimit;
 use crate::band::{Band, Bounds, Contradiction};
 use crate::{RawTime, Span};
 
 /// Number of agreeing suspects that prove an unreported step.
 const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 
-/// Longest time between two unreported steps that together violate an assumption, and duration of the doubt after the
-/// second of them.
+/// Longest time between two unreported steps that together prove a violated limit, and time for which the
+/// limit counts as violated after the second of them.
 // Clocks are rarely set twice a minute. A clock that drifts faster than the limit, or a peer that sends wrong stamps,
 // contradicts the band again and again.
-const DOUBT_DURATION: Span = Span::from_seconds(60);
+const VIOLATION_DURATION: Span = Span::from_seconds(60);
 
 /// Exchanges that contradict the band now, and the steps that earlier ones proved.
 #[derive(Clone, Debug, Default)]
@@ -20,30 +20,30 @@ pub(super) struct Contradictions {
     pub(super) unannounced_steps: UnannouncedSteps,
 }
 
-/// Times of steps that no host reported, and the doubt that follows from several of them.
+/// Times of steps that no host reported, and the limit that several of them violate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UnannouncedSteps {
     last: Option<(RawTime, Contradiction)>,
-    doubt: Option<(RawTime, Doubt)>,
+    violated_limit: Option<(RawTime, ViolatedLimit)>,
 }
 
 impl UnannouncedSteps {
-    /// Records a step. A second one within [`DOUBT_DURATION`] starts a doubt.
+    /// Records a step. A second one within [`VIOLATION_DURATION`] violates a limit.
     pub(super) fn record(&mut self, at: RawTime, contradiction: Contradiction) {
-        if let Some((_, before)) = self.last.filter(|(last, _)| (at - *last).abs() <= DOUBT_DURATION) {
+        if let Some((_, before)) = self.last.filter(|(last, _)| (at - *last).abs() <= VIOLATION_DURATION) {
             let is_change = [before, contradiction].contains(&Contradiction::DriftChange);
-            let doubt = if is_change { Doubt::DriftChange } else { Doubt::Drift };
-            self.doubt = Some((at + DOUBT_DURATION, doubt));
+            let limit = if is_change { ViolatedLimit::DriftChange } else { ViolatedLimit::Drift };
+            self.violated_limit = Some((at + VIOLATION_DURATION, limit));
         }
         self.last = Some((at, contradiction));
     }
 
-    /// Returns the assumption that is in doubt at a time because of the steps before it.
-    pub(super) fn doubt(&self, at: RawTime) -> Option<Doubt> {
-        // After the edge's clock is set back far, the end of the doubt lies far in the future. The doubt is over then.
-        self.doubt
-            .filter(|(until, _)| at < *until && *until - at <= DOUBT_DURATION + DOUBT_DURATION)
-            .map(|(_, doubt)| doubt)
+    /// Returns the limit that the steps before a time violate.
+    pub(super) fn violated_limit(&self, at: RawTime) -> Option<ViolatedLimit> {
+        // After the edge's clock is set back far, the end of the violation lies far in the future. The violation is over then.
+        self.violated_limit
+            .filter(|(until, _)| at < *until && *until - at <= VIOLATION_DURATION + VIOLATION_DURATION)
+            .map(|(_, limit)| limit)
     }
 }
 

@@ -131,7 +131,7 @@ impl Relation {
     // Old exchanges and violated assumptions matter only where exchanges narrow the interval.
     pub(super) fn verdict_of(&self, offset: &CombinedOffset, is_fresh: bool) -> Verdict {
         let in_band = matches!(offset.source, DelaySource::InBand | DelaySource::Intersection);
-        if !offset.is_consistent || (in_band && self.in_doubt()) {
+        if !offset.is_consistent || (in_band && self.violates_limit()) {
             return Verdict::Inconsistent;
         }
         if in_band

@@ -21,7 +21,7 @@ use exchange_times::ExchangeTimes;
 use sources::Claims;
 use steps::StepTracker;
 pub use types::{
-    Direction, Doubt, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, RelationSettings,
+    Direction, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, RelationSettings, ViolatedLimit,
 };
 use windows::Windows;
 
@@ -88,7 +88,7 @@ impl Relation {
 
     /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim counts, if
     /// the settings trust it, until the next call or until its clock is stepped.
-    pub fn set_disciplines(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
+    pub fn set_claims(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
         self.claims = Claims { edge, cloud };
     }
 
@@ -131,19 +131,19 @@ impl Relation {
 
     /// Returns the age of the oldest exchange that bounds the offset at a time: the settings' window, or more where the
     /// newest eight exchanges span a longer time. `None` without exchanges.
-    pub fn window_reach(&self, at: RawTime) -> Option<Span> {
+    pub fn window_span(&self, at: RawTime) -> Option<Span> {
         self.windows.current().reach(at)
     }
 
-    /// Returns the assumption that the clocks seem to violate. Delays are `inconsistent` then.
+    /// Returns the limit that the clocks seem to violate. Delays are `inconsistent` then.
     ///
-    /// There is a doubt if exchanges prove a skew beyond the limit, or contradict each other repeatedly. A peer that
-    /// sends wrong stamps has the same effect.
-    pub fn doubt(&self) -> Option<Doubt> {
+    /// A limit is violated if exchanges prove a skew beyond it, or contradict each other repeatedly. A peer that sends
+    /// wrong stamps has the same effect.
+    pub fn violated_limit(&self) -> Option<ViolatedLimit> {
         if self.excess_skew().is_some() {
-            return Some(Doubt::Drift);
+            return Some(ViolatedLimit::Drift);
         }
-        self.contradictions.unannounced_steps.doubt(self.windows.current().newest()?)
+        self.contradictions.unannounced_steps.violated_limit(self.windows.current().newest()?)
     }
 
     /// Returns the proven skew if it is beyond the limit.
@@ -151,9 +151,9 @@ impl Relation {
         self.windows.current().excess_skew()
     }
 
-    /// Returns whether an assumption is in doubt.
-    pub fn in_doubt(&self) -> bool {
-        self.doubt().is_some()
+    /// Returns whether the clocks seem to violate a limit.
+    pub fn violates_limit(&self) -> bool {
+        self.violated_limit().is_some()
     }
 
     /// Returns the bytes of memory that the exchanges of the window take.

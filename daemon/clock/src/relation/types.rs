@@ -78,9 +78,9 @@ pub enum LearnResult {
     Refused(Refusal),
 }
 
-/// An assumption about the two clocks that they seem to violate.
+/// A limit that the two clocks seem to violate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Doubt {
+pub enum ViolatedLimit {
     /// The clocks drift apart faster than [`max_drift_ppm`](RelationSettings::max_drift_ppm).
     Drift,
     /// The drift changes faster than [`max_drift_change_ppm_per_s`](RelationSettings::max_drift_change_ppm_per_s).

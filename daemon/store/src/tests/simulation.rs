@@ -88,7 +88,7 @@ impl Simulation {
     /// Sets the claim of both hosts' time daemons about the offset.
     pub(super) fn claim(&mut self, claim: Option<Discipline>) {
         let exact = claim.map(|claim| Discipline { error: Interval::exactly(Span::ZERO), ..claim });
-        self.relation.set_disciplines(exact, claim);
+        self.relation.set_claims(exact, claim);
     }
 
     /// Simulates a second with ten probes and, if there is a run, ten iterations. Returns them with the sample at its end.

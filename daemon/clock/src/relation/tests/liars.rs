@@ -141,7 +141,7 @@ fn consistently_wrong_stamps_contradict_time_daemons_only() {
 
     let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
     let claim = Discipline { source: DelaySource::Chrony, error: within };
-    relation.set_disciplines(Some(claim), Some(claim));
+    relation.set_claims(Some(claim), Some(claim));
     let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
     assert_eq!(offset.verdict, Verdict::Inconsistent);
     let trip = lying.trip(20e9, 3e4, 1e5, 3e4);
@@ -163,7 +163,7 @@ fn excess_drift_is_doubted_soon() {
     for trip in early {
         relation.judge(&trip.observation());
     }
-    assert!(relation.in_doubt(), "{:?}", relation.counts());
+    assert!(relation.violates_limit(), "{:?}", relation.counts());
     for trip in late {
         let judged = relation.judge(&trip.observation());
         assert_eq!((judged.up.value, judged.down.value), (None, None));
@@ -180,7 +180,7 @@ fn rare_unannounced_steps_cast_no_doubt() {
     let mut relation = relation();
     for trip in Path::VETH.trips(&host_clocks, (10.0, 130.0), 20.0, &mut RandomSource::new(6)) {
         relation.judge(&trip.observation());
-        assert!(!relation.in_doubt());
+        assert!(!relation.violates_limit());
     }
     assert_eq!(relation.window(), 2);
 }

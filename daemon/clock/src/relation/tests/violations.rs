@@ -14,12 +14,12 @@ struct ViolationEffect {
     last_wrong: f64,
     /// Seconds from the violation to the last `stale` delay.
     last_stale: f64,
-    /// Seconds from the violation to the first doubt, and that doubt.
-    doubted: Option<(f64, Doubt)>,
+    /// Seconds from the violation to the first violated limit, and that limit.
+    violated: Option<(f64, ViolatedLimit)>,
     /// Seconds from the violation to the first suspected jump.
     jumped: Option<f64>,
-    /// `true` if the relation was in doubt at the end.
-    doubted_at_end: bool,
+    /// `true` if a limit was violated at the end.
+    violated_at_end: bool,
     jumps: u32,
 }
 
@@ -58,15 +58,15 @@ fn observe_violation_at(
                 effect.last_wrong = after;
             }
         }
-        if let Some(doubt) = relation.doubt() {
-            effect.doubted.get_or_insert((after, doubt));
+        if let Some(limit) = relation.violated_limit() {
+            effect.violated.get_or_insert((after, limit));
         }
         if matches!(judged.learned, LearnResult::Jumped(_)) {
             effect.jumps += 1;
             effect.jumped.get_or_insert(after);
         }
     }
-    effect.doubted_at_end = relation.in_doubt();
+    effect.violated_at_end = relation.violates_limit();
     effect
 }
 
@@ -95,9 +95,13 @@ fn excess_drift_on_long_path_is_proven() {
         let effect =
             observe_violation(&drifting(ppm), path(5.0, 40.0, 1.0), free_running(50.0), (0.0, 1_100.0));
         assert_eq!(effect.wrong, 0, "{ppm}: {effect:?}");
-        let doubted = effect.doubted.filter(|(_, doubt)| *doubt == Doubt::Drift).map(|(after, _)| after);
-        assert_eq!(doubted.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
-        assert!(doubted <= proven_after && effect.doubted_at_end == doubted.is_some(), "{ppm}: {effect:?}");
+        let violated =
+            effect.violated.filter(|(_, limit)| *limit == ViolatedLimit::Drift).map(|(after, _)| after);
+        assert_eq!(violated.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
+        assert!(
+            violated <= proven_after && effect.violated_at_end == violated.is_some(),
+            "{ppm}: {effect:?}"
+        );
     }
 }
 
@@ -105,8 +109,11 @@ fn excess_drift_on_long_path_is_proven() {
 fn excess_drift_on_short_path_is_noticed_within_window() {
     for ppm in [75.0, 100.0, 150.0] {
         let effect = observe_violation(&drifting(ppm), Path::VETH, free_running(50.0), (0.0, 300.0));
-        assert!(effect.last_wrong < WINDOW && effect.doubted_at_end, "{ppm}: {effect:?}");
-        assert!(matches!(effect.doubted, Some((after, Doubt::Drift)) if after < WINDOW), "{ppm}: {effect:?}");
+        assert!(effect.last_wrong < WINDOW && effect.violated_at_end, "{ppm}: {effect:?}");
+        assert!(
+            matches!(effect.violated, Some((after, ViolatedLimit::Drift)) if after < WINDOW),
+            "{ppm}: {effect:?}"
+        );
     }
 }
 
@@ -131,7 +138,7 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
             let soon = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
             assert!(effect.jumped.is_some_and(|after| after < soon), "{way:?} {jump}: {effect:?}");
             assert!(
-                effect.last_wrong < 0.5 && effect.jumps == 1 && effect.doubted.is_none(),
+                effect.last_wrong < 0.5 && effect.jumps == 1 && effect.violated.is_none(),
                 "{way:?} {jump}: {effect:?}"
             );
         }
@@ -263,7 +270,7 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
     let (median, widest) = (widths[widths.len() / 2], widths[widths.len() - 1]);
     assert!(median < Span::from_millis(42) && widest < Span::from_millis(80), "{median} {widest}");
     assert!((10..24).contains(&jumps), "{jumps}");
-    assert!(!relation.in_doubt());
+    assert!(!relation.violates_limit());
 }
 
 /// A delay from before a suspected jump is not judged by the exchanges after it; a delay between the two is judged by
