@@ -57,9 +57,9 @@ fn exceptions_and_unsupported_values_fail_one_sample() {
     assert!(matches!(error, InferenceError::Failed { .. }), "{message}");
     assert!(message.contains("ValueError: nothing to see") && message.contains("net.py"), "{message}");
     assert!(done.log.finish().find(&["inference"]).is_none(), "it never began");
-    let error = run(&pool, text("set")).result.expect_err("a set does not cross");
+    let error = run(&pool, text("set")).result.expect_err("a set cannot be transferred");
     assert!(matches!(error, InferenceError::Failed { .. }), "{error}");
-    assert!(error.to_string().contains("its answer: a builtins.set does not cross"), "{error}");
+    assert!(error.to_string().contains("its answer: a builtins.set cannot be transferred"), "{error}");
     assert!(run(&pool, text("cat")).result.is_ok());
 }
 

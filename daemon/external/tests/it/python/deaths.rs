@@ -162,7 +162,7 @@ class Own:
     let mut model = Module::new(source, "own::Own").model();
     assert!(failure(&mut model, &[bytes(b"much")]).contains("MemoryError"));
     let message = failure(&mut model, &[bytes(b"answer")]);
-    assert!(message.contains("no memory for a value of 100663296 bytes"), "{message}");
+    assert!(message.contains("not enough memory for a value of 100663296 bytes"), "{message}");
     let more = Part { description: Description::bytes(), bytes: vec![7; 3 << 20].into() };
     assert_eq!(value(&mut model, &[more])[0].bytes, "3145728", "the same memory is used on");
     let much = Part { description: Description::bytes(), bytes: vec![7; 128 << 20].into() };
