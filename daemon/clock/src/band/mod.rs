@@ -271,7 +271,7 @@ impl Band {
 
     /// Returns the age of the oldest exchange that bounds the offset at a time: the window, or the age of the oldest of
     /// the newest eight exchanges if that is more. `None` without exchanges.
-    pub(crate) fn reach(&self, at: RawTime) -> Option<Span> {
+    pub(crate) fn window_span(&self, at: RawTime) -> Option<Span> {
         let oldest = self.latest.front()?.upper.x;
         Some(Span::from_nanos(at.nanos().saturating_sub(oldest).max(self.window)))
     }

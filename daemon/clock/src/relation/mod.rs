@@ -132,7 +132,7 @@ impl Relation {
     /// Returns the age of the oldest exchange that bounds the offset at a time: the settings' window, or more where the
     /// newest eight exchanges span a longer time. `None` without exchanges.
     pub fn window_span(&self, at: RawTime) -> Option<Span> {
-        self.windows.current().reach(at)
+        self.windows.current().window_span(at)
     }
 
     /// Returns the limit that the clocks seem to violate. Delays are `inconsistent` then.

@@ -76,8 +76,8 @@ fn labels_come_from_file_or_folders() {
     let expected = [("c.jpg", None), ("dented/b.jpg", Some("dented")), ("good/a.jpg", Some("good"))];
     assert_eq!(found, expected.map(|(source, label)| (source.to_owned(), label.map(str::to_owned))));
 
-    let told = ("Labels".to_owned(), "2 of 3: dented, good".to_owned());
-    assert!(sensor.facts().contains(&told), "{:?}", sensor.facts());
+    let fact = ("Labels".to_owned(), "2 of 3: dented, good".to_owned());
+    assert!(sensor.facts().contains(&fact), "{:?}", sensor.facts());
     assert!(sensor.facts().iter().all(|(name, _)| name != "Labels file"), "{:?}", sensor.facts());
 
     let mut single = images(&listed.path().join("a.jpg"), Order::Name, 1, false).expect("opens");
@@ -85,8 +85,8 @@ fn labels_come_from_file_or_folders() {
     let file = listed.path().join("labels.csv");
     let bytes = std::fs::read(&file).expect("is there");
     let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
-    let told = ("Labels file".to_owned(), format!("{} SHA-256 {hash}", file.display()));
-    assert!(single.facts().contains(&told), "{:?}", single.facts());
+    let fact = ("Labels file".to_owned(), format!("{} SHA-256 {hash}", file.display()));
+    assert!(single.facts().contains(&fact), "{:?}", single.facts());
 }
 
 #[test]

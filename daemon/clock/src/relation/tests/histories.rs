@@ -30,8 +30,9 @@ fn settings() -> RelationSettings {
 
 /// Returns a path of 0.03 to 300 ms in each direction, with jitter and loss.
 fn path(random: &mut RandomSource) -> Path {
-    let mut way = |shortest: f64, longest: f64| (random.between(shortest.ln(), longest.ln())).exp();
-    let (up, down, jitter, burst) = (way(3e4, 300e6), way(3e4, 300e6), way(1e3, 20e6), way(1e5, 200e6));
+    let mut log_uniform = |shortest: f64, longest: f64| (random.between(shortest.ln(), longest.ln())).exp();
+    let (up, down, jitter, burst) =
+        (log_uniform(3e4, 300e6), log_uniform(3e4, 300e6), log_uniform(1e3, 20e6), log_uniform(1e5, 200e6));
     Path { up, down, jitter, loss: if random.chance(0.5) { random.between(0.0, 0.4) } else { 0.0 }, burst }
 }
 

@@ -94,8 +94,9 @@ fn wide_exchange_does_not_end_suspicion() {
     let mut relation = relation_with_history(&before);
     let learned: Vec<LearnResult> = (0..8)
         .map(|n| {
-            let way = if n % 2 == 0 { 3e4 } else { 5e6 };
-            let judged = relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, way, 1e5, way).observation());
+            let one_way = if n % 2 == 0 { 3e4 } else { 5e6 };
+            let judged =
+                relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, one_way, 1e5, one_way).observation());
             let trusted = matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
             assert!(!trusted || n >= 6, "{n} {judged:?}");
             judged.learned

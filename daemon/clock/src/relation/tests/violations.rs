@@ -121,7 +121,7 @@ fn excess_drift_on_short_path_is_noticed_within_window() {
 /// contradicts the others.
 #[test]
 fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
-    for (way, jitter) in [((20.0, 20.0), 1.0), ((20.0, 20.0), 5.0), ((5.0, 40.0), 1.0)] {
+    for (delays, jitter) in [((20.0, 20.0), 1.0), ((20.0, 20.0), 5.0), ((5.0, 40.0), 1.0)] {
         for millis in [-39, -10, 10, 39] {
             let jump = Span::from_millis(millis);
             let host_clocks = drifting(20.0);
@@ -129,17 +129,17 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
                 HostClocks { cloud: host_clocks.cloud.stepped(Span::from_seconds(30), jump), ..host_clocks };
             let effect = observe_violation(
                 &host_clocks,
-                path(way.0, way.1, jitter),
+                path(delays.0, delays.1, jitter),
                 free_running(200.0),
                 (30.0, 90.0),
             );
             // 39 ms move the middle of every exchange with a short wait by more than waiting explains, 10 ms only that
             // of exchanges without a wait.
             let soon = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
-            assert!(effect.jumped.is_some_and(|after| after < soon), "{way:?} {jump}: {effect:?}");
+            assert!(effect.jumped.is_some_and(|after| after < soon), "{delays:?} {jump}: {effect:?}");
             assert!(
                 effect.last_wrong < 0.5 && effect.jumps == 1 && effect.violated.is_none(),
-                "{way:?} {jump}: {effect:?}"
+                "{delays:?} {jump}: {effect:?}"
             );
         }
     }
@@ -148,7 +148,8 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
 /// A jump of the edge's clock while exchanges are in flight. After a jump back they seem shorter than the path.
 #[test]
 fn edge_jump_is_suspected_with_exchanges_in_flight() {
-    for (way, jitter) in [((20.0, 20.0), 0.2), ((20.0, 20.0), 1.0), ((5.0, 40.0), 1.0), ((0.5, 0.5), 0.02)] {
+    for (delays, jitter) in [((20.0, 20.0), 0.2), ((20.0, 20.0), 1.0), ((5.0, 40.0), 1.0), ((0.5, 0.5), 0.02)]
+    {
         for millis in [-39, -15, -3, 3, 15, 39] {
             let jump = Span::from_millis(millis);
             let host_clocks = drifting(20.0);
@@ -157,18 +158,18 @@ fn edge_jump_is_suspected_with_exchanges_in_flight() {
             let effect = observe_violation_at(
                 60.0,
                 &host_clocks,
-                path(way.0, way.1, jitter),
+                path(delays.0, delays.1, jitter),
                 free_running(200.0),
                 (30.0, 90.0),
             );
             // 3 ms are within the jitter. A jump larger than the round trip contradicts the band and is a step.
-            let is_suspected = way.0 > 1.0 && millis.abs() >= 15;
+            let is_suspected = delays.0 > 1.0 && millis.abs() >= 15;
             let in_time = |after: f64| after < 0.1;
             assert!(
                 !is_suspected || effect.jumped.is_some_and(in_time),
-                "{way:?} {jitter} {jump}: {effect:?}"
+                "{delays:?} {jitter} {jump}: {effect:?}"
             );
-            assert!(in_time(effect.last_wrong), "{way:?} {jitter} {jump}: {effect:?}");
+            assert!(in_time(effect.last_wrong), "{delays:?} {jitter} {jump}: {effect:?}");
         }
     }
 }
@@ -233,8 +234,8 @@ fn suspicion_after_change_of_rate_ends_with_window() {
         let mut random = RandomSource::new(seed);
         for n in 0..2_400 {
             let begin = 15e9 + f64::from(n) * 20e6;
-            let mut way = || 5e4 + random.between(0.0, 2e6) + random.between(0.0, 2e6);
-            let (up, down) = (way(), way());
+            let mut delay = || 5e4 + random.between(0.0, 2e6) + random.between(0.0, 2e6);
+            let (up, down) = (delay(), delay());
             let judged =
                 relation.judge(&host_clocks.trip(begin, up.floor(), 1e5, down.floor()).observation());
             let after = begin / 1e9 - 30.0;

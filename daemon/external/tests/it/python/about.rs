@@ -154,7 +154,7 @@ class Own:
 }
 
 #[test]
-fn there_is_an_end_to_what_is_told() {
+fn reported_files_and_libraries_are_limited() {
     let imports: String = (0..80).map(|number| format!("import part_{number}\n")).collect();
     let module = Module::new(&format!("{imports}class Own:\n    def infer(self, x): return x\n"), "own::Own");
     for number in 0..80 {
