@@ -33,7 +33,7 @@ impl ExchangeTimes {
         {
             return;
         }
-        self.times.insert(place, at);
+        self.times.insert(index, at);
         let start = self.newest.unwrap_or(at) - self.window;
         while self.times.front().is_some_and(|time| *time < start) {
             self.times.pop_front();
@@ -70,7 +70,7 @@ mod tests {
         let second = |seconds: f64| RawTime::from_nanos((seconds * 1e9) as i64);
         let mut exchange_times = ExchangeTimes::new(Span::from_seconds(10), Span::from_seconds(600));
         for n in 0..200_000 {
-            exchange_times.note(second(f64::from(n * 7919 % 200_000) / 100.0));
+            exchange_times.insert(second(f64::from(n * 7919 % 200_000) / 100.0));
         }
         assert!(exchange_times.times.len() as i64 <= MAX_TIMES, "{}", exchange_times.times.len());
         assert!(exchange_times.times.iter().is_sorted());

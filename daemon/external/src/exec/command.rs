@@ -223,7 +223,7 @@ mod tests {
 
     #[test]
     fn single_program_replaces_its_shell() {
-        for (line, alone) in [
+        for (line, is_single) in [
             ("cat -u", true),
             ("  cat \"$HOME\" 2> /dev/null", true),
             ("/bin/cat", true),

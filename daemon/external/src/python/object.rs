@@ -35,21 +35,24 @@ pub struct ObjectDescription {
     /// Path of the interpreter.
     executable: String,
     /// Description of the object, such as `class camera::Camera`.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub object: String,
     /// Users' own files that the object is made of, beginning with that of its module.
     files: Vec<PathBuf>,
     /// Names and versions of the libraries that these files import anywhere, and of everything that was imported
     /// during the start; a version may be empty.
     libraries: Vec<(String, String)>,
     /// `true` if `files` or `libraries` is incomplete because of its limit.
-    more: bool,
+    #[serde(rename = "more")]
+    is_incomplete: bool,
 }
 
 impl ObjectDescription {
     /// Returns facts for the run's page, such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`). The
     /// name of each begins with `role`. Reads the files for their hashes.
     pub fn facts(&self, role: &str) -> Vec<(String, String)> {
-        let mut facts = vec![(role.to_owned(), format!("the Python {}, Python {}", self.what, self.python))];
+        let mut facts =
+            vec![(role.to_owned(), format!("the Python {}, Python {}", self.object, self.python))];
         if !self.executable.is_empty() {
             facts.push((format!("{role} interpreter"), printable_lines(&self.executable).into_owned()));
         }
@@ -62,7 +65,7 @@ impl ObjectDescription {
             let libraries: Vec<String> = self.libraries.iter().map(library).collect();
             facts.push((format!("{role} libraries"), libraries.join(", ")));
         }
-        if self.more {
+        if self.is_incomplete {
             facts.push((format!("{role} imports"), "more than is told here".to_owned()));
         }
         facts

@@ -27,7 +27,7 @@ fn libraries(facts: &[(String, String)]) -> Vec<&str> {
 fn description_contains_file_and_libraries() {
     let source = "import json, numpy\nclass Own:\n    def infer(self, x): return x\n";
     let module = Module::new(source, "own::Own");
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     let names: Vec<&str> = facts.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["Model", "Model interpreter", "Model files", "Model libraries"]);
     assert!(facts[0].1.starts_with("the Python class own::Own, Python 3."), "{facts:?}");
@@ -69,7 +69,7 @@ class Own:
         fs::create_dir_all(path.parent().expect("is below the folder")).expect("writable");
         fs::write(path, text).expect("writable");
     }
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     assert_eq!(
         files(&facts, folder),
         [
@@ -109,7 +109,7 @@ class Own:
     write("bought/__init__.py", "import bought.inside\n");
     write("bought/inside.py", "");
     write("Some_Name-2.5.dist-info/RECORD", "bought/__init__.py,sha256=x,20\nbought/inside.py,sha256=x,0\n");
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     let mut files = files(&facts, folder);
     files.sort_unstable();
     assert_eq!(files, ["driver.py", "gears.py", "own.py"]);
@@ -119,12 +119,12 @@ class Own:
 #[test]
 fn sensor_that_imports_nothing_has_no_libraries() {
     let module = Module::new("class Own:\n    def sample(self): return b'1'\n", "own::Own");
-    let facts = module.sensor().about().facts("Sensor");
+    let facts = module.sensor().description().facts("Sensor");
     let names: Vec<&str> = facts.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["Sensor", "Sensor interpreter", "Sensor files"]);
     let source = "import PIL.Image\nclass Own:\n    def sample(self): return PIL.Image.new('L', (1, 1))\n";
     let module = Module::new(source, "own::Own");
-    let facts = module.sensor().about().facts("Sensor");
+    let facts = module.sensor().description().facts("Sensor");
     let (name, libraries_fact) = facts.last().expect("there are some");
     assert!(name == "Sensor libraries" && libraries_fact.contains("PIL "), "{facts:?}");
 }
@@ -143,7 +143,7 @@ class Own:
     def infer(self, x): return x
 ";
     let module = Module::new(source, "own::Own");
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     let folder = module.folder.path().canonicalize().expect("is there");
     let bytes = fs::read(folder.join("gear.egg")).expect("was made");
     let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
@@ -161,7 +161,7 @@ fn reported_files_and_libraries_are_limited() {
         let path = module.folder.path().join(format!("part_{number}.py"));
         fs::write(path, format!("VALUE = {number}\n")).expect("writable");
     }
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     assert_eq!(files(&facts, module.folder.path()).len(), 64);
     let (name, libraries_fact) = facts.last().expect("there are some");
     assert!(name == "Model imports" && libraries_fact.contains("more than is told"), "{facts:?}");
@@ -183,7 +183,7 @@ fn object_with_misleading_attributes_is_described() {
     ] {
         let source = format!("import sys, types\n{own}\nclass Own:\n    def infer(self, x): return x\n");
         let module = Module::new(&source, "own::Own");
-        let facts = module.model().about().facts("Model");
+        let facts = module.model().description().facts("Model");
         assert_eq!(facts[0].0, "Model");
         assert!(
             facts

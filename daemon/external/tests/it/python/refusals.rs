@@ -47,11 +47,11 @@ fn start_error_names_what_was_tried() {
 fn classes_instances_and_modules_are_used() {
     for object in ["own::Model", "own::instance"] {
         let found = Module::new(SOURCE, object).model();
-        assert!(found.about().what.ends_with(object), "{}", found.about().what);
-        assert!(found.about().python.starts_with("3."));
+        assert!(found.description().object.ends_with(object), "{}", found.description().object);
+        assert!(found.description().python.starts_with("3."));
     }
     let found = Module::new("def infer(x): return x", "own").model();
-    assert_eq!(found.about().what, "module own");
+    assert_eq!(found.description().object, "module own");
 }
 
 #[test]
