@@ -136,14 +136,14 @@ fn consistently_wrong_stamps_contradict_time_daemons_only() {
     for trip in &trips {
         relation.learn(&trip.observation());
     }
-    let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
+    let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
     assert_eq!((offset.verdict, relation.window()), (Verdict::Ok, 1));
     assert!((offset.estimate - Span::from_millis(40)).abs() < Span::from_millis(1));
 
     let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
     let claim = Discipline { source: DelaySource::Chrony, error: within };
     relation.set_claims(Some(claim), Some(claim));
-    let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
+    let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
     assert_eq!(offset.verdict, Verdict::Inconsistent);
     let trip = lying.trip(20e9, 3e4, 1e5, 3e4);
     let judged = relation.judge(&trip.observation());

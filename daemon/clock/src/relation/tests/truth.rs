@@ -146,7 +146,7 @@ fn long_delay_is_inside_by_whichever_clock_it_is_counted() {
     }
     let judged = relation.judge(&host_clocks.trip(10e9, 5e9, 1e3, 5e9).observation());
     for delay in [judged.up, judged.down] {
-        let bounds = delay.bounds.expect("acquainted");
+        let bounds = delay.bounds.expect("the clocks are related");
         assert!(bounds.contains(Span::from_seconds(5)), "{delay:?}");
         assert!(bounds.contains(Span::from_seconds(5) + Span::from_micros(250)), "{delay:?}");
     }

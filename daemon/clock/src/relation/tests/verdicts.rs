@@ -131,11 +131,11 @@ fn large_possible_asymmetry_yields_limited_verdict() {
 fn offset_states_age_and_number_of_exchanges() {
     let host_clocks = host_clocks(Span::from_millis(-7));
     let relation = relation_with_history(&host_clocks);
-    let offset = relation.offset(at(12), WallTime::default()).expect("acquainted");
+    let offset = relation.offset(at(12), WallTime::default()).expect("the clocks are related");
     assert_eq!((offset.source, offset.verdict), (DelaySource::InBand, Verdict::Ok));
     assert_eq!(offset.sources, [(DelaySource::InBand, offset.bounds)]);
     assert_eq!(offset.exchanges, relation.counts().taken);
-    let age = offset.age.expect("acquainted");
+    let age = offset.age.expect("the clocks are related");
     assert!(Span::from_seconds(2) <= age && age < Span::from_seconds(3), "{age}");
     assert!((offset.skew_ppm.expect("ten seconds") - 10.0).abs() < 5.0);
     assert!(offset.bounds.contains(offset.estimate));
