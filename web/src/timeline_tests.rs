@@ -20,12 +20,12 @@ fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> Iteratio
         edge.advance(Span::from_millis(milliseconds));
         cloud.advance(Span::from_millis(milliseconds));
     };
-    let mut log = Recorder::begin(edge.clone(), HostId::random());
+    let mut log = Recorder::new(edge.clone(), HostId::random());
     {
         let _sensing = log.time(stage::SENSING);
         pass(2);
     }
-    let up = log.depart(stage::UPLOAD, edge_stamp(&edge));
+    let up = log.start_transit(stage::UPLOAD, edge_stamp(&edge));
     let sent = log.finish();
     pass(20);
     let mut there = Recorder::resume(cloud.clone(), HostId::random(), sent.clone(), up, cloud_stamp(&cloud))
@@ -34,11 +34,11 @@ fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> Iteratio
         let _inference = there.time(stage::INFERENCE);
         pass(4);
     }
-    let down = there.depart(stage::DOWNLOAD, cloud_stamp(&cloud));
+    let down = there.start_transit(stage::DOWNLOAD, cloud_stamp(&cloud));
     let delta = there.into_tree_delta().expect("it came from elsewhere");
     pass(1);
     let mut tree = sent;
-    tree.absorb(delta).expect("it fits");
+    tree.apply_delta(delta).expect("it fits");
     let back = peernet_clock::Clock::wall(&*edge);
     for (id, truth) in [(up, Span::from_millis(20)), (down, Span::from_millis(1))] {
         if let Some(Measure::Transit(transit)) = tree.measure_mut(id) {
@@ -128,8 +128,8 @@ fn a_clock_set_on_the_way_moves_nothing() {
 #[test]
 fn a_lost_message_leaves_the_rest_of_the_page_alone() {
     let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("a", "system")));
-    let mut log = Recorder::begin(clock.clone(), HostId::random());
-    log.depart(stage::UPLOAD, edge_stamp(&clock));
+    let mut log = Recorder::new(clock.clone(), HostId::random());
+    log.start_transit(stage::UPLOAD, edge_stamp(&clock));
     let timeline = Timeline::of(&IterationDetail { tree: log.finish(), ..samples::iteration() });
     assert_eq!(timeline.nodes.len(), 1);
     assert_eq!((timeline.nodes[0].length, timeline.visit()), (None, None));

@@ -3,11 +3,11 @@
 use peernet_external::exec::{CommandError, ExchangeError};
 use peernet_ros::topics::{InvalidMessageType, TopicError};
 
-/// Reason that an actuator did not act on an answer or cannot be built.
+/// Reason why an actuator did not act on an answer or cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum ActuatorError {
     /// The command of a program cannot be run.
-    #[error("the program of an exec actuator: {0}")]
+    #[error("cannot run the program of an exec actuator: {0}")]
     Command(CommandError),
     /// The program did not act.
     #[error("the program {command}: {error}")]
@@ -24,7 +24,7 @@ pub enum ActuatorError {
     #[error(transparent)]
     Topic(#[from] TopicError),
     /// The answer is not text, and the topic carries only text.
-    #[error("an answer of the type {media} is no text for topic {topic}; set type = \"{bytes}\"")]
+    #[error("cannot publish an answer of the type {media} as text on topic {topic}; set type = \"{bytes}\"")]
     NotText {
         /// Media type of the answer.
         media: String,

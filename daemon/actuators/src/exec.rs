@@ -32,8 +32,8 @@ impl ActuatorKind for ExecConfig {
         true
     }
 
-    fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
-        Self::arguments(self, Role::Actuator, key)
+    fn arguments_fact(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        Self::arguments_fact(self, Role::Actuator, key)
     }
 
     fn hide_secrets(&mut self) {
@@ -50,12 +50,12 @@ impl Actuator for Exec {
     fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
         let request = Request::Answer { answer, source };
         let failed = |error| ActuatorError::Program { command: self.command.clone(), error };
-        let exchange = self.program.ask(request).map_err(failed)?;
-        if let Some((from, to)) = exchange.restart() {
-            log.timed(stage::ACTUATION_RESTART, from, to);
+        let exchange = self.program.call(request).map_err(failed)?;
+        if let Some((from, to)) = exchange.restart_interval() {
+            log.record_timer(stage::ACTUATION_RESTART, from, to);
         }
         for (name, span) in &exchange.notes.stages {
-            log.timed(Name::from(name.as_str()), exchange.began, exchange.began + *span);
+            log.record_timer(Name::from(name.as_str()), exchange.started_at, exchange.started_at + *span);
         }
         for (name, value, unit) in &exchange.notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
@@ -91,12 +91,12 @@ mod tests {
              if [ \"$source\" = wall ]; then echo error too close; else echo value force 2.5 N; echo done; fi; done",
             file.display()
         );
-        let config = ActuatorConfig::Exec(ExecConfig::of(CommandLine::Shell(script)));
+        let config = ActuatorConfig::Exec(ExecConfig::new(CommandLine::Shell(script)));
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut actuator = config.build(&clock).expect("sh is there");
         assert!(actuator.blocks());
-        let mut log = Recorder::begin(SharedClock::clone(&clock), HostId::random());
-        let answer = Sample::of(Description::unshaped(MediaType::Text), "left".into());
+        let mut log = Recorder::new(SharedClock::clone(&clock), HostId::random());
+        let answer = Sample::from_part(Description::unshaped(MediaType::Text), "left".into());
         actuator.act("door", &answer, &mut log).expect("acts");
         assert_eq!(log.tree().find(&["force"]).and_then(|(_, node)| node.measure.value()), Some(2.5));
         let error = actuator.act("wall", &answer, &mut log).expect_err("says so").to_string();
@@ -109,14 +109,14 @@ mod tests {
     fn restart_of_program_is_recorded() {
         let script = "sleep 0.3; while read -r word bytes rest; do \
                       case $(head -c \"$bytes\") in die) exit 4;; esac; echo done; done";
-        let config = ActuatorConfig::Exec(ExecConfig::of(CommandLine::Shell(script.to_owned())));
+        let config = ActuatorConfig::Exec(ExecConfig::new(CommandLine::Shell(script.to_owned())));
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut actuator = config.build(&clock).expect("sh is there");
         for (answer, acts, restarted) in
             [("go", true, false), ("die", false, false), ("go", true, true), ("go", true, false)]
         {
-            let mut log = Recorder::begin(SharedClock::clone(&clock), HostId::random());
-            let answer = Sample::of(Description::unshaped(MediaType::Text), answer.into());
+            let mut log = Recorder::new(SharedClock::clone(&clock), HostId::random());
+            let answer = Sample::from_part(Description::unshaped(MediaType::Text), answer.into());
             assert_eq!(actuator.act("door", &answer, &mut log).is_ok(), acts);
             let waited = log.tree().find(&["actuation-restart"]).and_then(|(_, node)| node.measure.value());
             assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
@@ -128,7 +128,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("my arm.sh"), "abc").expect("writable");
         let command = CommandLine::Shell("sh 'my arm.sh'".to_owned());
-        let config = ExecConfig { folder: Some(folder.path().to_owned()), ..ExecConfig::of(command) };
+        let config = ExecConfig { folder: Some(folder.path().to_owned()), ..ExecConfig::new(command) };
         let facts = ActuatorConfig::Exec(config).facts();
         assert_eq!(facts[0], ("Actuator".to_owned(), "the program sh".to_owned()));
         assert_eq!(facts[1].0, "Actuator files");
@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn missing_command_is_found_by_check() {
-        let config = ExecConfig::of(CommandLine::Words(vec!["no-such-program-anywhere".to_owned()]));
+        let config = ExecConfig::new(CommandLine::Words(vec!["no-such-program-anywhere".to_owned()]));
         let error = ActuatorConfig::Exec(config).check().expect_err("is not there").to_string();
         assert!(error.contains("no-such-program-anywhere"), "{error}");
     }

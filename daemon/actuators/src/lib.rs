@@ -55,7 +55,7 @@ pub trait ActuatorKind {
     }
 
     /// Returns the fact that distinguishes programs with different arguments; the arguments themselves may be secret.
-    fn arguments(&self, _key: &FingerprintKey) -> Option<(String, String)> {
+    fn arguments_fact(&self, _key: &FingerprintKey) -> Option<(String, String)> {
         None
     }
 

@@ -80,7 +80,7 @@ mod tests {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c"));
         let clock: SharedClock = Arc::new(clock);
         let mut actuator = LogActuatorConfig {}.build(&clock).expect("needs nothing");
-        let mut log = Recorder::begin(clock, HostId::random());
+        let mut log = Recorder::new(clock, HostId::random());
         let lines = Lines::default();
         let writer = lines.clone();
         let subscriber =
@@ -94,8 +94,9 @@ mod tests {
 
     #[test]
     fn classification_logs_label_and_other_answers_size() {
-        let json =
-            |text: &'static str| Sample::of(Description::unshaped(MediaType::Json), text.as_bytes().into());
+        let json = |text: &'static str| {
+            Sample::from_part(Description::unshaped(MediaType::Json), text.as_bytes().into())
+        };
         let line =
             logged(&json(r#"{"label":"dented","score":0.98,"top":[{"label":"dented","score":0.98}]}"#));
         for part in ["INFO", "part-1.jpg", "dented", "0.98"] {
@@ -103,6 +104,6 @@ mod tests {
         }
         assert!(logged(&json(r#"{"boxes":[]}"#)).contains("bytes=12"));
         assert!(logged(&json("{")).contains("bytes=1"));
-        assert!(logged(&Sample::of(Description::bytes(), vec![0; 5].into())).contains("bytes=5"));
+        assert!(logged(&Sample::from_part(Description::bytes(), vec![0; 5].into())).contains("bytes=5"));
     }
 }

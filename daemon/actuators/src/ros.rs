@@ -59,7 +59,7 @@ impl AnswerType {
 }
 
 impl RosActuatorConfig {
-    fn checked(&self) -> Result<(RosVersion, MessageType), ActuatorError> {
+    fn validated(&self) -> Result<(RosVersion, MessageType), ActuatorError> {
         let of = MessageType::try_from(self.message_type.name().to_owned())?;
         let version = check_topic(self.ros_version, &self.topic, Some(&of))?;
         Ok((version, of))
@@ -67,30 +67,30 @@ impl RosActuatorConfig {
 }
 
 impl ActuatorKind for RosActuatorConfig {
-    /// Publishes the topic now, so that subscribers are connected when the first answer comes. If the master does not
-    /// answer, each answer tries again.
+    /// Publishes the topic now, so that subscribers are connected before the first answer. If the master does not answer,
+    /// each answer tries again.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
-        let (version, _) = self.checked()?;
+        let (version, _) = self.validated()?;
         let mut ros = Ros { config: self.clone(), version, clock: SharedClock::clone(clock), writer: None };
         if let Err(error) = ros.writer() {
-            tracing::warn!(topic = self.topic, %error, "answers cannot be published; trying again with each one");
+            tracing::warn!(topic = self.topic, %error, "cannot publish answers on a topic yet; each answer tries again");
         }
         Ok(Box::new(ros))
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        let version = self.checked().map(|(version, _)| version.to_string());
+        let version = self.validated().map(|(version, _)| version.to_string());
         let version = version.unwrap_or_else(|_| "ROS".to_owned());
         let topic = format!("{version} topic {} ({})", self.topic, self.message_type.name());
         vec![("Actuator".to_owned(), topic)]
     }
 
     fn check(&self) -> Result<(), ActuatorError> {
-        self.checked().map(drop)
+        self.validated().map(drop)
     }
 
     fn remarks(&self) -> Vec<String> {
-        let Ok((version, of)) = self.checked() else { return Vec::new() };
+        let Ok((version, of)) = self.validated() else { return Vec::new() };
         match survey_topic(version, &self.topic, Some(&of), TopicUse::Write) {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],
@@ -128,6 +128,7 @@ impl Ros {
             }
         };
         if written.as_ref().is_err_and(TopicError::is_end) {
+            // The next answer starts another node and publishes again.
             self.writer = None;
         }
         Ok(written?)

@@ -367,7 +367,7 @@ fn bank(
     };
     bank.with_folders(config.bank.clone()).with_fingerprints(fingerprints).on_load(move |pool| {
         let text =
-            format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.loaded_in().seconds());
+            format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.load_duration().seconds());
         incidents.report(IncidentKind::ModelLoaded, IncidentContext::default(), text);
     })
 }
@@ -409,6 +409,6 @@ fn describe(host: &Host, bank: &Bank, serves: &[Address]) -> HostDescription {
         version: host.version.to_owned(),
         hardware: telemetry::hardware(),
         serves: (!addresses.is_empty()).then(|| addresses.join(", ")),
-        models: bank.offered(),
+        models: bank.offered_names(),
     }
 }

@@ -110,7 +110,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let bank = bank.with_folders(config.bank.clone());
     for (index, error) in bank.check() {
         let key = match &error {
-            LoadError::TooMuch { key, .. } => format!("model[{index}].{key}"),
+            LoadError::AboveLimit { key, .. } => format!("model[{index}].{key}"),
             _ => format!("model[{index}]"),
         };
         report.add(key, error);
@@ -118,7 +118,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     for (key, error) in bank.check_folders() {
         report.add(format!("bank.{key}"), error);
     }
-    let models = bank.offered();
+    let models = bank.offered_names();
     if let Some(serve) = &config.serve {
         let observes = |pipeline: &PipelineConfig| matches!(pipeline.placement, PlacementConfig::Observe(_));
         // A host without models may still serve: peers can ask for the stamps of the messages that its pipelines

@@ -11,7 +11,7 @@ use peernet_clock::{ClockIdentity, FaultyClock, SharedClock, SystemClock};
 /// # Errors
 /// When the kernel's boot id cannot be read.
 pub fn system(identity: &str) -> io::Result<SharedClock> {
-    Ok(Arc::new(SystemClock::new(ClockIdentity::of_this_machine(identity)?)))
+    Ok(Arc::new(SystemClock::new(ClockIdentity::from_system(identity)?)))
 }
 
 /// Returns `truth`, or the clock that `[rehearsal]` makes of it from now on.
@@ -25,7 +25,7 @@ pub fn rehearsed(truth: &SharedClock, rehearsal: Option<&RehearsalConfig>) -> io
         // Each start is another clock: its drift begins again.
         ClockIdentity::SYSTEM => {
             let name = format!("rehearsal-{}-{:x}", std::process::id(), since.unix_nanos());
-            ClockIdentity::of_this_machine(&name)?
+            ClockIdentity::from_system(&name)?
         }
         _ => truth.identity().clone(),
     };

@@ -131,9 +131,9 @@ fn timed<T>(clock: &SystemClock, items: &[T], mut call: impl FnMut(&T)) -> f64 {
     let mut batches: Vec<f64> = items
         .chunks_exact(BATCH)
         .map(|batch| {
-            let begun = clock.mono();
+            let started_at = clock.mono();
             batch.iter().for_each(&mut call);
-            (clock.mono() - begun).nanos() as f64 / BATCH as f64
+            (clock.mono() - started_at).nanos() as f64 / BATCH as f64
         })
         .collect();
     batches.sort_by(f64::total_cmp);

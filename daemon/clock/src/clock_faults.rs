@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::{RawTime, Span, WallTime};
 
-/// Faults of the wall clock and the free-running clock: `shown = true + offset + drift × (true − since) + steps of this
-/// clock so far`.
+/// Faults of the wall clock and the free-running clock. A clock shows `true + offset + drift × (true − since) + sum of its
+/// steps so far`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockFaults {
     /// Offset from the start on.
@@ -27,15 +27,15 @@ pub struct ClockFaultStep {
     pub at: Span,
     /// Size of the step.
     pub by: Span,
-    /// Clock that is stepped. The serialised form omits the wall clock, which is the only one that earlier releases
-    /// step.
+    /// Clock that is stepped.
+    // The serialised form omits the wall clock, because earlier releases step no other clock.
     #[serde(default, skip_serializing_if = "SteppedClock::is_wall")]
     pub clock: SteppedClock,
 }
 
 impl ClockFaultStep {
     /// Creates a step of the wall clock.
-    pub const fn of_wall(at: Span, by: Span) -> Self {
+    pub const fn wall_step(at: Span, by: Span) -> Self {
         Self { at, by, clock: SteppedClock::Wall }
     }
 }
@@ -44,10 +44,10 @@ impl ClockFaultStep {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SteppedClock {
-    /// The wall clock, as when an administrator sets it. The step is noticed at once.
+    /// The wall clock, as when an administrator sets it. The host detects the step at once.
     #[default]
     Wall,
-    /// The free-running clock, as when a virtual machine is paused. Nothing on the host notices the step.
+    /// The free-running clock, as when a virtual machine is paused. The host cannot detect the step.
     Raw,
 }
 
@@ -76,54 +76,54 @@ impl fmt::Display for ClockFaults {
 
 impl ClockFaults {
     /// Returns the time that the wall clock shows when the true one shows `truth`.
-    pub fn shown(&self, truth: WallTime) -> WallTime {
-        truth + self.error_at(truth)
+    pub fn shown_wall(&self, truth: WallTime) -> WallTime {
+        truth + self.wall_error_at(truth)
     }
 
-    /// Returns how far the wall clock is ahead when the true one shows `truth`.
-    pub fn error_at(&self, truth: WallTime) -> Span {
+    /// Returns the error of the wall clock (shown minus true) when the true one shows `truth`.
+    pub fn wall_error_at(&self, truth: WallTime) -> Span {
         self.error_after(truth - self.since, SteppedClock::Wall)
     }
 
     /// Returns the time that the free-running clock shows when the true one shows `truth` and showed `since` at the
     /// start.
-    pub fn raw_shown(&self, truth: RawTime, since: RawTime) -> RawTime {
+    pub fn shown_raw(&self, truth: RawTime, since: RawTime) -> RawTime {
         truth + self.error_after(truth - since, SteppedClock::Raw)
     }
 
-    /// Returns the true wall-clock time at which this clock showed `shown`, to the nanosecond.
+    /// Returns the true wall-clock time at which this clock showed `shown_wall`, to the nanosecond.
     ///
-    /// A clock that was set back shows some times twice, and one that was set forward skips some. The result is then
-    /// the last such time, or the time of the step.
-    pub fn true_of(&self, shown: WallTime) -> WallTime {
+    /// A clock that was set back shows some times twice; the result is then the last of them. A clock that was set
+    /// forward skips some times; the result is then the time of the step.
+    pub fn true_wall(&self, shown_wall: WallTime) -> WallTime {
         let steps = self.steps.iter().filter(|step| step.clock.is_wall());
-        let mut begins: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
-        begins.push(WallTime::from_unix_nanos(i64::MIN));
-        // From the last step back, because the last such time is wanted.
-        begins.sort_unstable_by(|a, b| b.cmp(a));
+        let mut starts: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
+        starts.push(WallTime::from_unix_nanos(i64::MIN));
+        // From the last step backwards, because the last matching time is the result.
+        starts.sort_unstable_by(|a, b| b.cmp(a));
         let mut end = WallTime::from_unix_nanos(i64::MAX);
-        for begin in begins {
+        for start in starts {
             let stepped: Span =
-                self.steps_within(begin - self.since, SteppedClock::Wall).map(|step| step.by).sum();
-            let truth = self.smooth_true_of(shown - stepped);
-            if truth >= begin {
+                self.steps_within(start - self.since, SteppedClock::Wall).map(|step| step.by).sum();
+            let truth = self.true_wall_without_steps(shown_wall - stepped);
+            if truth >= start {
                 return truth.min(end);
             }
-            end = begin;
+            end = start;
         }
         end
     }
 
-    /// Returns how far a clock is ahead at a time after the start.
+    /// Returns the error of a clock (shown minus true) at a time after the start.
     fn error_after(&self, elapsed: Span, clock: SteppedClock) -> Span {
         let drift = elapsed.nanos() as f64 * self.drift_ppm * 1e-6;
         let steps: Span = self.steps_within(elapsed, clock).map(|step| step.by).sum();
         self.offset + Span::from_nanos(drift.round() as i64) + steps
     }
 
-    /// Returns the true time at which the clock showed `shown`, without steps.
-    fn smooth_true_of(&self, shown: WallTime) -> WallTime {
-        let ahead = shown - self.offset;
+    /// Returns the true time at which the clock showed `shown_wall`, without steps.
+    fn true_wall_without_steps(&self, shown_wall: WallTime) -> WallTime {
+        let ahead = shown_wall - self.offset;
         let elapsed = (ahead - self.since).nanos() as f64;
         let drift = elapsed - elapsed / (1.0 + self.drift_ppm * 1e-6);
         ahead - Span::from_nanos(drift.round() as i64)

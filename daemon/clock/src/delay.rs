@@ -50,11 +50,11 @@ impl Interval {
     }
 }
 
-/// Evidence that the correction of a delay rests on.
+/// Source of the offset by which a delay was corrected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DelaySource {
-    /// A proof that both hosts read one clock.
+    /// Proof that both hosts read one clock.
     SameClock,
     /// The band that the exchanges between the two hosts prove.
     InBand,
@@ -64,7 +64,7 @@ pub enum DelaySource {
     Chrony,
     /// The intersection of several of the above.
     Intersection,
-    /// None: the clocks were never related.
+    /// No source: the clocks were never related.
     None,
 }
 
@@ -129,19 +129,20 @@ names!(Verdict {
     Inconsistent = "inconsistent",
 });
 
-/// The delay of one message from one host to another; or the difference between the times at which two receivers got
-/// the same message ([`Relation::differences`](crate::Relation::differences)).
+/// The delay of one message from one host to another, or the difference between the times at which two receivers got
+/// the same message ([`Relation::reception_differences`](crate::Relation::reception_differences)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OneWayDelay {
-    /// Receive stamp minus send stamp, each from its own host's clock. It is always kept, so that the correction can be
-    /// computed again. May be negative, because it contains the offset of the clocks.
+    /// Receive stamp minus send stamp, each from its own host's clock. May be negative, because it contains the offset of
+    /// the clocks.
+    // Always present, so that the correction can be computed again.
     pub raw: Span,
-    /// Estimate; `None` if nothing is known about the two clocks. A delay is never negative, a difference between two
-    /// receivers may be.
+    /// Estimate; `None` if the verdict is `unsynchronised`, `stepped` or `inconsistent`. A delay is never negative; a
+    /// difference between two receivers may be.
     pub value: Option<Span>,
     /// Interval that contains the true delay as long as the clocks stay within the configured limits of drift.
     pub bounds: Option<Interval>,
-    /// Evidence that `value` and `bounds` rest on.
+    /// Source of the offset that `value` and `bounds` follow from.
     pub source: DelaySource,
     /// Degree to which they can be trusted.
     pub verdict: Verdict,
@@ -180,14 +181,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_negative_difference_is_never_a_delay() {
+    fn negative_difference_is_not_a_delay() {
         let delay = OneWayDelay::same_clock(Span::from_nanos(-1));
         assert_eq!((delay.value, delay.bounds, delay.verdict), (None, None, Verdict::Stepped));
         assert_eq!(delay.raw, Span::from_nanos(-1));
     }
 
     #[test]
-    fn names_lead_back_and_match_the_serialised_form() {
+    fn names_round_trip_and_match_serialised_form() {
         for verdict in Verdict::ALL {
             assert_eq!(Verdict::from_name(verdict.name()), Some(*verdict));
             assert_eq!(serde_json::to_string(verdict).expect("serialises"), format!("\"{verdict}\""));

@@ -1,10 +1,10 @@
-//! Error bounds that a host's own time daemon claims for its wall clock.
+//! Error bounds that a host's time daemon claims for the wall clock.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{DelaySource, Interval};
 
-/// A claim about a host's wall clock: clock minus true time lies within an interval.
+/// Claim of a time daemon about its host's wall clock: clock minus true time lies within an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Discipline {
     /// Source of the claim: [`DelaySource::Kernel`] or [`DelaySource::Chrony`].
@@ -19,7 +19,7 @@ impl Discipline {
     pub fn offset(edge: &Self, cloud: &Self) -> (DelaySource, Interval) {
         let is_chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
         let source = if is_chrony { DelaySource::Chrony } else { edge.source };
-        // Offset = cloud's error − edge's error, so the bounds are the extreme differences.
+        // The offset is the cloud's error minus the edge's error, so that its bounds are the extreme differences.
         (source, Interval { lo: cloud.error.lo - edge.error.hi, hi: cloud.error.hi - edge.error.lo })
     }
 }

@@ -6,8 +6,8 @@ use crate::{Interval, RawTime, Span};
 
 /// A message from the edge to the cloud and its answer, stamped at all four ends (T1 to T4 of RFC 5905, section 8).
 ///
-/// A departure may be stamped early and an arrival late by any amount: this only widens the bounds. A departure stamped
-/// late or an arrival stamped early would make them wrong; `uncertainty` covers that.
+/// A departure that is stamped early, or an arrival that is stamped late, only widens the bounds. A departure that is
+/// stamped late, or an arrival that is stamped early, makes the bounds wrong; `uncertainty` covers such errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Exchange {
     /// Time on the edge's clock at which the message left the edge, or earlier.
@@ -25,15 +25,13 @@ pub struct Exchange {
 
 impl Exchange {
     /// Returns an upper bound of the offset (cloud minus edge) at the edge's time [`sent`](Self::sent).
-    ///
-    /// When the edge showed `sent` the cloud showed no more than `received`, because its clock was read later.
+    // When the edge showed `sent`, the cloud showed no more than `received`, because its clock was read later.
     pub fn upper(&self) -> Span {
         self.received - self.sent + self.uncertainty
     }
 
     /// Returns a lower bound of the offset (cloud minus edge) at the edge's time [`returned`](Self::returned).
-    ///
-    /// When the edge showed `returned` the cloud showed at least `replied`, because its clock was read earlier.
+    // When the edge showed `returned`, the cloud showed at least `replied`, because its clock was read earlier.
     pub fn lower(&self) -> Span {
         self.replied - self.returned - self.uncertainty
     }
@@ -44,7 +42,7 @@ impl Exchange {
         (self.returned - self.sent) - (self.replied - self.received)
     }
 
-    /// Returns the bounds of the offset by this exchange alone, without drift of the clocks.
+    /// Returns the bounds of the offset by this exchange alone, if the clocks do not drift during it.
     pub fn bounds(&self) -> Interval {
         Interval { lo: self.lower(), hi: self.upper() }
     }
@@ -55,10 +53,11 @@ impl Exchange {
 pub struct ExchangeObservation {
     /// The stamps.
     pub exchange: Exchange,
-    /// Time from `received` to `replied` by the cloud's monotonic clock, where these two stamps are of its wall clock:
-    /// a step of the wall clock in between shows as a difference. `None` unless the monotonic clock was read together
-    /// with both stamps, because a kernel's stamp is earlier than the program's reading of another clock by as long as
-    /// the program waited for the processor.
+    /// Time from `received` to `replied` by the cloud's monotonic clock, if these two stamps are of its wall clock. A
+    /// difference shows a step of the wall clock in between. `None` unless the monotonic clock was read together with
+    /// both stamps.
+    // A kernel's stamp does not qualify: it is earlier than the program's reading of another clock by as long as the
+    // program waited for the processor.
     pub cloud_elapsed: Option<Span>,
     /// [`Clock::epoch`](crate::Clock::epoch) of the edge, read after `returned` was stamped.
     pub edge_epoch: u32,

@@ -10,44 +10,43 @@ use crate::{Clock, ClockIdentity, MonoTime, RawTime, Readings, SharedClock, Span
 pub struct FaultyClock {
     inner: SharedClock,
     identity: ClockIdentity,
-    description: ClockFaults,
+    faults: ClockFaults,
     /// Time of the true free-running clock at the start.
     raw_since: RawTime,
     step_counts: Mutex<StepCounts>,
 }
 
-/// Numbers of steps, as of the last query: those of the inner clock and the injected ones.
+/// Numbers of steps of the inner clock and of injected steps, as of the last query.
 #[derive(Debug, Default)]
 struct StepCounts {
     inner: u32,
-    rehearsed: u32,
+    injected: u32,
     last_step: Option<Span>,
 }
 
 impl FaultyClock {
-    /// Creates a clock that shows `inner` with the faults of `description`.
-    pub fn new(inner: SharedClock, identity: ClockIdentity, description: ClockFaults) -> Self {
+    /// Creates a clock that shows `inner` with `faults`.
+    pub fn new(inner: SharedClock, identity: ClockIdentity, faults: ClockFaults) -> Self {
         let step_counts = Mutex::new(StepCounts { inner: inner.wall_epoch(), ..StepCounts::default() });
         let now = inner.stamp();
         // Faults start at the same moment on both clocks.
-        let raw_since = now.raw - (now.wall - description.since);
-        Self { inner, identity, description, raw_since, step_counts }
+        let raw_since = now.raw - (now.wall - faults.since);
+        Self { inner, identity, faults, raw_since, step_counts }
     }
 
-    /// Updates and returns the numbers of steps. Injected steps are known in advance: they count from the moment they
-    /// are due.
+    /// Updates and returns the numbers of steps. An injected step counts from the moment it is due.
     fn update_step_counts(&self) -> MutexGuard<'_, StepCounts> {
         let mut step_counts = self.step_counts.lock().unwrap_or_else(PoisonError::into_inner);
         let inner = self.inner.wall_epoch();
-        let elapsed = self.inner.wall() - self.description.since;
-        let steps = || self.description.steps_within(elapsed, SteppedClock::Wall);
+        let elapsed = self.inner.wall() - self.faults.since;
+        let steps = || self.faults.steps_within(elapsed, SteppedClock::Wall);
         let due = steps().count() as u32;
         if inner > step_counts.inner {
             step_counts.inner = inner;
             step_counts.last_step = self.inner.last_step();
         }
-        if due > step_counts.rehearsed {
-            step_counts.rehearsed = due;
+        if due > step_counts.injected {
+            step_counts.injected = due;
             step_counts.last_step = steps().max_by_key(|step| step.at).map(|step| step.by);
         }
         step_counts
@@ -56,7 +55,7 @@ impl FaultyClock {
 
 impl Clock for FaultyClock {
     fn wall(&self) -> WallTime {
-        self.description.shown(self.inner.wall())
+        self.faults.shown_wall(self.inner.wall())
     }
 
     fn mono(&self) -> MonoTime {
@@ -64,7 +63,7 @@ impl Clock for FaultyClock {
     }
 
     fn raw(&self) -> RawTime {
-        self.description.raw_shown(self.inner.raw(), self.raw_since)
+        self.faults.shown_raw(self.inner.raw(), self.raw_since)
     }
 
     fn identity(&self) -> &ClockIdentity {
@@ -73,8 +72,8 @@ impl Clock for FaultyClock {
 
     fn readings(&self) -> Readings {
         let inner = self.inner.readings();
-        let wall = self.description.shown(inner.wall);
-        Readings { wall, raw: self.description.raw_shown(inner.raw, self.raw_since), ..inner }
+        let wall = self.faults.shown_wall(inner.wall);
+        Readings { wall, raw: self.faults.shown_raw(inner.raw, self.raw_since), ..inner }
     }
 
     fn epoch(&self) -> u32 {
@@ -87,7 +86,7 @@ impl Clock for FaultyClock {
 
     fn wall_epoch(&self) -> u32 {
         let step_counts = self.update_step_counts();
-        step_counts.inner + step_counts.rehearsed
+        step_counts.inner + step_counts.injected
     }
 
     fn begin_wall_epoch(&self) {
@@ -98,12 +97,12 @@ impl Clock for FaultyClock {
         self.update_step_counts().last_step
     }
 
-    fn adopt(&self, system: WallTime) -> WallTime {
-        self.description.shown(system)
+    fn apply_faults(&self, system: WallTime) -> WallTime {
+        self.faults.shown_wall(system)
     }
 
-    fn rehearsal(&self) -> Option<&ClockFaults> {
-        Some(&self.description)
+    fn injected_faults(&self) -> Option<&ClockFaults> {
+        Some(&self.faults)
     }
 }
 
@@ -120,7 +119,7 @@ mod tests {
         ClockFaultStep { at: Span::from_seconds(at), by: Span::from_millis(by), clock: SteppedClock::Wall }
     }
 
-    fn described(steps: &[ClockFaultStep]) -> ClockFaults {
+    fn faults_with(steps: &[ClockFaultStep]) -> ClockFaults {
         ClockFaults {
             offset: Span::from_millis(137),
             drift_ppm: 50.0,
@@ -131,8 +130,8 @@ mod tests {
 
     #[test]
     fn fault_adds_offset_drift_and_due_steps() {
-        let description = described(&[step(20, -500), step(10, 3000)]);
-        let error = |seconds| description.error_at(description.since + Span::from_seconds(seconds));
+        let faults = faults_with(&[step(20, -500), step(10, 3000)]);
+        let error = |seconds| faults.wall_error_at(faults.since + Span::from_seconds(seconds));
         assert_eq!(error(0), Span::from_millis(137));
         assert_eq!(error(2), Span::from_micros(137_100));
         assert_eq!(error(-2), Span::from_micros(136_900));
@@ -142,9 +141,9 @@ mod tests {
 
     #[test]
     fn injected_and_real_steps_are_counted_at_first_query() {
-        let description = described(&[step(20, -500), step(10, 3000)]);
-        let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
-        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        let faults = faults_with(&[step(20, -500), step(10, 3000)]);
+        let inner = Arc::new(ManualClock::new(faults.since, ClockIdentity::new("boot", "system")));
+        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), faults);
         assert_eq!((clock.wall_epoch(), clock.last_step()), (0, None));
         inner.advance(Span::from_seconds(10));
         assert_eq!((clock.wall_epoch(), clock.last_step()), (1, Some(Span::from_seconds(3))));
@@ -154,17 +153,17 @@ mod tests {
         inner.advance(Span::from_seconds(11));
         assert_eq!((clock.wall_epoch(), clock.last_step()), (4, Some(Span::from_millis(-500))));
         assert_eq!(clock.readings().wall, clock.wall());
-        assert_eq!(clock.adopt(inner.wall()), clock.wall());
+        assert_eq!(clock.apply_faults(inner.wall()), clock.wall());
         assert_eq!(clock.mono(), inner.mono());
-        assert!(clock.rehearsal().is_some());
+        assert!(clock.injected_faults().is_some());
     }
 
     #[test]
-    fn drift_is_common_to_both_clocks_and_a_step_is_of_the_named_one() {
+    fn drift_affects_both_clocks_and_step_only_named_one() {
         let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..step(20, -39) };
-        let description = described(&[step(10, 3000), raw_step]);
-        let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
-        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        let faults = faults_with(&[step(10, 3000), raw_step]);
+        let inner = Arc::new(ManualClock::new(faults.since, ClockIdentity::new("boot", "system")));
+        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), faults);
         let errors = || (clock.wall() - inner.wall(), clock.raw() - inner.raw());
         assert_eq!(errors(), (Span::from_millis(137), Span::from_millis(137)));
         inner.advance(Span::from_seconds(10));
@@ -174,7 +173,7 @@ mod tests {
         assert_eq!(
             (clock.epoch(), clock.wall_epoch()),
             (0, 1),
-            "nothing notices the step of the free-running clock"
+            "the step of the free-running clock is not detected"
         );
         assert_eq!(
             clock.wall_ahead(),
@@ -184,64 +183,64 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_was_shown_leads_back_to_the_truth(elapsed in 0i64..100_000_000_000, ppm in -500.0..500.0f64, by in 0i64..5000) {
-            let description = ClockFaults { drift_ppm: ppm, ..described(&[step(60, 10), step(30, by)]) };
-            let truth = description.since + Span::from_nanos(elapsed);
-            let back = description.true_of(description.shown(truth));
+        fn true_time_is_recovered_from_shown_time(elapsed in 0i64..100_000_000_000, ppm in -500.0..500.0f64, by in 0i64..5000) {
+            let faults = ClockFaults { drift_ppm: ppm, ..faults_with(&[step(60, 10), step(30, by)]) };
+            let truth = faults.since + Span::from_nanos(elapsed);
+            let back = faults.true_wall(faults.shown_wall(truth));
             prop_assert!((back - truth).abs() <= Span::from_nanos(1), "{}", back - truth);
         }
 
         #[test]
-        fn of_two_times_that_showed_the_same_it_is_the_later(elapsed in 0i64..60_000_000_000) {
-            let description = described(&[step(30, -10)]);
-            let truth = description.since + Span::from_nanos(elapsed);
-            let back = description.true_of(description.shown(truth));
-            let twice = (truth + Span::from_millis(10) - description.since).nanos() >= 30_000_000_000 && elapsed < 30_000_000_000;
+        fn time_shown_twice_maps_to_later_one(elapsed in 0i64..60_000_000_000) {
+            let faults = faults_with(&[step(30, -10)]);
+            let truth = faults.since + Span::from_nanos(elapsed);
+            let back = faults.true_wall(faults.shown_wall(truth));
+            let twice = (truth + Span::from_millis(10) - faults.since).nanos() >= 30_000_000_000 && elapsed < 30_000_000_000;
             let later = truth + Span::from_millis(if twice { 10 } else { 0 });
             prop_assert!((back - later).abs() <= Span::from_nanos(1000), "{}", back - later);
         }
     }
 
     #[test]
-    fn a_time_that_was_left_out_is_that_of_the_step() {
-        let description = described(&[step(30, 10)]);
-        let begin = description.since + Span::from_seconds(30);
-        let left_out = description.shown(begin) - Span::from_millis(5);
-        assert_eq!(description.true_of(left_out), begin);
+    fn skipped_time_maps_to_step() {
+        let faults = faults_with(&[step(30, 10)]);
+        let start = faults.since + Span::from_seconds(30);
+        let skipped = faults.shown_wall(start) - Span::from_millis(5);
+        assert_eq!(faults.true_wall(skipped), start);
     }
 
     #[test]
-    fn the_words_name_all_that_is_wrong() {
-        let mut rehearsal = ClockFaults {
+    fn text_names_all_faults() {
+        let mut faults = ClockFaults {
             offset: Span::from_millis(-500),
             drift_ppm: 0.0,
             steps: Vec::new(),
             since: WallTime::from_unix_nanos(0),
         };
-        assert_eq!(rehearsal.to_string(), "offset -500 ms");
-        rehearsal.drift_ppm = 50.5;
-        rehearsal.steps.push(ClockFaultStep {
+        assert_eq!(faults.to_string(), "offset -500 ms");
+        faults.drift_ppm = 50.5;
+        faults.steps.push(ClockFaultStep {
             at: Span::from_millis(1500),
             by: Span::from_seconds(3),
             clock: SteppedClock::Wall,
         });
-        assert_eq!(rehearsal.to_string(), "offset -500 ms, drift +50.5 ppm, step +3000 ms after 1.5 s");
+        assert_eq!(faults.to_string(), "offset -500 ms, drift +50.5 ppm, step +3000 ms after 1.5 s");
     }
 
     #[test]
-    fn the_words_are_the_figures_that_were_written() {
+    fn text_has_configured_digits() {
         let step = |at, by| ClockFaultStep {
             at: Span::from_seconds(at),
             by: Span::from_micros(by),
             clock: SteppedClock::Wall,
         };
-        let rehearsal = ClockFaults {
+        let faults = ClockFaults {
             offset: Span::from_micros(-123_300),
             drift_ppm: 0.1,
             steps: (1..2000).map(|at| step(at, at * 100)).collect(),
             since: WallTime::from_unix_nanos(0),
         };
-        let text = rehearsal.to_string();
+        let text = faults.to_string();
         let longest = text.split([' ', ',']).map(str::len).max();
         assert!(longest.is_some_and(|longest| longest <= "+199.9".len()), "{text}");
         assert!(text.contains("step +6 ms after 60 s, step +6.1 ms after 61 s,"), "{text}");

@@ -9,17 +9,17 @@ use serde::{Deserialize, Serialize};
 
 /// Identifies the clocks of a process.
 ///
-/// The processes of one machine since one boot read one clock, containers included, unless a time namespace or a
-/// preloaded library shifts what one of them reads. Clones of one snapshot of a virtual machine report the same boot
-/// id. Equal identities therefore prove nothing: [`may_be_one_with`](Self::may_be_one_with) only tells whether a proof
-/// can exist.
+/// All processes of one machine since one boot read the same clocks, also in containers, unless a time namespace or a
+/// preloaded library shifts the clocks of one of them. Equal identities prove nothing, because clones of one snapshot of
+/// a virtual machine report the same boot id. [`may_share_clock_with`](Self::may_share_clock_with) only says whether a
+/// proof is possible.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ClockIdentity {
     /// Boot id of the kernel, a UUID in text form; in a time namespace followed by `/` and the namespace, such as
     /// `time:[4026532280]`.
     pub boot: Arc<str>,
-    /// `system` unless configured otherwise. Distinguishes clocks that a test or a clock fault injection sets up on one
-    /// machine.
+    /// Name of the clock, `system` by default. Distinguishes the clocks that a test or clock fault injection sets up on
+    /// one machine.
     pub clock: Arc<str>,
     /// Random number of the process that reads the clocks; `None` in releases before 0.3.0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -27,12 +27,12 @@ pub struct ClockIdentity {
 }
 
 impl ClockIdentity {
-    /// Name of the clock when nothing else is configured.
+    /// Default name of the clock.
     pub const SYSTEM: &'static str = "system";
 
     const BOOT_ID: &'static str = "/proc/sys/kernel/random/boot_id";
     const TIME_NAMESPACE: &'static str = "/proc/self/ns/time";
-    /// Namespace of all processes that were not put into another one (`PROC_TIME_INIT_INO` of Linux).
+    /// The initial time namespace (`PROC_TIME_INIT_INO` of Linux).
     const INITIAL_TIME_NAMESPACE: &'static str = "time:[4026531834]";
 
     /// Creates an identity from two given parts, without a process.
@@ -40,9 +40,8 @@ impl ClockIdentity {
         Self { boot: boot.into(), clock: clock.into(), process: None }
     }
 
-    /// Returns whether processes with these identities may read one clock: they state the same boot, time namespace and
-    /// name.
-    pub fn may_be_one_with(&self, other: &Self) -> bool {
+    /// Returns whether processes with these identities may read one clock: boot, time namespace and name are equal.
+    pub fn may_share_clock_with(&self, other: &Self) -> bool {
         self.boot == other.boot && self.clock == other.clock
     }
 
@@ -50,7 +49,7 @@ impl ClockIdentity {
     ///
     /// # Errors
     /// If the kernel's boot id or the time namespace cannot be read. The error names the file.
-    pub fn of_this_machine(clock: &str) -> io::Result<Self> {
+    pub fn from_system(clock: &str) -> io::Result<Self> {
         let unreadable = |path: &'static str| {
             move |error: io::Error| io::Error::new(error.kind(), format!("cannot read {path}: {error}"))
         };
@@ -62,11 +61,11 @@ impl ClockIdentity {
             Err(error) => return Err(unreadable(Self::TIME_NAMESPACE)(error)),
         };
         let identity = Self::in_namespace(boot.trim(), &namespace, clock);
-        Ok(Self { process: Some(process()), ..identity })
+        Ok(Self { process: Some(process_number()), ..identity })
     }
 
-    /// Creates an identity for a time namespace. The initial one is left out, so that the identity equals that of
-    /// releases which ignore namespaces.
+    /// Creates an identity for a time namespace.
+    // The initial namespace is left out, so that the identity equals that of releases which ignore namespaces.
     fn in_namespace(boot: &str, namespace: &str, clock: &str) -> Self {
         if namespace == Self::INITIAL_TIME_NAMESPACE {
             Self::new(boot, clock)
@@ -77,7 +76,7 @@ impl ClockIdentity {
 }
 
 /// Returns the random number of this process, drawn at the first call.
-fn process() -> u64 {
+fn process_number() -> u64 {
     static PROCESS: OnceLock<u64> = OnceLock::new();
     *PROCESS.get_or_init(|| RandomState::new().hash_one(std::process::id()))
 }
@@ -91,7 +90,7 @@ pub fn time_namespace() -> io::Result<u64> {
         Ok(namespace) => Ok(namespace.ino()),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(0),
         Err(error) => {
-            let text = format!("cannot look at {}: {error}", ClockIdentity::TIME_NAMESPACE);
+            let text = format!("cannot read the metadata of {}: {error}", ClockIdentity::TIME_NAMESPACE);
             Err(io::Error::new(error.kind(), text))
         }
     }
@@ -102,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clocks_of_another_time_namespace_are_others() {
+    fn clocks_of_other_time_namespace_differ() {
         let identity = |namespace| ClockIdentity::in_namespace("boot", namespace, ClockIdentity::SYSTEM);
         let initial = identity("time:[4026531834]");
         assert_eq!(initial, ClockIdentity::new("boot", "system"));
@@ -111,22 +110,22 @@ mod tests {
     }
 
     #[test]
-    fn two_reads_on_one_machine_agree_and_a_named_clock_differs() {
-        let a = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
-        let b = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
-        let other = ClockIdentity::of_this_machine("rehearsal").expect("linux has a boot id");
+    fn reads_on_one_machine_agree_but_named_clock_differs() {
+        let a = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
+        let b = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
+        let other = ClockIdentity::from_system("rehearsal").expect("linux has a boot id");
         assert_eq!(a, b);
         assert_ne!(a, other);
-        assert!(a.may_be_one_with(&b) && !a.may_be_one_with(&other));
+        assert!(a.may_share_clock_with(&b) && !a.may_share_clock_with(&other));
     }
 
     #[test]
-    fn another_process_has_another_identity_and_perhaps_the_same_clock() {
-        let ours = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+    fn other_process_differs_but_may_share_clock() {
+        let ours = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
         let theirs = ClockIdentity { process: ours.process.map(|process| process ^ 1), ..ours.clone() };
         assert_ne!(ours, theirs);
-        assert!(ours.may_be_one_with(&theirs));
-        assert!(ours.may_be_one_with(&ClockIdentity { process: None, ..theirs }), "an earlier release");
+        assert!(ours.may_share_clock_with(&theirs));
+        assert!(ours.may_share_clock_with(&ClockIdentity { process: None, ..theirs }), "an earlier release");
     }
 
     #[test]

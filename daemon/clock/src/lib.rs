@@ -1,5 +1,5 @@
-//! Clocks and times: instants and differences that cannot be mixed up, the injected [`Clock`], and one-way delays
-//! between two hosts with an interval that contains the true delay.
+//! Clocks and times: types for instants and their differences, the injected [`Clock`], and one-way delays between two
+//! hosts, each with an interval that contains the true delay.
 //!
 //! The crate does no I/O beyond reading the operating system's clocks. All other crates get the time through a `Clock`
 //! that is passed to them, so that tests can control it (`clippy.toml` enforces this).
@@ -11,16 +11,18 @@
 //!
 //! - `time`: [`WallTime`], [`MonoTime`], [`RawTime`] and their difference, [`Span`].
 //! - `system`: reads the operating system's clocks.
-//! - `source`: the [`Clock`] trait and the system's clock; `manual`: a clock for tests; `rehearsed`: a clock with
-//!   injected faults, which `rehearsal` describes.
-//! - `steps`: detects that a wall clock was stepped or is slewed, and that the machine slept.
-//! - `exchange`: four stamps and the bounds of the offset that follow from them; `discipline`: error bounds that a time
-//!   daemon claims.
-//! - `band`: the interval over time that all exchanges together prove, and the estimate within it.
-//! - `related_clocks`: the clocks of two hosts that the exchanges relate.
-//! - `relation`: one pair of hosts: accepts or refuses exchanges, combines the sources, and judges delays.
-//! - `log_throttle`: limits repeated log lines to one per minute.
+//! - `identity`: tells apart the clocks of different machines, boots and processes.
+//! - `source`: the [`Clock`] trait and the system's clock; `manual`: a clock for tests; `faulty_clock`: a clock with
+//!   injected faults, which `clock_faults` describes.
+//! - `steps`: detects steps and slews of a wall clock, and sleeps of the machine.
+//! - `exchange`: four stamps and the bounds of the offset that follow from them; `discipline`: the error bounds that a
+//!   time daemon claims for a wall clock.
+//! - `band`: the interval of the offset over time that all exchanges together prove, and the estimate within it.
+//! - `related_clocks`: which clocks of the two hosts are related, free-running clocks or wall clocks.
+//! - `relation`: the clocks of one pair of hosts: accepts or refuses exchanges, combines the sources of the offset, and
+//!   corrects delays.
 //! - `delay`: the result, a [`OneWayDelay`] with its interval, its source and its verdict.
+//! - `log_throttle`: limits repeated log lines to one per minute.
 
 mod band;
 mod clock_faults;
@@ -51,8 +53,8 @@ pub use log_throttle::LogThrottle;
 pub use manual::ManualClock;
 pub use related_clocks::RelatedClocks;
 pub use relation::{
-    Direction, Doubt, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, Relation,
-    RelationSettings,
+    Direction, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, Relation, RelationSettings,
+    ViolatedLimit,
 };
 pub use source::{Clock, SharedClock, Stamp, SystemClock};
 pub use steps::{ClockWatch, Disturbance, Readings};

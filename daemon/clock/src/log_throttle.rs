@@ -1,4 +1,4 @@
-//! Limits repeated log lines to one per minute and kind, with a count.
+//! Limit of repeated log lines: one per minute and kind, with a count.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -7,21 +7,21 @@ use crate::{MonoTime, Span};
 
 /// Shortest time between two lines of one kind.
 const LINE_INTERVAL: Span = Span::from_seconds(60);
-/// Largest number of kinds that are counted separately. Further kinds share one count, so that a peer which invents
-/// kinds takes no memory.
+/// Largest number of kinds that are counted separately. Further kinds share one count.
+// A peer that invents kinds must not use up memory.
 const MAX_KINDS: usize = 256;
 
-/// Decides which of many similar events are logged: the first at once, then one per minute with the number of events
-/// since.
+/// Selects which of many similar events are logged: the first one at once, then one per minute with the number of events
+/// since the last line.
 #[derive(Debug, Default)]
 pub struct LogThrottle {
-    known: HashMap<(String, Option<IpAddr>), KindCount>,
+    kinds: HashMap<(String, Option<IpAddr>), KindCount>,
 }
 
 #[derive(Debug)]
 struct KindCount {
     logged_at: MonoTime,
-    since: u64,
+    unlogged: u64,
 }
 
 impl LogThrottle {
@@ -29,30 +29,30 @@ impl LogThrottle {
     /// was less than a minute ago.
     pub fn count(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
         let mut key = (reason.to_owned(), address);
-        if !self.known.contains_key(&key) && self.known.len() >= MAX_KINDS {
-            self.known.retain(|_, known| now - known.logged_at < LINE_INTERVAL);
+        if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {
+            self.kinds.retain(|_, kind| now - kind.logged_at < LINE_INTERVAL);
         }
-        if !self.known.contains_key(&key) && self.known.len() >= MAX_KINDS {
+        if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {
             key = (String::new(), None);
         }
-        let Some(known) = self.known.get_mut(&key) else {
-            self.known.insert(key, KindCount { logged_at: now, since: 0 });
+        let Some(kind) = self.kinds.get_mut(&key) else {
+            self.kinds.insert(key, KindCount { logged_at: now, unlogged: 0 });
             return Some(1);
         };
-        known.since += 1;
-        if now - known.logged_at < LINE_INTERVAL {
+        kind.unlogged += 1;
+        if now - kind.logged_at < LINE_INTERVAL {
             return None;
         }
-        known.logged_at = now;
-        Some(std::mem::take(&mut known.since))
+        kind.logged_at = now;
+        Some(std::mem::take(&mut kind.unlogged))
     }
 
-    /// Removes kinds without a line for a minute. Returns the events of these that were not logged, by kind and
-    /// address.
-    pub fn age(&mut self, now: MonoTime) -> Vec<(String, Option<IpAddr>, u64)> {
-        let old = self.known.extract_if(|_, known| now - known.logged_at >= LINE_INTERVAL);
-        old.filter(|(_, known)| known.since > 0)
-            .map(|((reason, address), known)| (reason, address, known.since))
+    /// Removes kinds without a line for a minute. Returns the number of events since the last line of each kind that has
+    /// some, with its reason and address.
+    pub fn remove_expired(&mut self, now: MonoTime) -> Vec<(String, Option<IpAddr>, u64)> {
+        let old = self.kinds.extract_if(|_, kind| now - kind.logged_at >= LINE_INTERVAL);
+        old.filter(|(_, kind)| kind.unlogged > 0)
+            .map(|((reason, address), kind)| (reason, address, kind.unlogged))
             .collect()
     }
 }
@@ -75,15 +75,15 @@ mod tests {
         assert_eq!(refusals.count("copied", here, at(1)), Some(1));
         assert_eq!(refusals.count("taken", here, at(60)), Some(2));
         assert_eq!(refusals.count("taken", here, at(61)), None);
-        assert_eq!(refusals.age(at(120)), [("taken".to_owned(), here, 1)]);
+        assert_eq!(refusals.remove_expired(at(120)), [("taken".to_owned(), here, 1)]);
         assert_eq!(refusals.count("taken", here, at(120)), Some(1));
     }
 
     #[test]
     fn many_kinds_are_counted_together() {
         let mut refusals = LogThrottle::default();
-        let said = (0..10_000).filter(|n| refusals.count(&n.to_string(), None, at(0)).is_some()).count();
-        assert_eq!((said, refusals.known.len()), (MAX_KINDS + 1, MAX_KINDS + 1));
-        assert_eq!(refusals.age(at(60)), [(String::new(), None, 10_000 - MAX_KINDS as u64 - 1)]);
+        let logged = (0..10_000).filter(|n| refusals.count(&n.to_string(), None, at(0)).is_some()).count();
+        assert_eq!((logged, refusals.kinds.len()), (MAX_KINDS + 1, MAX_KINDS + 1));
+        assert_eq!(refusals.remove_expired(at(60)), [(String::new(), None, 10_000 - MAX_KINDS as u64 - 1)]);
     }
 }

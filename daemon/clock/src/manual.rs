@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_moves_the_wall_clock_alone() {
+    fn step_moves_wall_clock_only() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("b", "c"));
         clock.advance(Span::from_nanos(10));
         clock.step_wall(Span::from_nanos(-100));

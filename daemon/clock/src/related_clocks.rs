@@ -1,4 +1,4 @@
-//! The clocks of two hosts that a relation relates.
+//! Selection of the clocks that a relation relates.
 
 use std::fmt;
 
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_lead_back_and_match_the_serialised_form() {
+    fn names_round_trip_and_match_serialised_form() {
         for clocks in RelatedClocks::ALL {
             assert_eq!(RelatedClocks::from_name(clocks.name()), Some(*clocks));
             assert_eq!(serde_json::to_string(clocks).expect("serialises"), format!("\"{clocks}\""));

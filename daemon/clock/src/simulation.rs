@@ -45,7 +45,7 @@ pub(crate) struct SimulatedClock {
 /// The error, the drift and the change of the drift from a time on.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
-    begin: f64,
+    start: f64,
     error: f64,
     drift: f64,
     /// Change of the drift per nanosecond.
@@ -54,19 +54,19 @@ struct Piece {
 
 impl Piece {
     fn error(&self, t: f64) -> f64 {
-        let away = t - self.begin;
+        let away = t - self.start;
         self.error + away * (self.drift + away * self.change / 2.0)
     }
 
     fn drift(&self, t: f64) -> f64 {
-        self.drift + (t - self.begin) * self.change
+        self.drift + (t - self.start) * self.change
     }
 }
 
 impl SimulatedClock {
     /// Creates a clock that is ahead by `offset` at the start and fast by `ppm`.
     pub(crate) fn drifting(offset: Span, ppm: f64) -> Self {
-        let piece = Piece { begin: 0.0, error: offset.nanos() as f64, drift: ppm * 1e-6, change: 0.0 };
+        let piece = Piece { start: 0.0, error: offset.nanos() as f64, drift: ppm * 1e-6, change: 0.0 };
         Self { pieces: vec![piece] }
     }
 
@@ -93,7 +93,7 @@ impl SimulatedClock {
                 (random.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
             if lasts > 1e-3 {
                 let error = wall.error(t);
-                wall.pieces.push(Piece { begin: t, error, drift: drift * 1e-6, change: change * 1e-15 });
+                wall.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: change * 1e-15 });
                 t += lasts * 1e9;
                 drift += change * lasts;
             }
@@ -103,14 +103,14 @@ impl SimulatedClock {
 
     /// Makes the clock faster by `ppm` from a time on, at a constant drift. Replaces the pieces that follow.
     pub(crate) fn faster(mut self, at: Span, ppm: f64) -> Self {
-        let begin = at.nanos() as f64;
+        let start = at.nanos() as f64;
         let piece = Piece {
-            begin,
-            error: self.error(begin),
-            drift: self.piece(begin).drift(begin) + ppm * 1e-6,
+            start,
+            error: self.error(start),
+            drift: self.piece(start).drift(start) + ppm * 1e-6,
             change: 0.0,
         };
-        self.pieces.retain(|piece| piece.begin < begin);
+        self.pieces.retain(|piece| piece.start < start);
         self.pieces.push(piece);
         self
     }
@@ -121,7 +121,7 @@ impl SimulatedClock {
         let (mut t, mut drift) = (0.0, random.between(-ppm, ppm));
         while t < length.nanos() as f64 {
             let error = wall.error(t);
-            wall.pieces.push(Piece { begin: t, error, drift: drift * 1e-6, change: 0.0 });
+            wall.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: 0.0 });
             t += random.exponential(4e9) + 1.0;
             drift = (drift + random.between(-0.4, 0.4) * ppm).clamp(-ppm, ppm);
         }
@@ -130,17 +130,17 @@ impl SimulatedClock {
 
     /// Steps the clock forward or back at a time.
     pub(crate) fn stepped(mut self, at: Span, by: Span) -> Self {
-        let begin = at.nanos() as f64;
-        let known = self.piece(begin);
-        let (error, drift) = (known.error(begin), known.drift(begin));
-        let later = self.pieces.partition_point(|piece| piece.begin < begin);
-        self.pieces.insert(later, Piece { begin, error, drift, change: known.change });
+        let start = at.nanos() as f64;
+        let current = self.piece(start);
+        let (error, drift) = (current.error(start), current.drift(start));
+        let later = self.pieces.partition_point(|piece| piece.start < start);
+        self.pieces.insert(later, Piece { start, error, drift, change: current.change });
         self.pieces[later..].iter_mut().for_each(|piece| piece.error += by.nanos() as f64);
         self
     }
 
     fn piece(&self, t: f64) -> Piece {
-        self.pieces[self.pieces.partition_point(|piece| piece.begin <= t).max(1) - 1]
+        self.pieces[self.pieces.partition_point(|piece| piece.start <= t).max(1) - 1]
     }
 
     pub(crate) fn error(&self, t: f64) -> f64 {

@@ -4,8 +4,8 @@ use std::fmt;
 use std::ops::{Add, Sub};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::steps::{Paired, StepWatch};
-use crate::system::{BOOT, MONO, RAW, WALL, is_kernels, read};
+use crate::steps::{PairedReading, StepWatch};
+use crate::system::{BOOT, MONO, RAW, WALL, matches_kernel, read};
 use crate::{ClockFaults, ClockIdentity, Interval, MonoTime, RawTime, Readings, Span, WallTime};
 
 /// The clocks of a host, read together.
@@ -19,7 +19,7 @@ pub struct Stamp {
     pub raw: RawTime,
 }
 
-/// Returns the stamp a span later, if all clocks advance alike.
+/// Adds a span to all clocks.
 impl Add<Span> for Stamp {
     type Output = Self;
     fn add(self, span: Span) -> Self {
@@ -27,7 +27,7 @@ impl Add<Span> for Stamp {
     }
 }
 
-/// Returns the stamp a span earlier, if all clocks advanced alike.
+/// Subtracts a span from all clocks.
 impl Sub<Span> for Stamp {
     type Output = Self;
     fn sub(self, span: Span) -> Self {
@@ -35,7 +35,7 @@ impl Sub<Span> for Stamp {
     }
 }
 
-/// The only source of time in the workspace.
+/// Clocks of a host, injected wherever the workspace needs the time.
 pub trait Clock: Send + Sync + fmt::Debug {
     /// Returns the current time of the wall clock.
     fn wall(&self) -> WallTime;
@@ -49,19 +49,21 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// Returns the identity of the clock.
     fn identity(&self) -> &ClockIdentity;
 
-    /// Reads the clocks one right after the other. An interrupted read is repeated, because it would look like a step.
+    /// Reads the clocks in immediate succession. An interrupted reading is repeated.
+    // A delay between the reads would look like a step.
     fn stamp(&self) -> Stamp {
-        let read = || Paired { before: self.raw(), between: (self.wall(), self.mono()), after: self.raw() };
-        let Paired { before, between: (wall, mono), .. } = Paired::read(read);
+        let read =
+            || PairedReading { before: self.raw(), between: (self.wall(), self.mono()), after: self.raw() };
+        let PairedReading { before, between: (wall, mono), .. } = PairedReading::read_uninterrupted(read);
         Stamp { wall, mono, raw: before }
     }
 
     /// Returns the interval that contains the wall clock minus the free-running clock at this moment.
     fn wall_ahead(&self) -> Interval {
-        let read = || Paired { before: self.raw(), between: self.wall(), after: self.raw() };
-        let Paired { before, between, after } = Paired::read(read);
+        let read = || PairedReading { before: self.raw(), between: self.wall(), after: self.raw() };
+        let PairedReading { before, between, after } = PairedReading::read_uninterrupted(read);
         let ahead = |raw: RawTime| Span::from_nanos(between.unix_nanos().saturating_sub(raw.nanos()));
-        // A free-running clock with an injected step in between may go back.
+        // A hull, because a free-running clock with an injected step may go back between the two reads.
         Interval::exactly(ahead(after)).hull(Interval::exactly(ahead(before)))
     }
 
@@ -74,15 +76,15 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// Returns the number of interruptions of the free-running clock: by sleeps of the machine and by calls of
     /// [`begin_epoch`](Self::begin_epoch).
     ///
-    /// Each call checks for a sleep. A sleep is counted by the first call after it, so that stamps taken before a call
-    /// belong to no later epoch than it returns. A stamp and a call next to it therefore reveal a sleep with the first
-    /// message after it, before any periodic check does.
+    /// Each call checks for a sleep; the first call after a sleep counts it. Stamps that were taken before a call belong
+    /// to the returned epoch or an earlier one.
+    // A stamp and a call next to it reveal a sleep with the first message after it, before a periodic check does.
     fn epoch(&self) -> u32 {
         0
     }
 
-    /// Begins an epoch after an interruption of the free-running clock that the clock itself cannot detect: stamps
-    /// before and after it cannot be compared.
+    /// Starts a new epoch after an interruption of the free-running clock that the clock itself cannot detect. Stamps of
+    /// different epochs cannot be compared.
     fn begin_epoch(&self) {}
 
     /// Returns the number of detected steps of the wall clock. Each call checks for a step, as [`epoch`](Self::epoch)
@@ -93,7 +95,7 @@ pub trait Clock: Send + Sync + fmt::Debug {
         0
     }
 
-    /// Begins an epoch of the wall clock after a change of its rate, which only shows over time. It counts as a step.
+    /// Starts a new epoch of the wall clock after a change of its rate, which counts as a step.
     fn begin_wall_epoch(&self) {}
 
     /// Returns the size of the last step that a call of [`wall_epoch`](Self::wall_epoch) detected.
@@ -101,20 +103,20 @@ pub trait Clock: Send + Sync + fmt::Debug {
         None
     }
 
-    /// Returns the time that this wall clock would have shown when the system's wall clock showed `system`, a moment
-    /// ago. Packets are stamped by the kernel, which does not apply injected faults.
-    fn adopt(&self, system: WallTime) -> WallTime {
+    /// Returns the time that this wall clock showed when the system's wall clock showed `system`.
+    // The kernel stamps packets by the system's clock, without injected faults.
+    fn apply_faults(&self, system: WallTime) -> WallTime {
         system
     }
 
-    /// Returns whether the clocks currently show what the kernel shows by a direct system call. They do not if a
-    /// preloaded library shows this process other times, or if faults are injected.
+    /// Returns whether the clocks currently show the time that a direct system call returns. They do not if a preloaded
+    /// library changes the times that this process reads, or if faults are injected.
     fn shows_kernel_time(&self) -> bool {
         false
     }
 
     /// Returns the faults that are injected into the clock, if any.
-    fn rehearsal(&self) -> Option<&ClockFaults> {
+    fn injected_faults(&self) -> Option<&ClockFaults> {
         None
     }
 }
@@ -131,7 +133,7 @@ pub struct SystemClock {
 }
 
 impl SystemClock {
-    /// Creates the clocks of this machine with an identity (see [`ClockIdentity::of_this_machine`]). Steps and sleeps
+    /// Creates the clocks of this machine with an identity (see [`ClockIdentity::from_system`]). Steps and sleeps
     /// count from now on.
     pub fn new(identity: ClockIdentity) -> Self {
         let clock = Self { identity, steps: Arc::default(), sleeps: Arc::default() };
@@ -143,13 +145,13 @@ impl SystemClock {
 }
 
 /// Reads another clock between two reads of the monotonic clock.
-fn beside_mono(other: impl Fn() -> i64) -> Paired {
+fn read_with_mono(other: impl Fn() -> i64) -> PairedReading {
     let mono = || MonoTime::from_nanos(read(MONO));
-    Paired::read(|| Paired { before: mono(), between: other(), after: mono() })
+    PairedReading::read_uninterrupted(|| PairedReading { before: mono(), between: other(), after: mono() })
 }
 
 fn lock(watch: &Mutex<StepWatch>) -> MutexGuard<'_, StepWatch> {
-    // The state is valid after each assignment, so that a panic elsewhere does not invalidate it.
+    // The state is valid after each assignment, so that a poisoned lock does no harm.
     watch.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -177,27 +179,28 @@ impl Clock for SystemClock {
         let read = || {
             let before = self.mono();
             let between = (self.wall(), self.raw(), MonoTime::from_nanos(read(BOOT)));
-            Paired { before, between, after: self.mono() }
+            PairedReading { before, between, after: self.mono() }
         };
-        let Paired { before, between: (wall, raw, boot), .. } = Paired::read(read);
+        let PairedReading { before, between: (wall, raw, boot), .. } =
+            PairedReading::read_uninterrupted(read);
         Readings { wall, mono: before, raw, boot }
     }
 
     fn epoch(&self) -> u32 {
         // Both clocks run at the same rate, so that any change between them is sleep.
-        lock(&self.sleeps).compare(beside_mono(|| read(BOOT)))
+        lock(&self.sleeps).compare(read_with_mono(|| read(BOOT)))
     }
 
     fn begin_epoch(&self) {
-        lock(&self.sleeps).begin();
+        lock(&self.sleeps).begin_epoch();
     }
 
     fn wall_epoch(&self) -> u32 {
-        lock(&self.steps).compare(beside_mono(|| read(WALL)))
+        lock(&self.steps).compare(read_with_mono(|| read(WALL)))
     }
 
     fn begin_wall_epoch(&self) {
-        lock(&self.steps).begin();
+        lock(&self.steps).begin_epoch();
     }
 
     fn last_step(&self) -> Option<Span> {
@@ -207,7 +210,7 @@ impl Clock for SystemClock {
     fn shows_kernel_time(&self) -> bool {
         use rustix::time::ClockId;
         let clocks = [(WALL, ClockId::Realtime), (MONO, ClockId::Monotonic), (RAW, ClockId::MonotonicRaw)];
-        clocks.into_iter().all(|(clock, direct)| is_kernels(clock, direct))
+        clocks.into_iter().all(|(clock, direct)| matches_kernel(clock, direct))
     }
 }
 
@@ -217,7 +220,7 @@ mod tests {
     use crate::FaultyClock;
 
     #[test]
-    fn the_monotonic_clock_never_runs_backwards() {
+    fn monotonic_clock_never_runs_backwards() {
         let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
         let mut last = clock.mono();
         for _ in 0..10_000 {
@@ -231,15 +234,15 @@ mod tests {
     fn only_the_system_clock_shows_kernel_time() {
         let system = SystemClock::new(ClockIdentity::new("boot", "system"));
         assert!((0..10_000).all(|_| system.shows_kernel_time()));
-        let wrong =
+        let faults =
             ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since: system.wall() };
         let identity = system.identity().clone();
-        let rehearsed = FaultyClock::new(Arc::new(system), identity, wrong);
-        assert!(!rehearsed.shows_kernel_time());
+        let faulty = FaultyClock::new(Arc::new(system), identity, faults);
+        assert!(!faulty.shows_kernel_time());
     }
 
     #[test]
-    fn the_wall_clock_is_the_systems() {
+    fn wall_clock_is_that_of_system() {
         let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
         #[expect(clippy::disallowed_methods, reason = "the reference that the clock is compared with")]
         let reference = std::time::SystemTime::now()

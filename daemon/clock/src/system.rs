@@ -2,7 +2,7 @@
 
 use nix::time::{ClockId, clock_gettime};
 
-/// Calendar time, stepped and slewed by time daemons.
+/// Wall-clock time, which time daemons step and slew.
 pub(crate) const WALL: ClockId = ClockId::CLOCK_REALTIME;
 /// Monotonic time: slewed like the wall clock, never stepped.
 pub(crate) const MONO: ClockId = ClockId::CLOCK_MONOTONIC;
@@ -12,26 +12,25 @@ pub(crate) const RAW: ClockId = ClockId::CLOCK_MONOTONIC_RAW;
 pub(crate) const BOOT: ClockId = ClockId::CLOCK_BOOTTIME;
 
 /// Returns the time of a clock in nanoseconds since its own origin.
-///
-/// The call goes through the C library, so that a preloaded library such as libfaketime reaches all clocks alike. It
-/// uses the kernel's vDSO as a direct call would.
+// The call goes through the C library, so that a preloaded library such as libfaketime changes all clocks alike. The C
+// library uses the kernel's vDSO, so that the call is as fast as a direct one.
 #[inline]
 pub(crate) fn read(clock: ClockId) -> i64 {
     let time = clock_gettime(clock).expect("Linux has had these four clocks since version 2.6.39");
     time.tv_sec().saturating_mul(1_000_000_000).saturating_add(time.tv_nsec())
 }
 
-/// Returns whether the C library shows the same time as a direct system call, which no preloaded library reaches.
-pub(crate) fn is_kernels(clock: ClockId, direct: rustix::time::ClockId) -> bool {
+/// Returns whether the C library returns the same time as a direct system call, which no preloaded library can change.
+pub(crate) fn matches_kernel(clock: ClockId, direct: rustix::time::ClockId) -> bool {
     // Several attempts, because the wall clock may be set between two reads.
     (0..4).any(|_| {
-        let before = read_directly(direct);
+        let before = read_by_system_call(direct);
         let shown = read(clock);
-        before <= shown && shown <= read_directly(direct)
+        before <= shown && shown <= read_by_system_call(direct)
     })
 }
 
-fn read_directly(clock: rustix::time::ClockId) -> i64 {
+fn read_by_system_call(clock: rustix::time::ClockId) -> i64 {
     let time = rustix::time::clock_gettime(clock);
     time.tv_sec.saturating_mul(1_000_000_000).saturating_add(time.tv_nsec)
 }

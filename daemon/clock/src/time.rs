@@ -71,9 +71,9 @@ impl RawTime {
         Self(nanos)
     }
 
-    /// Uses a wall-clock time in place of a free-running one: for a peer without free-running stamps, and for runs that
-    /// were recorded with wall clocks only.
-    pub const fn of_wall(wall: WallTime) -> Self {
+    /// Uses a wall-clock time in place of a free-running one.
+    // For peers that send no free-running stamps, and for runs that were recorded with wall clocks only.
+    pub const fn from_wall(wall: WallTime) -> Self {
         Self(wall.0)
     }
 
@@ -119,7 +119,7 @@ impl Span {
 
     /// Returns the seconds, the unit in which durations are stored and served.
     pub fn seconds(self) -> f64 {
-        // Divided, because 1e-9 is no binary fraction: the product would print as 60.00000000000001.
+        // A division, because 1e-9 is not exact in binary: the product would print as 60.00000000000001.
         self.0 as f64 / 1e9
     }
 
@@ -226,13 +226,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn adding_a_difference_leads_back(a in -1i64 << 61..1 << 61, b in -1i64 << 61..1 << 61) {
+        fn adding_difference_restores_instant(a in -1i64 << 61..1 << 61, b in -1i64 << 61..1 << 61) {
             let (a, b) = (WallTime::from_unix_nanos(a), WallTime::from_unix_nanos(b));
             prop_assert_eq!(a + (b - a), b);
         }
 
         #[test]
-        fn no_stamp_can_panic(a: i64, b: i64, s: i64) {
+        fn arithmetic_of_extreme_values_does_not_panic(a: i64, b: i64, s: i64) {
             let (a, b, s) = (MonoTime::from_nanos(a), MonoTime::from_nanos(b), Span::from_nanos(s));
             let _ = (a - b, a + s, b - s, -s, s.abs(), (a - b) + s, s.to_duration());
         }
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn seconds_before_the_epoch_round_towards_the_past() {
+    fn seconds_before_epoch_round_towards_past() {
         assert_eq!(WallTime::from_unix_nanos(-1).unix_seconds(), -1);
         assert_eq!(WallTime::from_unix_nanos(1_999_999_999).unix_seconds(), 1);
     }

@@ -35,7 +35,7 @@ fn main() {
     fs::write(&source, ECHO).expect("it can be written");
     let built = Command::new("cc").arg("-O2").arg("-o").arg(&program).arg(&source).status();
     assert!(built.expect("a C compiler is there").success());
-    let config = ExecConfig::of(CommandLine::Words(vec![program.display().to_string()]));
+    let config = ExecConfig::new(CommandLine::Words(vec![program.display().to_string()]));
 
     let rows = SIZES.map(|size| (size, call(&config, size, rounds)));
     if json {
@@ -55,12 +55,12 @@ fn main() {
 fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
     let mut program = Program::start(config, Role::Model, "bench", &clock).expect("it starts");
-    let sample = Sample::of(Description::bytes(), vec![7; size].into());
+    let sample = Sample::from_part(Description::bytes(), vec![7; size].into());
     let mut taken: Vec<f64> = (0..rounds + rounds / 10)
         .map(|_| {
-            let exchange = program.ask(Request::Sample(&sample)).expect("it answers");
+            let exchange = program.call(Request::Sample(&sample)).expect("it answers");
             assert!(matches!(&exchange.outcome, ReplyOutcome::Parts(parts) if *parts == sample.parts));
-            exchange.whole().seconds()
+            exchange.duration().seconds()
         })
         .skip(rounds / 10)
         .collect();

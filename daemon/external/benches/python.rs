@@ -55,7 +55,7 @@ fn main() {
 fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     fs::write(folder.path().join("echo.py"), ECHO).expect("it can be written");
-    let mut config = PythonConfig::of("echo::Echo");
+    let mut config = PythonConfig::new("echo::Echo");
     config.folder = Some(folder.path().to_owned());
     let mut object = PythonObject::start(&config, Role::Model, "bench", None, clock).expect("it starts");
     let parts = std::slice::from_ref(part);
@@ -78,15 +78,15 @@ fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
         arguments: Vec::new(),
         folder: None,
         environment: Default::default(),
-        inherits: None,
+        inherited_file: None,
     };
     let mut process = Process::start(&launch, clock).expect("cat is there");
     let mut taken = Vec::with_capacity(rounds);
     for round in 0..rounds + rounds / 10 {
-        let begun = clock.mono();
-        process.write(&[content], begun + PATIENCE).expect("it reads");
-        let back = process.read_exact(content.len(), begun + PATIENCE).expect("it writes");
-        let span = clock.mono() - begun;
+        let started_at = clock.mono();
+        process.write(&[content], started_at + PATIENCE).expect("it reads");
+        let back = process.read_exact(content.len(), started_at + PATIENCE).expect("it writes");
+        let span = clock.mono() - started_at;
         assert_eq!(back.len(), content.len());
         if round >= rounds / 10 {
             taken.push(span.seconds());

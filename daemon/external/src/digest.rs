@@ -1,4 +1,4 @@
-//! SHA-256 of files, by which two runs can be recognised as using the same files.
+//! SHA-256 of files, which shows whether two runs used the same files.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read};
@@ -50,15 +50,15 @@ pub fn describe_with_hash(file: &Path) -> String {
 fn hash_file(file: &Path) -> io::Result<String> {
     // The type is checked before opening, because opening a device may have effects, and after it, because the file
     // may have been replaced.
-    let regular = |about: Metadata| match about.is_file() {
-        true => Ok(about.len()),
+    let regular_length = |metadata: Metadata| match metadata.is_file() {
+        true => Ok(metadata.len()),
         false => Err(io::Error::other("it is not a regular file")),
     };
-    regular(file.metadata()?)?;
+    regular_length(file.metadata()?)?;
     // Opening a named pipe would otherwise wait for a writer.
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let opened = File::from(rustix::fs::open(file, flags, Mode::empty())?);
-    let length = regular(opened.metadata()?)?;
+    let length = regular_length(opened.metadata()?)?;
     if length > MAX_HASHED_BYTES {
         return Ok(format!("of {length} bytes, not hashed"));
     }
@@ -71,19 +71,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_are_told_with_the_hash_of_sha256sum() {
+    fn files_are_described_with_hash() {
         let folder = tempfile::tempdir().expect("a folder");
         let (file, large) = (folder.path().join("own.py"), folder.path().join("weights"));
         std::fs::write(&file, "abc").expect("writable");
         File::create(&large).and_then(|file| file.set_len(MAX_HASHED_BYTES + 1)).expect("writable");
         let missing = folder.path().join("none");
         let files = [file.clone(), large.clone(), missing.clone()];
-        let (name, told) = files_fact("Sensor", &files).expect("there are some");
+        let (name, description) = files_fact("Sensor", &files).expect("there are some");
         assert_eq!(name, "Sensor files");
-        let parts: Vec<&str> = told.split(", ").collect();
+        let parts: Vec<&str> = description.split(", ").collect();
         // Example in FIPS 180-4.
-        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(parts[0], format!("{} SHA-256 {known}", file.display()));
+        let expected_hash = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(parts[0], format!("{} SHA-256 {expected_hash}", file.display()));
         assert_eq!(
             &parts[1..],
             [
@@ -106,8 +106,8 @@ mod tests {
         // The length of this file is 0 although it has contents. Reading the kernel's messages would wait for the
         // next one.
         let nothing = sha256(io::empty()).expect("reads");
-        let told = describe_with_hash(Path::new("/proc/self/status"));
-        assert_eq!(told, format!("/proc/self/status SHA-256 {nothing}"));
+        let description = describe_with_hash(Path::new("/proc/self/status"));
+        assert_eq!(description, format!("/proc/self/status SHA-256 {nothing}"));
         let messages = describe_with_hash(Path::new("/proc/kmsg"));
         assert!(messages.ends_with(&nothing) || messages.contains("cannot be read"), "{messages}");
     }

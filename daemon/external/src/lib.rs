@@ -1,6 +1,6 @@
-//! Users' own code, run in separate processes that are connected by pipes and restarted when they die.
+//! Users' code in separate processes, which are connected by pipes and restarted after they died.
 //!
-//! [`process`] starts, writes to, watches and ends a process; it does not interpret the bytes. [`python`] calls a
+//! [`process`] starts a process, exchanges bytes with it and ends it; it does not interpret the bytes. [`python`] calls a
 //! Python object (`module::object`) in such a process, [`exec`] any program. Only the host's own configuration or
 //! command line names the code to be run, never a peer.
 

@@ -3,7 +3,7 @@
 use crate::size::check_size;
 use crate::{ImageError, Picture};
 
-/// Rectangle to be cut out of a picture.
+/// Rectangle of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Crop {
     /// Width, pixels.
@@ -23,17 +23,18 @@ pub struct Crop {
 pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), ImageError> {
     let Crop { width, height, x, y } = crop;
     check_size(u64::from(width), u64::from(height))?;
-    let (of_width, of_height) = (picture.width(), picture.height());
-    let x = x.unwrap_or_else(|| of_width.saturating_sub(width) / 2);
-    let y = y.unwrap_or_else(|| of_height.saturating_sub(height) / 2);
-    let inside = |start: u32, length: u32, of: u32| start.checked_add(length).is_some_and(|end| end <= of);
-    if !inside(x, width, of_width) || !inside(y, height, of_height) {
-        return Err(ImageError::Outside { width, height, x, y, of_width, of_height });
+    let (picture_width, picture_height) = (picture.width(), picture.height());
+    let x = x.unwrap_or_else(|| picture_width.saturating_sub(width) / 2);
+    let y = y.unwrap_or_else(|| picture_height.saturating_sub(height) / 2);
+    let is_inside = |start: u32, length: u32, of: u32| start.checked_add(length).is_some_and(|end| end <= of);
+    if !is_inside(x, width, picture_width) || !is_inside(y, height, picture_height) {
+        return Err(ImageError::Outside { width, height, x, y, picture_width, picture_height });
     }
     let channels = picture.format().channels() as usize;
-    let (row, cut) = (of_width as usize * channels, width as usize * channels);
+    let (row, cut) = (picture_width as usize * channels, width as usize * channels);
     let rows = picture.pixels().chunks_exact(row).skip(y as usize);
     let pixels = target.reshape(picture.format(), width, height);
+    // The pixels of a row are contiguous, so that each row is one copy.
     for (to, from) in pixels.chunks_exact_mut(cut).zip(rows) {
         let start = x as usize * channels;
         to.copy_from_slice(&from[start..start + cut]);

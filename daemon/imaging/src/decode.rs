@@ -23,7 +23,7 @@ const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// Returns the format of a file by its first bytes, regardless of its name and description.
-pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
+pub(crate) fn detect_format(file: &[u8]) -> Result<MediaType, ImageError> {
     match file {
         file if file.starts_with(JPEG) => Ok(MediaType::Jpeg),
         file if file.starts_with(PNG) => Ok(MediaType::Png),
@@ -39,7 +39,7 @@ pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
 /// If the file has another format, is damaged or truncated, or is too large. The contents of `picture` are undefined
 /// then.
 pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
-    if recognise(file)? == MediaType::Jpeg {
+    if detect_format(file)? == MediaType::Jpeg {
         decode_jpeg(file, format, picture)
     } else {
         decode_png(file, format, picture)
@@ -90,12 +90,13 @@ pub(crate) fn open_jpeg(
     Ok(OpenedImage { decoder, width, height })
 }
 
-/// Returns strict options: truncated data are an error instead of a picture with a grey lower part.
+/// Returns the options of the JPEG decoder.
 fn jpeg_options(format: PixelFormat) -> DecoderOptions {
     let colours = match format {
         PixelFormat::Rgb8 => ColorSpace::RGB,
         PixelFormat::Grey8 => ColorSpace::Luma,
     };
+    // Without the strict mode a truncated file gives a picture with a grey lower part instead of an error.
     DecoderOptions::default()
         .set_strict_mode(true)
         .set_max_width(MAX_SIDE as usize)
@@ -114,11 +115,12 @@ fn damaged_jpeg(reason: &str) -> ImageError {
 /// Decodes a PNG file. Bit depths, palettes and transparency are converted to eight bits per channel.
 fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     let OpenedImage { decoder, width, height } = open_png(file)?;
-    let as_wanted = matches!(
+    let is_target_format = matches!(
         (decoder.color_type(), format),
         (image::ColorType::Rgb8, PixelFormat::Rgb8) | (image::ColorType::L8, PixelFormat::Grey8)
     );
-    if as_wanted {
+    if is_target_format {
+        // Decoded straight into the target, without a copy.
         let target = picture.reshape(format, width, height);
         return decoder.read_image(target).map_err(|error| png_error(&error));
     }

@@ -4,14 +4,14 @@ use peernet_sample::MediaType;
 
 use crate::limits::{MAX_PIXELS, MAX_SIDE};
 
-/// Reason that a picture cannot be read, changed or written.
+/// Reason why a picture cannot be read, changed or written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
-    /// The bytes do not begin like a JPEG or PNG file.
+    /// The bytes do not start like a JPEG or PNG file.
     #[error("it is neither a jpeg nor a png file")]
     UnknownFormat,
     /// The payload is not a picture.
-    #[error("it is {}, not a picture", described(.0))]
+    #[error("it is {}, not a picture", media_text(.0))]
     NotAPicture(MediaType),
     /// The file is damaged, truncated or of an unsupported kind.
     #[error("the {format} file cannot be read: {reason}")]
@@ -23,8 +23,8 @@ pub enum ImageError {
     },
     /// The picture has no pixels, or more than this program accepts.
     #[error(
-        "{width} × {height} pixels are not possible: sides go from 1 to {MAX_SIDE}, \
-         and no picture has more than {MAX_PIXELS} pixels"
+        "a size of {width} × {height} pixels is not supported: each side has 1 to {MAX_SIDE} pixels, \
+         and a picture has at most {MAX_PIXELS} pixels"
     )]
     Size {
         /// Width, pixels.
@@ -51,7 +51,7 @@ pub enum ImageError {
     Shape(Vec<u32>),
     /// The rectangle reaches beyond the picture.
     #[error(
-        "a rectangle of {width} × {height} at {x}, {y} does not lie within {of_width} × {of_height} pixels"
+        "a rectangle of {width} × {height} at {x}, {y} is not within {picture_width} × {picture_height} pixels"
     )]
     Outside {
         /// Width of the rectangle, pixels.
@@ -63,9 +63,9 @@ pub enum ImageError {
         /// Upper edge, pixels.
         y: u32,
         /// Width of the picture, pixels.
-        of_width: u32,
+        picture_width: u32,
         /// Height of the picture, pixels.
-        of_height: u32,
+        picture_height: u32,
     },
     /// The picture cannot be encoded.
     #[error("cannot write a {format} file of {width} × {height} pixels: {reason}")]
@@ -81,7 +81,7 @@ pub enum ImageError {
     },
 }
 
-fn described(media: &MediaType) -> String {
+fn media_text(media: &MediaType) -> String {
     match media {
         MediaType::Bytes => "plain bytes".to_owned(),
         MediaType::Jpeg => "a jpeg file".to_owned(),

@@ -2,10 +2,10 @@
 //!
 //! Pictures are JPEG and PNG files, and decoded pixels of one byte per channel, as [`peernet_sample`] describes them.
 //! All functions write into a [`Picture`] that the caller keeps, so that a stream of pictures of one size allocates
-//! memory once. No input is trusted: any bytes lead to a picture or to an [`ImageError`], and a picture beyond
-//! [`MAX_PIXELS`] is refused before memory is allocated for it.
+//! memory once. Input is untrusted: all bytes give a picture or an [`ImageError`], and a picture beyond [`MAX_PIXELS`] is
+//! refused before memory is allocated for it.
 //!
-//! This is a separate crate because the transforms of sensors and the preprocessing of models both need it and do not
+//! The crate is separate, because the transforms of sensors and the preprocessing of models both need it and must not
 //! depend on each other.
 
 mod crop;

@@ -4,7 +4,7 @@ use bytes::Bytes;
 use peernet_sample::{Description, Part, PixelFormat};
 
 use crate::ImageError;
-use crate::size::{check_length, length};
+use crate::size::{check_length, pixel_bytes};
 
 /// Decoded pixels, rows from top to bottom, without padding, one byte per channel.
 ///
@@ -62,7 +62,8 @@ impl Picture {
     /// Changes format and size, and returns the pixels to be written; their contents are undefined.
     pub(crate) fn reshape(&mut self, format: PixelFormat, width: u32, height: u32) -> &mut [u8] {
         (self.format, self.width, self.height) = (format, width, height);
-        self.pixels.resize(length(format, width, height) as usize, 0);
+        // The allocation is reused, so that a stream of pictures of one size allocates memory once.
+        self.pixels.resize(pixel_bytes(format, width, height) as usize, 0);
         &mut self.pixels
     }
 
@@ -112,12 +113,12 @@ mod tests {
             Err(ImageError::Length { expected: 18, actual: 6, .. })
         ));
         assert!(matches!(Picture::new(PixelFormat::Rgb8, 0, 3, vec![]), Err(ImageError::Size { .. })));
-        let lie = Picture::new(PixelFormat::Rgb8, u32::MAX, u32::MAX, vec![0; 6]);
-        assert!(matches!(lie, Err(ImageError::Size { .. })));
+        let too_large = Picture::new(PixelFormat::Rgb8, u32::MAX, u32::MAX, vec![0; 6]);
+        assert!(matches!(too_large, Err(ImageError::Size { .. })));
     }
 
     #[test]
-    fn grey_and_colour_lead_to_each_other() {
+    fn grey_and_colour_convert_to_each_other() {
         assert_eq!([luma([0, 0, 0]), luma([255, 255, 255]), luma([255, 0, 0])], [0, 255, 76]);
         let mut colour = Picture::default();
         colour.assign(PixelFormat::Grey8, PixelFormat::Rgb8, 2, 1, &[7, 9]);

@@ -3,7 +3,7 @@
 use peernet_sample::{MediaType, Part, PixelFormat};
 
 use crate::ImageError;
-use crate::decode::{open_jpeg, open_png, recognise};
+use crate::decode::{detect_format, open_jpeg, open_png};
 use crate::size::pixels_size;
 
 /// Format and size of a picture.
@@ -23,8 +23,9 @@ pub struct Header {
 /// If the file has another format, if its header is damaged, or if its size is beyond
 /// [`MAX_PIXELS`](crate::MAX_PIXELS) or [`MAX_SIDE`](crate::MAX_SIDE).
 pub fn probe(file: &[u8]) -> Result<Header, ImageError> {
-    let media = recognise(file)?;
+    let media = detect_format(file)?;
     let (width, height) = if media == MediaType::Jpeg {
+        // The pixel format has no effect, because only the header is read.
         let opened = open_jpeg(file, PixelFormat::Rgb8)?;
         (opened.width, opened.height)
     } else {

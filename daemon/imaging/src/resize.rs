@@ -95,6 +95,7 @@ impl Resizer {
         let pixels = target.reshape(picture.format(), width, height);
         let mut to =
             fir::images::Image::from_slice_u8(width, height, pixels, kind).map_err(|_| impossible())?;
+        // Neither pixel format has an alpha channel.
         let options = fir::ResizeOptions::new().resize_alg(scaling.into().algorithm()).use_alpha(false);
         self.0.resize(&from, &mut to, &options).map_err(|_| impossible())
     }
@@ -126,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn without_antialiasing_only_the_nearest_pixels_count() {
+    fn without_antialias_only_nearest_pixels_count() {
         // Pixel 0 of 8 in a row of 64 is at 3.5: halfway between a white and a black pixel, regardless of the pixels
         // beside them.
         let mut lone = vec![0; 64];

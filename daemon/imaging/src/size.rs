@@ -7,7 +7,7 @@ use crate::limits::{MAX_PIXELS, MAX_SIDE};
 
 /// Returns the number of bytes of decoded pixels. The size must have passed [`check_size`]: otherwise the product may
 /// overflow.
-pub(crate) fn length(format: PixelFormat, width: u32, height: u32) -> u64 {
+pub(crate) fn pixel_bytes(format: PixelFormat, width: u32, height: u32) -> u64 {
     u64::from(width) * u64::from(height) * u64::from(format.channels())
 }
 
@@ -19,7 +19,7 @@ pub(crate) fn check_length(
     actual: usize,
 ) -> Result<(), ImageError> {
     check_size(u64::from(width), u64::from(height))?;
-    let (expected, actual) = (length(format, width, height), actual as u64);
+    let (expected, actual) = (pixel_bytes(format, width, height), actual as u64);
     if expected != actual {
         return Err(ImageError::Length { width, height, channels: format.channels(), expected, actual });
     }
@@ -41,6 +41,7 @@ pub(crate) fn pixels_size(part: &Part, format: PixelFormat) -> Result<(u32, u32)
 
 /// Refuses sizes that are empty or would take too much memory.
 pub(crate) fn check_size(width: u64, height: u64) -> Result<(), ImageError> {
+    // The sides are checked first, so that their product cannot overflow.
     let sides = 1..=MAX_SIDE;
     if sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS {
         Ok(())

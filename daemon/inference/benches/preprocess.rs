@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_inference::{Bank, BankConfig, Done, Job, OnnxRuntimeConfig};
+use peernet_inference::{Bank, BankConfig, FinishedJob, Job, OnnxRuntimeConfig};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_sample::{Description, MediaType, Sample};
 
@@ -29,16 +29,16 @@ fn main() {
     let bank = Bank::new(vec![config], OnnxRuntimeConfig::default(), Arc::clone(&clock));
     let pool = bank.load(&name, None).expect("the model loads");
     let bytes = std::fs::read(&picture).expect("the picture is readable").into();
-    let sample = Sample::of(Description::unshaped(MediaType::Jpeg), bytes);
+    let sample = Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes);
 
     let mut taken = STAGES.map(|_| Vec::with_capacity(rounds));
     for _ in 0..rounds {
         let (sender, receiver) = sync_channel(1);
-        let reply = Box::new(move |done: Done| sender.send(done).expect("is awaited"));
-        let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+        let reply = Box::new(move |done: FinishedJob| sender.send(done).expect("is awaited"));
+        let log = Recorder::new(Arc::clone(&clock), HostId::random());
         let job = Job { sample: sample.clone(), log, received: clock.mono(), reply };
         pool.submit(job).expect("the queue is empty");
-        let Done { log, result } = receiver.recv().expect("is answered");
+        let FinishedJob { log, result } = receiver.recv().expect("is answered");
         result.expect("the picture is classified");
         let tree = log.finish();
         for (stage, times) in STAGES.iter().zip(&mut taken) {

@@ -6,7 +6,7 @@ mod folders;
 mod model_cache;
 
 pub use config::BankConfig;
-pub use folders::{INSTALLED, ModelFolders, ModelOnDisk};
+pub use folders::{DEFAULT_MODEL_FOLDER, ModelFolders, ModelOnDisk};
 
 use std::collections::HashSet;
 use std::fmt;
@@ -81,7 +81,7 @@ impl Bank {
         self
     }
 
-    /// Calls `observer` with each pool after it was loaded; [`Pool::loaded_in`] is the duration.
+    /// Calls `observer` with each pool after it was loaded; [`Pool::load_duration`] is the duration.
     #[must_use]
     pub fn on_load(mut self, observer: impl Fn(&Pool) + Send + Sync + 'static) -> Self {
         self.on_load = Some(Box::new(observer));
@@ -100,8 +100,8 @@ impl Bank {
 
     /// Returns the names of all models that can be requested except the built-in one: the configured ones, then those
     /// that are in the folders now. Reads the folders.
-    pub fn offered(&self) -> Vec<Slug> {
-        let mut names = self.configured();
+    pub fn offered_names(&self) -> Vec<Slug> {
+        let mut names = self.configured_names();
         for name in self.cache.iter().flat_map(ModelCache::names) {
             if !names.contains(&name) {
                 names.push(name);
@@ -115,16 +115,16 @@ impl Bank {
     ///
     /// # Errors
     /// If there are several such models, or none.
-    pub fn only(&self) -> Result<Slug, LoadError> {
-        let configured = self.configured();
-        let names = if configured.is_empty() { self.offered() } else { configured };
+    pub fn default_model(&self) -> Result<Slug, LoadError> {
+        let configured = self.configured_names();
+        let names = if configured.is_empty() { self.offered_names() } else { configured };
         match &*names {
             [name] => Ok(name.clone()),
             _ => Err(LoadError::Unnamed { known: names.iter().map(Slug::to_string).collect() }),
         }
     }
 
-    fn configured(&self) -> Vec<Slug> {
+    fn configured_names(&self) -> Vec<Slug> {
         self.names().into_iter().filter(|name| self.built_in.as_ref() != Some(name)).collect()
     }
 
@@ -141,9 +141,9 @@ impl Bank {
         let Some(entry) = self.entries.iter().find(|entry| entry.config.name() == name) else {
             return self.load_from_folders(name, device);
         };
-        let offered = entry.config.device();
-        if let Some(asked) = device.filter(|asked| *asked != offered) {
-            let (model, asked, offered) = (name.to_string(), asked.to_owned(), offered.to_owned());
+        let configured = entry.config.device();
+        if let Some(asked) = device.filter(|asked| *asked != configured) {
+            let (model, asked, offered) = (name.to_string(), asked.to_owned(), configured.to_owned());
             return Err(LoadError::OtherDevice { model, asked, offered });
         }
         self.load_entry(entry)
@@ -151,7 +151,7 @@ impl Bank {
 
     fn load_from_folders(&self, name: &Slug, device: Option<&str>) -> Result<Arc<Pool>, LoadError> {
         let unknown = || {
-            let known = self.offered().iter().map(Slug::to_string).collect();
+            let known = self.offered_names().iter().map(Slug::to_string).collect();
             LoadError::UnknownModel { name: name.to_string(), known }
         };
         let cache = self.cache.as_ref().ok_or_else(unknown)?;
@@ -162,6 +162,7 @@ impl Bank {
         })?;
         let pool = self.load_entry(&entry);
         if pool.is_err() {
+            // The next request reads the files again, which may have been corrected.
             cache.discard(&entry);
         }
         pool
@@ -202,32 +203,32 @@ impl Bank {
 
     /// Ends the threads of all loaded models; see [`Pool::shutdown`]. Blocks.
     pub fn shutdown(&self) {
-        for entry in self.all() {
-            entry.clear();
+        for entry in self.all_entries() {
+            entry.unload();
         }
     }
 
-    fn all(&self) -> Vec<Arc<CacheEntry>> {
+    fn all_entries(&self) -> Vec<Arc<CacheEntry>> {
         self.entries.iter().cloned().chain(self.cache.iter().flat_map(ModelCache::entries)).collect()
     }
 
-    /// Ends the threads of all loaded models, but waits no longer than `patience`. Blocks.
+    /// Ends the threads of all loaded models, but waits no longer than `timeout`. Blocks.
     ///
     /// Returns the models that are still loading or computing: their threads are left running, and their temporary
     /// files are removed.
-    pub fn shutdown_within(&self, patience: Duration) -> Vec<Slug> {
+    pub fn shutdown_within(&self, timeout: Duration) -> Vec<Slug> {
         // Loading or computing may take minutes, for which the end of the process must not wait.
         let deadline =
-            self.clock.mono() + Span::from_nanos(i64::try_from(patience.as_nanos()).unwrap_or(i64::MAX));
-        let entries = self.all();
+            self.clock.mono() + Span::from_nanos(i64::try_from(timeout.as_nanos()).unwrap_or(i64::MAX));
+        let entries = self.all_entries();
         let (done, ended) = mpsc::sync_channel(entries.len());
-        let mut left: Vec<(usize, Slug)> =
+        let mut running: Vec<(usize, Slug)> =
             entries.iter().enumerate().map(|(index, entry)| (index, entry.config.name().clone())).collect();
         for (index, entry) in entries.into_iter().enumerate() {
             let done = done.clone();
             let thread = thread::Builder::new().name(format!("end-{}", entry.config.name()));
             let ending = thread.spawn(move || {
-                entry.clear();
+                entry.unload();
                 // The receiver is gone if ending this model took too long.
                 let _ = done.send(index);
             });
@@ -236,17 +237,17 @@ impl Bank {
             }
         }
         drop(done);
-        while !left.is_empty() {
+        while !running.is_empty() {
             let remaining = (deadline - self.clock.mono()).nanos().max(0).unsigned_abs();
             match ended.recv_timeout(Duration::from_nanos(remaining)) {
-                Ok(index) => left.retain(|(other, _)| *other != index),
+                Ok(index) => running.retain(|(other, _)| *other != index),
                 Err(_) => break,
             }
         }
-        if !left.is_empty() {
+        if !running.is_empty() {
             self.temp_dirs.delete_all();
         }
-        left.into_iter().map(|(_, name)| name).collect()
+        running.into_iter().map(|(_, name)| name).collect()
     }
 
     fn context(&self) -> LoadContext<'_> {
@@ -255,10 +256,10 @@ impl Bank {
 
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
         config.check_limits()?;
-        let begun = self.clock.mono();
+        let started_at = self.clock.mono();
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
-        let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, begun)?;
+        let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, started_at)?;
         Ok(pool.with_facts(config.facts(self.fingerprints.as_ref())))
     }
 }

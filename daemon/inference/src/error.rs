@@ -8,11 +8,11 @@ use peernet_external::python::PythonError;
 /// Largest number of names in a message.
 const MAX_LISTED: usize = 30;
 
-/// Reason that a model cannot be loaded.
+/// Reason why a model cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     /// No model of that name is offered.
-    #[error("no model named {name}; {}", offered(.known))]
+    #[error("no model named {name}; {}", offered_text(.known))]
     UnknownModel {
         /// The requested name.
         name: String,
@@ -21,9 +21,9 @@ pub enum LoadError {
     },
     /// No folder has a model of that name.
     #[error(
-        "no model named {name} in {}; {}; name another folder, give a path with a slash, or export the model \
+        "no model named {name} in {}; {}; search another folder, give a path with a slash, or export the model \
          (models/export_torchvision.py)",
-        listed(.searched), there_is(.known)
+        listed(.searched), available_text(.known)
     )]
     NotFound {
         /// The requested name.
@@ -34,17 +34,17 @@ pub enum LoadError {
         known: Vec<String>,
     },
     /// The request names no model although several are offered.
-    #[error("no model was named; {}; name one", offered(.known))]
+    #[error("the request names no model; {}; name one", offered_text(.known))]
     Unnamed {
         /// The models that this host offers.
         known: Vec<String>,
     },
     /// The files of a model in use differ from those that were loaded.
-    #[error("model {0} was changed on disk while others use it; ask again when their sessions are over")]
+    #[error("the files of model {0} changed while it is in use; try again after its sessions have ended")]
     Changed(String),
     /// The largest number of loaded models is reached, and all are in use.
     #[error(
-        "no room for model {model}: {most} models of the bank may be loaded and all are in use ({}); ask again later, or \
+        "cannot load model {model}: the limit of {most} loaded models is reached and all are in use ({}); try again later, or \
          raise [bank] most_loaded on the serving host", .in_use.join(", ")
     )]
     BankFull {
@@ -59,8 +59,8 @@ pub enum LoadError {
     #[error("two models are named {0}; give each its own name")]
     Duplicate(String),
     /// A value is above its upper limit.
-    #[error("{value} is too much; at most {most}")]
-    TooMuch {
+    #[error("{value} is above the limit of {most}")]
+    AboveLimit {
         /// Key in the model's table.
         key: &'static str,
         /// Configured value.
@@ -69,7 +69,7 @@ pub enum LoadError {
         most: u64,
     },
     /// The model is configured for another device.
-    #[error("model {model} is not offered on {asked}, only on {offered}; ask for that or name no device")]
+    #[error("model {model} is not offered on {asked}, only on {offered}; request that device or none")]
     OtherDevice {
         /// The model.
         model: String,
@@ -82,7 +82,7 @@ pub enum LoadError {
     #[error(
         "{0:?} is not a device; use cpu, cuda:N, tensorrt:N or openvino:DEVICE (N from 0, DEVICE such as CPU or GPU.0)"
     )]
-    NoSuchDevice(String),
+    InvalidDevice(String),
     /// ONNX Runtime cannot be loaded.
     #[error(transparent)]
     Library(#[from] LibraryError),
@@ -181,7 +181,7 @@ impl LoadError {
             | Self::Session { .. }
             | Self::Thread { .. } => {
                 format!(
-                    "model {model} cannot be loaded on the serving host; its log and its incidents say why"
+                    "model {model} cannot be loaded on the serving host; its log and its incidents have the reason"
                 )
             }
             Self::NoProvider { device, provider, .. } => {
@@ -194,14 +194,14 @@ impl LoadError {
             | Self::Changed(_)
             | Self::BankFull { .. }
             | Self::Duplicate(_)
-            | Self::TooMuch { .. }
+            | Self::AboveLimit { .. }
             | Self::OtherDevice { .. }
-            | Self::NoSuchDevice(_) => self.to_string(),
+            | Self::InvalidDevice(_) => self.to_string(),
         }
     }
 }
 
-/// Reason that ONNX Runtime cannot be loaded.
+/// Reason why ONNX Runtime cannot be loaded.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LibraryError {
     /// No library was found.
@@ -231,10 +231,10 @@ pub enum LibraryError {
     },
     /// The process has loaded another library; it can load one only.
     #[error(
-        "ONNX Runtime is loaded from {} already; a process can use one library only, not {} as well",
+        "ONNX Runtime is already loaded from {}; a process cannot load {} in addition",
         .loaded.display(), .wanted.display()
     )]
-    AnotherLoaded {
+    OtherLibraryLoaded {
         /// The loaded library.
         loaded: PathBuf,
         /// The requested library.
@@ -242,7 +242,7 @@ pub enum LibraryError {
     },
 }
 
-/// Reason that a sample was not answered.
+/// Reason why a sample was not answered.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InferenceError {
     /// The model cannot use this input.
@@ -273,7 +273,7 @@ pub enum InferenceError {
     },
     /// The queue is full.
     #[error(
-        "the queue of model {model} is full ({capacity} waiting); send less, or raise workers or queue in its [[model]]"
+        "the queue of model {model} is full ({capacity} waiting); send fewer samples, or raise workers or queue in its [[model]]"
     )]
     QueueFull {
         /// The model.
@@ -294,25 +294,25 @@ fn listed(folders: &[PathBuf]) -> String {
 }
 
 /// Lists the first names of a list. The list may be long, but an answer to a peer must not be.
-fn first(names: &[String]) -> String {
+fn first_names(names: &[String]) -> String {
     match names.get(..MAX_LISTED) {
-        Some(first) if names.len() > MAX_LISTED => {
-            format!("{} and {} more", first.join(", "), names.len() - MAX_LISTED)
+        Some(first_names) if names.len() > MAX_LISTED => {
+            format!("{} and {} more", first_names.join(", "), names.len() - MAX_LISTED)
         }
         _ => names.join(", "),
     }
 }
 
-fn there_is(known: &[String]) -> String {
+fn available_text(known: &[String]) -> String {
     match known {
-        [] => "there is none at all".to_owned(),
-        known => format!("there is {}", first(known)),
+        [] => "the folders contain no model".to_owned(),
+        known => format!("the folders contain {}", first_names(known)),
     }
 }
 
-fn offered(known: &[String]) -> String {
+fn offered_text(known: &[String]) -> String {
     match known {
         [] => "this host offers none: add a [[model]] to its configuration".to_owned(),
-        known => format!("this host offers {}", first(known)),
+        known => format!("this host offers {}", first_names(known)),
     }
 }

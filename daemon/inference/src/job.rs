@@ -12,7 +12,7 @@ use crate::InferenceError;
 pub struct Job {
     /// The input.
     pub sample: Sample,
-    /// Recorder of the stages; it is returned in [`Done`].
+    /// Recorder of the stages; it is returned in [`FinishedJob`].
     pub log: Recorder,
     /// Time at which this host received the sample: the beginning of the stage `queue`.
     pub received: MonoTime,
@@ -21,10 +21,10 @@ pub struct Job {
 }
 
 /// Callback for the result of a job.
-pub(crate) type Reply = Box<dyn FnOnce(Done) + Send>;
+pub(crate) type Reply = Box<dyn FnOnce(FinishedJob) + Send>;
 
 /// Finished job.
-pub struct Done {
+pub struct FinishedJob {
     /// The recorder of the job, with the stages of the model.
     pub log: Recorder,
     /// The answer, or the error.
@@ -32,7 +32,7 @@ pub struct Done {
 }
 
 /// Job that a pool did not accept; its `reply` was not called.
-pub struct Refused {
+pub struct RefusedJob {
     /// The job as it was submitted.
     pub job: Box<Job>,
     /// [`InferenceError::QueueFull`] or [`InferenceError::Stopped`].
@@ -45,7 +45,7 @@ impl fmt::Debug for Job {
     }
 }
 
-impl fmt::Debug for Refused {
+impl fmt::Debug for RefusedJob {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Refused").field("reason", &self.reason).finish_non_exhaustive()
     }

@@ -18,7 +18,7 @@ mod thread;
 
 pub use bank::{Bank, BankConfig};
 pub use error::{InferenceError, LibraryError, LoadError};
-pub use job::{Done, Job, Refused};
+pub use job::{FinishedJob, Job, RefusedJob};
 pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, UNKNOWN_LABEL};
 pub use model::{ModelConfig, SharedKeys};
 pub use pool::Pool;
@@ -43,7 +43,7 @@ pub trait Model: Send + Sync {
     ///
     /// # Errors
     /// If the device has no room for another worker.
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError>;
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError>;
 
     /// Returns whether `infer` may block or compute for long, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {

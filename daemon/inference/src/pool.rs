@@ -9,7 +9,7 @@ use peernet_logger::Slug;
 
 use crate::queue::{Queue, Rejection};
 use crate::thread::{WorkerSlot, deliver};
-use crate::{Done, InferenceError, Job, LoadError, Model, Refused};
+use crate::{FinishedJob, InferenceError, Job, LoadError, Model, RefusedJob};
 
 /// Loaded model with its workers, shared by all its users.
 ///
@@ -18,11 +18,11 @@ use crate::{Done, InferenceError, Job, LoadError, Model, Refused};
 pub struct Pool {
     name: Slug,
     model: Arc<dyn Model>,
-    loaded_in: Span,
+    load_duration: Span,
     workers: usize,
     execution: Execution,
     /// Facts in addition to those of the model.
-    further_facts: Vec<(String, String)>,
+    additional_facts: Vec<(String, String)>,
 }
 
 /// Way in which jobs are run.
@@ -34,18 +34,19 @@ enum Execution {
 }
 
 impl Pool {
-    /// Creates the workers and starts their threads; `begun` is the time at which loading the model began.
+    /// Creates the workers and starts their threads; `started_at` is the time at which loading the model started.
     pub(crate) fn start(
         name: Slug,
         model: Arc<dyn Model>,
         sizes: Sizes,
         clock: &SharedClock,
-        begun: MonoTime,
+        started_at: MonoTime,
     ) -> Result<Self, LoadError> {
         let slot = |_| {
-            let worker = Some(model.worker()?);
+            let worker = Some(model.create_worker()?);
             Ok(WorkerSlot { name: name.clone(), model: Arc::clone(&model), clock: Arc::clone(clock), worker })
         };
+        // A model that does not block runs on the thread of its caller, one sample at a time.
         let workers = if model.blocks() { sizes.workers } else { 1 };
         let mut slots = (0..workers).map(slot).collect::<Result<Vec<_>, LoadError>>()?;
         let execution = match slots.pop() {
@@ -56,18 +57,18 @@ impl Pool {
             }
         };
         Ok(Self {
-            loaded_in: clock.mono() - begun,
+            load_duration: clock.mono() - started_at,
             name,
             model,
             workers,
             execution,
-            further_facts: Vec::new(),
+            additional_facts: Vec::new(),
         })
     }
 
     /// Adds facts to those of the model.
     pub(crate) fn with_facts(mut self, facts: Vec<(String, String)>) -> Self {
-        self.further_facts = facts;
+        self.additional_facts = facts;
         self
     }
 
@@ -76,7 +77,7 @@ impl Pool {
     ///
     /// # Errors
     /// Returns the job if the queue is full or the pool is shut down.
-    pub fn submit(&self, job: Job) -> Result<(), Refused> {
+    pub fn submit(&self, job: Job) -> Result<(), RefusedJob> {
         match &self.execution {
             Execution::Inline(slot) => {
                 // The reply is called without the lock, because it may submit the next job.
@@ -90,7 +91,7 @@ impl Pool {
                     Rejection::Full => InferenceError::QueueFull { model, capacity: queue.capacity() },
                     Rejection::Closed => InferenceError::Stopped { model },
                 };
-                Refused { job: Box::new(job), reason }
+                RefusedJob { job: Box::new(job), reason }
             }),
         }
     }
@@ -101,14 +102,14 @@ impl Pool {
         let Execution::Threads { queue, handles } = &self.execution else { return };
         for Job { log, reply, .. } in queue.close() {
             let result = Err(InferenceError::Stopped { model: self.name.to_string() });
-            deliver(&self.name, reply, Done { log, result });
+            deliver(&self.name, reply, FinishedJob { log, result });
         }
         let handles = std::mem::take(&mut *handles.lock().unwrap_or_else(PoisonError::into_inner));
         for handle in handles {
             // A reply may drop the last handle of the pool on one of the pool's own threads, which cannot join
             // itself.
             if handle.thread().id() != thread::current().id() && handle.join().is_err() {
-                tracing::error!(model = %self.name, "a thread of the model had panicked");
+                tracing::error!(model = %self.name, "a thread of the model panicked");
             }
         }
     }
@@ -125,7 +126,7 @@ impl Pool {
 
     /// Returns facts for the run's page.
     pub fn facts(&self) -> Vec<(String, String)> {
-        self.model.facts().into_iter().chain(self.further_facts.iter().cloned()).collect()
+        self.model.facts().into_iter().chain(self.additional_facts.iter().cloned()).collect()
     }
 
     /// Returns whether jobs run on threads of the pool; otherwise [`submit`](Self::submit) computes at once.
@@ -134,8 +135,8 @@ impl Pool {
     }
 
     /// Returns the duration of loading the model and creating its workers.
-    pub fn loaded_in(&self) -> Span {
-        self.loaded_in
+    pub fn load_duration(&self) -> Span {
+        self.load_duration
     }
 
     /// Returns the number of samples that are computed at the same time.
@@ -144,7 +145,7 @@ impl Pool {
     }
 
     /// Returns the number of samples that wait for a free worker.
-    pub fn waiting(&self) -> usize {
+    pub fn waiting_samples(&self) -> usize {
         match &self.execution {
             Execution::Threads { queue, .. } => queue.len(),
             Execution::Inline(_) => 0,
@@ -180,7 +181,7 @@ impl Execution {
         let mut handles = Vec::with_capacity(slots.len());
         for (index, mut slot) in slots.into_iter().enumerate() {
             let jobs = Arc::clone(&queue);
-            // The kernel keeps 15 characters of a thread's name: the number comes first, so that it is among them.
+            // The number comes first, because the kernel keeps only 15 characters of a thread's name.
             let thread = thread::Builder::new().name(format!("{index}-{name}"));
             match thread.spawn(move || slot.serve(&jobs)) {
                 Ok(handle) => handles.push(handle),

@@ -5,8 +5,8 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Bounded first-in first-out queue with several producers and consumers.
 ///
-/// At most `capacity` items wait. A consumer that is idle takes an item at once, so that each idle consumer allows one more item:
-/// channels of the standard library and of tokio cannot count them.
+/// At most `capacity` items wait. Each idle consumer allows one more item, because it takes the item at once.
+// Channels of the standard library and of tokio do not count idle consumers.
 pub(crate) struct Queue<T> {
     capacity: usize,
     state: Mutex<State<T>>,
@@ -19,7 +19,7 @@ struct State<T> {
     closed: bool,
 }
 
-/// Reason that an item was not added.
+/// Reason why an item was not added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rejection {
     Full,
@@ -74,10 +74,10 @@ impl<T> Queue<T> {
     pub(crate) fn close(&self) -> VecDeque<T> {
         let mut state = self.lock();
         state.closed = true;
-        let left = std::mem::take(&mut state.waiting);
+        let waiting = std::mem::take(&mut state.waiting);
         drop(state);
         self.changed.notify_all();
-        left
+        waiting
     }
 
     /// Locks the state. No code here panics while it holds the lock, so that the state behind a poisoned lock is consistent.

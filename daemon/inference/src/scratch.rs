@@ -1,4 +1,4 @@
-//! Temporary folders that are removed even if their owner was killed: the creation of the next one removes them.
+//! Temporary folders that are removed even if their owner was killed: the creation of the next folder removes them.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -57,7 +57,7 @@ fn remove_abandoned(parent: &Path) {
     let user = rustix::process::geteuid().as_raw();
     for entry in fs::read_dir(parent).into_iter().flatten().filter_map(Result::ok) {
         let is_ours = entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes())
-            && entry.metadata().is_ok_and(|about| about.is_dir() && about.uid() == user);
+            && entry.metadata().is_ok_and(|metadata| metadata.is_dir() && metadata.uid() == user);
         let (folder, file) = (entry.path(), entry.path().join(LOCK_FILE));
         if !is_ours || !file.is_file() {
             continue;
@@ -67,7 +67,7 @@ fn remove_abandoned(parent: &Path) {
         if lock.try_lock().is_ok()
             && let Err(error) = fs::remove_dir_all(&folder)
         {
-            tracing::warn!(%error, folder = %folder.display(), "cannot remove the temporary folder of a process that is no more");
+            tracing::warn!(%error, folder = %folder.display(), "cannot remove the temporary folder of an ended process");
         }
     }
 }

@@ -41,7 +41,7 @@ mod tests {
     #[test]
     fn registered_folders_are_deleted() {
         let parent = tempfile::tempdir().expect("a folder");
-        let [kept, abandoned] = ["kept", "left"].map(|name| parent.path().join(name));
+        let [kept, abandoned] = ["kept", "abandoned"].map(|name| parent.path().join(name));
         let temp_dirs = TempDirs::default();
         for folder in [&kept, &abandoned] {
             fs::create_dir(folder).expect("made");

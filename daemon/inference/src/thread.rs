@@ -10,7 +10,7 @@ use peernet_sample::Sample;
 
 use crate::job::Reply;
 use crate::queue::Queue;
-use crate::{Done, InferenceError, Job, Model, Worker};
+use crate::{FinishedJob, InferenceError, Job, Model, Worker};
 
 /// A worker with the objects that it needs to answer jobs; used by one thread at a time.
 pub(crate) struct WorkerSlot {
@@ -31,23 +31,23 @@ impl WorkerSlot {
     }
 
     /// Computes one job; the caller passes the result to [`deliver`]. Never panics.
-    pub(crate) fn compute(&mut self, job: Job) -> (Reply, Done) {
+    pub(crate) fn compute(&mut self, job: Job) -> (Reply, FinishedJob) {
         let Job { sample, mut log, received, reply } = job;
-        log.timed(stage::QUEUE, received, self.clock.mono());
+        log.record_timer(stage::QUEUE, received, self.clock.mono());
         let result = self.infer(&sample, &mut log);
-        (reply, Done { log, result })
+        (reply, FinishedJob { log, result })
     }
 
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let mut worker = match self.worker.take() {
             Some(worker) => worker,
             None => {
-                let from = self.clock.mono();
-                let worker = self.model.worker().map_err(|error| InferenceError::Failed {
+                let restarted_at = self.clock.mono();
+                let worker = self.model.create_worker().map_err(|error| InferenceError::Failed {
                     model: self.name.to_string(),
                     reason: format!("its worker could not be rebuilt after a panic: {error}"),
                 })?;
-                log.timed(stage::RESTART, from, self.clock.mono());
+                log.record_timer(stage::RESTART, restarted_at, self.clock.mono());
                 worker
             }
         };
@@ -59,7 +59,7 @@ impl WorkerSlot {
                 result
             }
             Err(panic) => {
-                let message = message(panic.as_ref()).to_owned();
+                let message = panic_message(panic.as_ref()).to_owned();
                 Err(InferenceError::Panicked { model: self.name.to_string(), message })
             }
         }
@@ -67,13 +67,13 @@ impl WorkerSlot {
 }
 
 /// Calls a job's reply and catches its panics, so that a faulty receiver does not end a thread of the pool.
-pub(crate) fn deliver(model: &Slug, reply: Reply, done: Done) {
+pub(crate) fn deliver(model: &Slug, reply: Reply, done: FinishedJob) {
     if let Err(panic) = catch_unwind(AssertUnwindSafe(|| reply(done))) {
-        tracing::error!(%model, panic = message(panic.as_ref()), "the receiver of an answer panicked");
+        tracing::error!(%model, panic = panic_message(panic.as_ref()), "the receiver of a model's answer panicked");
     }
 }
 
-fn message(panic: &(dyn Any + Send)) -> &str {
+fn panic_message(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message")
 }

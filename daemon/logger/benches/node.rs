@@ -70,25 +70,25 @@ fn main() {
 
 /// Returns the nanoseconds per call.
 fn time(clock: &SharedClock, calls: usize, mut call: impl FnMut()) -> f64 {
-    let begun = clock.mono();
+    let started_at = clock.mono();
     (0..calls).for_each(|_| call());
-    (clock.mono() - begun).nanos() as f64 / calls as f64
+    (clock.mono() - started_at).nanos() as f64 / calls as f64
 }
 
 /// Returns the nanoseconds per timed node over new recorders; `calls` of `record` create [`NODES`] of them.
 fn nodes(clock: &SharedClock, calls: usize, record: impl Fn(&mut Recorder)) -> f64 {
     let host = HostId::random();
-    let mut logs: Vec<Recorder> = (0..TREES).map(|_| Recorder::begin(clock.clone(), host)).collect();
-    let begun = clock.mono();
+    let mut logs: Vec<Recorder> = (0..TREES).map(|_| Recorder::new(clock.clone(), host)).collect();
+    let started_at = clock.mono();
     for log in &mut logs {
         (0..calls).for_each(|_| record(log));
     }
-    (clock.mono() - begun).nanos() as f64 / (TREES * NODES) as f64
+    (clock.mono() - started_at).nanos() as f64 / (TREES * NODES) as f64
 }
 
 fn two_reads(clock: &SharedClock) {
-    let begun = black_box(clock.mono());
-    black_box(clock.mono() - begun);
+    let started_at = black_box(clock.mono());
+    black_box(clock.mono() - started_at);
 }
 
 fn nested(log: &mut Recorder) {
@@ -97,7 +97,7 @@ fn nested(log: &mut Recorder) {
 }
 
 fn whole_tree(clock: &SharedClock) {
-    let mut log = Recorder::begin(clock.clone(), HostId::from_bytes([7; 16]));
+    let mut log = Recorder::new(clock.clone(), HostId::from_bytes([7; 16]));
     for name in stage::ORDER.into_iter().chain([stage::CAPTURE, stage::TOTAL]) {
         drop(log.time(name));
     }
@@ -106,22 +106,22 @@ fn whole_tree(clock: &SharedClock) {
 
 /// Returns the tree of an offloaded iteration as it is stored.
 fn typical(clock: &SharedClock) -> Tree {
-    let mut log = Recorder::begin(clock.clone(), HostId::random());
+    let mut log = Recorder::new(clock.clone(), HostId::random());
     {
         let mut sensing = log.time(stage::SENSING);
         drop(sensing.time(stage::CAPTURE));
     }
     let sent = clock.stamp();
-    let upload = log.depart(stage::UPLOAD, sent);
+    let upload = log.start_transit(stage::UPLOAD, sent);
     let (there, arrival) = (clock.clone(), clock.stamp());
     let tree = log.tree().clone();
     let mut remote = Recorder::resume(there, HostId::random(), tree, upload, arrival).expect("under way");
     for name in [stage::QUEUE, stage::PREPROCESSING, stage::INFERENCE, stage::POSTPROCESSING] {
         drop(remote.time(name));
     }
-    let download = remote.depart(stage::DOWNLOAD, clock.stamp());
-    log.tree_mut().absorb(remote.into_tree_delta().expect("resumed")).expect("fits");
-    log.arrive(download, clock.wall());
+    let download = remote.start_transit(stage::DOWNLOAD, clock.stamp());
+    log.tree_mut().apply_delta(remote.into_tree_delta().expect("resumed")).expect("fits");
+    log.end_transit(download, clock.wall());
     for transit in [upload, download] {
         if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(transit) {
             transit.delay = Some(OneWayDelay::same_clock(Span::from_micros(136)));

@@ -23,7 +23,7 @@ const ITERATION: &str = "iteration";
 /// # use peernet_clock::{ClockIdentity, ManualClock, Span, WallTime};
 /// # use peernet_logger::{HostId, Recorder, Unit, csv, stage};
 /// # let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c")));
-/// # let mut log = Recorder::begin(clock.clone(), HostId::random());
+/// # let mut log = Recorder::new(clock.clone(), HostId::random());
 /// # log.value(stage::UPLOAD_BYTES, 150_000.0, Unit::BYTES);
 /// # let tree = log.finish();
 /// let mut table = Vec::new();
@@ -40,22 +40,23 @@ where
     let rows = rows.into_iter();
     let mut columns = Columns::new();
     rows.clone().for_each(|(_, tree)| columns.add(tree));
-    let mut table = Table::begin(out, columns)?;
+    let mut table = Table::new(out, columns)?;
     for (iteration, tree) in rows {
-        table.row(iteration, tree)?;
+        table.write_row(iteration, tree)?;
     }
-    table.end()
+    table.finish()
 }
 
 /// The columns of a table: the union of the paths of all trees added.
 #[derive(Clone, Debug, Default)]
 pub struct Columns {
     /// Index of each path segment by its parent segment, its name, and its position among siblings of that name.
-    known: HashMap<(Option<usize>, Name, usize), usize>,
+    segment_indices: HashMap<(Option<usize>, Name, usize), usize>,
     segments: Vec<Segment>,
     /// Indices of all segments in the order of their columns.
     order: Vec<usize>,
-    deepest: Option<usize>,
+    /// Deepest level with columns; `None` for all levels.
+    max_level: Option<usize>,
 }
 
 /// The last name of a path.
@@ -74,10 +75,10 @@ impl Columns {
         Self::default()
     }
 
-    /// Creates columns for nodes down to a level only; the root's children have level 1. The published table has
-    /// `sensing`, but not its parts.
-    pub fn down_to(level: usize) -> Self {
-        Self { deepest: Some(level), ..Self::default() }
+    /// Creates columns for nodes down to a level only; the root's children have level 1.
+    // The table of the published program has `sensing`, but not its parts.
+    pub fn with_max_level(level: usize) -> Self {
+        Self { max_level: Some(level), ..Self::default() }
     }
 
     /// Adds columns for all nodes of a tree.
@@ -90,12 +91,12 @@ impl Columns {
             let occurrence = siblings.next(parent, &node.name);
             let key = (parent, node.name.clone(), occurrence);
             let next = self.segments.len();
-            let at = *self.known.entry(key).or_insert(next);
+            let at = *self.segment_indices.entry(key).or_insert(next);
             if at == next {
                 self.insert(parent, &node.name, occurrence, after);
             }
             // A new column follows the column of the node before it in this tree.
-            after = self.order.iter().position(|other| *other == at).map_or(after, |place| place + 1);
+            after = self.order.iter().position(|other| *other == at).map_or(after, |position| position + 1);
             self.segments[at].has_value |= has_value(tree, id);
             if let Some(parent) = parent {
                 self.segments[parent].has_children = true;
@@ -104,9 +105,9 @@ impl Columns {
         }
     }
 
-    fn insert(&mut self, parent: Option<usize>, name: &Name, occurrence: usize, place: usize) {
+    fn insert(&mut self, parent: Option<usize>, name: &Name, occurrence: usize, position: usize) {
         let label = if occurrence == 1 { name.to_string() } else { format!("{name}_{occurrence}") };
-        self.order.insert(place, self.segments.len());
+        self.order.insert(position, self.segments.len());
         self.segments.push(Segment { parent, label, has_value: false, has_children: false });
     }
 
@@ -123,13 +124,13 @@ impl Columns {
             NodeId::ROOT => (None, 1),
             other => paths[other.index()].map(|(segment, level)| (Some(segment), level + 1))?,
         };
-        self.deepest.is_none_or(|deepest| level <= deepest).then_some((segment, level))
+        self.max_level.is_none_or(|max_level| level <= max_level).then_some((segment, level))
     }
 
     /// Returns the unique names of the columns after `iteration`, each with its segment.
     fn headers(&self) -> Vec<(usize, String)> {
-        // Paths joined with `_` can be equal although their nodes differ; readers address columns by name.
-        let mut taken = HashSet::from([ITERATION.to_owned()]);
+        // Different paths can give the same text when they are joined with `_`, but columns need unique names.
+        let mut used = HashSet::from([ITERATION.to_owned()]);
         let with_value = self.order.iter().copied().filter(|at| self.segments[*at].has_value);
         with_value
             .map(|at| {
@@ -147,7 +148,7 @@ impl Columns {
                 }
                 let mut header = path.clone();
                 let mut number = 2;
-                while !taken.insert(header.clone()) {
+                while !used.insert(header.clone()) {
                     header = format!("{path}_{number}");
                     number += 1;
                 }
@@ -173,13 +174,13 @@ fn has_value(tree: &Tree, id: NodeId) -> bool {
     tree.get(id).is_some_and(|node| !matches!(node.measure, crate::Measure::Container))
 }
 
-/// A table with known columns that is written row by row.
+/// A table with fixed columns that is written row by row.
 #[derive(Debug)]
 pub struct Table<W: io::Write> {
     out: ::csv::Writer<W>,
     columns: Columns,
     /// Position of each segment's column.
-    place: HashMap<usize, usize>,
+    column_of_segment: HashMap<usize, usize>,
     cells: Vec<String>,
 }
 
@@ -188,31 +189,32 @@ impl<W: io::Write> Table<W> {
     ///
     /// # Errors
     /// If writing to `out` fails.
-    pub fn begin(out: W, columns: Columns) -> io::Result<Self> {
+    pub fn new(out: W, columns: Columns) -> io::Result<Self> {
         let headers = columns.headers();
         let mut out = ::csv::Writer::from_writer(out);
         out.write_record(
             std::iter::once(ITERATION).chain(headers.iter().map(|(_, header)| header.as_str())),
         )?;
-        let place = headers.iter().enumerate().map(|(place, (at, _))| (*at, place)).collect();
-        Ok(Self { out, columns, place, cells: vec![String::new(); headers.len()] })
+        let column_of_segment =
+            headers.iter().enumerate().map(|(column, (segment, _))| (*segment, column)).collect();
+        Ok(Self { out, columns, column_of_segment, cells: vec![String::new(); headers.len()] })
     }
 
     /// Writes the row of an iteration. Nodes without a column are left out: add the tree to the [`Columns`] first.
     ///
     /// # Errors
     /// If writing to `out` fails.
-    pub fn row(&mut self, iteration: u64, tree: &Tree) -> io::Result<()> {
+    pub fn write_row(&mut self, iteration: u64, tree: &Tree) -> io::Result<()> {
         self.cells.iter_mut().for_each(String::clear);
         let mut siblings = Siblings::default();
         let mut paths: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
             let Some((parent, level)) = self.columns.parent(tree, id, &paths) else { continue };
             let key = (parent, node.name.clone(), siblings.next(parent, &node.name));
-            let Some(at) = self.columns.known.get(&key) else { continue };
+            let Some(at) = self.columns.segment_indices.get(&key) else { continue };
             paths[id.index()] = Some((*at, level));
-            if let (Some(place), Some(value)) = (self.place.get(at), node.measure.value()) {
-                self.cells[*place] = value.to_string();
+            if let (Some(column), Some(value)) = (self.column_of_segment.get(at), node.measure.value()) {
+                self.cells[*column] = value.to_string();
             }
         }
         let iteration = iteration.to_string();
@@ -224,7 +226,7 @@ impl<W: io::Write> Table<W> {
     ///
     /// # Errors
     /// If writing to `out` fails.
-    pub fn end(mut self) -> io::Result<()> {
+    pub fn finish(mut self) -> io::Result<()> {
         self.out.flush()
     }
 }

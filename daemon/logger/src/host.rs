@@ -49,8 +49,7 @@ macro_rules! random_id {
     };
 }
 random_id! {
-    /// Identifier of a host, drawn once and kept in the agent's state directory. It identifies the host; the name is
-    /// for people.
+    /// Random identifier of a host, kept in the agent's state directory. It stays the same when the host is renamed.
     HostId
 }
 
@@ -65,7 +64,7 @@ random_id! {
 #[serde(try_from = "String", into = "String")]
 pub struct Slug(Arc<str>);
 
-/// Error for a text that is not a valid name.
+/// Error: the text is not a valid name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0:?} cannot be a name: use 1 to 64 letters, digits, dots, underscores and hyphens, a letter or digit first"
@@ -78,12 +77,12 @@ impl Slug {
         &self.0
     }
 
-    /// Returns `any`, the placeholder where a peer chooses and has not chosen yet.
+    /// Returns `any`, the placeholder until a peer has chosen.
     pub fn any() -> Self {
         Self("any".into())
     }
 
-    /// Returns `none`, the placeholder where a name is required and nothing has one.
+    /// Returns `none`, the placeholder where a name is required but there is none.
     pub fn none() -> Self {
         Self("none".into())
     }
@@ -127,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_would_break_an_address_are_refused() {
+    fn names_that_need_escaping_are_refused() {
         for good in ["a", "cam-1", "rack_a.2", "9"] {
             assert!(good.parse::<Slug>().is_ok(), "{good}");
         }

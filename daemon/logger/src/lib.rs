@@ -1,6 +1,6 @@
 //! The logger: one tree of typed nodes per iteration, and its text, CSV and wire forms.
 //!
-//! No I/O. Modules, from the lowest layer up:
+//! The crate does no I/O. Modules, from the lowest layer up:
 //!
 //! - [`Name`], [`Unit`], [`Measure`]: the name of a node and what it measured; [`stage`]: the standard names.
 //! - [`Tree`]: the nodes of one iteration on all its hosts; [`limits`]: its maximum size.
@@ -26,7 +26,7 @@ pub use host::{HostId, InvalidName, RunId, Slug};
 pub use measure::{Measure, Rate, RawStamps, Transit};
 pub use meter::Meter;
 pub use name::{Name, Unit, stage};
-pub use recorder::{Measuring, Recorder, Timing, Tokens};
+pub use recorder::{MeterGuard, Recorder, TimerGuard, TokenGuard};
 pub use stages::Stages;
 pub use text::Text;
 pub use tree::{Anchor, HostIndex, Node, NodeId, Tree, TreeDelta};

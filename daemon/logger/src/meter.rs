@@ -2,7 +2,7 @@
 
 use crate::{Name, Unit};
 
-/// An instrument that measures something between two moments: energy, a rise of temperature, cache misses.
+/// An instrument that measures a quantity between two times: energy, a rise of temperature, cache misses.
 ///
 /// ```
 /// # use std::sync::Arc;
@@ -30,7 +30,7 @@ use crate::{Name, Unit};
 /// }
 ///
 /// # let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c")));
-/// # let mut log = Recorder::begin(clock, HostId::random());
+/// # let mut log = Recorder::new(clock, HostId::random());
 /// let mut battery = Energy { joules: 100.0, before: 0.0 };
 /// {
 ///     let mut inference = log.measure(Name::from_static("board"), &mut battery);

@@ -13,8 +13,8 @@ use crate::limits::MAX_NAME_BYTES;
 
 /// A short text that is cloned without copying: static for the standard names, shared for all others.
 ///
-/// It has at most [`MAX_NAME_BYTES`] bytes. Longer names from within the program are cut off; longer names from a peer
-/// are refused.
+/// It has at most [`MAX_NAME_BYTES`] bytes. A longer name is truncated if the program creates it, and refused if it
+/// comes from a peer.
 #[derive(Clone)]
 pub struct Name(Repr);
 
@@ -25,7 +25,7 @@ enum Repr {
 }
 
 impl Name {
-    /// Creates a name that is known at compile time.
+    /// Creates a name from a string constant.
     ///
     /// # Panics
     /// If it is longer than [`MAX_NAME_BYTES`]; in a constant, this is a compile error.
@@ -44,7 +44,7 @@ impl Name {
 }
 
 impl From<&str> for Name {
-    /// Creates a name, cut off at [`MAX_NAME_BYTES`]. Standard names need no allocation.
+    /// Creates a name, truncated to [`MAX_NAME_BYTES`]. Standard names need no allocation.
     fn from(name: &str) -> Self {
         let name = &name[..name.floor_char_boundary(MAX_NAME_BYTES)];
         stage::standard(name).map_or_else(|| Self(Repr::Shared(name.into())), Self::from_static)
@@ -135,10 +135,10 @@ impl<'de> Deserialize<'de> for Name {
                 f.write_str("a name")
             }
             fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Name, E> {
-                // Refused and not cut, so that two names of a peer cannot become one.
+                // Refused and not truncated, because two names of a peer could become equal.
                 if name.len() > MAX_NAME_BYTES {
                     return Err(E::custom(format_args!(
-                        "a name of {} bytes, the limit is {MAX_NAME_BYTES}",
+                        "a name has {} bytes, the limit is {MAX_NAME_BYTES}",
                         name.len()
                     )));
                 }
@@ -190,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_is_cut_at_a_character_and_a_longer_one_is_not_read() {
+    fn long_name_is_truncated_locally_but_refused_from_peer() {
         let long = "ä".repeat(MAX_NAME_BYTES);
         let name = Name::from(long.as_str());
         assert_eq!(name.as_str(), "ä".repeat(MAX_NAME_BYTES / 2));
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shared_name_equals_a_static_one() {
+    fn shared_name_equals_static_one() {
         assert_eq!(Name::from("sensing"), stage::SENSING);
         assert!(matches!(Name::from("sensing").0, Repr::Static(_)));
         assert!(matches!(Name::from("gripper").0, Repr::Shared(_)));

@@ -2,7 +2,7 @@
 
 mod guard;
 
-pub use self::guard::{Measuring, Timing, Tokens};
+pub use self::guard::{MeterGuard, TimerGuard, TokenGuard};
 
 use peernet_clock::{MonoTime, SharedClock, Span, Stamp, WallTime};
 
@@ -14,7 +14,7 @@ use crate::{
 
 /// Recorder of a tree on one host: opens and closes nodes below the innermost open one.
 ///
-/// It never exceeds [`crate::limits`]: nodes that do not fit are left out ([`NodeId::NOWHERE`]), their children are
+/// It never exceeds [`crate::limits`]: nodes that do not fit are left out ([`NodeId::SKIPPED`]), their children are
 /// added to the innermost existing node, and their number is recorded as `skipped-nodes`.
 ///
 /// ```
@@ -22,7 +22,7 @@ use crate::{
 /// # use peernet_clock::{ClockIdentity, ManualClock, Span, WallTime};
 /// # use peernet_logger::{HostId, Recorder, stage};
 /// let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c")));
-/// let mut log = Recorder::begin(clock.clone(), HostId::random());
+/// let mut log = Recorder::new(clock.clone(), HostId::random());
 /// {
 ///     let mut sensing = log.time(stage::SENSING);
 ///     let _capture = sensing.time(stage::CAPTURE);
@@ -48,26 +48,29 @@ pub struct Recorder {
     received: Option<Received>,
 }
 
+/// State of a tree when it arrived from another host.
 #[derive(Clone, Copy, Debug)]
 struct Received {
+    /// Number of nodes.
     base: u32,
+    /// The transit that ended here, and the time of its end.
     closed: (NodeId, WallTime),
 }
 
 impl Recorder {
-    /// Begins an iteration now.
-    pub fn begin(clock: SharedClock, host: HostId) -> Self {
+    /// Creates the recorder of an iteration that starts now.
+    pub fn new(clock: SharedClock, host: HostId) -> Self {
         let now = clock.stamp();
-        Self::begin_at(clock, host, now)
+        Self::starting_at(clock, host, now)
     }
 
-    /// Begins an iteration with the intended start `at`, now or earlier.
-    pub fn begin_at(clock: SharedClock, host: HostId, at: Stamp) -> Self {
+    /// Creates the recorder of an iteration with the intended start `at`, now or earlier.
+    pub fn starting_at(clock: SharedClock, host: HostId, at: Stamp) -> Self {
         let tree = Tree::new(stage::ITERATION, Anchor { host, wall: at.wall });
-        Self::on(clock, tree, HostIndex::EDGE, at.mono, None)
+        Self::for_tree(clock, tree, HostIndex::EDGE, at.mono, None)
     }
 
-    /// Continues a tree that arrived from another host. Closes `transit`, with which it came, at `arrival`.
+    /// Continues a tree that arrived from another host. Closes `transit`, the transit of its message, at `arrival`.
     ///
     /// # Errors
     /// If `transit` is not a transit in flight, or the tree already spans the largest number of hosts.
@@ -78,23 +81,23 @@ impl Recorder {
         transit: NodeId,
         arrival: Stamp,
     ) -> Result<Self, TreeError> {
-        // Nodes from `base` on are sent back.
+        // Nodes from this position on are sent back.
         let base = tree.nodes().len() as u32;
         if tree.anchors.len() >= MAX_ANCHORS {
             return Err(TreeError::TooManyHosts(tree.anchors.len() + 1));
         }
         match tree.measure_mut(transit) {
             Some(Measure::Transit(open)) if open.received.is_none() => open.received = Some(arrival.wall),
-            _ => return Err(TreeError::NotUnderWay(transit.index())),
+            _ => return Err(TreeError::NotInFlight(transit.index())),
         }
         // The arrival is the origin of this host's times, so that they need no relation to the sender's clock.
         tree.anchors.push(Anchor { host, wall: arrival.wall });
         let host = HostIndex((tree.anchors.len() - 1) as u8);
         let received = Some(Received { base, closed: (transit, arrival.wall) });
-        Ok(Self::on(clock, tree, host, arrival.mono, received))
+        Ok(Self::for_tree(clock, tree, host, arrival.mono, received))
     }
 
-    const fn on(
+    const fn for_tree(
         clock: SharedClock,
         tree: Tree,
         host: HostIndex,
@@ -114,7 +117,7 @@ impl Recorder {
         &self.tree
     }
 
-    /// Returns the tree recorded so far, to add nodes that are computed and not timed.
+    /// Returns the tree recorded so far, to add computed nodes.
     pub fn tree_mut(&mut self) -> &mut Tree {
         &mut self.tree
     }
@@ -126,12 +129,12 @@ impl Recorder {
 
     /// Opens a timer that closes when the guard is dropped. Nodes opened through the guard become its children.
     #[inline]
-    pub fn time(&mut self, name: Name) -> Timing<'_> {
+    pub fn time(&mut self, name: Name) -> TimerGuard<'_> {
         let started = self.clock.mono();
         self.enter(name, started, Measure::Timer(None))
     }
 
-    /// Opens a timer that [`stop`](Self::stop) closes, for cases in which a guard cannot live long enough.
+    /// Opens a timer that [`stop`](Self::stop) closes. For cases in which a guard cannot live long enough.
     pub fn start(&mut self, name: Name) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Timer(None))
@@ -153,29 +156,29 @@ impl Recorder {
         }
     }
 
-    /// Records a finished timer between two times.
-    pub fn timed(&mut self, name: Name, from: MonoTime, to: MonoTime) -> NodeId {
+    /// Records a timer that started and ended at the given times.
+    pub fn record_timer(&mut self, name: Name, from: MonoTime, to: MonoTime) -> NodeId {
         self.append_at(name, from, Measure::Timer(Some(to - from)))
     }
 
     /// Opens a container. Nodes opened through the guard become its children.
-    pub fn container(&mut self, name: Name) -> Timing<'_> {
+    pub fn container(&mut self, name: Name) -> TimerGuard<'_> {
         let started = self.clock.mono();
         self.enter(name, started, Measure::Container)
     }
 
     /// Measures with a user's instrument until the guard is dropped. Nodes opened through the guard become its
     /// children.
-    pub fn measure<M: Meter>(&mut self, name: Name, meter: M) -> Measuring<'_, M> {
+    pub fn measure<M: Meter>(&mut self, name: Name, meter: M) -> MeterGuard<'_, M> {
         let started = self.clock.mono();
         let measure = Measure::Custom(meter.kind(), meter.unit(), None);
-        Measuring::begin(self.enter(name, started, measure), meter)
+        MeterGuard::new(self.enter(name, started, measure), meter)
     }
 
     /// Counts the tokens of a language model until the guard is dropped.
-    pub fn tokens(&mut self, name: Name) -> Tokens<'_> {
+    pub fn tokens(&mut self, name: Name) -> TokenGuard<'_> {
         let started = self.clock.mono();
-        Tokens::begin(self.enter(name, started, Measure::TokenRate(None)), started)
+        TokenGuard::new(self.enter(name, started, Measure::TokenRate(None)), started)
     }
 
     /// Records a number. NaN is recorded as a failed reading.
@@ -191,13 +194,13 @@ impl Recorder {
     }
 
     /// Opens the node of a message that is handed to the network at `sent`. The receiver closes it.
-    pub fn depart(&mut self, name: Name, sent: Stamp) -> NodeId {
+    pub fn start_transit(&mut self, name: Name, sent: Stamp) -> NodeId {
         let transit = Transit { sent: sent.wall, received: None, delay: None, raw_stamps: None };
         self.append_at(name, sent.mono, Measure::Transit(Box::new(transit)))
     }
 
     /// Closes the transit of a message that arrived here.
-    pub fn arrive(&mut self, transit: NodeId, at: WallTime) {
+    pub fn end_transit(&mut self, transit: NodeId, at: WallTime) {
         if let Some(Measure::Transit(open)) = self.tree.measure_mut(transit) {
             open.received.get_or_insert(at);
         }
@@ -212,57 +215,59 @@ impl Recorder {
     /// # Errors
     /// If this tree would exceed its limits, or the other one is invalid.
     pub fn insert(&mut self, tree: &Tree) -> Result<NodeId, TreeError> {
-        // The same limit as for recorded nodes: the reserve is for values that are computed afterwards.
+        // The reserve is for values that are computed afterwards, as for recorded nodes.
         let fits = self.tree.nodes.len() + tree.nodes().len() <= MAX_NODES - RESERVED_NODES;
         if !fits {
             return Err(TreeError::TooManyNodes(self.tree.nodes.len() + tree.nodes().len()));
         }
-        self.tree.graft(self.open, tree)
+        self.tree.insert_tree(self.open, tree)
     }
 
     /// Ends the recording. Nodes that are still open stay open.
     pub fn finish(mut self) -> Tree {
-        self.note_skipped();
+        self.record_skipped();
         self.tree
     }
 
     /// Ends the recording of a [resumed](Self::resume) tree. Returns the nodes that this host added, to be sent back;
-    /// `None` for a tree that began here.
+    /// `None` for a tree that was created here.
     pub fn into_tree_delta(mut self) -> Option<TreeDelta> {
         let Received { base, closed } = self.received?;
-        self.note_skipped();
+        self.record_skipped();
         let nodes = self.tree.nodes.split_off(base as usize);
-        // This host's anchor is the first of those that were added here.
+        // The first anchor that was added here is this host's own.
         let mut anchors = self.tree.anchors.drain(usize::from(self.host.0)..);
         let anchor = anchors.next()?;
         Some(TreeDelta { base, anchor, others: anchors.collect(), closed, nodes })
     }
 
+    /// Opens a node that becomes the innermost open one until its guard is dropped.
     #[inline]
-    fn enter(&mut self, name: Name, started: MonoTime, measure: Measure) -> Timing<'_> {
+    fn enter(&mut self, name: Name, started: MonoTime, measure: Measure) -> TimerGuard<'_> {
         let (outer, outer_level) = (self.open, self.level);
         let node = self.append_at(name, started, measure);
         // Children of a node that was left out are added to the node that is open now.
-        if node != NodeId::NOWHERE {
+        if node != NodeId::SKIPPED {
             self.open = node;
             self.level += 1;
         }
-        Timing { recorder: self, node, outer, outer_level, started }
+        TimerGuard { recorder: self, node, outer, outer_level, started }
     }
 
+    /// Appends a child of the innermost open node, or counts it as skipped if the tree is full.
     #[inline]
     fn append_at(&mut self, name: Name, at: MonoTime, measure: Measure) -> NodeId {
         if self.tree.nodes.len() >= MAX_NODES - RESERVED_NODES || self.level >= MAX_DEPTH {
-            // Counted and not refused: a measurement must not end because its tree is full.
+            // Counted, not an error: a measurement must not fail because its tree is full.
             self.skipped += 1;
-            return NodeId::NOWHERE;
+            return NodeId::SKIPPED;
         }
         let start = self.offset(at);
         self.tree.push(Node { parent: Some(self.open), name, host: self.host, start, measure })
     }
 
     /// Records the number of nodes that were left out.
-    fn note_skipped(&mut self) {
+    fn record_skipped(&mut self) {
         if self.skipped > 0 {
             let start = self.offset(self.clock.mono());
             let measure = Measure::Value(f64::from(self.skipped), Unit::NONE);

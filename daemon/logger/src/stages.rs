@@ -10,7 +10,7 @@ static ORDER: [Name; STAGES] = stage::ORDER;
 
 /// Durations of the standard stages of a finished tree, and their sum.
 ///
-/// `upload` and `download` cross hosts, so that each is known only as well as the offset between the two hosts' clocks.
+/// `upload` and `download` cross hosts, so that the error of each is that of the offset between the two hosts' clocks.
 /// Their *sum* needs no offset. With the offset θ (cloud minus edge), the raw differences are `upload + θ` and
 /// `download − θ`; in the sum θ cancels. In other words, the sum is the round trip on the edge's clock minus the time
 /// between receipt and reply on the cloud's clock, and each of these two is a difference on one clock. The sum of all
@@ -18,7 +18,7 @@ static ORDER: [Name; STAGES] = stage::ORDER;
 /// between the clocks during the sample's stay (50 ppm of 100 ms are 5 µs).
 ///
 /// A step of the cloud's wall clock during the stay has no effect, because the cloud's part is taken from its monotonic
-/// clock. A step of the edge's wall clock between sending and receipt looks like a delay here.
+/// clock. A step of the edge's wall clock between sending and receipt looks like a delay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stages {
     durations: [Option<Span>; STAGES],
@@ -31,78 +31,84 @@ pub struct Stages {
 impl Tree {
     /// Returns the durations of the standard stages, from the children of the root.
     pub fn stages(&self) -> Stages {
-        Stages::of(self)
+        Stages::from_tree(self)
     }
 }
 
-/// State of one stage's nodes: absent, all durations known, or one unknown.
+/// Sum of the durations of one stage's nodes.
 #[derive(Clone, Copy, Default)]
 struct Stage {
-    present: bool,
-    known: Span,
-    unknown: bool,
+    is_present: bool,
+    /// Sum of the durations that are known.
+    sum: Span,
+    /// `true` if a duration is unknown.
+    is_incomplete: bool,
 }
 
 impl Stage {
     fn add(&mut self, value: Option<Span>) {
-        self.present = true;
+        self.is_present = true;
         match value {
-            Some(span) => self.known += span,
-            None => self.unknown = true,
+            Some(span) => self.sum += span,
+            None => self.is_incomplete = true,
         }
     }
 
     const fn duration(self) -> Option<Span> {
-        if self.present && !self.unknown { Some(self.known) } else { None }
+        if self.is_present && !self.is_incomplete { Some(self.sum) } else { None }
     }
 }
 
 /// Sum of the two directions' raw differences, which is exact if both directions have the same number of transits.
 #[derive(Default)]
 struct Transport {
-    ups: usize,
-    downs: usize,
+    uploads: usize,
+    downloads: usize,
     sum: Span,
-    unfinished: bool,
-    left: Option<WallTime>,
-    back: Option<WallTime>,
+    /// `true` if a transit has no end.
+    is_unfinished: bool,
+    /// Time on the edge's clock at which the first upload was sent.
+    first_sent: Option<WallTime>,
+    /// Time on the edge's clock at which the last download was received.
+    last_received: Option<WallTime>,
 }
 
 impl Transport {
     fn add(&mut self, tree: &Tree, node: &Node) {
         let Measure::Transit(transit) = &node.measure else { return };
-        let up = node.name == stage::UPLOAD;
-        if up {
-            self.ups += 1;
-            self.left.get_or_insert(transit.sent);
+        let is_upload = node.name == stage::UPLOAD;
+        if is_upload {
+            self.uploads += 1;
+            self.first_sent.get_or_insert(transit.sent);
         } else {
-            self.downs += 1;
-            self.back = transit.received;
+            self.downloads += 1;
+            self.last_received = transit.received;
         }
         // On the cloud, the anchor is the receipt of the upload, and the start of the download is on the same monotonic
         // clock.
-        let steady = tree.wall_start(node).filter(|_| node.host != HostIndex::EDGE);
+        let monotonic = tree.wall_start(node).filter(|_| node.host != HostIndex::EDGE);
         match transit.received {
-            Some(received) => self.sum += received - steady.unwrap_or(transit.sent),
-            None => self.unfinished = true,
+            Some(received) => self.sum += received - monotonic.unwrap_or(transit.sent),
+            None => self.is_unfinished = true,
         }
     }
 
     fn sum(&self) -> Option<Span> {
         // Without a reply to each upload the offset does not cancel.
-        let paired = self.ups > 0 && self.ups == self.downs && !self.unfinished;
-        Some(self.sum).filter(|sum| paired && !sum.is_negative())
+        let is_paired = self.uploads > 0 && self.uploads == self.downloads && !self.is_unfinished;
+        // A negative sum means that the edge's wall clock was set back meanwhile.
+        Some(self.sum).filter(|sum| is_paired && !sum.is_negative())
     }
 
     fn round_trip(&self) -> Option<Span> {
         // Both times are of the edge's clock. A negative difference means that the clock was set back meanwhile.
-        let span = self.back? - self.left?;
-        (self.ups == 1 && self.downs == 1 && !span.is_negative()).then_some(span)
+        let span = self.last_received? - self.first_sent?;
+        (self.uploads == 1 && self.downloads == 1 && !span.is_negative()).then_some(span)
     }
 }
 
 impl Stages {
-    fn of(tree: &Tree) -> Self {
+    fn from_tree(tree: &Tree) -> Self {
         let mut stages = [Stage::default(); STAGES];
         let mut transport = Transport::default();
         let mut total = Stage::default();
@@ -119,12 +125,12 @@ impl Stages {
                 transport.add(tree, node);
             }
         }
-        let transit = |at: usize| ORDER[at] == stage::UPLOAD || ORDER[at] == stage::DOWNLOAD;
+        let is_transit = |at: usize| ORDER[at] == stage::UPLOAD || ORDER[at] == stage::DOWNLOAD;
         // The exact sum of both directions replaces their separate delays, which depend on the offset.
         let exact = transport.sum();
         let mut stages_total = Some(exact.unwrap_or(Span::ZERO));
         for (at, stage) in stages.iter().enumerate() {
-            if stage.present && !(transit(at) && exact.is_some()) {
+            if stage.is_present && !(is_transit(at) && exact.is_some()) {
                 stages_total = stages_total.and_then(|sum| Some(sum + stage.duration()?));
             }
         }
@@ -200,14 +206,14 @@ mod tests {
     fn offloaded(offset: i64, up: i64, down: i64, step: i64) -> Tree {
         let (edge, cloud) = (clock(1_000_000), clock(1_000_000 + offset));
         let both = [&edge, &cloud];
-        let mut log = Recorder::begin(Arc::<ManualClock>::clone(&edge), HostId::random());
-        let begun = log.clock().mono();
+        let mut log = Recorder::new(Arc::<ManualClock>::clone(&edge), HostId::random());
+        let started_at = log.clock().mono();
         {
             let _sensing = log.time(stage::SENSING);
             pass(both, 10);
         }
         let sent = log.clock().stamp();
-        let upload = log.depart(stage::UPLOAD, sent);
+        let upload = log.start_transit(stage::UPLOAD, sent);
         pass(both, up);
         let (tree, arrival) = (log.tree().clone(), cloud_stamp(&cloud));
         let there = Arc::<ManualClock>::clone(&cloud);
@@ -217,19 +223,19 @@ mod tests {
             pass(both, 20);
         }
         cloud.step_wall(Span::from_nanos(step));
-        let download = remote.depart(stage::DOWNLOAD, cloud_stamp(&cloud));
+        let download = remote.start_transit(stage::DOWNLOAD, cloud_stamp(&cloud));
         let delta = remote.into_tree_delta().expect("resumed");
         pass(both, down);
-        log.tree_mut().absorb(delta).expect("fits");
+        log.tree_mut().apply_delta(delta).expect("fits");
         let back = log.clock().wall();
-        log.arrive(download, back);
+        log.end_transit(download, back);
         {
             let _actuation = log.time(stage::ACTUATION);
             pass(both, 5);
         }
         pass(both, 3);
         let now = log.clock().mono();
-        log.timed(stage::TOTAL, begun, now);
+        log.record_timer(stage::TOTAL, started_at, now);
         log.finish()
     }
 
@@ -239,7 +245,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_sum_is_exact_whatever_the_offset(
+        fn sum_is_exact_whatever_the_offset(
             offset in -1_i64 << 60..1 << 60, up in 0_i64..1 << 40, down in 0_i64..1 << 40, step in -1_i64 << 50..1 << 50,
         ) {
             let stages = offloaded(offset, up, down, step).stages();
@@ -254,7 +260,7 @@ mod tests {
     #[test]
     fn absent_stages_have_no_duration() {
         let clock = clock(0);
-        let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
+        let mut log = Recorder::new(Arc::<ManualClock>::clone(&clock), HostId::random());
         for (name, nanos) in
             [(stage::SENSING, 4), (stage::IPC, 5), (stage::INFERENCE, 6), (stage::INFERENCE, 7)]
         {
@@ -279,9 +285,9 @@ mod tests {
     #[test]
     fn missing_answer_leaves_sum_unknown() {
         let clock = clock(0);
-        let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
+        let mut log = Recorder::new(Arc::<ManualClock>::clone(&clock), HostId::random());
         let sent = log.clock().stamp();
-        let upload = log.depart(stage::UPLOAD, sent);
+        let upload = log.start_transit(stage::UPLOAD, sent);
         let mut tree = log.finish();
         assert_eq!(tree.stages().stages_total(), None);
         // One direction alone counts once its delay is known.

@@ -12,14 +12,14 @@ use crate::{HostIndex, Measure, NodeId, Tree};
 pub struct Text<'a>(&'a Tree);
 
 impl Tree {
-    /// The tree as an indented text, a line a node.
+    /// Returns the tree as indented text with one line per node.
     ///
     /// ```
     /// # use std::sync::Arc;
     /// # use peernet_clock::{ClockIdentity, ManualClock, Span, WallTime};
     /// # use peernet_logger::{HostId, Recorder, Unit, stage};
     /// # let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c")));
-    /// # let mut log = Recorder::begin(clock.clone(), HostId::random());
+    /// # let mut log = Recorder::new(clock.clone(), HostId::random());
     /// {
     ///     let mut sensing = log.time(stage::SENSING);
     ///     let _capture = sensing.time(stage::CAPTURE);
@@ -49,22 +49,22 @@ impl fmt::Display for Text<'_> {
             }
         }
         // A stack instead of recursion, so that a hostile tree cannot exhaust the call stack.
-        let mut waiting = vec![(NodeId::ROOT, 0)];
-        while let Some((id, depth)) = waiting.pop() {
+        let mut pending = vec![(NodeId::ROOT, 0)];
+        while let Some((id, depth)) = pending.pop() {
             let Some(node) = tree.get(id) else { continue };
             write!(f, "{:indent$}{}", "", node.name, indent = 4 * depth)?;
-            measure(f, &node.measure)?;
+            write_measure(f, &node.measure)?;
             if node.host != HostIndex::EDGE {
                 write!(f, "  [host {}]", node.host.0)?;
             }
             f.write_str("\n")?;
-            waiting.extend(children[id.index()].iter().rev().map(|child| (*child, depth + 1)));
+            pending.extend(children[id.index()].iter().rev().map(|child| (*child, depth + 1)));
         }
         Ok(())
     }
 }
 
-fn measure(f: &mut fmt::Formatter<'_>, measure: &Measure) -> fmt::Result {
+fn write_measure(f: &mut fmt::Formatter<'_>, measure: &Measure) -> fmt::Result {
     let kind = match measure {
         Measure::Container => return Ok(()),
         Measure::Timer(_) | Measure::Transit(_) => "Time",
@@ -75,7 +75,7 @@ fn measure(f: &mut fmt::Formatter<'_>, measure: &Measure) -> fmt::Result {
     };
     write!(f, " --> {kind}: ")?;
     match measure.value() {
-        Some(value) => number(f, value)?,
+        Some(value) => write_number(f, value)?,
         None if measure.is_open() => return f.write_str("not finished"),
         None => f.write_str("unknown")?,
     }
@@ -87,30 +87,30 @@ fn measure(f: &mut fmt::Formatter<'_>, measure: &Measure) -> fmt::Result {
         Measure::Transit(transit) => match &transit.delay {
             Some(delay) => {
                 if let Some(bounds) = delay.bounds.filter(|bounds| bounds.lo != bounds.hi) {
-                    within(f, bounds.lo.seconds(), bounds.hi.seconds())?;
+                    write_bounds(f, bounds.lo.seconds(), bounds.hi.seconds())?;
                 }
                 write!(f, " ({}, {})", delay.source, delay.verdict)
             }
             None => f.write_str(" (not corrected)"),
         },
         Measure::Throughput(rate) => match rate.bounds.filter(|(lo, hi)| lo < hi) {
-            Some((lo, hi)) => within(f, lo, hi),
+            Some((lo, hi)) => write_bounds(f, lo, hi),
             None => Ok(()),
         },
         _ => Ok(()),
     }
 }
 
-fn within(f: &mut fmt::Formatter<'_>, lo: f64, hi: f64) -> fmt::Result {
+fn write_bounds(f: &mut fmt::Formatter<'_>, lo: f64, hi: f64) -> fmt::Result {
     f.write_str(" within ")?;
-    number(f, lo)?;
+    write_number(f, lo)?;
     f.write_str(" to ")?;
-    number(f, hi)
+    write_number(f, hi)
 }
 
 /// Writes whole numbers without decimals, and other numbers with four decimals or four significant digits if they are
 /// small.
-fn number(f: &mut fmt::Formatter<'_>, number: f64) -> fmt::Result {
+fn write_number(f: &mut fmt::Formatter<'_>, number: f64) -> fmt::Result {
     if number == number.trunc() && number.abs() < 1e15 {
         return write!(f, "{number}");
     }
@@ -129,7 +129,7 @@ mod tests {
     use crate::{Anchor, HostId, Name, Node, Rate, Transit, Unit, stage};
 
     #[test]
-    fn every_kind_reads_well() {
+    fn every_kind_has_its_text() {
         let anchor = || Anchor { host: HostId::random(), wall: WallTime::from_unix_nanos(0) };
         let node = |parent: u32, name: &str, host: u8, measure: Measure| Node {
             parent: Some(NodeId(parent)),

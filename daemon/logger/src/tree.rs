@@ -22,7 +22,7 @@ impl NodeId {
     pub const ROOT: Self = Self(0);
 
     /// Invalid position, which a recorder returns for a node that it left out. Operations on it have no effect.
-    pub const NOWHERE: Self = Self(u32::MAX);
+    pub const SKIPPED: Self = Self(u32::MAX);
 
     /// Returns the position as an index.
     pub const fn index(self) -> usize {
@@ -30,13 +30,13 @@ impl NodeId {
     }
 }
 
-/// Position of a host among the tree's anchors. Position 0 is the host that began the tree, the edge.
+/// Position of a host among the tree's anchors. Position 0 is the host that created the tree, the edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostIndex(pub u8);
 
 impl HostIndex {
-    /// Position of the host that began the tree.
+    /// Position of the host that created the tree.
     pub const EDGE: Self = Self(0);
 }
 
@@ -76,8 +76,8 @@ pub struct Tree {
 
 /// Additions of another host to a tree that was sent to it: the transit that it closed and the nodes that it appended.
 ///
-/// Only the delta is sent back, not the whole tree, so that a peer can add to the tree but not rewrite it. It is
-/// serialised like a [`Tree`].
+/// It is serialised like a [`Tree`].
+// Only the delta is sent back, not the whole tree, so that a peer can add to the tree but not rewrite it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TreeDelta {
     /// Number of nodes of the tree when it was received.
@@ -138,9 +138,9 @@ impl Tree {
     }
 
     /// Returns the children of a node in the order in which they were opened.
-    pub fn children(&self, of: NodeId) -> impl Iterator<Item = (NodeId, &Node)> {
-        // Parents precede their children, so the search begins behind the node.
-        self.iter().skip(of.index() + 1).filter(move |(_, node)| node.parent == Some(of))
+    pub fn children(&self, parent: NodeId) -> impl Iterator<Item = (NodeId, &Node)> {
+        // Parents precede their children, so that the search starts after the node.
+        self.iter().skip(parent.index() + 1).filter(move |(_, node)| node.parent == Some(parent))
     }
 
     /// Returns the node at a path of names below the root: `find(&["sensing", "capture"])`.
@@ -168,7 +168,7 @@ impl Tree {
     /// Appends a node of the edge that is computed afterwards. If `parent` does not exist, the node becomes a child of
     /// the root.
     pub fn add(&mut self, parent: NodeId, name: Name, start: Span, measure: Measure) -> NodeId {
-        // `parent` may be `NodeId::NOWHERE`, if the recorder left that node out.
+        // `parent` may be `NodeId::SKIPPED`, if the recorder left that node out.
         let parent = if parent.index() < self.nodes.len() { parent } else { NodeId::ROOT };
         let measure = measure.without_nan();
         self.push(Node { parent: Some(parent), name, host: HostIndex::EDGE, start, measure })
@@ -183,17 +183,17 @@ impl Tree {
     ///
     /// # Errors
     /// If the delta does not fit this tree. The tree is then unchanged.
-    pub fn absorb(&mut self, delta: TreeDelta) -> Result<(), TreeError> {
+    pub fn apply_delta(&mut self, delta: TreeDelta) -> Result<(), TreeError> {
         let base = self.nodes.len();
         // The delta's parents are positions in the tree that was sent, so its length must not have changed.
         if delta.base as usize != base {
-            return Err(TreeError::OtherTree { expected: delta.base as usize, actual: base });
+            return Err(TreeError::BaseMismatch { expected: delta.base as usize, actual: base });
         }
         let (closed, at) = delta.closed;
         // A peer may close only the transit with which it received the tree: it must still be open.
         match self.nodes.get(closed.index()).map(|node| &node.measure) {
             Some(Measure::Transit(transit)) if transit.received.is_none() => {}
-            _ => return Err(TreeError::NotUnderWay(closed.index())),
+            _ => return Err(TreeError::NotInFlight(closed.index())),
         }
         let hosts = self.anchors.len();
         // Appended before the check, because parents and hosts are checked against the whole tree.
@@ -212,12 +212,13 @@ impl Tree {
     }
 
     /// Inserts a copy of another tree below a node. If it does not fit, this tree is unchanged.
-    pub(crate) fn graft(&mut self, below: NodeId, other: &Self) -> Result<NodeId, TreeError> {
+    pub(crate) fn insert_tree(&mut self, below: NodeId, other: &Self) -> Result<NodeId, TreeError> {
         let (base, hosts) = (self.nodes.len(), self.anchors.len());
         let root = NodeId(base as u32);
-        let places: Vec<(HostIndex, Span)> = other.anchors.iter().map(|anchor| self.join(anchor)).collect();
+        let hosts_and_shifts: Vec<(HostIndex, Span)> =
+            other.anchors.iter().map(|anchor| self.find_or_add_anchor(anchor)).collect();
         self.nodes.extend(other.nodes.iter().cloned().map(|mut node| {
-            if let Some((host, shift)) = places.get(usize::from(node.host.0)) {
+            if let Some((host, shift)) = hosts_and_shifts.get(usize::from(node.host.0)) {
                 node.host = *host;
                 node.start += *shift;
             }
@@ -231,11 +232,12 @@ impl Tree {
         Ok(root)
     }
 
-    /// Returns the position of a host among the anchors, added if necessary, and how much later its own anchor is.
-    fn join(&mut self, anchor: &Anchor) -> (HostIndex, Span) {
-        // A host that is known already has one anchor only; the wall clock relates the two origins.
-        if let Some(place) = self.anchors.iter().position(|known| known.host == anchor.host) {
-            return (HostIndex(place as u8), anchor.wall - self.anchors[place].wall);
+    /// Returns the position of a host among the anchors, added if necessary, and how much later `anchor` is than the one
+    /// at that position.
+    fn find_or_add_anchor(&mut self, anchor: &Anchor) -> (HostIndex, Span) {
+        // A host has one anchor only; its wall clock relates the two origins.
+        if let Some(index) = self.anchors.iter().position(|existing| existing.host == anchor.host) {
+            return (HostIndex(index as u8), anchor.wall - self.anchors[index].wall);
         }
         self.anchors.push(anchor.clone());
         (HostIndex((self.anchors.len() - 1) as u8), Span::ZERO)
@@ -276,8 +278,8 @@ impl Tree {
 
     /// Returns the level of a node, with the root on level 1; `None` below [`MAX_DEPTH`].
     ///
-    /// The level is computed from the ancestors and not stored: trees are shallow, and a hostile tree costs 32 steps
-    /// per node.
+    // Computed from the ancestors and not stored, because trees are shallow: even a hostile tree costs at most 32 steps per
+    // node.
     pub(crate) fn level(&self, id: NodeId) -> Option<usize> {
         let mut parent = self.nodes.get(id.index())?.parent;
         let mut level = 1;

@@ -9,24 +9,24 @@ pub enum TreeError {
     #[error("node {0} has no parent, or the root has one")]
     Orphan(usize),
     /// A node precedes its parent.
-    #[error("node {0} stands before its parent")]
+    #[error("node {0} precedes its parent")]
     Order(usize),
     /// A node refers to a host without an anchor.
-    #[error("node {0} names a host without an anchor")]
+    #[error("node {0} refers to a host without an anchor")]
     UnknownHost(usize),
     /// The delta was made for another tree.
-    #[error("the growth continues a tree of {expected} nodes, this one has {actual}")]
-    OtherTree {
+    #[error("the tree delta was made for a tree of {expected} nodes, but this one has {actual}")]
+    BaseMismatch {
         /// Number of nodes of the tree that the delta was made for.
         expected: usize,
         /// Number of nodes of the tree that it was applied to.
         actual: usize,
     },
     /// The delta closes a node that is not an open transit.
-    #[error("node {0} is not a transit under way")]
-    NotUnderWay(usize),
+    #[error("node {0} is not a transit in flight")]
+    NotInFlight(usize),
     /// A node is deeper than the limit.
-    #[error("node {0} lies deeper than the limit of {MAX_DEPTH} levels")]
+    #[error("node {0} is deeper than the limit of {MAX_DEPTH} levels")]
     TooDeep(usize),
     /// The tree has more nodes than the limit.
     #[error("the tree has {0} nodes, the limit is {MAX_NODES}")]
@@ -35,9 +35,9 @@ pub enum TreeError {
     #[error("the tree spans {0} hosts, the limit is {MAX_ANCHORS}")]
     TooManyHosts(usize),
     /// A value is NaN, which would invalidate every statistic that includes it.
-    #[error("node {0} measures something that is not a number")]
+    #[error("the value of node {0} is not a number")]
     NotANumber(usize),
     /// The lower end of an interval is above its upper end.
-    #[error("node {0} has bounds that are crossed")]
+    #[error("the lower bound of node {0} is above its upper bound")]
     CrossedBounds(usize),
 }

@@ -176,7 +176,7 @@ async fn serve(settings: SessionSettings) -> Anyhow<Address> {
                 }
                 Incoming::Request(request) => {
                     let answer = request.sample.parts[0].bytes.slice(..ANSWER);
-                    request.reply.send(request.log, Ok(Sample::of(Description::bytes(), answer)));
+                    request.reply.send(request.log, Ok(Sample::from_part(Description::bytes(), answer)));
                 }
                 _ => {}
             }
@@ -203,9 +203,9 @@ async fn trip(session: Session, payload: Bytes, trips: usize) -> Anyhow<Vec<Span
     let (clock, host) = (clock(), HostId::random());
     let mut spans = Vec::new();
     for _ in 0..trips {
-        let sample = Sample::of(Description::bytes(), payload.clone());
+        let sample = Sample::from_part(Description::bytes(), payload.clone());
         let start = clock.mono();
-        let log = Recorder::begin(clock.clone(), host);
+        let log = Recorder::new(clock.clone(), host);
         let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
         // A lost request has no round trip; the statistics at the end count it.
         if exchange.result.is_ok() {

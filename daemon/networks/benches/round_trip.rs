@@ -191,7 +191,7 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
             Incoming::Request(request) => {
                 let payload = &request.sample.parts[0].bytes;
                 let answer = payload.slice(..plan.answer_bytes(payload.len()).min(payload.len()));
-                request.reply.send(request.log, Ok(Sample::of(Description::bytes(), answer)));
+                request.reply.send(request.log, Ok(Sample::from_part(Description::bytes(), answer)));
             }
             _ => {}
         }
@@ -289,9 +289,9 @@ fn round_bare(
 async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow<ContenderTimes> {
     let (clock, host, mut seen) = (clock(), HostId::random(), ContenderTimes::default());
     for _ in 0..trips {
-        let sample = Sample::of(Description::bytes(), payload.clone());
+        let sample = Sample::from_part(Description::bytes(), payload.clone());
         let start = clock.mono();
-        let log = Recorder::begin(clock.clone(), host);
+        let log = Recorder::new(clock.clone(), host);
         let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
         let trip = clock.mono() - start;
         exchange.result?;

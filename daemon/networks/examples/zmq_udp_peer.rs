@@ -72,8 +72,8 @@ async fn exchange(session: &Session, size: usize, count: usize) -> Result<(usize
     let (mut answered, mut lost) = (0, 0);
     for number in 0..count {
         let bytes: Vec<u8> = (0..size).map(|at| ((at * 7 + number) % 256) as u8).collect();
-        let sent = Sample::of(Description::bytes(), bytes.into());
-        let log = Recorder::begin(clock(), HostId::random());
+        let sent = Sample::from_part(Description::bytes(), bytes.into());
+        let log = Recorder::new(clock(), HostId::random());
         match session.request(log, &sent, TIMEOUT).await.result {
             Ok(answer) if answer == sent => answered += 1,
             Ok(_) => return Err(format!("an answer of {size} bytes differs").into()),

@@ -19,16 +19,15 @@ const OTHERS: u32 = 0o007;
 const STICKY: u32 = 0o1000;
 
 /// First bytes of every SQLite database (<https://www.sqlite.org/fileformat.html>).
-const HEADER: &[u8] = b"SQLite format 3\0";
+const SQLITE_HEADER: &[u8] = b"SQLite format 3\0";
 
-/// Suffixes of the files that SQLite and PEERNet put beside a database or spool; the empty one stands for the file
-/// itself.
+/// Suffixes of the files that SQLite and PEERNet create next to a database or spool; the empty one means the file itself.
 const SUFFIXES: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
 
 /// Makes all files and folders that this process creates afterwards inaccessible to other users: 0640 and 0750 with
 /// the usual umask of 022. Child processes inherit this.
 ///
-/// To be called before threads are started: the umask belongs to the process.
+/// Must be called before threads are started, because the umask belongs to the process.
 pub fn create_without_others() {
     let before = umask(Mode::from_raw_mode(0o077));
     umask(before | Mode::from_raw_mode(OTHERS));
@@ -37,7 +36,8 @@ pub fn create_without_others() {
 /// Removes the permissions of other users from a database or spool of this user and from the files beside it. Returns
 /// the changed files.
 ///
-/// A file with other contents is left unchanged: a mistyped path may lead to a file that other users need.
+/// A file with other contents is left unchanged.
+// A mistyped path may lead to a file that other users need.
 pub fn restrict_database(path: &Path) -> Vec<PathBuf> {
     // SQLite names the files beside it after the resolved path.
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
@@ -57,10 +57,11 @@ pub fn restrict_database(path: &Path) -> Vec<PathBuf> {
 
 /// Returns whether a file is an SQLite database, is empty or does not exist. SQLite opens or creates such files.
 fn may_be_database(path: &Path) -> bool {
-    let mut begin = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut begin));
+    let mut header = Vec::new();
+    let read =
+        File::open(path).and_then(|file| file.take(SQLITE_HEADER.len() as u64).read_to_end(&mut header));
     match read {
-        Ok(bytes) => bytes == 0 || begin == HEADER,
+        Ok(bytes) => bytes == 0 || header == SQLITE_HEADER,
         Err(error) => error.kind() == ErrorKind::NotFound,
     }
 }
@@ -68,10 +69,10 @@ fn may_be_database(path: &Path) -> bool {
 /// Removes the permissions of other users from a folder of this user and from these files in it. Returns the changed
 /// paths.
 ///
-/// The current folder, and a folder in which every user may create files (`/tmp`), has other purposes as well and is
-/// left unchanged.
+/// The current folder, and a folder in which every user may create files (`/tmp`), are left unchanged.
+// Other users and programs need such folders.
 pub fn restrict_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
-    let is_shared = fs::metadata(folder).is_ok_and(|about| about.mode() & STICKY != 0);
+    let is_shared = fs::metadata(folder).is_ok_and(|metadata| metadata.mode() & STICKY != 0);
     let current = std::env::current_dir().and_then(fs::canonicalize);
     let is_current = current.is_ok_and(|current| fs::canonicalize(folder).is_ok_and(|it| it == current));
     let folder_itself = (!is_shared && !is_current).then(|| folder.to_owned());
@@ -84,34 +85,35 @@ pub fn log_changes(changed: &[PathBuf]) {
     if !changed.is_empty() {
         let files = changed.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
         tracing::info!(
-            "others could use {files}: their permissions were taken away; to let somebody read them, use the group"
+            "removed the permissions of other users from {files}; to grant a user access, use the group of the files"
         );
     }
 }
 
+/// Removes the permissions of other users from a path, and logs a failure. Returns whether the path was changed.
 fn restrict(path: &Path) -> bool {
     try_restrict(path).unwrap_or_else(|error| {
         if error.kind() != ErrorKind::NotFound {
-            tracing::warn!(%error, "cannot take away what others may do with {}", path.display());
+            tracing::warn!(%error, "cannot remove the permissions of other users from {}", path.display());
         }
         false
     })
 }
 
 fn try_restrict(path: &Path) -> io::Result<bool> {
-    let about = fs::symlink_metadata(path)?;
-    let mode = about.mode() & 0o7777;
-    if !is_ours(&about) || mode & OTHERS == 0 {
+    let metadata = fs::symlink_metadata(path)?;
+    let mode = metadata.mode() & 0o7777;
+    if !is_ours(&metadata) || mode & OTHERS == 0 {
         return Ok(false);
     }
     fs::set_permissions(path, Permissions::from_mode(mode & !OTHERS))?;
     Ok(true)
 }
 
-/// Returns whether a path is a file or folder of this user. The target of a link may be anything, so that links do
-/// not count.
-fn is_ours(about: &Metadata) -> bool {
-    (about.is_file() || about.is_dir()) && about.uid() == geteuid().as_raw()
+/// Returns whether a path is a file or folder of this user. Links do not count.
+// The target of a link may belong to anyone.
+fn is_ours(metadata: &Metadata) -> bool {
+    (metadata.is_file() || metadata.is_dir()) && metadata.uid() == geteuid().as_raw()
 }
 
 #[cfg(test)]
@@ -119,7 +121,7 @@ mod tests {
     use super::*;
 
     fn put(path: &Path, mode: u32) {
-        fs::write(path, HEADER).expect("writable");
+        fs::write(path, SQLITE_HEADER).expect("writable");
         fs::set_permissions(path, Permissions::from_mode(mode)).expect("own file");
     }
 
@@ -143,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn file_that_is_no_database_keeps_its_permissions() {
+    fn other_file_keeps_its_permissions() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("passwd");
         for (contents, after) in [("root:x:0:0:root:/root:/bin/bash\n", 0o644), ("", 0o640)] {
@@ -155,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn state_folder_is_restricted_shared_one_is_not() {
+    fn state_folder_is_restricted_but_shared_one_is_not() {
         let folder = tempfile::tempdir().expect("a folder");
         for (before, after) in [(0o755, 0o750), (0o775, 0o770), (0o700, 0o700), (0o1777, 0o1777)] {
             fs::set_permissions(folder.path(), Permissions::from_mode(before)).expect("own folder");

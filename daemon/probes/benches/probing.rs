@@ -8,7 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use peernet_clock::{ClockIdentity, RelatedClocks, SharedClock, Span, SystemClock};
-use peernet_probes::{Key, ProbeResult, Prober, ProberConfig, Reflector, ReflectorConfig, Stamps};
+use peernet_probes::{Key, ProbeResult, Prober, ProberConfig, Reflector, ReflectorConfig, StampSource};
 use rustix::time::{ClockId, clock_gettime};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{mpsc, oneshot, watch};
@@ -29,9 +29,9 @@ fn main() {
         "", "answers/s", "refined/s", "lost", "probers", "reflector", "round trip, median"
     );
     for (name, stamps, key) in [
-        ("kernel's stamps", Stamps::Kernel, false),
-        ("program's stamps", Stamps::Program, false),
-        ("kernel's, authenticated", Stamps::Kernel, true),
+        ("kernel's stamps", StampSource::Kernel, false),
+        ("program's stamps", StampSource::Program, false),
+        ("kernel's, authenticated", StampSource::Kernel, true),
     ] {
         let key = key.then(|| Key::from_bytes(&[7; 32]));
         let (address, stop, reflecting) = start_reflector(stamps, key.clone());
@@ -64,7 +64,10 @@ struct ProbeTotals {
     busy: f64,
 }
 
-fn start_reflector(stamps: Stamps, key: Option<Key>) -> (SocketAddr, CancellationToken, JoinHandle<f64>) {
+fn start_reflector(
+    stamps: StampSource,
+    key: Option<Key>,
+) -> (SocketAddr, CancellationToken, JoinHandle<f64>) {
     let stop = CancellationToken::new();
     let (tell, told) = oneshot::channel();
     let stopped = stop.clone();
@@ -82,15 +85,15 @@ fn start_reflector(stamps: Stamps, key: Option<Key>) -> (SocketAddr, Cancellatio
             };
             let reflector = Reflector::bind(config, clock("cloud")).expect("a free port");
             tell.send(reflector.address()).expect("it is waited for");
-            let begun = busy();
+            let busy_before = busy();
             reflector.run(stopped).await.expect("the socket stays");
-            busy() - begun
+            busy() - busy_before
         })
     });
     (told.blocking_recv().expect("it was bound"), stop, thread)
 }
 
-fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> ProbeTotals {
+fn probe(target: SocketAddr, stamps: StampSource, key: Option<&Key>) -> ProbeTotals {
     runtime().block_on(async {
         let stop = CancellationToken::new();
         let (_rate, rate_hz) = watch::channel(RATE_HZ);
@@ -115,7 +118,7 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> ProbeTotals {
         let warm_up = async { while results.recv().await.is_some() {} };
         let _ = tokio::time::timeout(WARM_UP, warm_up).await;
         let mut probed = ProbeTotals::default();
-        let begun = busy();
+        let busy_before = busy();
         let counting = async {
             while let Some(result) = results.recv().await {
                 match result {
@@ -131,7 +134,7 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> ProbeTotals {
             }
         };
         let _ = tokio::time::timeout(MEASURED_DURATION, counting).await;
-        probed.busy = busy() - begun;
+        probed.busy = busy() - busy_before;
         stop.cancel();
         for prober in probers {
             prober.await.expect("no panic");

@@ -24,21 +24,20 @@ const RAW: u8 = 32;
 /// Handles a packet in both roles. The first byte selects the circumstances, the other bytes are the packet.
 ///
 /// # Panics
-/// If a promise is broken: an answer is longer than its request, two reflectors form a loop, or an answer to no request
-/// is accepted.
+/// If an answer is longer than its request, two reflectors could form a loop, or an answer to no request is accepted.
 pub fn any_packet(data: &[u8]) {
-    let Some((&how, bytes)) = data.split_first() else { return };
-    let key = (how & WITH_KEY != 0).then(|| Key::from_bytes(&[7; 32]));
+    let Some((&options, bytes)) = data.split_first() else { return };
+    let key = (options & WITH_KEY != 0).then(|| Key::from_bytes(&[7; 32]));
     let start = WallTime::from_unix_nanos(1_800_000_000_000_000_000);
     let clock = ManualClock::new(start, ClockIdentity::new("fuzz", "system"));
-    at_a_reflector(how, key.as_ref(), bytes, &clock);
-    at_a_sender(how, key.as_ref(), bytes, &clock);
+    feed_reflector(options, key.as_ref(), bytes, &clock);
+    feed_sender(options, key.as_ref(), bytes, &clock);
 }
 
-fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
+fn feed_reflector(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mut packet = bytes.to_vec();
-    authenticate(how, key, &mut packet);
-    let mut reflector = ReflectorState::new(key.cloned(), 1, 10, how & STATEFUL != 0);
+    authenticate(options, key, &mut packet);
+    let mut reflector = ReflectorState::new(key.cloned(), 1, 10, options & STATEFUL != 0);
     let source = SocketAddr::from(([10, 0, 0, 1], 40_000));
     // Twice, because the second request finds a session.
     for _ in 0..2 {
@@ -48,66 +47,66 @@ fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock)
         let Ok(prepared) = reflector.prepare(&mut answer, &arrival) else { return };
         clock.advance(Span::from_micros(20));
         let stamp = reflector.complete(&prepared, &mut answer, clock);
-        reflector.sent(&prepared, stamp);
+        reflector.record_sent(&prepared, stamp);
         let left = stamp + Span::from_micros(1);
-        reflector.departed(&prepared.session(), prepared.sequence(), left.wall, left.raw);
+        reflector.record_departure(&prepared.session(), prepared.sequence(), left.wall, left.raw);
         assert_eq!(answer.len(), packet.len(), "an answer has the length of its request");
         let back = reflector.prepare(&mut answer, &arrival);
         assert_eq!(back.map(|_| ()), Err(Refusal::Reply), "an answer is not answered");
     }
 }
 
-fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
-    let mode = Mode::of(key);
+fn feed_sender(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
+    let mode = Mode::for_key(key);
     let mut sender = SenderState::new(SenderConfig {
         key: key.cloned(),
         instance: None,
-        bound: false,
-        clocks: if how & RAW != 0 { RelatedClocks::Raw } else { RelatedClocks::RawToWall },
+        with_nonce: false,
+        clocks: if options & RAW != 0 { RelatedClocks::Raw } else { RelatedClocks::RawToWall },
         ssid: 5,
-        first: u32::MAX,
+        first_sequence: u32::MAX,
         padding_bytes: 0,
         timeout: Span::from_seconds(1),
     });
     let mut packet = bytes.to_vec();
-    for turn in 0..2 {
+    for round in 0..2 {
         let (departure, _) = sender.request(clock);
         let sent = clock.wall();
-        sender.sent(departure);
-        if how & PROGRAM == 0 {
-            sender.departed(departure.sequence(), sent + Span::from_micros(1), clock.wall_ahead());
+        sender.record_sent(departure);
+        if options & PROGRAM == 0 {
+            sender.record_departure(departure.sequence(), sent + Span::from_micros(1), clock.wall_ahead());
         }
-        if how & MATCHING != 0
+        if options & MATCHING != 0
             && let Some(mut reply) = Reply::parse(mode, &packet)
         {
-            reply.asked.sequence = departure.sequence();
-            reply.asked.timestamp = Format::Ntp.encode(sent);
-            reply.asked.ssid = 5;
+            reply.request.sequence = departure.sequence();
+            reply.request.timestamp = Format::Ntp.encode(sent);
+            reply.request.ssid = 5;
             reply.write(mode, &mut packet);
         }
-        authenticate(how, key, &mut packet);
+        authenticate(options, key, &mut packet);
         clock.advance(Span::from_millis(3));
         let returned =
             ReplyArrival { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
         if let Ok(result) = sender.receive(&packet, &returned) {
             let answered = result.answered.expect("no step");
             assert_eq!(answered.exchange.returned, returned.read.raw);
-            assert!(result.refined.is_none() || turn == 1, "nothing came before the first");
+            assert!(result.refined.is_none() || round == 1, "nothing came before the first");
             assert!(sender.receive(&packet, &returned).is_err(), "an answer counts once");
         }
     }
     sender.expire(clock.mono() + Span::from_seconds(2));
-    assert_eq!(sender.deadline(), None, "nothing waits for ever");
+    assert_eq!(sender.deadline(), None, "no probe waits for ever");
 }
 
-fn authenticate(how: u8, key: Option<&Key>, packet: &mut [u8]) {
-    if how & AUTHENTIC != 0
+fn authenticate(options: u8, key: Option<&Key>, packet: &mut [u8]) {
+    if options & AUTHENTIC != 0
         && let Some(key) = key
         && packet.len() >= Mode::Authenticated.base_bytes()
     {
         let (base, tlvs) = packet.split_at_mut(Mode::Authenticated.base_bytes());
         let sequence = u32::from_be_bytes([base[0], base[1], base[2], base[3]]);
-        tlv::seal(key, sequence, tlvs);
-        packet::seal(key, packet);
+        tlv::authenticate(key, sequence, tlvs);
+        packet::authenticate(key, packet);
     }
 }

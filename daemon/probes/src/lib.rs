@@ -6,13 +6,13 @@
 //!
 //! - [`stamp`]: the protocol without any I/O. `packet`, `tlv`, `timestamp` and `auth` are the wire forms, `sender` and
 //!   `reflector` the state machines of the two roles.
-//! - `socket`: UDP with the kernel's stamps, if it makes them and they are of the clock that the program reads.
-//! - `prober` and `reflector` drive the two roles; `schedule` has the times of probes, `refusal_log` the log lines
-//!   about refused ones.
+//! - `socket`: UDP with the kernel's stamps, if the kernel supports them and reads the same clock as the program.
+//! - `prober` and `reflector`: sockets and timers of the two roles. `schedule` has the times of probes, and `refusal_log`
+//!   limits the log lines about refused probes.
 //!
-//! Probes must be answered by the process that serves the data. A process draws a random number that its reflector's
-//! answers and its sessions both carry; answers with another number are refused. A key that is drawn in the same way
-//! authenticates probes where no key is configured.
+//! Probes must be answered by the process that serves the data. A process therefore draws a random number, which its
+//! reflector's answers and its sessions carry; answers with another number are refused. If no key is configured, a random
+//! key of the process, which peers get with their session, authenticates probes.
 
 #[doc(hidden)]
 pub mod fuzzing;
@@ -25,6 +25,6 @@ pub mod stamp;
 
 pub use prober::{OpenError, ProbeResult, Prober, ProberConfig};
 pub use reflector::{BindError, ReceiveError, Reflector, ReflectorConfig};
-pub use socket::Stamps;
+pub use socket::StampSource;
 pub use stamp::auth::{Key, KeyError};
-pub use stamp::figures::{ReflectorCounts, ReflectorFigures, Refusal};
+pub use stamp::counters::{ReflectorCounters, ReflectorCounts, Refusal};

@@ -12,19 +12,20 @@ use tokio_util::sync::CancellationToken;
 use crate::schedule::Schedule;
 use crate::socket::{ProbeSocket, Received, Token};
 use crate::stamp::sender::{LATE, ReplyArrival, SenderConfig, SenderState};
-use crate::{Key, Stamps};
+use crate::{Key, StampSource};
 
 /// Largest reply without its padding. Bytes.
-const MAX_REPLY: usize = 2048;
+const MAX_REPLY_BYTES: usize = 2048;
 
-/// Time limit for sending a probe. A probe that takes longer is given up because its stamp becomes old. The first one
-/// waits until the runtime knows the socket.
-const SEND_PATIENCE: Duration = Duration::from_millis(20);
+/// Time limit for sending a probe. A probe that takes longer is dropped.
+// Its stamp becomes old. The first probe waits until the runtime has registered the socket.
+const SEND_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// Largest number of awaited departure stamps.
-const MAX_DEPARTING: usize = 64;
+const MAX_AWAITED_DEPARTURES: usize = 64;
 
-const FAILURE_PAUSE: Duration = Duration::from_millis(5);
+/// Pause after a socket error.
+const ERROR_PAUSE: Duration = Duration::from_millis(5);
 
 /// Configuration of a prober.
 #[derive(Clone, Debug)]
@@ -42,20 +43,20 @@ pub struct ProberConfig {
     /// Bytes of padding (value of an Extra Padding TLV, RFC 8972, section 4.1); 0 for none.
     pub padding_bytes: u16,
     /// Source of the packet stamps.
-    pub stamps: Stamps,
+    pub stamps: StampSource,
     /// Time after which a probe without an answer counts as lost.
     pub timeout: Duration,
 }
 
-/// Event of a probe.
+/// Event of probing, in the order of occurrence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProbeResult {
     /// The probe was sent.
     Sent,
     /// The probe was answered.
     Answered(ExchangeObservation),
-    /// The probe was answered, but this host's free-running clock was interrupted in between, so that nothing follows
-    /// from its stamps. The value is the clock's new epoch.
+    /// The probe was answered, but this host's free-running clock was interrupted in between, so that the stamps cannot
+    /// be compared. The value is the clock's new epoch.
     Stepped(u32),
     /// An exchange that was reported as answered, with a better stamp of the reply's departure.
     Refined(ExchangeObservation),
@@ -89,9 +90,9 @@ pub struct Prober {
     config: ProberConfig,
     clock: SharedClock,
     socket: ProbeSocket,
-    logic: SenderState,
-    /// Probes whose departure stamps may still come.
-    departing: VecDeque<(Token, u32)>,
+    sender: SenderState,
+    /// Probes whose departure stamps may still arrive.
+    awaited_departures: VecDeque<(Token, u32)>,
 }
 
 impl Prober {
@@ -105,39 +106,39 @@ impl Prober {
             .map_err(|error| OpenError::Socket { target, error })?;
         // Not zero: reflectors that do not know session identifiers leave zero.
         let ssid = rand::random_range(1..=u16::MAX);
-        let logic = SenderState::new(SenderConfig {
+        let sender = SenderState::new(SenderConfig {
             key: config.key.clone(),
             instance: config.instance,
             // Other implementations need not return the octets.
-            bound: config.instance.is_some(),
+            with_nonce: config.instance.is_some(),
             clocks: config.clocks,
             ssid,
-            first: 0,
+            first_sequence: 0,
             padding_bytes: config.padding_bytes,
             timeout: config.timeout.into(),
         });
-        Ok(Self { config, clock, socket, logic, departing: VecDeque::new() })
+        Ok(Self { config, clock, socket, sender, awaited_departures: VecDeque::new() })
     }
 
     /// Returns the source of the packet stamps: `kernel, send and receive`, `kernel, receive only`, or `program`.
-    pub fn stamps_in_words(&self) -> &'static str {
-        self.socket.stamps_in_words()
+    pub fn stamp_source_name(&self) -> &'static str {
+        self.socket.stamp_source_name()
     }
 
-    /// Checks that the kernel stamps by the clock that the program reads; otherwise its stamps are not used.
-    /// [`run`](Self::run) does the same. After an earlier call, [`stamps_in_words`](Self::stamps_in_words) returns its
-    /// final value.
+    /// Checks that the kernel stamps packets by the clock that the program reads; otherwise its stamps are ignored.
+    /// [`run`](Self::run) calls it. A caller that needs the final [`stamp_source_name`](Self::stamp_source_name) before
+    /// that calls it first.
     pub async fn check_stamps(&mut self) {
         self.socket.check().await;
-        if self.socket.is_distrusted() {
-            self.distrust_kernel();
+        if self.socket.are_kernel_stamps_disabled() {
+            self.ignore_kernel_stamps();
         }
     }
 
-    fn distrust_kernel(&mut self) {
+    fn ignore_kernel_stamps(&mut self) {
         self.socket.disable_kernel_stamps();
-        self.logic.distrust_kernel();
-        self.config.stamps = Stamps::Program;
+        self.sender.ignore_kernel_stamps();
+        self.config.stamps = StampSource::Program;
     }
 
     /// Sends `rate_hz` probes per second until stopped or until the receiver of `results` is dropped. A rate of 0 sends
@@ -151,33 +152,33 @@ impl Prober {
     ) {
         self.check_stamps().await;
         let mut schedule = Schedule::new(*rate_hz.borrow_and_update(), self.clock.mono());
-        let mut buffer = vec![0; MAX_REPLY + usize::from(self.config.padding_bytes)];
+        let mut buffer = vec![0; MAX_REPLY_BYTES + usize::from(self.config.padding_bytes)];
         let mut rate_is_fixed = false;
         loop {
             let mut pending_results = PendingResults::default();
-            let wake = [schedule.due(), self.logic.deadline()].into_iter().flatten().min();
+            let wake = [schedule.due(), self.sender.deadline()].into_iter().flatten().min();
             tokio::select! {
                 biased;
                 () = stop.cancelled() => return,
                 () = results.closed() => return,
                 // Before the reply, because the stamp belongs to the reply's exchange.
                 departure = self.socket.departure() => match departure {
-                    Ok((token, left)) => self.departed(token, left),
-                    Err(error) => self.failed(&error).await,
+                    Ok((token, left)) => self.record_departure(token, left),
+                    Err(error) => self.pause_after_error(&error).await,
                 },
                 received = self.socket.receive(&mut buffer) => match received {
                     Ok(received) => {
                         self.handle_packet(&buffer[..received.bytes], &received, &mut pending_results);
                     }
-                    Err(error) => self.failed(&error).await,
+                    Err(error) => self.pause_after_error(&error).await,
                 },
                 changed = rate_hz.changed(), if !rate_is_fixed => match changed {
-                    Ok(()) => schedule.change(*rate_hz.borrow_and_update(), self.clock.mono()),
+                    Ok(()) => schedule.set_rate(*rate_hz.borrow_and_update(), self.clock.mono()),
                     Err(_) => rate_is_fixed = true,
                 },
                 () = sleep_until(wake, &self.clock) => {
                     let now = self.clock.mono();
-                    pending_results.lost(self.logic.expire(now));
+                    pending_results.push_lost(self.sender.expire(now));
                     if schedule.is_due(now) {
                         schedule.advance(now);
                         self.send(&mut pending_results).await;
@@ -195,67 +196,71 @@ impl Prober {
     }
 
     async fn send(&mut self, pending_results: &mut PendingResults) {
-        let (departure, packet) = self.logic.request(&*self.clock);
-        match self.socket.send(packet, None, self.config.target, SEND_PATIENCE).await {
+        let (departure, packet) = self.sender.request(&*self.clock);
+        match self.socket.send(packet, None, self.config.target, SEND_TIMEOUT).await {
             Ok(token) => {
-                pending_results.lost(self.logic.sent(departure));
+                pending_results.push_lost(self.sender.record_sent(departure));
                 if let Some(token) = token {
-                    if self.departing.len() >= MAX_DEPARTING {
-                        self.departing.pop_front();
+                    if self.awaited_departures.len() >= MAX_AWAITED_DEPARTURES {
+                        self.awaited_departures.pop_front();
                     }
-                    self.departing.push_back((token, departure.sequence()));
+                    self.awaited_departures.push_back((token, departure.sequence()));
                 }
                 pending_results.push(ProbeResult::Sent);
             }
             Err(error) => {
-                tracing::debug!(target = %self.config.target, %error, "a probe could not be sent");
-                pending_results.push(ProbeResult::Refused(not_sent_in_words(&error)));
-                self.renew();
+                tracing::debug!(target = %self.config.target, %error, "failed to send a probe");
+                pending_results.push(ProbeResult::Refused(send_error_text(&error)));
+                self.reopen_socket();
             }
         }
     }
 
-    /// Opens a new socket, whose count of packets starts from zero. A packet that was refused on its way may have used
-    /// a number in the kernel's count but not in the socket's. Later departure stamps would then belong to other
-    /// packets.
-    fn renew(&mut self) {
+    /// Replaces the socket by a new one, whose count of packets starts from zero.
+    // The kernel may have counted a packet that failed to be sent although the socket did not. Later departure stamps
+    // would then belong to other packets.
+    fn reopen_socket(&mut self) {
         if !self.socket.stamps_departures() {
             return;
         }
         match ProbeSocket::open_for_target(self.config.target, self.config.stamps, self.clock.clone()) {
             Ok(socket) => {
                 self.socket = socket;
-                self.departing.clear();
+                self.awaited_departures.clear();
             }
-            Err(error) => tracing::debug!(%error, "no new socket for probes: the old one is kept"),
+            Err(error) => {
+                tracing::debug!(%error, "failed to reopen the socket for probes; the old one remains in use")
+            }
         }
     }
 
-    fn departed(&mut self, token: Token, left: Option<WallTime>) {
+    fn record_departure(&mut self, token: Token, left: Option<WallTime>) {
         // Stamps come in the order of departure. Those of dropped packets never come.
-        let Some(found) = self.departing.iter().position(|(departing, _)| *departing == token) else {
+        let Some(found) =
+            self.awaited_departures.iter().position(|(awaited_departures, _)| *awaited_departures == token)
+        else {
             return;
         };
-        let named = self.departing.drain(..=found).next_back();
+        let named = self.awaited_departures.drain(..=found).next_back();
         if let (Some((_, sequence)), Some(left)) = (named, left) {
-            self.logic.departed(sequence, left, self.clock.wall_ahead());
+            self.sender.record_departure(sequence, left, self.clock.wall_ahead());
         }
     }
 
     fn handle_packet(&mut self, packet: &[u8], received: &Received, pending_results: &mut PendingResults) {
         let read = self.clock.stamp();
         let (from, target) = (received.source, self.config.target);
-        // A packet from elsewhere is not an answer, even if its contents fit.
+        // A packet from another address is not an answer, even if its contents match.
         if from.port() != target.port() || from.ip() != target.ip() {
             pending_results.push(ProbeResult::Refused("not from the target"));
             return;
         }
         let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
         let returned = ReplyArrival { kernel: received.kernel, read, ahead, epoch };
-        pending_results.lost(self.logic.expire(read.mono));
-        let reply = self.logic.receive(packet, &returned);
-        if self.logic.distrusts_kernel() && !self.socket.is_distrusted() {
-            self.distrust_kernel();
+        pending_results.push_lost(self.sender.expire(read.mono));
+        let reply = self.sender.receive(packet, &returned);
+        if self.sender.ignores_kernel_stamps() && !self.socket.are_kernel_stamps_disabled() {
+            self.ignore_kernel_stamps();
         }
         match reply {
             Ok(reply) => {
@@ -268,11 +273,12 @@ impl Prober {
         }
     }
 
-    /// Waits shortly after an error. The system also reports errors of single packets on receiving; a permanent error
-    /// must not cause a busy loop.
-    async fn failed(&mut self, error: &io::Error) {
-        tracing::debug!(target = %self.config.target, %error, "a probe's reply could not be received");
-        tokio::time::sleep(FAILURE_PAUSE).await;
+    /// Logs a socket error, and waits briefly.
+    // The system also reports errors of single packets here, so that the loop continues; a permanent error must not cause
+    // a busy loop.
+    async fn pause_after_error(&mut self, error: &io::Error) {
+        tracing::debug!(target = %self.config.target, %error, "failed to receive the reply to a probe");
+        tokio::time::sleep(ERROR_PAUSE).await;
     }
 }
 
@@ -285,12 +291,12 @@ impl PendingResults {
         self.0.push(result);
     }
 
-    fn lost(&mut self, count: usize) {
+    fn push_lost(&mut self, count: usize) {
         self.0.extend(std::iter::repeat_n(ProbeResult::Lost, count));
     }
 }
 
-fn not_sent_in_words(error: &io::Error) -> &'static str {
+fn send_error_text(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::WouldBlock => "not sent: the socket is busy",
         io::ErrorKind::NetworkUnreachable => "not sent: the network is unreachable",

@@ -14,16 +14,16 @@ use crate::socket::{ProbeSocket, Received, Token};
 use crate::stamp::kernel::KernelStamp;
 use crate::stamp::reflector::{Arrival, ReflectorState, SessionId};
 use crate::stamp::uncertainty::ORDER_TOLERANCE;
-use crate::{Key, ReflectorFigures, Refusal, Stamps};
+use crate::{Key, ReflectorCounters, Refusal, StampSource};
 
 /// Largest packet of UDP. Bytes.
-const MAX_PACKET: usize = 65_535;
+const MAX_PACKET_BYTES: usize = 65_535;
 
 /// Number of successive errors after which the socket counts as lost.
 const MAX_FAILURES: u32 = 100;
 
 /// Largest number of awaited departure stamps.
-const MAX_DEPARTING: usize = 1024;
+const MAX_AWAITED_DEPARTURES: usize = 1024;
 
 /// Largest number of remembered comparisons of the two clocks.
 const MAX_COMPARISONS: usize = 8;
@@ -35,8 +35,8 @@ pub struct ReflectorConfig {
     pub listen: SocketAddr,
     /// Key that requests must be authenticated by. `None` answers unauthenticated requests.
     pub key: Option<Key>,
-    /// Key that peers get with their session. It is used if there is no [`key`](Self::key). Requests that it
-    /// authenticates get authenticated answers; unauthenticated requests get unauthenticated answers.
+    /// Key that peers get with their session, used if there is no [`key`](Self::key). Requests with this key get
+    /// authenticated answers; unauthenticated requests get unauthenticated answers.
     pub session_key: Option<Key>,
     /// Random number of this process. Answers carry it, so that a prober knows whose clock they are of.
     pub instance: u64,
@@ -44,9 +44,9 @@ pub struct ReflectorConfig {
     /// without a session ([`Reflector::peers`]) together get at most ten times as many.
     pub max_per_source_hz: u32,
     /// Source of the packet stamps.
-    pub stamps: Stamps,
+    pub stamps: StampSource,
     /// `true` if sessions are distinguished (RFC 8762, section 4). Replies then have numbers of their own, so that
-    /// losses have a direction, and report when the previous reply really left.
+    /// losses can be attributed to a direction, and report the true departure of the previous reply.
     pub stateful: bool,
 }
 
@@ -88,19 +88,19 @@ pub struct ReceiveError {
 
 /// Answers probes (session-reflector of RFC 8762).
 ///
-/// A reflector is useless for attacks on third parties: an answer has the length of its request, each source has a rate
-/// limit, and all sources without a session share another one. With a key, strangers get no answer. A packet that looks
-/// like a reply is never answered, so that two reflectors, or a reflector and an echo service, cannot form a loop. The
-/// memory for sources and sessions is bounded.
+/// A reflector cannot amplify an attack on third parties: an answer has the length of its request, each source has a rate
+/// limit, and all sources without a session share another one. With a key, only requests with that key are answered. A
+/// packet that looks like a reply is never answered, so that two reflectors, or a reflector and an echo service, cannot
+/// form a loop. The memory for sources and sessions is bounded.
 #[derive(Debug)]
 pub struct Reflector {
     socket: ProbeSocket,
-    logic: ReflectorState,
+    state: ReflectorState,
     clock: SharedClock,
-    figures: ReflectorFigures,
+    counters: ReflectorCounters,
     peers: watch::Sender<Vec<IpAddr>>,
     /// Replies whose departure stamps may still come.
-    departing: VecDeque<DepartingReply>,
+    awaited_departures: VecDeque<DepartingReply>,
     /// Latest comparisons of the two clocks, oldest first.
     comparisons: VecDeque<ClockComparison>,
     refusal_log: RefusalLog,
@@ -130,7 +130,7 @@ impl Reflector {
     /// If the address cannot be bound. The error says what to do.
     pub fn bind(config: ReflectorConfig, clock: SharedClock) -> Result<Self, BindError> {
         let listen = config.listen;
-        // Only a session remembers when its last reply left.
+        // Only a session stores the departure of its last reply.
         let departures = config.stateful;
         let bound = ProbeSocket::bind(listen, config.stamps, departures, clock.clone());
         let socket = bound.map_err(|error| match error.kind() {
@@ -142,7 +142,7 @@ impl Reflector {
         Ok(Self {
             socket,
             refusal_log: RefusalLog::new(config.key.is_some()),
-            logic: ReflectorState::new(
+            state: ReflectorState::new(
                 config.key,
                 config.instance,
                 config.max_per_source_hz,
@@ -150,9 +150,9 @@ impl Reflector {
             )
             .with_session_key(config.session_key),
             clock,
-            figures: ReflectorFigures::default(),
+            counters: ReflectorCounters::default(),
             peers: watch::Sender::default(),
-            departing: VecDeque::new(),
+            awaited_departures: VecDeque::new(),
             comparisons: VecDeque::new(),
         })
     }
@@ -163,19 +163,19 @@ impl Reflector {
     }
 
     /// Returns a handle to the counters, which remains valid while the reflector runs.
-    pub fn figures(&self) -> ReflectorFigures {
-        self.figures.clone()
+    pub fn counters(&self) -> ReflectorCounters {
+        self.counters.clone()
     }
 
-    /// Returns a sender for the addresses of all peers that have a session with this host. It is to be used whenever
-    /// they change. Forged source addresses cannot use up the answers to these peers.
+    /// Returns a sender for the addresses of all peers that have a session with this host. The caller sends them whenever
+    /// they change. Packets with forged source addresses do not use up the rate of these peers.
     pub fn peers(&self) -> watch::Sender<Vec<IpAddr>> {
         self.peers.clone()
     }
 
-    /// Returns the source of the packet stamps, as [`Prober::stamps_in_words`](crate::Prober::stamps_in_words) does.
-    pub fn stamps_in_words(&self) -> &'static str {
-        self.socket.stamps_in_words()
+    /// Returns the source of the packet stamps, as [`Prober::stamp_source_name`](crate::Prober::stamp_source_name) does.
+    pub fn stamp_source_name(&self) -> &'static str {
+        self.socket.stamp_source_name()
     }
 
     /// Answers requests until stopped.
@@ -185,7 +185,7 @@ impl Reflector {
     pub async fn run(mut self, stop: CancellationToken) -> Result<(), ReceiveError> {
         self.socket.check().await;
         self.compare_clocks();
-        let mut buffer = vec![0; MAX_PACKET];
+        let mut buffer = vec![0; MAX_PACKET_BYTES];
         let mut failures = 0;
         let mut peers = self.peers.subscribe();
         peers.mark_changed();
@@ -195,13 +195,13 @@ impl Reflector {
                 () = stop.cancelled() => return Ok(()),
                 // Before the first probe of a peer whose session was just opened.
                 Ok(()) = peers.changed() => {
-                    self.logic.set_peers(&peers.borrow_and_update());
+                    self.state.set_peers(&peers.borrow_and_update());
                     None
                 }
                 // Before the next request, whose answer reports the stamp.
                 departure = self.socket.departure() => match departure {
                     Ok((token, left)) => {
-                        self.departed(token, left);
+                        self.record_departure(token, left);
                         None
                     }
                     Err(error) => Some(error),
@@ -209,9 +209,9 @@ impl Reflector {
                 received = self.socket.receive(&mut buffer) => match received {
                     Ok(received) => {
                         match self.answer(&mut buffer[..received.bytes], &received).await {
-                            Ok(()) => self.figures.count_answered(),
+                            Ok(()) => self.counters.count_answered(),
                             Err(why) => {
-                                self.figures.count_refused(why);
+                                self.counters.count_refused(why);
                                 self.log_refusal(why, received.source);
                             }
                         }
@@ -224,7 +224,7 @@ impl Reflector {
             match failed {
                 None => failures = 0,
                 Some(error) if failures < MAX_FAILURES => {
-                    tracing::debug!(%error, "a probe could not be received");
+                    tracing::debug!(%error, "failed to receive a probe");
                     failures += 1;
                 }
                 Some(error) => {
@@ -235,11 +235,11 @@ impl Reflector {
     }
 
     fn log_refusal(&mut self, why: Refusal, source: SocketAddr) {
-        if let Some((count, advice)) = self.refusal_log.due(why, self.clock.mono()) {
-            let (why, listen) = (why.in_words(), self.address());
+        if let Some((count, advice)) = self.refusal_log.record(why, self.clock.mono()) {
+            let (why, listen) = (why.description(), self.address());
             tracing::warn!(
                 %source, %listen, count,
-                "a probe was refused: {why}; {advice} (told once a minute at most, with the number since then)"
+                "refused a probe: {why}; {advice} (logged at most once a minute; count has the number since the last line)"
             );
         }
     }
@@ -253,43 +253,46 @@ impl Reflector {
         }
         let before = kernel.and_then(|stamp| self.difference_before(stamp));
         let ahead = self.compare_clocks();
-        let latest = |stamp| before.map(|before| KernelStamp::between(stamp, before, ahead).latest);
+        let latest = |stamp| before.map(|before| KernelStamp::from_comparisons(stamp, before, ahead).latest);
         let arrival = Arrival {
             source: received.source,
             received: kernel.unwrap_or(read.wall),
-            // The program's reading is the outer bound, which the kernel's stamp may narrow.
+            // The program's reading always holds; the kernel's stamp may narrow the bound.
             received_raw: kernel.and_then(latest).map_or(read.raw, |latest| latest.min(read.raw)),
             now: read.mono,
         };
-        let answer = self.logic.prepare(packet, &arrival)?;
+        let answer = self.state.prepare(packet, &arrival)?;
         // The answer comes from the address that was asked, if the system reported it.
         let from = (!received.local.ip().is_unspecified()).then_some(received.local);
-        let stamp = self.logic.complete(&answer, packet, &*self.clock);
+        let stamp = self.state.complete(&answer, packet, &*self.clock);
         let sent = self.socket.send(packet, from, received.source, Duration::ZERO).await;
         let token = sent.map_err(|error| {
-            tracing::debug!(to = %received.source, %error, "a probe's answer could not be sent");
+            tracing::debug!(to = %received.source, %error, "failed to send the answer to a probe");
             Refusal::NotSent
         })?;
-        self.logic.sent(&answer, stamp);
+        self.state.record_sent(&answer, stamp);
         if let Some(token) = token {
-            if self.departing.len() >= MAX_DEPARTING {
-                self.departing.pop_front();
+            if self.awaited_departures.len() >= MAX_AWAITED_DEPARTURES {
+                self.awaited_departures.pop_front();
             }
             let (session, sequence) = (answer.session(), answer.sequence());
-            self.departing.push_back(DepartingReply { token, session, sequence, ahead });
+            self.awaited_departures.push_back(DepartingReply { token, session, sequence, ahead });
         }
         Ok(())
     }
 
-    fn departed(&mut self, token: Token, left: Option<WallTime>) {
+    /// Handles the kernel's stamp of a departure, `left`.
+    fn record_departure(&mut self, token: Token, left: Option<WallTime>) {
         // Stamps come in the order of departure. Those of dropped packets never come.
-        let Some(found) = self.departing.iter().position(|departing| departing.token == token) else {
+        let Some(found) =
+            self.awaited_departures.iter().position(|awaited_departures| awaited_departures.token == token)
+        else {
             return;
         };
-        let named = self.departing.drain(..=found).next_back();
+        let named = self.awaited_departures.drain(..=found).next_back();
         if let (Some(DepartingReply { session, sequence, ahead, .. }), Some(left)) = (named, left) {
-            let left_raw = KernelStamp::between(left, ahead, self.compare_clocks()).earliest;
-            self.logic.departed(&session, sequence, left, left_raw);
+            let left_raw = KernelStamp::from_comparisons(left, ahead, self.compare_clocks()).earliest;
+            self.state.record_departure(&session, sequence, left, left_raw);
         }
     }
 
@@ -309,7 +312,7 @@ impl Reflector {
     fn difference_before(&self, stamp: WallTime) -> Option<Interval> {
         let newest = self.comparisons.back()?.ahead;
         let is_before = |comparison: &&ClockComparison| {
-            comparison.at < KernelStamp::between(stamp, comparison.ahead, newest).earliest
+            comparison.at < KernelStamp::from_comparisons(stamp, comparison.ahead, newest).earliest
         };
         self.comparisons.iter().rev().find(is_before).map(|comparison| comparison.ahead)
     }

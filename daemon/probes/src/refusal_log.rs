@@ -1,29 +1,28 @@
-//! Log lines about refused probes, at a limited rate. They say enough to find the mistake, and no sender can fill a
-//! log.
+//! Rate limit of log lines about refused probes, with advice for each reason. No sender can fill the log.
 
 use peernet_clock::{MonoTime, Span};
 
 use crate::Refusal;
 
-/// Shortest interval between two log lines with the same reason, whoever it concerns.
+/// Shortest interval between two log lines with the same reason, for all sources together.
 const LOG_INTERVAL: Span = Span::from_seconds(60);
 
 /// Time of the last log line of each reason, and the number of probes refused for it since then.
 #[derive(Debug)]
 pub(crate) struct RefusalLog {
-    key: bool,
+    has_key: bool,
     reasons: [(Option<MonoTime>, u64); Refusal::ALL.len()],
 }
 
 impl RefusalLog {
     /// Creates the state for a reflector with or without a key.
-    pub(crate) fn new(key: bool) -> Self {
-        Self { key, reasons: [(None, 0); Refusal::ALL.len()] }
+    pub(crate) fn new(has_key: bool) -> Self {
+        Self { has_key, reasons: [(None, 0); Refusal::ALL.len()] }
     }
 
     /// Counts a refused probe. If a log line is due, returns the number of probes refused for this reason since the
     /// last one, and the advice.
-    pub(crate) fn due(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
+    pub(crate) fn record(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
         let (logged, count) = &mut self.reasons[why as usize];
         *count += 1;
         if logged.is_some_and(|logged| now - logged < LOG_INTERVAL) {
@@ -31,21 +30,23 @@ impl RefusalLog {
         }
         *logged = Some(now);
         let count = std::mem::take(count);
-        let advice = match (why, self.key) {
+        let advice = match (why, self.has_key) {
             (Refusal::Short, true) => {
-                "it was probably sent without a key: with [probes] key_file both ends need the same key"
+                "it was probably sent without a key; with [probes] key_file both ends need the same key"
             }
             (Refusal::Unauthenticated, _) => {
-                "its sender has another key or none: with [probes] key_file both ends need the same key"
+                "its sender has another key or none; with [probes] key_file both ends need the same key"
             }
             (Refusal::TooOften, _) => "raise [probes] max_per_source_hz here, or lower rate_hz there",
             (Refusal::TooMany, _) => {
-                "peers with a session are answered as before; see who sends so many, or raise [probes] max_per_source_hz"
+                "peers with a session are still answered; check which hosts send so many probes, or raise [probes] max_per_source_hz"
             }
             (Refusal::Short, false) | (Refusal::NoPort | Refusal::Reply, _) => {
-                "it is none of a peer's probes: see who sends it"
+                "it is not a probe of a peer; check which program sends it"
             }
-            (Refusal::NotSent, _) => "see whether this machine's network or firewall lets UDP out",
+            (Refusal::NotSent, _) => {
+                "check that the network and the firewall of this machine let UDP packets out"
+            }
         };
         Some((count, advice))
     }
@@ -63,19 +64,19 @@ mod tests {
         let mut refusal_log = RefusalLog::new(true);
         let mut logged = Vec::new();
         for _ in 0..1_210 {
-            logged.extend(refusal_log.due(Refusal::Short, clock.mono()));
+            logged.extend(refusal_log.record(Refusal::Short, clock.mono()));
             clock.advance(Span::from_millis(100));
         }
         let counts: Vec<u64> = logged.iter().map(|(count, _)| *count).collect();
         assert_eq!(counts, [1, 600, 600], "{logged:?}");
         assert!(logged.iter().all(|(_, advice)| advice.contains("key_file")), "{logged:?}");
-        assert!(refusal_log.due(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
+        assert!(refusal_log.record(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
         assert!(
             refusal_log
-                .due(Refusal::TooOften, clock.mono())
+                .record(Refusal::TooOften, clock.mono())
                 .is_some_and(|(_, advice)| !advice.contains("key"))
         );
-        let advice = RefusalLog::new(false).due(Refusal::Short, clock.mono());
+        let advice = RefusalLog::new(false).record(Refusal::Short, clock.mono());
         assert!(advice.is_some_and(|(_, advice)| !advice.contains("key")), "{advice:?}");
     }
 }

@@ -2,17 +2,17 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Relative variation of intervals in both directions, so that probes do not synchronize with anything periodic.
+/// Relative variation of intervals in both directions.
+// Without it, probes could synchronise with periodic load.
 const JITTER: f64 = 0.2;
 
 /// Largest number of probes per second.
 const MAX_HZ: f64 = 1000.0;
 
-/// The first probe is sent at a random time within this span.
+/// Span within which the first probe is sent at a random time.
 const FIRST_PROBE_WINDOW: Span = Span::from_millis(100);
 
-/// A schedule of jittered intervals with a constant mean. Missed probes are not made up for, so that there are no
-/// bursts.
+/// A schedule of jittered intervals with a constant mean. Missed probes are skipped, so that there are no bursts.
 #[derive(Debug)]
 pub(crate) struct Schedule {
     interval: Option<Span>,
@@ -22,16 +22,16 @@ pub(crate) struct Schedule {
 impl Schedule {
     pub(crate) fn new(rate_hz: f64, now: MonoTime) -> Self {
         let mut schedule = Self { interval: None, due: now };
-        schedule.change(rate_hz, now);
+        schedule.set_rate(rate_hz, now);
         schedule
     }
 
-    /// Changes the rate from now on. A rate that is not a positive number pauses the schedule.
-    pub(crate) fn change(&mut self, rate_hz: f64, now: MonoTime) {
+    /// Sets the rate from now on. A rate that is not a positive number pauses the schedule.
+    pub(crate) fn set_rate(&mut self, rate_hz: f64, now: MonoTime) {
         let before = self.interval;
         self.interval = (rate_hz > 0.0).then(|| Span::from_seconds_f64(1.0 / rate_hz.min(MAX_HZ)));
         let Some(interval) = self.interval else { return };
-        let first = now + scaled(interval.min(FIRST_PROBE_WINDOW), rand::random());
+        let first = now + scale(interval.min(FIRST_PROBE_WINDOW), rand::random());
         self.due = match before {
             None => first,
             // At most one new interval away. An earlier time of the old rate is kept.
@@ -39,6 +39,7 @@ impl Schedule {
         };
     }
 
+    /// Returns the time of the next probe; `None` if the schedule is paused.
     pub(crate) fn due(&self) -> Option<MonoTime> {
         self.interval.map(|_| self.due)
     }
@@ -47,7 +48,7 @@ impl Schedule {
         self.due().is_some_and(|due| due <= now)
     }
 
-    /// Notes that a probe is sent now, and sets the time of the next one.
+    /// Sets the time of the next probe, after one was sent now.
     pub(crate) fn advance(&mut self, now: MonoTime) {
         if let Some(interval) = self.interval {
             let interval = with_jitter(interval);
@@ -59,10 +60,10 @@ impl Schedule {
 }
 
 fn with_jitter(interval: Span) -> Span {
-    scaled(interval, rand::random_range(1.0 - JITTER..=1.0 + JITTER))
+    scale(interval, rand::random_range(1.0 - JITTER..=1.0 + JITTER))
 }
 
-fn scaled(span: Span, factor: f64) -> Span {
+fn scale(span: Span, factor: f64) -> Span {
     Span::from_seconds_f64(span.seconds() * factor)
 }
 
@@ -106,14 +107,14 @@ mod tests {
         let mut schedule = Schedule::new(0.01, at(0));
         schedule.advance(at(100));
         assert!(schedule.due().is_some_and(|due| due > at(70_000)));
-        schedule.change(10.0, at(1000));
+        schedule.set_rate(10.0, at(1000));
         assert!(schedule.due().is_some_and(|due| due <= at(1120)), "{schedule:?}");
         for paused in [0.0, -1.0, f64::NAN] {
-            schedule.change(paused, at(2000));
+            schedule.set_rate(paused, at(2000));
             assert_eq!(schedule.due(), None);
             assert!(!schedule.is_due(at(1_000_000)));
         }
-        schedule.change(f64::INFINITY, at(3000));
+        schedule.set_rate(f64::INFINITY, at(3000));
         assert!(schedule.due().is_some_and(|due| due >= at(3000) && due <= at(3001)), "{schedule:?}");
     }
 }

@@ -15,23 +15,24 @@ use timestamped_socket::socket::{
 
 use crate::stamp::uncertainty::ORDER_TOLERANCE;
 
-/// Longest wait for a packet to this machine itself.
-const LOOPBACK_PATIENCE: Duration = Duration::from_millis(200);
+/// Time limit of the packet to this machine itself that checks the kernel's stamps.
+const LOOPBACK_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// Number of packets to this machine itself that may fail because the clock was set meanwhile.
-const LOOPBACK_TRIES: u32 = 3;
+/// Largest number of packets to this machine itself until one gives a result.
+// A packet gives none if the clock was set meanwhile.
+const MAX_LOOPBACK_ATTEMPTS: u32 = 3;
 
 /// Source of the packet stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Stamps {
-    /// The kernel stamps packets as they pass, if it can; otherwise as [`Program`](Self::Program).
+pub enum StampSource {
+    /// The kernel stamps packets, if it supports that; otherwise as [`Program`](Self::Program).
     #[default]
     Kernel,
-    /// The program stamps packets around its system calls. Needed for a false clock that the kernel does not know.
+    /// The program stamps packets around its system calls. Required if the program reads another clock than the kernel.
     Program,
 }
 
-/// Identifies a packet that was sent, until the kernel's stamp of its departure comes.
+/// Identifies a sent packet when the kernel's stamp of its departure arrives.
 pub(crate) type Token = SendTimestampToken;
 
 /// A packet that was received.
@@ -49,13 +50,13 @@ pub(crate) struct ProbeSocket {
     inner: Socket<SocketAddr, Open>,
     mode: GeneralTimestampMode,
     clock: SharedClock,
-    /// `true` if the kernel's stamps are of another clock than the program's and are therefore dropped.
-    distrusted: bool,
+    /// `true` if the kernel's stamps are ignored, because they are of another clock than the program's.
+    kernel_stamps_disabled: bool,
 }
 
 impl fmt::Debug for ProbeSocket {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ProbeSocket({}, {})", self.address(), self.stamps_in_words())
+        write!(f, "ProbeSocket({}, {})", self.address(), self.stamp_source_name())
     }
 }
 
@@ -64,37 +65,37 @@ impl ProbeSocket {
     /// costs a system call.
     pub(crate) fn bind(
         address: SocketAddr,
-        stamps: Stamps,
+        stamps: StampSource,
         departures: bool,
         clock: SharedClock,
     ) -> io::Result<Self> {
         let modes: &[GeneralTimestampMode] = match stamps {
-            Stamps::Kernel if departures => {
+            StampSource::Kernel if departures => {
                 &[GeneralTimestampMode::SoftwareAll, GeneralTimestampMode::SoftwareRecv]
             }
-            Stamps::Kernel => &[GeneralTimestampMode::SoftwareRecv],
-            Stamps::Program => &[],
+            StampSource::Kernel => &[GeneralTimestampMode::SoftwareRecv],
+            StampSource::Program => &[],
         };
         for &mode in modes {
             match open_ip(address, mode, false) {
-                Ok(inner) => return Ok(Self { inner, mode, clock, distrusted: false }),
+                Ok(inner) => return Ok(Self { inner, mode, clock, kernel_stamps_disabled: false }),
                 // The kernel does not support the option, as some sandboxes and old kernels do not.
                 Err(error) if is_unsupported_option(&error) => {
-                    tracing::debug!(%address, ?mode, %error, "the kernel does not stamp packets in this way");
+                    tracing::debug!(%address, ?mode, %error, "the kernel does not support this mode of packet stamps");
                 }
                 Err(error) => return Err(error),
             }
         }
         // A socket without kernel stamps is used if the kernel supports none of the wanted modes.
         let mode = GeneralTimestampMode::None;
-        Ok(Self { inner: open_ip(address, mode, false)?, mode, clock, distrusted: false })
+        Ok(Self { inner: open_ip(address, mode, false)?, mode, clock, kernel_stamps_disabled: false })
     }
 
     /// Opens a socket for sending to `target`. It is bound to any address and port of the same family, so that it
     /// follows changes of the route.
     pub(crate) fn open_for_target(
         target: SocketAddr,
-        stamps: Stamps,
+        stamps: StampSource,
         clock: SharedClock,
     ) -> io::Result<Self> {
         let any = match target {
@@ -108,9 +109,9 @@ impl ProbeSocket {
         self.inner.local_addr()
     }
 
-    pub(crate) fn stamps_in_words(&self) -> &'static str {
+    pub(crate) fn stamp_source_name(&self) -> &'static str {
         match self.mode {
-            _ if self.distrusted => "program",
+            _ if self.kernel_stamps_disabled => "program",
             GeneralTimestampMode::SoftwareAll => "kernel, send and receive",
             GeneralTimestampMode::SoftwareRecv => "kernel, receive only",
             GeneralTimestampMode::None => "program",
@@ -126,27 +127,27 @@ impl ProbeSocket {
     /// `libfaketime`, for example, shows a false time to the program alone. If the clocks differ, only the program's
     /// stamps are used from now on.
     pub(crate) async fn check(&mut self) {
-        if self.mode == GeneralTimestampMode::None || self.distrusted {
+        if self.mode == GeneralTimestampMode::None || self.kernel_stamps_disabled {
             return;
         }
-        for _ in 0..LOOPBACK_TRIES {
-            let asked = tokio::time::timeout(LOOPBACK_PATIENCE, is_one_clock(&self.clock)).await;
-            match asked.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())) {
+        for _ in 0..MAX_LOOPBACK_ATTEMPTS {
+            let result = tokio::time::timeout(LOOPBACK_TIMEOUT, check_kernel_clock(&self.clock)).await;
+            match result.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())) {
                 Ok(Some(true)) => return,
                 Ok(Some(false)) => return self.disable_kernel_stamps(),
                 // The clock was set meanwhile, or the packet has no stamp. Another packet is tried.
                 Ok(None) => {}
                 Err(error) => {
-                    tracing::debug!(%error, "the kernel's stamps could not be compared with the clock");
+                    tracing::debug!(%error, "failed to compare the kernel's stamps with the clock");
                     return;
                 }
             }
         }
     }
 
-    /// Returns whether the kernel's stamps are dropped.
-    pub(crate) const fn is_distrusted(&self) -> bool {
-        self.distrusted
+    /// Returns whether the kernel's stamps are ignored.
+    pub(crate) const fn are_kernel_stamps_disabled(&self) -> bool {
+        self.kernel_stamps_disabled
     }
 
     /// Uses only the program's stamps from now on.
@@ -154,11 +155,11 @@ impl ProbeSocket {
         static LOGGED: Once = Once::new();
         LOGGED.call_once(|| {
             tracing::warn!(
-                "the kernel stamps packets by another clock than this program reads, as under libfaketime: its stamps \
-                 are not used; say so with timestamps = \"user\" in [clock]"
+                "the kernel stamps packets by another clock than this program reads, as under libfaketime; its stamps are \
+                 ignored; set timestamps = \"user\" in [clock] to stop this check"
             );
         });
-        self.distrusted = true;
+        self.kernel_stamps_disabled = true;
     }
 
     /// Waits for the next packet. Cancel safe.
@@ -172,14 +173,14 @@ impl ProbeSocket {
         })
     }
 
-    /// Sends a packet within `patience`. With a patience of zero, sends at once or fails. The time is limited because
-    /// the stamp in the packet becomes old.
+    /// Sends a packet within `timeout`. With a timeout of zero, sends at once or fails.
+    // The time is limited, because the stamp in the packet becomes old.
     pub(crate) async fn send(
         &self,
         packet: &[u8],
         from: Option<SocketAddr>,
         to: SocketAddr,
-        patience: Duration,
+        timeout: Duration,
     ) -> io::Result<Option<Token>> {
         let sending = poll_fn(|cx| {
             let polled = match from {
@@ -187,16 +188,14 @@ impl ProbeSocket {
                 None => self.inner.poll_send_to(packet, to, cx),
             };
             match polled {
-                Poll::Pending if patience.is_zero() => Poll::Ready(Err(io::ErrorKind::WouldBlock.into())),
+                Poll::Pending if timeout.is_zero() => Poll::Ready(Err(io::ErrorKind::WouldBlock.into())),
                 polled => polled,
             }
         });
-        if patience.is_zero() {
+        if timeout.is_zero() {
             return sending.await;
         }
-        tokio::time::timeout(patience, sending)
-            .await
-            .unwrap_or_else(|_| Err(io::ErrorKind::WouldBlock.into()))
+        tokio::time::timeout(timeout, sending).await.unwrap_or_else(|_| Err(io::ErrorKind::WouldBlock.into()))
     }
 
     /// Waits for the kernel's next stamp of a departure; forever if it makes none. Cancel safe.
@@ -209,7 +208,7 @@ impl ProbeSocket {
     }
 
     fn accepted_stamp(&self, stamps: TimestampData) -> Option<WallTime> {
-        if self.distrusted { None } else { accepted_stamp(&self.clock, stamps) }
+        if self.kernel_stamps_disabled { None } else { accepted_stamp(&self.clock, stamps) }
     }
 }
 
@@ -217,24 +216,24 @@ fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime
     let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
     let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
     // The kernel stamps by the system's clock, from which a clock with injected faults differs.
-    Some(clock.adopt(WallTime::from_unix_nanos(system)))
+    Some(clock.apply_faults(WallTime::from_unix_nanos(system)))
 }
 
 /// Returns whether the kernel's stamp of a packet lies between two readings of the clock, one before it was sent and
 /// one after it was received. `None` if the clock was set in between, or there is no stamp.
-async fn is_one_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
+async fn check_kernel_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
     let socket = open_ip(any, GeneralTimestampMode::SoftwareRecv, false)?;
-    let own = socket.local_addr();
+    let local = socket.local_addr();
     let epoch = clock.wall_epoch();
     let before = clock.wall();
-    poll_fn(|cx| socket.poll_send_to(&[0], own, cx)).await?;
+    poll_fn(|cx| socket.poll_send_to(&[0], local, cx)).await?;
     let received = socket.recv(&mut [0; 1]).await?;
     let after = clock.wall();
     let stamp = accepted_stamp(clock, received.timestamp_data);
-    let steady = clock.wall_epoch() == epoch;
+    let is_steady = clock.wall_epoch() == epoch;
     Ok(stamp
-        .filter(|_| steady)
+        .filter(|_| is_steady)
         .map(|stamp| before - ORDER_TOLERANCE <= stamp && stamp <= after + ORDER_TOLERANCE))
 }
 

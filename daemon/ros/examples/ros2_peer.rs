@@ -86,7 +86,7 @@ async fn main() -> Outcome {
 }
 
 fn clock() -> Result<SystemClock, Box<dyn Error + Send + Sync>> {
-    Ok(SystemClock::new(ClockIdentity::of_this_machine("system")?))
+    Ok(SystemClock::new(ClockIdentity::from_system("system")?))
 }
 
 /// Returns a profile that keeps more messages than are sent. With the usual depth of ten, a lost message may be gone

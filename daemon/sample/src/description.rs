@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn every_description_survives_the_wire_form() {
+    fn descriptions_round_trip() {
         let tensor =
             Description { media: MediaType::Tensor, shape: vec![1, 3, 4], element: Some(ElementType::F32) };
         let all = [

@@ -2,22 +2,22 @@
 
 use crate::printable::printable_line;
 
-/// Number of words in a list of examples.
-const EXAMPLES: usize = 5;
+/// Largest number of words in a list of examples.
+const MAX_EXAMPLES: usize = 5;
 /// Longest word that is shown in full, characters.
 const MAX_SHOWN_CHARS: usize = 40;
 
-/// Returns the form of a label in which labels are compared: labels with equal forms name one class. Folders are
-/// often named `Golden_Retriever` for `golden retriever`, so that case is ignored, and hyphens and underscores count
-/// as spaces.
-pub fn plain_label(label: &str) -> String {
+/// Returns the normal form of a label; labels with equal forms name one class. Case is ignored, and hyphens and
+/// underscores count as spaces.
+// Folders are often named `Golden_Retriever` for the class `golden retriever`.
+pub fn normalized_label(label: &str) -> String {
     label.trim().chars().map(|c| if matches!(c, '_' | '-') { ' ' } else { c.to_ascii_lowercase() }).collect()
 }
 
 /// Returns the first words as a list for people: `tench, goldfish, …`.
-pub fn examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
+pub fn list_examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     let mut words = words.into_iter();
-    let mut shown: Vec<String> = words.by_ref().take(EXAMPLES).map(shorten).collect();
+    let mut shown: Vec<String> = words.by_ref().take(MAX_EXAMPLES).map(shorten).collect();
     shown.extend(words.next().map(|_| "…".to_owned()));
     shown.join(", ")
 }
@@ -35,18 +35,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn spelling_of_folders_does_not_matter() {
-        assert_eq!(plain_label(" Golden_Retriever"), plain_label("golden retriever"));
-        assert_ne!(plain_label("golden"), plain_label("golden retriever"));
+    fn labels_ignore_case_and_separators() {
+        assert_eq!(normalized_label(" Golden_Retriever"), normalized_label("golden retriever"));
+        assert_ne!(normalized_label("golden"), normalized_label("golden retriever"));
     }
 
     #[test]
     fn long_list_is_shortened() {
-        assert_eq!(examples(["a", "b"]), "a, b");
-        assert_eq!(examples(["a", "b", "c", "d", "e"]), "a, b, c, d, e");
-        assert_eq!(examples(["a", "b", "c", "d", "e", "f"]), "a, b, c, d, e, …");
-        let long = examples([&*"ä".repeat(41)]);
+        assert_eq!(list_examples(["a", "b"]), "a, b");
+        assert_eq!(list_examples(["a", "b", "c", "d", "e"]), "a, b, c, d, e");
+        assert_eq!(list_examples(["a", "b", "c", "d", "e", "f"]), "a, b, c, d, e, …");
+        let long = list_examples([&*"ä".repeat(41)]);
         assert_eq!(long, format!("{}…", "ä".repeat(39)));
-        assert_eq!((examples([]), examples(["a\nb"])), (String::new(), "a b".to_owned()));
+        assert_eq!((list_examples([]), list_examples(["a\nb"])), (String::new(), "a b".to_owned()));
     }
 }

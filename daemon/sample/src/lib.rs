@@ -9,12 +9,12 @@ mod media;
 mod printable;
 
 pub use description::{Description, ElementType, MediaType, PixelFormat};
-pub use label::{examples, plain_label};
+pub use label::{list_examples, normalized_label};
 pub use printable::{printable_line, printable_lines};
 
 use bytes::Bytes;
 
-/// Sample of a sensor, or answer of a model.
+/// Sample of a sensor, or answer of a model, with its payload.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// The payload, in one or several parts (two cameras, an image and its depth).
@@ -35,8 +35,8 @@ pub struct Part {
 }
 
 impl Sample {
-    /// Creates a sample of one part.
-    pub fn of(description: Description, bytes: Bytes) -> Self {
+    /// Creates a sample of one part, without source and label.
+    pub fn from_part(description: Description, bytes: Bytes) -> Self {
         Self { parts: vec![Part { description, bytes }], source: String::new(), label: None }
     }
 

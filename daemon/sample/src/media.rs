@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_name_reads_back() {
+    fn names_round_trip() {
         for media in [
             MediaType::Bytes,
             MediaType::Jpeg,

@@ -1,23 +1,23 @@
-//! Replacement of control characters in foreign texts, for terminals, logs, tables and pages.
+//! Replacement of control characters in untrusted texts, for terminals, logs, tables and pages.
 
 use std::borrow::Cow;
 
 /// Returns the text in one printable line: each character that would control a terminal, break the line or reorder
 /// the following text becomes a space. The number of characters stays the same.
 pub fn printable_line(text: &str) -> Cow<'_, str> {
-    replaced(text, is_unprintable)
+    replace_chars(text, is_unprintable)
 }
 
 /// Returns the text as [`printable_line`] does, but keeps line feeds: for texts of several lines such as tracebacks.
 pub fn printable_lines(text: &str) -> Cow<'_, str> {
-    replaced(text, |char| char != '\n' && is_unprintable(char))
+    replace_chars(text, |char| char != '\n' && is_unprintable(char))
 }
 
-fn replaced(text: &str, is_wrong: impl Fn(char) -> bool) -> Cow<'_, str> {
-    if !text.contains(&is_wrong) {
+fn replace_chars(text: &str, is_replaced: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_replaced) {
         return Cow::Borrowed(text);
     }
-    Cow::Owned(text.chars().map(|char| if is_wrong(char) { ' ' } else { char }).collect())
+    Cow::Owned(text.chars().map(|char| if is_replaced(char) { ' ' } else { char }).collect())
 }
 
 fn is_unprintable(char: char) -> bool {

@@ -8,7 +8,7 @@ use peernet_external::python::PythonError;
 use peernet_imaging::ImageError;
 use peernet_ros::topics::TopicError;
 
-/// Reason that a sensor cannot be opened, or that a sample cannot be captured or transformed.
+/// Reason why a sensor cannot be opened, or that a sample cannot be captured or transformed.
 #[derive(Debug, thiserror::Error)]
 pub enum SensorError {
     /// The file or folder cannot be read.
@@ -20,7 +20,7 @@ pub enum SensorError {
         error: io::Error,
     },
     /// The folder contains no picture.
-    #[error("{} holds no picture: put .jpg, .jpeg or .png files into it or into folders named after their label", .0.display())]
+    #[error("{} contains no picture; put .jpg, .jpeg or .png files into it or into folders named after their label", .0.display())]
     Empty(PathBuf),
     /// The name of the file is not that of a picture.
     #[error("{} is neither a folder nor a .jpg, .jpeg or .png file", .0.display())]
@@ -48,7 +48,7 @@ pub enum SensorError {
     #[error(transparent)]
     Topic(#[from] TopicError),
     /// The ROS message cannot be converted to a sample.
-    #[error("a message of topic {topic} ({of}) cannot be used: {reason}")]
+    #[error("cannot convert a message of topic {topic} ({of}): {reason}")]
     Message {
         /// The topic.
         topic: String,

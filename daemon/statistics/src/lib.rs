@@ -1,32 +1,32 @@
 //! Statistics of a stream of numbers in bounded memory.
 //!
 //! [`Moments`] are free of cancellation, [`Sketch`] is a mergeable quantile sketch with a guaranteed error,
-//! [`Summary`] combines both, and [`Windows`] is a ring of one-second cells. [`number`] formats numbers for people.
+//! [`Summary`] combines both, and [`RecentSeconds`] is a ring of one-second cells. [`number`] formats numbers for people.
 //! [`SplitMix64`] generates reproducible random numbers.
 //!
 //! All statistics can be merged: the merged statistics of several hosts, seconds or buckets equal those of all their
-//! numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored, so that this crate is in the
-//! lowest layer, and both are checked when they are read.
+//! numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored; both are checked when they are
+//! read.
 
 mod merge;
 mod moments;
 pub mod number;
+mod recent_seconds;
 mod sketch;
 mod splitmix;
 mod summary;
-mod windows;
 
 pub use merge::Merge;
 pub use moments::Moments;
+pub use recent_seconds::RecentSeconds;
 pub use sketch::{PackedError, Sketch};
 pub use splitmix::SplitMix64;
 pub use summary::Summary;
-pub use windows::Windows;
 
-/// Largest count that is accepted from other hosts. Every integer up to it is exact as `f64`, and thousands of such
-/// counts can be added in 64 bits.
+/// Largest count that is accepted from other hosts.
+// Every integer up to it is exact as `f64`, and thousands of such counts can be added in 64 bits.
 const MAX_COUNT: u64 = 1 << 53;
 
-/// Largest magnitude of a number that counts. The squared deviations of [`MAX_COUNT`] such numbers can be added
-/// without overflow.
-const LARGEST: f64 = 1e140;
+/// Largest magnitude of a number that is recorded.
+// The squared deviations of `MAX_COUNT` such numbers can be added without overflow.
+const MAX_MAGNITUDE: f64 = 1e140;

@@ -6,8 +6,8 @@ use crate::Merge;
 
 /// Count, mean, sum of squared deviations from the mean, and extremes.
 ///
-/// Updated by Welford's method (1962), merged by that of Chan, Golub and LeVeque (1979). Sums of squares would lose
-/// precision where the mean is much larger than the deviation, as with durations.
+/// Updated by Welford's method (1962), merged by that of Chan, Golub and LeVeque (1979).
+// Sums of squares would lose precision where the mean is much larger than the deviation, as with durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Received")]
 pub struct Moments {
@@ -74,10 +74,10 @@ impl Moments {
     }
 }
 
-/// Moments before their check. They may come from anyone, and one that is not a number would spoil everything that it
-/// is merged with.
+/// Moments of an untrusted source, before their check.
+// A NaN would invalidate all statistics that it is merged into.
 #[derive(Deserialize)]
-struct Received {
+struct UncheckedMoments {
     count: u64,
     mean: f64,
     m2: f64,
@@ -85,17 +85,19 @@ struct Received {
     max: f64,
 }
 
-impl TryFrom<Received> for Moments {
+impl TryFrom<UncheckedMoments> for Moments {
     type Error = &'static str;
 
-    fn try_from(received: Received) -> Result<Self, &'static str> {
-        let Received { count, mean, m2, min, max } = received;
-        let reasonable = [mean, min, max].iter().all(|number| number.abs() <= crate::LARGEST);
-        let squares = m2.is_finite() && m2 >= 0.0;
-        if reasonable && squares && min <= max && count <= crate::MAX_COUNT {
+    fn try_from(received: UncheckedMoments) -> Result<Self, &'static str> {
+        let UncheckedMoments { count, mean, m2, min, max } = received;
+        let are_in_range = [mean, min, max].iter().all(|number| number.abs() <= crate::MAX_MAGNITUDE);
+        let is_m2_valid = m2.is_finite() && m2 >= 0.0;
+        if are_in_range && is_m2_valid && min <= max && count <= crate::MAX_COUNT {
             Ok(Self { count, mean, m2, min, max })
         } else {
-            Err("moments that no numbers have")
+            Err(
+                "inconsistent moments: a number is not finite or too large, or the minimum is above the maximum",
+            )
         }
     }
 }
@@ -161,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn moments_that_no_numbers_have_are_not_read() {
+    fn inconsistent_moments_are_refused() {
         let good = of(&[1.0, 2.0]);
         let nan = Moments { mean: f64::NAN, ..good };
         let crossed = Moments { min: 3.0, ..good };

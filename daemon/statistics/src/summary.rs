@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{LARGEST, Merge, Moments, Sketch};
+use crate::{MAX_MAGNITUDE, Merge, Moments, Sketch};
 
 /// Summary of a quantity, in bounded memory.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -14,14 +14,14 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Returns whether a number counts: it must be finite, and small enough that squares can be added. Some drivers
-    /// report the largest number for a missing reading.
+    /// Returns whether a number is recorded: it must be finite, and small enough that squares can be added.
+    // Some drivers report the largest number for a missing reading.
     #[inline]
     pub fn accepts(value: f64) -> bool {
-        value.abs() <= LARGEST
+        value.abs() <= MAX_MAGNITUDE
     }
 
-    /// Adds a number if it counts.
+    /// Adds a number if it is [accepted](Self::accepts).
     #[inline]
     pub fn record(&mut self, value: f64) {
         if Self::accepts(value) {
@@ -87,7 +87,7 @@ mod tests {
     #[test]
     fn out_of_range_numbers_are_excluded_everywhere() {
         let mut summary = Summary::default();
-        let beyond = [f64::NAN, f64::INFINITY, f64::MAX, -f64::MAX, 1.001 * LARGEST];
+        let beyond = [f64::NAN, f64::INFINITY, f64::MAX, -f64::MAX, 1.001 * MAX_MAGNITUDE];
         beyond.iter().for_each(|value| summary.record(*value));
         summary.record(1.0);
         assert_eq!((summary.count(), summary.sketch.count()), (1, 1));
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn moments_of_largest_numbers_survive_serialization() {
         let mut summary = Summary::default();
-        [LARGEST, -LARGEST, 1.0].iter().for_each(|value| summary.record(*value));
+        [MAX_MAGNITUDE, -MAX_MAGNITUDE, 1.0].iter().for_each(|value| summary.record(*value));
         (0..20).for_each(|_| summary.merge(&summary.clone()));
         let wire = rmp_serde::to_vec(&summary).expect("serialises");
         assert_eq!(rmp_serde::from_slice::<Summary>(&wire).expect("reads back"), summary);

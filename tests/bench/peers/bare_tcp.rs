@@ -21,7 +21,7 @@ use self::round_trips::RoundTrips;
 const STAMPS: usize = 16;
 
 fn main() -> anyhow::Result<()> {
-    let clock = SystemClock::new(ClockIdentity::of_this_machine(ClockIdentity::SYSTEM)?);
+    let clock = SystemClock::new(ClockIdentity::from_system(ClockIdentity::SYSTEM)?);
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["serve", address] => serve(&clock, address),

@@ -71,7 +71,7 @@ struct Agent {
 
 impl Agent {
     fn new(one_way: Duration, controlled: bool) -> anyhow::Result<Self> {
-        let clock = SystemClock::new(ClockIdentity::of_this_machine(ClockIdentity::SYSTEM)?);
+        let clock = SystemClock::new(ClockIdentity::from_system(ClockIdentity::SYSTEM)?);
         let config = SendingConfig {
             window: WINDOW,
             first_pause: Span::from_seconds(1),

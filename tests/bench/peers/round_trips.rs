@@ -25,7 +25,7 @@ pub(crate) struct RoundTrips {
 impl RoundTrips {
     /// Begins the warm-up.
     pub(crate) fn new(seconds: u64) -> anyhow::Result<Self> {
-        let clock = SystemClock::new(ClockIdentity::of_this_machine(ClockIdentity::SYSTEM)?);
+        let clock = SystemClock::new(ClockIdentity::from_system(ClockIdentity::SYSTEM)?);
         let (start, limit) = (clock.mono(), Span::from_seconds(i64::try_from(seconds)?));
         Ok(Self { clock, limit, start, begin: None, begun: 0, lost: 0, stages: BTreeMap::new() })
     }

@@ -56,7 +56,7 @@ impl HostClock {
         let since = WallTime::from_unix_nanos(since.timestamp_nanos_opt()?);
         let steps = rehearsal["steps"].as_array()?.iter();
         let steps =
-            steps.map(|step| Some(ClockFaultStep::of_wall(span(&step["at_s"])?, span(&step["by_s"])?)));
+            steps.map(|step| Some(ClockFaultStep::wall_step(span(&step["at_s"])?, span(&step["by_s"])?)));
         let description = ClockFaults {
             offset: span(&rehearsal["offset_s"])?,
             drift_ppm: rehearsal["drift_ppm"].as_f64()?,
@@ -90,7 +90,7 @@ impl HostClock {
     /// If the error is one of several.
     pub fn ahead(&self, truth: WallTime) -> Span {
         let [rehearsal] = &self.wall[..] else { panic!("one of several: {:?}", self.wall) };
-        rehearsal.error_at(truth)
+        rehearsal.wall_error_at(truth)
     }
 
     /// Returns the time of the kernel's wall clock when this one showed `shown`.
@@ -150,37 +150,37 @@ mod tests {
     #[test]
     fn inverse_of_clock_fault_returns_true_time() {
         let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
-        let step = ClockFaultStep::of_wall(Span::from_seconds(20), Span::from_seconds(3));
+        let step = ClockFaultStep::wall_step(Span::from_seconds(20), Span::from_seconds(3));
         let rehearsal =
             ClockFaults { offset: Span::from_seconds(-1), drift_ppm: 100.0, steps: vec![step], since };
         let raw_since = RawTime::from_nanos(77_000_000_000);
         let clock = HostClock::new(rehearsal.clone(), raw_since);
         for nanos in [0, 1, 19_999_999_999, 20_000_000_000, 20_000_000_001, 500_000_000_007] {
             let truth = since + Span::from_nanos(nanos);
-            let found = clock.truth(rehearsal.shown(truth));
+            let found = clock.truth(rehearsal.shown_wall(truth));
             assert!((found - truth).abs() <= Span::from_nanos(1), "{found:?} {truth:?}");
-            assert_eq!(truth + clock.ahead(truth), rehearsal.shown(truth));
+            assert_eq!(truth + clock.ahead(truth), rehearsal.shown_wall(truth));
         }
         assert_eq!(HostClock::of_kernel().truth(since), since);
         let mut back = rehearsal.clone();
         back.steps[0].by = Span::from_seconds(-3);
         let clock_set_back = HostClock::new(back.clone(), raw_since);
         let at = |seconds| since + Span::from_seconds(seconds);
-        assert_eq!(clock_set_back.truths(back.shown(at(21))).len(), 2);
-        assert_eq!(clock_set_back.truths(back.shown(at(16))), [at(16)]);
+        assert_eq!(clock_set_back.truths(back.shown_wall(at(21))).len(), 2);
+        assert_eq!(clock_set_back.truths(back.shown_wall(at(16))), [at(16)]);
         let told = serde_json::json!({
             "offset_s": -1.0, "drift_ppm": 100.0, "since": "2023-11-14T22:13:20.000000000Z",
             "steps": [{ "at_s": 20.0, "by_s": 3.0 }],
         });
         let told = HostClock::from_report(&told, |_| raw_since).expect("the API's form");
         let later = since + Span::from_seconds(30);
-        assert_eq!(told.truth(rehearsal.shown(later)), clock.truth(rehearsal.shown(later)));
+        assert_eq!(told.truth(rehearsal.shown_wall(later)), clock.truth(rehearsal.shown_wall(later)));
         let mut jumped = rehearsal.clone();
         jumped.steps[0].clock = SteppedClock::Raw;
         let truth = raw_since + Span::from_seconds(25);
         for (description, times) in [(rehearsal, [1, 1]), (jumped, [1, 0])] {
             let clock = HostClock::new(description.clone(), raw_since);
-            let shown = description.raw_shown(truth, raw_since);
+            let shown = description.shown_raw(truth, raw_since);
             assert!(
                 clock.raw_truths(shown).iter().all(|found| (*found - truth).abs() <= Span::from_nanos(1))
             );

@@ -111,7 +111,7 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
         return ("the aggregator's".to_owned(), "it reads the same clock as the aggregator".to_owned());
     }
     let size = ahead.abs().seconds();
-    if theirs.may_be_one_with(ours) && size < 1.0 {
+    if theirs.may_share_clock_with(ours) && size < 1.0 {
         let title = "it tells the same machine and clock as the aggregator; the page of a link says whether that is proven";
         return ("the aggregator's".to_owned(), title.to_owned());
     }

@@ -86,7 +86,7 @@ mod tests {
     fn how_a_clock_is_wrong_is_said_with_signs() {
         let plain = rehearsal(Span::from_seconds(1), 50.0, Vec::new());
         assert_eq!(words(&plain), "+1,000\u{202f}ms, +50\u{202f}ppm");
-        let step = ClockFaultStep::of_wall(Span::from_seconds(60), Span::from_seconds(3));
+        let step = ClockFaultStep::wall_step(Span::from_seconds(60), Span::from_seconds(3));
         let stepped = rehearsal(Span::from_micros(-1_500), -12.5, vec![step]);
         assert_eq!(
             words(&stepped),

@@ -80,8 +80,8 @@ mod tests {
         let since = WallTime::from_unix_nanos(7);
         let description = config.description(since);
         let ten_seconds = Span::from_seconds(10);
-        assert_eq!(description.error_at(since + ten_seconds), Span::from_micros(1_000_000 - 505));
+        assert_eq!(description.wall_error_at(since + ten_seconds), Span::from_micros(1_000_000 - 505));
         let after = Span::from_micros(1_000_000 - 3_000_000 - 1010);
-        assert_eq!(description.error_at(since + ten_seconds + ten_seconds), after);
+        assert_eq!(description.wall_error_at(since + ten_seconds + ten_seconds), after);
     }
 }

@@ -194,7 +194,7 @@ mod tests {
     use super::*;
 
     fn iteration(clock: &Arc<ManualClock>, run: RunId, number: u64) -> Iteration {
-        let tree = Recorder::begin(Arc::<ManualClock>::clone(clock), HostId::random()).finish();
+        let tree = Recorder::new(Arc::<ManualClock>::clone(clock), HostId::random()).finish();
         Iteration { run, number, episode: 0, step: 0, warm_up: false, outcome: Outcome::Ok, tree }
     }
 

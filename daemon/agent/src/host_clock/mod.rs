@@ -57,7 +57,7 @@ pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
         discipline: None,
         text: "not asked yet".to_owned(),
         epoch: clock.wall_epoch(),
-        rehearsal: clock.rehearsal().cloned(),
+        rehearsal: clock.injected_faults().cloned(),
         raw: Some(raw_clock(clock, Clocksource::below(Path::new(InspectionSettings::SYSFS)).name())),
     }
 }

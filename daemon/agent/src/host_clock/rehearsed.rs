@@ -8,7 +8,7 @@ const BOUND: Span = Span::from_micros(1);
 /// Returns a claim that contains the clock's error at `truth` and, unless the clock is stepped, from `around` before
 /// to `around` after, because messages stamped before the claim are judged by it, too.
 pub(super) fn exactly(description: &ClockFaults, truth: WallTime, around: Span) -> Discipline {
-    let now = description.error_at(truth);
+    let now = description.wall_error_at(truth);
     let drift = Span::from_nanos((around.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);
     let error = Interval { lo: now - drift - BOUND, hi: now + drift + BOUND };
     Discipline { source: DelaySource::Kernel, error }
@@ -25,7 +25,7 @@ mod tests {
         let description = ClockFaults {
             offset: Span::from_seconds(-1),
             drift_ppm: 50.0,
-            steps: vec![ClockFaultStep::of_wall(Span::from_seconds(20), Span::from_seconds(3))],
+            steps: vec![ClockFaultStep::wall_step(Span::from_seconds(20), Span::from_seconds(3))],
             since: WallTime::from_unix_nanos(1_700_000_000_000_000_000),
         };
         let around = Span::from_seconds(2);
@@ -35,7 +35,7 @@ mod tests {
             assert!(claim.width() <= Span::from_micros(202), "{claim:?}");
             let (stepped_ahead, stepped_before) = (seconds == 19, seconds == 21);
             for moment in [truth - around, truth, truth + around] {
-                let error = description.error_at(moment);
+                let error = description.wall_error_at(moment);
                 let within = claim.lo <= error && error <= claim.hi;
                 let across = (stepped_ahead && moment > truth) || (stepped_before && moment < truth);
                 assert!(within || across, "{seconds}: {error} in {claim:?}");

@@ -72,7 +72,7 @@ impl Sources {
             Claims::Exact => Summary {
                 discipline: self
                     .clock
-                    .rehearsal()
+                    .injected_faults()
                     .map(|description| rehearsed::exactly(description, self.truth.wall(), ahead)),
                 text: "rehearsed, claims its error exactly".to_owned(),
                 is_contradictory: false,

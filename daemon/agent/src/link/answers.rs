@@ -3,7 +3,9 @@
 use peernet_clock::{LogThrottle, MonoTime};
 use peernet_logger::Slug;
 use peernet_probes::ProbeResult;
-use peernet_probes::stamp::sender::{ALTERED_ANSWER, ALTERED_PROBE, ANOTHER_PROCESS, NOT_OURS, UNNAMED};
+use peernet_probes::stamp::sender::{
+    ALTERED_PROBE_TLVS, ALTERED_REPLY_TLVS, NO_ORIGIN, NOT_PEERNET, WRONG_PROCESS,
+};
 use peernet_stream::Probing;
 
 /// Number of probes lost in a row after which they count as not answered.
@@ -74,7 +76,7 @@ impl Answers {
                 if let Some(times) = self.log.count(why, None, now) {
                     tracing::warn!(
                         peer = %self.peer, times,
-                        "probes go wrong: {why} (told once a minute at most, with the number since then)"
+                        "probes fail: {why} (logged at most once a minute, with the number since the last line)"
                     );
                 }
                 if let Probing::Unanswered { address, .. } = &*shown {
@@ -110,10 +112,10 @@ impl Answers {
 fn why_unanswered(key: bool, refused: Option<&str>) -> Option<String> {
     match (key, refused) {
         // These answers are authentic if there is a key.
-        (_, Some(why @ (ANOTHER_PROCESS | NOT_OURS))) => Some(format!(
+        (_, Some(why @ (WRONG_PROCESS | NOT_PEERNET))) => Some(format!(
             "{why}; the data's address must lead to one machine, for UDP too: see forwarded ports and load balancers"
         )),
-        (_, Some(why @ (ALTERED_ANSWER | ALTERED_PROBE | UNNAMED))) => {
+        (_, Some(why @ (ALTERED_REPLY_TLVS | ALTERED_PROBE_TLVS | NO_ORIGIN))) => {
             Some(format!("what comes back is {why}"))
         }
         (false, None) => None,
@@ -143,9 +145,9 @@ mod tests {
         answers.note(&ProbeResult::Late, now, &mut shown);
         let Probing::Unanswered { reason: Some(reason), .. } = &shown else { panic!("{shown:?}") };
         assert!(reason.contains("(1 late)") && !reason.contains("refused"), "{reason}");
-        answers.note(&ProbeResult::Refused(NOT_OURS), now, &mut shown);
+        answers.note(&ProbeResult::Refused(NOT_PEERNET), now, &mut shown);
         let Probing::Unanswered { reason: Some(reason), .. } = &shown else { panic!("{shown:?}") };
-        assert!(reason.contains(NOT_OURS), "{reason}");
+        assert!(reason.contains(NOT_PEERNET), "{reason}");
     }
 
     #[test]
@@ -156,7 +158,7 @@ mod tests {
             assert!(reason.contains("both ends need the same key"), "{reason}");
             assert!(refused.is_none_or(|refused| reason.contains(refused)), "{reason}");
         }
-        for another in [ANOTHER_PROCESS, NOT_OURS, ALTERED_ANSWER, ALTERED_PROBE, UNNAMED] {
+        for another in [WRONG_PROCESS, NOT_PEERNET, ALTERED_REPLY_TLVS, ALTERED_PROBE_TLVS, NO_ORIGIN] {
             let reason = why_unanswered(true, Some(another)).expect("something is known");
             assert!(reason.contains(another) && !reason.contains("key"), "{reason}");
         }

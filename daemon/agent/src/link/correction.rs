@@ -59,15 +59,15 @@ mod tests {
     fn exchange() -> (Tree, NodeId, NodeId) {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
-        let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
-        let up = log.depart(stage::UPLOAD, clock.stamp());
+        let mut log = Recorder::new(Arc::<ManualClock>::clone(&clock), HostId::random());
+        let up = log.start_transit(stage::UPLOAD, clock.stamp());
         log.value(stage::UPLOAD_BYTES, 900.0, Unit::BYTES);
         log.value(stage::UPLOAD_LOGGER_BYTES, 100.0, Unit::BYTES);
         clock.advance(UP);
-        log.arrive(up, clock.wall());
-        let down = log.depart(stage::DOWNLOAD, clock.stamp());
+        log.end_transit(up, clock.wall());
+        let down = log.start_transit(stage::DOWNLOAD, clock.stamp());
         clock.advance(Span::from_millis(1));
-        log.arrive(down, clock.wall());
+        log.end_transit(down, clock.wall());
         (log.finish(), up, down)
     }
 

@@ -1,6 +1,6 @@
 //! Texts for people about steps, jumps, lost proofs and violated assumptions.
 
-use peernet_clock::Doubt;
+use peernet_clock::ViolatedLimit;
 use peernet_logger::Slug;
 
 use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
@@ -26,8 +26,10 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
         None => "their relation is learnt anew".to_owned(),
         Some((doubt, limit)) => {
             let seem = match doubt {
-                Doubt::Drift => "drift apart faster than [clock] max_drift_ppm",
-                Doubt::DriftChange => "change their drift faster than [clock] max_drift_change_ppm_per_s",
+                ViolatedLimit::Drift => "drift apart faster than [clock] max_drift_ppm",
+                ViolatedLimit::DriftChange => {
+                    "change their drift faster than [clock] max_drift_change_ppm_per_s"
+                }
             };
             format!(
                 "not for the first time within a minute: they seem to {seem} = {limit}; nothing is believed until that has \
@@ -79,7 +81,7 @@ fn unreported_text(unreported: u32) -> String {
 /// Returns the text of a proven skew beyond the limit.
 pub(super) fn excess_text(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
     let ExcessSkew { proven, limit_ppm } = excess;
-    let (least, most) = (proven.least_ppm.min(proven.most_ppm), proven.most_ppm.max(proven.least_ppm));
+    let (least, most) = (proven.min_ppm.min(proven.max_ppm), proven.max_ppm.max(proven.min_ppm));
     format!(
         "the exchanges prove that the clock of {cloud} gains {least:.1} to {most:.1} ppm on that of {edge}, more than [clock] \
          max_drift_ppm = {limit_ppm} allows: no delay is believed; raise max_drift_ppm on {edge}"
@@ -124,8 +126,8 @@ mod tests {
             assert!(text.starts_with(begin) && text.contains(expected), "{text}");
         }
         for (doubt, key) in [
-            ((Doubt::Drift, 50.0), "max_drift_ppm = 50;"),
-            ((Doubt::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
+            ((ViolatedLimit::Drift, 50.0), "max_drift_ppm = 50;"),
+            ((ViolatedLimit::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
         ] {
             let restart = Restart { moved: None, edge: false, cloud: false, doubt: Some(doubt) };
             let text = restart_text(restart, &edge, &cloud);
@@ -140,7 +142,7 @@ mod tests {
         for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {
             assert!(text.contains(part), "{text}");
         }
-        let proven = ProvenSkew { least_ppm: 61.25, most_ppm: 140.0 };
+        let proven = ProvenSkew { min_ppm: 61.25, max_ppm: 140.0 };
         let text = excess_text(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
         assert!(text.contains("61.2 to 140.0 ppm") && text.contains("max_drift_ppm = 50 "), "{text}");
     }

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use peernet_clock::{
-    Direction, Doubt, ExchangeObservation, JudgedExchange, LearnResult, Offset, OneWayDelay, RawTime,
-    RelatedClocks, Relation, Span, Stamp, Verdict, WallTime,
+    Direction, ExchangeObservation, JudgedExchange, LearnResult, Offset, OneWayDelay, RawTime, RelatedClocks,
+    Relation, Span, Stamp, Verdict, ViolatedLimit, WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
@@ -157,13 +157,13 @@ impl Knowledge {
         let is_down_current =
             |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
         if let Some(down) = down.filter(|down| is_up_current && is_down_current(down)) {
-            let [there, back] = self.relation.differences(up.times(), down.times());
+            let [there, back] = self.relation.reception_differences(up.times(), down.times());
             return [Some(up.with_raw_difference(there)), Some(down.with_raw_difference(back))];
         }
         let judge = |crossing: &Crossing, is_current: bool, direction| {
             let (sent, received) = crossing.times();
             if is_current {
-                crossing.with_raw_difference(self.relation.difference(direction, sent, received))
+                crossing.with_raw_difference(self.relation.reception_difference(direction, sent, received))
             } else {
                 crossing.stepped()
             }
@@ -197,7 +197,7 @@ impl Knowledge {
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
                 // Its stamps are from before and after a step of this host's clock, so that only the step is learnt.
-                self.update_relation((*epoch, None), |relation| relation.edge_stepped(*epoch));
+                self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));
             }
             // The exchange was counted as answered before.
             ProbeResult::Refined(observation) => {
@@ -235,7 +235,7 @@ impl Knowledge {
     /// Handles new information about this host's clocks.
     pub(super) fn edge_announced(&mut self, clock: PeerClock, now: RawTime) {
         if let Some(epoch) = self.edge.announce(clock, now) {
-            self.update_relation((epoch, None), |relation| relation.edge_stepped(epoch));
+            self.update_relation((epoch, None), |relation| relation.restart_after_edge_step(epoch));
         }
         self.disciplines(now);
     }
@@ -244,7 +244,7 @@ impl Knowledge {
     pub(super) fn cloud_announced(&mut self, clock: PeerClock, now: RawTime) -> KnowledgeChanges {
         let before = self.cloud.wall_epoch();
         if let Some(epoch) = self.cloud.announce(clock, now) {
-            self.update_relation((0, Some(epoch)), |relation| relation.cloud_stepped(epoch));
+            self.update_relation((0, Some(epoch)), |relation| relation.restart_after_cloud_step(epoch));
         }
         self.disciplines(now);
         let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
@@ -337,13 +337,13 @@ impl Knowledge {
         let settings = *self.relation.settings();
         match learned {
             LearnResult::Refused(_) => return,
-            LearnResult::Taken => {}
+            LearnResult::Accepted => {}
             LearnResult::Restarted(moved) => {
                 let limit = |doubt| match doubt {
-                    Doubt::Drift => settings.max_drift_ppm,
-                    Doubt::DriftChange => settings.max_drift_change_ppm_per_s,
+                    ViolatedLimit::Drift => settings.max_drift_ppm,
+                    ViolatedLimit::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
-                let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
+                let doubt = self.relation.violated_limit().map(|violated| (violated, limit(violated)));
                 changes.restart = self.reports.restarted(moved, doubt).or(changes.restart.take());
             }
             LearnResult::Jumped(moved) => {
@@ -395,8 +395,8 @@ impl Knowledge {
             proven_skew_ppm: self
                 .relation
                 .proven_skew()
-                .map(|skew| (skew.least_ppm.min(skew.most_ppm), skew.most_ppm.max(skew.least_ppm))),
-            grown_window: self.relation.window_reach(at.raw).filter(|reach| *reach > settings.window),
+                .map(|skew| (skew.min_ppm.min(skew.max_ppm), skew.max_ppm.max(skew.min_ppm))),
+            grown_window: self.relation.window_span(at.raw).filter(|span| *span > settings.window),
             claims_trusted: settings.trust_time_daemons,
             probes_authenticated: self.second.authenticated,
         };
@@ -422,7 +422,7 @@ impl Knowledge {
     /// Passes the current claims of the time daemons to the relation.
     fn disciplines(&mut self, now: RawTime) {
         let limit = self.relation.settings().max_drift_ppm;
-        self.relation.set_disciplines(self.edge.claim(now, limit), self.cloud.claim(now, limit));
+        self.relation.set_claims(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }
 }
 

@@ -113,7 +113,7 @@ impl ReflectorAnswers {
             ProbeResult::Late => {}
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
-                self.relation.edge_stepped(*epoch);
+                self.relation.restart_after_edge_step(*epoch);
             }
             ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);

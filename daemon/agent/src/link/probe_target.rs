@@ -68,7 +68,7 @@ impl ProbeTarget {
         loop {
             match self.open(shared).await {
                 Ok((prober, target)) => {
-                    let stamps = prober.stamps_in_words().to_owned();
+                    let stamps = prober.stamp_source_name().to_owned();
                     let address = format!("udp://{target}");
                     *lock(shown) = Probing::On { address, rate_hz: pace.rate_hz(), stamps };
                     prober.run(pace.subscribe(), results.clone(), CancellationToken::new()).await;

@@ -101,7 +101,7 @@ impl Links {
         let own = self.0.shared.host.clock.identity();
         // A proof is of use only between free-running clocks, and only if both hosts use the same name for their
         // clock.
-        let may_be_one = clocks == RelatedClocks::Raw && own.may_be_one_with(&accepted.clock);
+        let may_be_one = clocks == RelatedClocks::Raw && own.may_share_clock_with(&accepted.clock);
         let clock_socket = clock_socket.filter(|_| may_be_one);
         let joining = Session {
             id: self.0.sessions.fetch_add(1, Ordering::Relaxed),

@@ -1,6 +1,6 @@
 //! Decides which steps, jumps, lost proofs and violated assumptions are reported, and how often. No I/O.
 
-use peernet_clock::{Doubt, ProvenSkew, RawTime, Span};
+use peernet_clock::{ProvenSkew, RawTime, Span, ViolatedLimit};
 
 use crate::same_clock::NotProven;
 
@@ -56,7 +56,11 @@ impl ClockReports {
 
     /// Returns the report of a restart that moved the offset by `moved`. `doubt` is the assumption that the clocks
     /// seem to violate, with its limit.
-    pub(super) fn restarted(&mut self, moved: Option<Span>, doubt: Option<(Doubt, f64)>) -> Option<Restart> {
+    pub(super) fn restarted(
+        &mut self,
+        moved: Option<Span>,
+        doubt: Option<(ViolatedLimit, f64)>,
+    ) -> Option<Restart> {
         let (edge, cloud) = std::mem::take(&mut self.stepped);
         // Clocks beyond the limit cause several restarts per second. They are reported once, until the clocks keep
         // the limit again.
@@ -137,7 +141,7 @@ pub(super) struct Restart {
     pub(super) cloud: bool,
     /// Assumption that the clocks more probably violate, with its limit in parts per million or parts per million per
     /// second.
-    pub(super) doubt: Option<(Doubt, f64)>,
+    pub(super) doubt: Option<(ViolatedLimit, f64)>,
 }
 
 #[cfg(test)]

@@ -96,9 +96,9 @@ mod tests {
     fn tree(millis: i64) -> Tree {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
-        let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
-        let upload = log.depart(stage::UPLOAD, peernet_clock::Clock::stamp(&*clock));
-        log.arrive(upload, WallTime::from_unix_nanos(0) + Span::from_millis(millis));
+        let mut log = Recorder::new(Arc::<ManualClock>::clone(&clock), HostId::random());
+        let upload = log.start_transit(stage::UPLOAD, peernet_clock::Clock::stamp(&*clock));
+        log.end_transit(upload, WallTime::from_unix_nanos(0) + Span::from_millis(millis));
         if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(upload) {
             transit.delay = Some(OneWayDelay::same_clock(Span::from_millis(millis)));
         }

@@ -152,7 +152,7 @@ impl From<WireStamp> for HostStamp {
 
 fn sample(message: &impl Serialize) -> Result<Sample, StampMessageError> {
     let document = serde_json::to_vec(message)?;
-    Ok(Sample::of(Description::unshaped(MediaType::Json), Bytes::from(document)))
+    Ok(Sample::from_part(Description::unshaped(MediaType::Json), Bytes::from(document)))
 }
 
 fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
@@ -182,7 +182,7 @@ mod tests {
     use super::*;
 
     fn document(text: &str) -> Sample {
-        Sample::of(Description::unshaped(MediaType::Json), Bytes::copy_from_slice(text.as_bytes()))
+        Sample::from_part(Description::unshaped(MediaType::Json), Bytes::copy_from_slice(text.as_bytes()))
     }
 
     /// Reads a file of `tests/fixtures/wire/observed`: documents that version 1 wrote must stay readable. An existing
@@ -222,7 +222,7 @@ mod tests {
             let end = (at + bytes.len()).min(mutated.len());
             mutated.splice(at..end.max(at), bytes.iter().copied());
             for bytes in [bytes, mutated] {
-                let sample = Sample::of(Description::bytes(), bytes.into());
+                let sample = Sample::from_part(Description::bytes(), bytes.into());
                 let _ = (StampRequest::read(&sample), StampAnswer::read(&sample));
             }
         }

@@ -2,7 +2,7 @@
 
 use peernet_inference::UNKNOWN_LABEL;
 use peernet_logger::{Name, Recorder, Unit};
-use peernet_sample::{MediaType, Sample, plain_label};
+use peernet_sample::{MediaType, Sample, normalized_label};
 use serde::Deserialize;
 
 /// Name of the value that is 1 if the answer's best class is the sample's label, else 0. Its mean over iterations is
@@ -37,8 +37,8 @@ pub(super) fn judge(log: &mut Recorder, label: &str, answer: &Sample) {
     }
     let Some(Classification { label: best, top }) = classification(answer) else { return };
     // A label is often the name of a folder, whose spelling differs from that of the model's class.
-    let label = plain_label(label);
-    let same = |class: &str| plain_label(class) == label;
+    let label = normalized_label(label);
+    let same = |class: &str| normalized_label(class) == label;
     let first = same(&best);
     log.value(TOP_1, flag(first), Unit::NONE);
     if let Some(top) = top {
@@ -70,8 +70,9 @@ mod tests {
     /// Returns `top-1` and `top-5` of an answer, where they are recorded.
     fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
-        let mut log = Recorder::begin(Arc::new(clock), HostId::random());
-        let json = Sample::of(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
+        let mut log = Recorder::new(Arc::new(clock), HostId::random());
+        let json =
+            Sample::from_part(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
         judge(&mut log, label, &json);
         scores(&log)
     }
@@ -79,9 +80,10 @@ mod tests {
     #[test]
     fn label_unknown_to_model_is_not_scored() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
-        let mut log = Recorder::begin(Arc::new(clock), HostId::random());
+        let mut log = Recorder::new(Arc::new(clock), HostId::random());
         log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
-        let json = Sample::of(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
+        let json =
+            Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
         judge(&mut log, "tench", &json);
         assert_eq!(scores(&log), (None, None));
     }

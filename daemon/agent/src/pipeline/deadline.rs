@@ -26,7 +26,7 @@ mod tests {
 
     fn missed(millis: i64, outcome: &Outcome) -> Option<f64> {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
-        let mut tree = Recorder::begin(Arc::new(clock), HostId::random()).finish();
+        let mut tree = Recorder::new(Arc::new(clock), HostId::random()).finish();
         let total = Measure::Timer(Some(Span::from_millis(millis)));
         tree.add(NodeId::ROOT, stage::TOTAL, Span::ZERO, total);
         judge(&mut tree, outcome, Span::from_millis(100));

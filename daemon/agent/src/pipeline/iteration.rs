@@ -18,7 +18,7 @@ const LATENESS: Name = Name::from_static("lateness");
 pub(super) fn begin(clock: &SharedClock, host: HostId, intended: MonoTime) -> (Recorder, MonoTime) {
     let now = clock.stamp();
     let at = now - (now.mono - intended);
-    (Recorder::begin_at(SharedClock::clone(clock), host, at), now.mono)
+    (Recorder::starting_at(SharedClock::clone(clock), host, at), now.mono)
 }
 
 /// Closes the tree of an iteration that ended at `ended`: adds the values that are computed over the whole. Trees
@@ -116,17 +116,17 @@ mod tests {
             let _sensing = log.time(stage::SENSING);
             pass(1);
         }
-        let up = log.depart(stage::UPLOAD, clock.stamp());
+        let up = log.start_transit(stage::UPLOAD, clock.stamp());
         pass(1);
-        log.arrive(up, clock.wall() + ahead);
+        log.end_transit(up, clock.wall() + ahead);
         {
             let _inference = log.time(stage::INFERENCE);
             pass(2);
         }
         let sent = Stamp { wall: clock.wall() + ahead, ..clock.stamp() };
-        let down = log.depart(stage::DOWNLOAD, sent);
+        let down = log.start_transit(stage::DOWNLOAD, sent);
         pass(1);
-        log.arrive(down, clock.wall());
+        log.end_transit(down, clock.wall());
         correct(log.tree_mut(), up, Direction::Up, judge(STEP + ahead));
         correct(log.tree_mut(), down, Direction::Down, judge(STEP - ahead));
         pass(1);
@@ -159,7 +159,7 @@ mod tests {
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let intended = clock.mono();
         let (mut log, began_at) = begin(&clock, HostId::random(), intended);
-        while log.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
+        while log.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
         let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, began_at };
         let tree = close(log, &pending, intended + STEP, false, None);

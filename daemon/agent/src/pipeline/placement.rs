@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::{OneWayDelay, Span};
-use peernet_inference::{Done, Job, LoadError, Pool};
+use peernet_inference::{FinishedJob, Job, LoadError, Pool};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_networks::{
     CloseReason, OpenError, RequestError, SESSION_VERSIONS, Session, SessionHello, SessionSettings,
@@ -295,7 +295,7 @@ async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Dura
     // of a microsecond, then has what was recorded before.
     let spare = log.clone();
     let received = log.clock().mono();
-    let reply = Box::new(move |done: Done| {
+    let reply = Box::new(move |done: FinishedJob| {
         // The receiver is gone after a timeout.
         let _ = reply.send(done);
     });
@@ -304,7 +304,7 @@ async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Dura
         return Computed { log: refused.job.log, result, transport: None };
     }
     match tokio::time::timeout(timeout, done).await {
-        Ok(Ok(Done { log, result })) => {
+        Ok(Ok(FinishedJob { log, result })) => {
             let result = result.map(Some).map_err(|error| Outcome::Failed(error.to_string()));
             Computed { log, result, transport: None }
         }

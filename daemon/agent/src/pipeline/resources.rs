@@ -70,7 +70,7 @@ impl PipelineResources {
         let sensor = sensor_config.open(&clock)?;
         let transforms = config.transforms.iter().map(TransformKind::build).collect::<Result<Vec<_>, _>>()?;
         let mut facts = sensor.facts();
-        facts.extend(sensor_config.arguments(fingerprints));
+        facts.extend(sensor_config.arguments_fact(fingerprints));
         if !transforms.is_empty() {
             facts.push(("Transforms".to_owned(), transforms_text(&transforms)));
         }
@@ -79,7 +79,7 @@ impl PipelineResources {
             facts.push(("In flight".to_owned(), format!("at most {}", config.max_in_flight)));
         }
         facts.extend(config.actuator.facts());
-        facts.extend(config.actuator.arguments(fingerprints));
+        facts.extend(config.actuator.arguments_fact(fingerprints));
         let sensor = SensorExecutor::new(SensorChain { sensor, transforms }, &config.name)
             .map_err(AssembleError::Thread)?;
         Ok(Self {

@@ -205,7 +205,7 @@ impl Runner {
         conditions: Vec<Condition>,
         warm: bool,
     ) -> Run {
-        if let Some(rehearsal) = self.context.host.clock.rehearsal() {
+        if let Some(rehearsal) = self.context.host.clock.injected_faults() {
             facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
         }
         Run::begin(&self.config, placement, (facts, conditions), warm, &self.context, &self.display)

@@ -26,7 +26,7 @@ impl ClockWitness {
     /// Never waits.
     pub(crate) fn connect(hello: &SessionHello, session: SessionId, clock: &SharedClock) -> Option<Self> {
         let name = hello.clock_socket?;
-        if !hello.clock.may_be_one_with(clock.identity()) || !clock.shows_kernel_time() {
+        if !hello.clock.may_share_clock_with(clock.identity()) || !clock.shows_kernel_time() {
             return None;
         }
         let connected = time_namespace().and_then(|namespace| Ok((namespace, connect(&name.to_string())?)));

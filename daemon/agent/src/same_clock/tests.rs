@@ -21,7 +21,7 @@ use super::{ClockPeers, ClockSocket, ClockWitness, NotProven, prove};
 const PATIENCE: Duration = Duration::from_secs(20);
 
 fn system() -> SharedClock {
-    let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+    let identity = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Arc::new(SystemClock::new(identity))
 }
 

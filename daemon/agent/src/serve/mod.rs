@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use peernet_inference::{Bank, Done, InferenceError};
+use peernet_inference::{Bank, FinishedJob, InferenceError};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
     Address, Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, PeerClock,
@@ -333,7 +333,7 @@ impl Server {
             requests.fetch_add(1, Ordering::Relaxed);
             Arc::clone(served)
         });
-        peer.service.answer(request, move |Done { log, result }: &Done| {
+        peer.service.answer(request, move |FinishedJob { log, result }: &FinishedJob| {
             if let Some(served) = served {
                 let inference = result.as_ref().ok().and_then(|_| served::inference(log.tree()));
                 served.send_modify(|served| served.add(result.is_err(), inference));

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_inference::{Bank, Done, Job, LoadError, Pool};
+use peernet_inference::{Bank, FinishedJob, Job, LoadError, Pool};
 use peernet_logger::Slug;
 use peernet_networks::{Failure, IncomingRequest, SessionHello};
 
@@ -38,7 +38,7 @@ impl Service {
                 Some(reason) => Err(Refusal { to_peer: reason.clone(), reason }),
             };
         }
-        let model = hello.model.clone().map_or_else(|| context.bank.only(), Ok);
+        let model = hello.model.clone().map_or_else(|| context.bank.default_model(), Ok);
         let pool = model.and_then(|model| context.bank.load(&model, hello.device.as_deref()));
         pool.map(Self::Model).map_err(|error: LoadError| {
             let requested =
@@ -70,18 +70,22 @@ impl Service {
 
     /// Answers a request, now or when the model has finished. `answered` is called with the result before the answer
     /// is sent.
-    pub(super) fn answer(&self, request: IncomingRequest, answered: impl FnOnce(&Done) + Send + 'static) {
+    pub(super) fn answer(
+        &self,
+        request: IncomingRequest,
+        answered: impl FnOnce(&FinishedJob) + Send + 'static,
+    ) {
         let IncomingRequest { sample, log, received, reply, .. } = request;
         match self {
             Self::Model(pool) => {
-                let reply = Box::new(move |done: Done| {
+                let reply = Box::new(move |done: FinishedJob| {
                     answered(&done);
-                    let Done { log, result } = done;
+                    let FinishedJob { log, result } = done;
                     reply.send(log, result.map_err(|error| failure(&error)));
                 });
                 if let Err(refused) = pool.submit(Job { sample, log, received: received.mono, reply }) {
                     let Job { log, reply, .. } = *refused.job;
-                    reply(Done { log, result: Err(refused.reason) });
+                    reply(FinishedJob { log, result: Err(refused.reason) });
                 }
             }
             Self::Stamps(observed, host) => {

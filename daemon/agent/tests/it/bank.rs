@@ -73,7 +73,7 @@ async fn edge_without_model_name_is_refused_with_names() {
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}{nap}")).await;
     let edge = TestAgent::start("edge", None, &line(&cloud, "")).await;
     let reason = reason(&edge).await;
-    assert!(reason.contains("no model was named") && reason.contains("echo, nap;"), "{reason}");
+    assert!(reason.contains("the request names no model") && reason.contains("echo, nap;"), "{reason}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

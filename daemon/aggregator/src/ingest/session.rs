@@ -316,7 +316,7 @@ impl IngestSession {
         for host in silent {
             self.routes.remove(host);
         }
-        for (reason, address, times) in self.refusals.age(now.mono) {
+        for (reason, address, times) in self.refusals.remove_expired(now.mono) {
             tracing::warn!(address = address.map(tracing::field::display), %reason, times, "hosts were refused");
         }
     }

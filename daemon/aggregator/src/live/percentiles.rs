@@ -59,7 +59,7 @@ impl Percentiles {
     }
 
     /// Discards a second and all later ones, because a clock that was set back repeats them.
-    pub(super) fn forget_from(&mut self, second: i64) {
+    pub(super) fn remove_from(&mut self, second: i64) {
         // Their buckets have to be computed again.
         self.changed.extend(self.seconds.split_off(&second).into_keys());
         self.has_new_rate = true;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{HostId, RunId, Slug};
-use peernet_statistics::{Merge, Windows};
+use peernet_statistics::{Merge, RecentSeconds};
 use peernet_stream::{PipelineLive, PipelineState, Placement};
 
 use super::bounds;
@@ -33,7 +33,7 @@ pub(super) struct Pipeline {
     run: Option<RunId>,
     placement: Placement,
     load: String,
-    recent: Windows<SecondFigures>,
+    recent: RecentSeconds<SecondFigures>,
     series: BTreeMap<i64, Arc<LiveSecond>>,
     percentiles: Percentiles,
     /// The agent's clock at the latest update.
@@ -52,7 +52,7 @@ impl Pipeline {
             run: None,
             placement: live.placement.clone(),
             load: String::new(),
-            recent: Windows::new(RING_S),
+            recent: RecentSeconds::new(RING_S),
             series: BTreeMap::new(),
             percentiles: Percentiles::default(),
             sent,
@@ -71,9 +71,9 @@ impl Pipeline {
         bounds::text(&mut live.load);
         if self.sent - sent > MAX_CLOCK_DECREASE {
             // The clock was set back and repeats these seconds; the known ones happened at other times.
-            self.recent.forget_from(sent.unix_seconds());
+            self.recent.remove_from(sent.unix_seconds());
             drop(self.series.split_off(&sent.unix_seconds()));
-            self.percentiles.forget_from(sent.unix_seconds());
+            self.percentiles.remove_from(sent.unix_seconds());
         }
         (self.sent, self.seen) = (sent, now);
         (self.state, self.run, self.placement, self.load) = (live.state, live.run, live.placement, live.load);

@@ -17,7 +17,7 @@ pub fn micros(lo: i64, hi: i64) -> Interval {
 /// parts. The cloud's clock is 250 ms ahead, with bounds of ± `width` µs.
 pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
     let at = generate::at(second as f64);
-    let sent = RawTime::of_wall(at - Span::from_millis(400));
+    let sent = RawTime::from_wall(at - Span::from_millis(400));
     let ahead = Span::from_millis(250);
     let exchange = |way: Span| Exchange {
         sent,

@@ -93,7 +93,7 @@ impl Ready {
             let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
             return Err(Failure::new(Exit::Configuration, anyhow!("{}", problems.join("\n"))));
         }
-        if let Some(rehearsal) = clock.rehearsal() {
+        if let Some(rehearsal) = clock.injected_faults() {
             complain(format_args!("REHEARSAL: this host's clocks are made wrong on purpose ({rehearsal})"));
         }
         Ok(Self { config, truth, clock })

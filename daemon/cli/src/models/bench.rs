@@ -67,7 +67,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let measured = Measured {
         device: running.pool().device(),
         input: input.what,
-        loaded_in: running.pool().loaded_in().seconds(),
+        loaded_in: running.pool().load_duration().seconds(),
         stages,
         memory: [before, memory("VmRSS:")],
         peak: memory("VmHWM:"),

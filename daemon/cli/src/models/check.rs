@@ -7,7 +7,7 @@ use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
 use peernet_inference::InferenceError;
-use peernet_sample::{Sample, plain_label};
+use peernet_sample::{Sample, normalized_label};
 use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 
@@ -42,13 +42,13 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         complain(text);
     }
     let classes = found.card.as_ref().map(|card| card.labels.as_slice()).unwrap_or_default();
-    let classes: HashSet<String> = classes.iter().map(|class| plain_label(class)).collect();
+    let classes: HashSet<String> = classes.iter().map(|class| normalized_label(class)).collect();
     let running = Running::load(&found, &arguments.options)?;
     let pool = running.pool();
     say(format_args!(
         "loaded on {} in {} s and run on zeros",
         pool.device(),
-        fixed(pool.loaded_in().seconds(), 2)
+        fixed(pool.load_duration().seconds(), 2)
     ));
     let Some(input) = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())? else {
         say("no test pictures: none in its folder `pictures`, none named with --pictures");
@@ -66,10 +66,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
                 failed += 1;
             }
             Ok(answer) => {
-                match label.map(|label| plain_label(&label)) {
+                match label.map(|label| normalized_label(&label)) {
                     Some(label) if classes.contains(&label) => {
                         labelled += 1;
-                        right += usize::from(label == plain_label(&answer.label));
+                        right += usize::from(label == normalized_label(&answer.label));
                     }
                     // With such a label no answer could be right.
                     Some(_) => foreign += 1,

@@ -42,7 +42,7 @@ impl Input {
             (0..width * height * 3).map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let description = Description::pixels(PixelFormat::Rgb8, width, height);
         Self {
-            samples: vec![Sample::of(description, pixels.into())],
+            samples: vec![Sample::from_part(description, pixels.into())],
             what: format!("generated pixels, {width} × {height}: preprocessing has nothing to decode"),
         }
     }
@@ -52,7 +52,7 @@ fn read(path: PathBuf, clock: &SharedClock) -> Result<Input, Failure> {
     let unusable = |error| Failure::new(Exit::NoInput, error);
     let what = path.display().to_string();
     let mut sensor = SensorConfig::pictures_once(path).open(clock).map_err(unusable)?;
-    let mut log = Recorder::begin(std::sync::Arc::clone(clock), HostId::random());
+    let mut log = Recorder::new(std::sync::Arc::clone(clock), HostId::random());
     let mut samples = Vec::new();
     while let Some(sample) = sensor.sample(&mut log).map_err(unusable)? {
         samples.push(sample);

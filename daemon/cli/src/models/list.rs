@@ -57,7 +57,7 @@ fn row(found: &ModelOnDisk) -> Vec<String> {
 
 /// Returns the reason why the model cannot be used, if there is one.
 fn problem(found: &ModelOnDisk) -> Option<String> {
-    match (&found.card, &found.hidden_by) {
+    match (&found.card, &found.shadowed_by) {
         // Errors of the TOML parser have several lines.
         (Err(error), _) => Some(error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")),
         (Ok(_), Some(other)) => Some(format!("hidden by {}", other.display())),
@@ -92,7 +92,7 @@ mod tests {
         std::fs::create_dir(models.path().join("torn_card")).expect("made");
         std::fs::write(models.path().join("torn_card/model.toml"), "name = 'x'\ntask = 7\n")
             .expect("written");
-        let found = ModelFolders::of([models.path().to_owned()]).list();
+        let found = ModelFolders::new([models.path().to_owned()]).list();
         let row = row(&found[0]);
         assert_eq!((row[0].as_str(), row.len()), ("torn_card", 7));
         assert!(row[6].contains("model.toml") && !row[6].contains('\n'), "{row:?}");

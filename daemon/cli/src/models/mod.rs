@@ -92,7 +92,7 @@ fn other_file(card: &CardSummary, hash: &str) -> Option<String> {
 fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         LoadError::NotFound { .. } | LoadError::File { .. } => Exit::NoInput,
-        LoadError::NoSuchDevice(_) | LoadError::TooMuch { .. } => Exit::Usage,
+        LoadError::InvalidDevice(_) | LoadError::AboveLimit { .. } => Exit::Usage,
         _ => Exit::Unavailable,
     };
     Failure::new(exit, error)

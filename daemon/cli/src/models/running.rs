@@ -61,7 +61,7 @@ impl Running {
         let (sender, receiver) = sync_channel(1);
         // Sending fails only if this function has panicked.
         let reply = Box::new(move |done| drop(sender.send(done)));
-        let log = Recorder::begin(Arc::clone(&self.clock), self.host);
+        let log = Recorder::new(Arc::clone(&self.clock), self.host);
         let received = self.clock.mono();
         if let Err(refused) = self.pool.submit(Job { sample, log, received, reply }) {
             return (Err(refused.reason), refused.job.log.finish());
@@ -70,7 +70,7 @@ impl Running {
             Ok(done) => (done.result, done.log.finish()),
             Err(_) => {
                 let reason = "its thread dropped the sample".to_owned();
-                let log = Recorder::begin(Arc::clone(&self.clock), self.host);
+                let log = Recorder::new(Arc::clone(&self.clock), self.host);
                 let model = self.pool.name().to_string();
                 (Err(InferenceError::Failed { model, reason }), log.finish())
             }

@@ -41,7 +41,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
     let device = device(given.unwrap_or(DEVICE));
     // A user's program or object may be run because this command line names it.
     let shared = |name| {
-        let shared = SharedKeys::of(slug(name));
+        let shared = SharedKeys::new(slug(name));
         if given.is_some() { SharedKeys { device: device.to_owned(), ..shared } } else { shared }
     };
     Ok(match super::program(wanted)? {
@@ -74,7 +74,7 @@ pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         error if error.is_missing() => Exit::NoInput,
         error if error.is_misnamed() => Exit::Usage,
-        LoadError::NoSuchDevice(_) | LoadError::TooMuch { .. } => Exit::Usage,
+        LoadError::InvalidDevice(_) | LoadError::AboveLimit { .. } => Exit::Usage,
         _ => Exit::Unavailable,
     };
     if let LoadError::NoProvider { device, .. } | LoadError::Session { device, .. } = &error

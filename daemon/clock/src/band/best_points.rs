@@ -1,4 +1,4 @@
-//! The best point of each stretch of time, compared after the skew is removed.
+//! The best point of each interval of time, compared after the skew is removed.
 
 use std::collections::VecDeque;
 
@@ -7,50 +7,52 @@ use super::slots::Point;
 /// Result of the insertion of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Placement {
-    /// The point was not kept: its stretch has a better one, or is too old.
+    /// The point was not kept: its interval has a better one, or is too old.
     Worse,
-    /// The point replaced the point of its stretch.
+    /// The point replaced the one of its interval.
     Better,
-    /// The point is the first of its stretch.
+    /// The point is the first of its interval.
     First,
 }
 
-/// The lowest point of each stretch of time, in the order of time.
+/// The lowest point of each interval, in the order of time.
 #[derive(Clone, Debug)]
 pub(super) struct BestPoints {
-    /// Length of a stretch, nanoseconds.
-    stretch: i64,
-    most: usize,
+    /// Length of an interval, nanoseconds.
+    interval: i64,
+    max_points: usize,
     points: VecDeque<Point>,
 }
 
 impl BestPoints {
-    /// Creates an empty set that keeps the newest `most` stretches of `stretch` nanoseconds.
-    pub(super) fn new(stretch: i64, most: usize) -> Self {
-        Self { stretch, most, points: VecDeque::new() }
+    /// Creates an empty set that keeps the points of the newest `max_points` intervals of `interval` nanoseconds.
+    pub(super) fn new(interval: i64, max_points: usize) -> Self {
+        Self { interval, max_points, points: VecDeque::new() }
     }
 
-    /// Inserts a point if it is the lowest of its stretch after the skew `slope` (seconds per second) is removed.
+    /// Inserts a point if it is the lowest of its interval after the skew `slope` (seconds per second) is removed.
     pub(super) fn insert(&mut self, point: Point, slope: f64) -> Placement {
-        let own = point.x.div_euclid(self.stretch);
-        let stretch = |point: &Point| point.x.div_euclid(self.stretch);
-        let at = match self.points.back().map(stretch) {
-            // Most points belong to the newest stretch.
-            Some(last) if last == own => self.points.len() - 1,
-            Some(last) if last > own => self.points.partition_point(|other| stretch(other) < own),
+        let interval_number = point.x.div_euclid(self.interval);
+        let number = |point: &Point| point.x.div_euclid(self.interval);
+        let at = match self.points.back().map(number) {
+            // Most points belong to the newest interval.
+            Some(last) if last == interval_number => self.points.len() - 1,
+            Some(last) if last > interval_number => {
+                self.points.partition_point(|other| number(other) < interval_number)
+            }
             _ => self.points.len(),
         };
-        if let Some(known) = self.points.get(at).copied().filter(|known| stretch(known) == own) {
-            // Without the skew the earliest or latest point of a stretch would always be the lowest.
-            let drifted = known.bound.saturating_add((slope * (point.x - known.x) as f64) as i64);
+        if let Some(best) = self.points.get(at).copied().filter(|point| number(point) == interval_number) {
+            // Without the skew the earliest or latest point of an interval would always be the lowest.
+            let drifted = best.bound.saturating_add((slope * (point.x - best.x) as f64) as i64);
             if point.bound >= drifted {
                 return Placement::Worse;
             }
             self.points[at] = point;
             return Placement::Better;
         }
-        if self.points.len() >= self.most {
-            // The stretch is older than all that are kept.
+        if self.points.len() >= self.max_points {
+            // The interval is older than all that are kept.
             if at == 0 {
                 return Placement::Worse;
             }
@@ -95,7 +97,7 @@ mod tests {
     const SECOND: i64 = 1_000_000_000;
 
     #[test]
-    fn seconds_stay_in_order_and_few_in_whatever_order_they_come() {
+    fn points_stay_sorted_and_bounded_in_any_arrival_order() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         for n in 0..3_000i64 {
             let x = (n * 7919 % 3_000) * SECOND + n;
@@ -107,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_of_a_second_is_the_lowest_with_the_skew_taken_out() {
+    fn best_point_is_lowest_after_skew_is_removed() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         let mut insert = |x: i64, bound: i64| seconds.insert(Point { x, bound }, 50e-6);
         assert_eq!(insert(0, 100), Placement::First);
@@ -117,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn points_that_are_said_to_be_the_newest_are() {
+    fn are_newest_around_matches_the_points() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         for n in [0, 1, 2, 3, 10, 11, 12, 40] {
             seconds.insert(Point { x: n * SECOND, bound: 0 }, 0.0);

@@ -18,15 +18,15 @@ pub(crate) struct DriftLimit {
 
 impl DriftLimit {
     const BITS: u32 = 40;
-    /// Half a second per second. No clock drifts faster.
-    const WORST_PPM: f64 = 500_000.0;
+    /// Largest limit: half a second per second. No clock drifts faster.
+    const MAX_PPM: f64 = 500_000.0;
 
     /// Converts a limit in parts per million, whichever of the two clocks it is relative to.
     ///
     /// When the edge is the slow one, a difference of ρ per second of the cloud is one of ρ / (1 − ρ) per second of the
     /// edge. NaN is converted to the largest limit.
     pub(crate) fn new(ppm: f64) -> Self {
-        let ppm = if ppm.is_nan() { Self::WORST_PPM } else { ppm.clamp(0.0, Self::WORST_PPM) };
+        let ppm = if ppm.is_nan() { Self::MAX_PPM } else { ppm.clamp(0.0, Self::MAX_PPM) };
         let rate = ppm / (1e6 - ppm);
         // The relative 1e-12 is far larger than the rounding error of this line.
         Self { rate: (rate * (1.0 + 1e-12) * (1u64 << Self::BITS) as f64).ceil() as u64 }
@@ -34,10 +34,10 @@ impl DriftLimit {
 
     /// Returns the largest change of the offset between two times, rounded up to whole nanoseconds.
     ///
-    /// For distances a and b, `over(a) + over(b) − 1 ≤ over(a + b) ≤ over(a) + over(b)`; [`Slots`](super::slots::Slots)
-    /// relies on this.
+    /// With w(d) for the change over a length d, w(a) + w(b) − 1 ≤ w(a + b) ≤ w(a) + w(b);
+    /// [`Slots`](super::slots::Slots) relies on this.
     #[inline]
-    pub(crate) fn between(self, a: i64, b: i64) -> i64 {
+    pub(crate) fn max_change_between(self, a: i64, b: i64) -> i64 {
         let product = u128::from(a.abs_diff(b)) * u128::from(self.rate);
         let rounded = (product + ((1 << Self::BITS) - 1)) >> Self::BITS;
         i64::try_from(rounded).unwrap_or(i64::MAX)
@@ -45,11 +45,11 @@ impl DriftLimit {
 
     /// Returns the largest change of the offset over a length of time in nanoseconds, rounded up.
     #[inline]
-    pub(crate) fn over(self, length: i64) -> i64 {
-        self.between(0, length)
+    pub(crate) fn max_change_over(self, length: i64) -> i64 {
+        self.max_change_between(0, length)
     }
 
-    /// Returns the limit as seconds per second; steeper slopes are no drift.
+    /// Returns the limit in seconds per second.
     pub(crate) fn slope(self) -> f64 {
         self.rate as f64 / (1u64 << Self::BITS) as f64
     }
@@ -65,15 +65,15 @@ pub(crate) struct DriftChangeLimit {
 impl DriftChangeLimit {
     const BITS: u32 = 80;
     /// Largest limit: a thousandth per second. No oscillator changes faster.
-    const WORST_PPM_PER_S: f64 = 1_000.0;
+    const MAX_PPM_PER_S: f64 = 1_000.0;
 
     /// Converts a limit in parts per million per second, whichever of the two clocks it is relative to.
     ///
     /// Clocks that drift apart by ρ see each other's second derivatives larger by up to (1 − ρ)⁻³. NaN is converted to
     /// the largest limit.
     pub(crate) fn new(ppm_per_s: f64, rate: DriftLimit) -> Self {
-        let worst = Self::WORST_PPM_PER_S;
-        let ppm_per_s = if ppm_per_s.is_nan() { worst } else { ppm_per_s.clamp(0.0, worst) };
+        let max = Self::MAX_PPM_PER_S;
+        let ppm_per_s = if ppm_per_s.is_nan() { max } else { ppm_per_s.clamp(0.0, max) };
         // 1 / (1 − ρ) is 1 + slope.
         let half = ppm_per_s * 1e-15 / 2.0 * (1.0 + rate.slope()).powi(3);
         Self { half: (half * (1.0 + 1e-12) * (1u128 << Self::BITS) as f64).ceil() as u64 }
@@ -82,7 +82,7 @@ impl DriftChangeLimit {
     /// Returns κ·a·b / 2 for two lengths of time in nanoseconds, rounded up: the largest distance of the offset from
     /// the straight line through two of its values, at distances a and b from them.
     #[inline]
-    pub(crate) fn bend(self, a: u64, b: u64) -> i64 {
+    pub(crate) fn max_deviation(self, a: u64, b: u64) -> i64 {
         let area = u128::from(a) * u128::from(b);
         let Some(product) = area.checked_mul(u128::from(self.half)) else { return i64::MAX };
         let rounded = (product >> Self::BITS) + 1;
@@ -91,7 +91,7 @@ impl DriftChangeLimit {
 
     /// Returns κ / 2 per nanosecond in floating point. It selects points; bounds are never computed from it.
     #[inline]
-    pub(crate) fn half_per_nano(self) -> f64 {
+    pub(crate) fn half_limit_per_nano(self) -> f64 {
         self.half as f64 / (1u128 << Self::BITS) as f64
     }
 }
@@ -105,11 +105,11 @@ mod tests {
         let limit = DriftChangeLimit::new(1.0, DriftLimit::new(0.0));
         let second = 1_000_000_000;
         // 1 ppm/s over 10 s and 10 s: 50 µs.
-        assert!((50_000..50_010).contains(&limit.bend(10 * second, 10 * second)));
-        assert_eq!(limit.bend(1, 1), 1);
-        assert_eq!(limit.bend(u64::MAX, u64::MAX), i64::MAX);
+        assert!((50_000..50_010).contains(&limit.max_deviation(10 * second, 10 * second)));
+        assert_eq!(limit.max_deviation(1, 1), 1);
+        assert_eq!(limit.max_deviation(u64::MAX, u64::MAX), i64::MAX);
         let fast = DriftChangeLimit::new(1.0, DriftLimit::new(1_000.0));
-        assert!(fast.bend(100 * second, 100 * second) >= 5_015_000);
+        assert!(fast.max_deviation(100 * second, 100 * second) >= 5_015_000);
         let without = DriftLimit::new(0.0);
         assert_eq!(DriftChangeLimit::new(f64::NAN, without), DriftChangeLimit::new(f64::INFINITY, without));
     }

@@ -31,7 +31,7 @@ pub(super) fn push(hull: &mut Vec<Point>, next: Point, half: f64) {
 /// This is the problem of Moon, Skelly and Towsley ("Estimation and removal of clock skew from network delay
 /// measurements", INFOCOM 1999). Its solution is the edge of the lower convex hull above the mean time (Zhang, Liu and
 /// Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002), which takes one pass.
-pub(super) fn slope_under(points: impl Iterator<Item = Point>) -> Option<f64> {
+pub(super) fn slope_below(points: impl Iterator<Item = Point>) -> Option<f64> {
     let mut hull: Vec<(f64, f64)> = Vec::with_capacity(16);
     let mut origin = None;
     let (mut sum, mut count) = (0.0, 0u32);
@@ -81,7 +81,7 @@ mod tests {
                     Point { x, bound }
                 })
                 .collect();
-            let found = distances(&points, slope_under(points.iter().copied()).expect("two points"));
+            let found = distances(&points, slope_below(points.iter().copied()).expect("two points"));
             for (n, a) in points.iter().enumerate() {
                 for b in &points[n + 1..] {
                     let other = (b.bound - a.bound) as f64 / (b.x - a.x) as f64;
@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn one_point_has_no_slope() {
-        assert_eq!(slope_under([Point { x: 3, bound: 4 }].into_iter()), None);
-        assert_eq!(slope_under(std::iter::empty()), None);
+        assert_eq!(slope_below([Point { x: 3, bound: 4 }].into_iter()), None);
+        assert_eq!(slope_below(std::iter::empty()), None);
     }
 }

@@ -1,4 +1,4 @@
-//! The offset of two clocks as a band over time: exactly what the exchanges prove.
+//! The interval of the offset of two clocks over time, as the exchanges prove it.
 //!
 //! The offset θ(x) is the cloud's clock minus the edge's clock when the edge's shows x. Each exchange bounds it from
 //! above at the time it was sent and from below at the time it returned. The limit of drift extends both bounds to
@@ -17,23 +17,24 @@ mod trend;
 use std::collections::VecDeque;
 
 pub(crate) use drift::{DriftChangeLimit, DriftLimit, DriftModel};
-use rate_change::{Hulls, MOST};
+use rate_change::{Hulls, MAX_POINTS_PER_SIDE};
 pub use skew::ProvenSkew;
-use slots::{Insertion, Point, Slots, lowest};
+use slots::{Insertion, Point, Slots, lowest_bound};
 use trend::Trend;
 
 use crate::{Exchange, Interval, RawTime, Span};
 
-/// Number of newest exchanges that count at any age. Where the window holds fewer, it is extended back to them.
-const LEAST_EXCHANGES: usize = 8;
+/// Number of newest exchanges that bound the offset at any age. Where the window holds fewer, it is extended back to
+/// them.
+const MIN_EXCHANGES: usize = 8;
 
-/// Time in nanoseconds by which the hulls of the newest exchanges are made ahead, so that they serve queries shortly
-/// after them. Points that will be too old by then are left out.
-const LEAD: i64 = 1_000_000_000;
+/// Time after the newest exchange for which the hulls are built.
+// They then serve all queries shortly after the exchange. Points that will be too old by then are left out.
+const HULL_LEAD_NANOS: i64 = 1_000_000_000;
 
-/// Allowance in nanoseconds for stamps that are cut or rounded to whole nanoseconds: less than one for each of a
-/// bound's two.
-const RESOLUTION: i64 = 2;
+/// Widening of each bound for the rounding of stamps to whole nanoseconds.
+// A bound is the difference of two stamps, each of which is wrong by less than one nanosecond.
+const ROUNDING_NANOS: i64 = 2;
 
 /// The two bounds that one exchange gives.
 #[derive(Clone, Copy, Debug)]
@@ -45,8 +46,10 @@ pub(crate) struct Bounds {
 
 impl From<&Exchange> for Bounds {
     fn from(exchange: &Exchange) -> Self {
-        let point =
-            |x: RawTime, bound: Span| Point { x: x.nanos(), bound: bound.nanos().saturating_add(RESOLUTION) };
+        let point = |x: RawTime, bound: Span| Point {
+            x: x.nanos(),
+            bound: bound.nanos().saturating_add(ROUNDING_NANOS),
+        };
         Self {
             upper: point(exchange.sent, exchange.upper()),
             lower: point(exchange.returned, -exchange.lower()),
@@ -55,8 +58,8 @@ impl From<&Exchange> for Bounds {
 }
 
 impl Bounds {
-    /// Time on the edge's clock at which the exchange began. It identifies the exchange, because no two begin at the
-    /// same time.
+    /// Returns the time on the edge's clock at which the message was sent. It identifies the exchange, because no two
+    /// messages are sent at the same time.
     pub(crate) fn sent(&self) -> RawTime {
         RawTime::from_nanos(self.upper.x)
     }
@@ -82,8 +85,9 @@ pub(crate) struct OffsetInterval {
 
 /// The interval of the offset over time that the exchanges of a window prove.
 ///
-/// Exchanges bound the offset only at times within a window of them; only the newest eight count at any age. A clock
-/// that violates the limit of drift, or jumps unnoticed, therefore makes intervals wrong for no longer than that.
+/// An exchange bounds the offset only at times within one window of it, except for the newest eight exchanges, which
+/// count at any age. A clock that violates the limit of drift, or jumps unnoticed, therefore makes intervals wrong for no
+/// longer than these exchanges reach back.
 #[derive(Clone, Debug)]
 pub(crate) struct Band {
     drift: DriftModel,
@@ -114,7 +118,7 @@ impl Band {
             retention,
             upper: Slots::new(drift.limit, retention),
             lower: Slots::new(drift.limit, retention),
-            latest: VecDeque::with_capacity(LEAST_EXCHANGES + 1),
+            latest: VecDeque::with_capacity(MIN_EXCHANGES + 1),
             hulls: Hulls::default(),
             trend: Trend::default(),
             newest: i64::MIN,
@@ -122,36 +126,43 @@ impl Band {
         }
     }
 
-    /// Returns the assumption that the exchange contradicts: no offset satisfies both the exchange and everything kept.
+    /// Returns the assumption that an exchange contradicts: no offset satisfies the assumption, the exchange and all
+    /// exchanges that are kept.
     ///
-    /// The cones of the limit of drift always have an offset in common, if each exchange is checked before it is
-    /// inserted: hi(q) < lo(q) would mean U + w(|q − x|) < L − w(|q − y|), hence U < L − w(|x − y|) for two exchanges
-    /// that are kept at once, and the later one would have been rejected. For that reason the check covers all that is
-    /// kept, not only the window. The rules for the rate's change involve three and four points at once: their bounds
-    /// may exclude each other although each exchange was checked. [`interval`](Self::interval) reports that.
+    /// If each exchange is checked before it is inserted, the bounds by the limit of drift never exclude each other. The
+    /// bounds by the limit of its change may, although each exchange was checked, because they involve three or four
+    /// points at once. [`interval`](Self::interval) reports that.
+    // Proof of the first statement: hi(q) < lo(q) would mean U + w(|q − x|) < L − w(|q − y|), hence U < L − w(|x − y|)
+    // for two exchanges that are kept at once. The later one would have been rejected. For that reason the check covers
+    // all exchanges that are kept, not only those of the window.
     pub(crate) fn contradiction(&self, bounds: &Bounds) -> Option<Contradiction> {
         let Bounds { upper, lower } = *bounds;
-        let (most, least) = (lower.bound.saturating_neg(), upper.bound.saturating_neg());
+        // Points of the lower side have the opposite sign, so that a bound is negated for the comparison with the other side.
+        let (negated_lower, negated_upper) = (lower.bound.saturating_neg(), upper.bound.saturating_neg());
         let limit = self.drift.limit;
-        if self.lower.is_below(least, upper.x)
-            || self.upper.is_below(most, lower.x)
+        if self.lower.is_below(negated_upper, upper.x)
+            || self.upper.is_below(negated_lower, lower.x)
             || self.latest.iter().any(|other| {
-                other.lower.is_below(least, limit, upper.x) || other.upper.is_below(most, limit, lower.x)
+                other.lower.is_below(negated_upper, limit, upper.x)
+                    || other.upper.is_below(negated_lower, limit, lower.x)
             })
         {
             return Some(Contradiction::Drift);
         }
         let change = self.drift.change?;
-        // An exchange whose bounds are no better than those of the newest ones cannot contradict them. This check is
-        // cheap.
-        let adds = |point: Point, side: fn(&Bounds) -> Point| {
-            self.latest.iter().all(|known| side(known).carried(limit, point.x) > point.bound)
+        // A cheap check first: an exchange whose bounds are no better than those of the newest ones cannot contradict
+        // them.
+        let improves = |point: Point, side: fn(&Bounds) -> Point| {
+            self.latest.iter().all(|bounds| side(bounds).bound_at(limit, point.x) > point.bound)
         };
-        let excludes = |q: i64, bound: i64, ask: fn(&Hulls, i64, DriftChangeLimit) -> Option<i64>| {
-            self.with_hulls(q, change, |hulls| ask(hulls, q, change)).is_some_and(|known| known < bound)
+        let excludes = |q: i64, bound: i64, query: fn(&Hulls, i64, DriftChangeLimit) -> Option<i64>| {
+            self.query_hulls(q, change, |hulls| query(hulls, q, change))
+                .is_some_and(|opposite| opposite < bound)
         };
-        let is_excluded = (adds(upper, |bounds| bounds.upper) && excludes(upper.x, least, Hulls::below))
-            || (adds(lower, |bounds| bounds.lower) && excludes(lower.x, most, Hulls::above));
+        let is_excluded = (improves(upper, |bounds| bounds.upper)
+            && excludes(upper.x, negated_upper, Hulls::lower_bound))
+            || (improves(lower, |bounds| bounds.lower)
+                && excludes(lower.x, negated_lower, Hulls::upper_bound));
         is_excluded.then_some(Contradiction::DriftChange)
     }
 
@@ -160,18 +171,18 @@ impl Band {
         self.newest = self.newest.max(bounds.lower.x);
         let start = self.newest.saturating_sub(self.retention);
         let inserted = [self.upper.insert(bounds.upper), self.lower.insert(bounds.lower)];
-        self.upper.expire(start);
-        self.lower.expire(start);
+        self.upper.remove_before(start);
+        self.lower.remove_before(start);
         let at = self.latest.partition_point(|other| other.lower.x <= bounds.lower.x);
         self.latest.insert(at, *bounds);
-        if self.latest.len() > LEAST_EXCHANGES {
+        if self.latest.len() > MIN_EXCHANGES {
             self.latest.pop_front();
         }
         self.exchanges += 1;
         self.trend.insert(bounds.upper, bounds.lower, self.drift.limit.slope());
         if let Some(change) = self.drift.change {
             let mut hulls = std::mem::take(&mut self.hulls);
-            self.fill(&mut hulls, self.newest.saturating_add(LEAD), inserted, change);
+            self.fill_hulls(&mut hulls, self.newest.saturating_add(HULL_LEAD_NANOS), inserted, change);
             self.hulls = hulls;
         }
     }
@@ -186,13 +197,13 @@ impl Band {
     }
 
     /// Returns a copy of the band without the exchanges before `start`.
-    pub(crate) fn since(&self, start: RawTime) -> Self {
-        let mut since = Self { hulls: Hulls::default(), ..self.clone() };
+    pub(crate) fn without_exchanges_before(&self, start: RawTime) -> Self {
+        let mut copy = Self { hulls: Hulls::default(), ..self.clone() };
         let start = start.nanos();
-        since.upper.expire(start);
-        since.lower.expire(start);
-        since.latest.retain(|bounds| bounds.upper.x >= start);
-        since
+        copy.upper.remove_before(start);
+        copy.lower.remove_before(start);
+        copy.latest.retain(|bounds| bounds.upper.x >= start);
+        copy
     }
 
     /// Returns the interval at a time; `None` without exchanges.
@@ -202,30 +213,37 @@ impl Band {
             lo: Span::from_nanos(lo.saturating_neg()),
             hi: Span::from_nanos(hi),
         };
-        let (hi, lo) = (self.above(q)?, self.below(q)?);
+        let (hi, lo) = (self.upper_bound(q)?, self.lower_bound(q)?);
         let cones = OffsetInterval { interval: interval(hi, lo), is_consistent: true };
         let Some(change) = self.drift.change else { return Some(cones) };
-        let (above, below) =
-            self.with_hulls(q, change, |hulls| (hulls.above(q, change), hulls.below(q, change)));
-        let (hi, lo) = (above.map_or(hi, |bound| bound.min(hi)), below.map_or(lo, |bound| bound.min(lo)));
+        let (upper_bound, lower_bound) =
+            self.query_hulls(q, change, |hulls| (hulls.upper_bound(q, change), hulls.lower_bound(q, change)));
+        let (hi, lo) =
+            (upper_bound.map_or(hi, |bound| bound.min(hi)), lower_bound.map_or(lo, |bound| bound.min(lo)));
         if hi.saturating_add(lo) < 0 {
             return Some(OffsetInterval { is_consistent: false, ..cones });
         }
         Some(OffsetInterval { interval: interval(hi, lo), is_consistent: true })
     }
 
-    /// Calls `ask` with the hulls of the points around `q`.
-    fn with_hulls<T>(&self, q: i64, change: DriftChangeLimit, ask: impl Fn(&Hulls) -> T) -> T {
+    /// Calls `query` with the hulls of the points around `q`.
+    fn query_hulls<T>(&self, q: i64, change: DriftChangeLimit, query: impl Fn(&Hulls) -> T) -> T {
         if self.hulls.are_within(q, self.window) {
-            return ask(&self.hulls);
+            return query(&self.hulls);
         }
         let mut hulls = Hulls::default();
-        self.fill(&mut hulls, q, [Insertion::Other; 2], change);
-        ask(&hulls)
+        self.fill_hulls(&mut hulls, q, [Insertion::Other; 2], change);
+        query(&hulls)
     }
 
-    /// Builds the hulls of the points around `q`. Unchanged sides are kept.
-    fn fill(&self, hulls: &mut Hulls, q: i64, [upper, lower]: [Insertion; 2], change: DriftChangeLimit) {
+    /// Builds the hulls of the points around `q`. The insertions say which sides changed since the last call.
+    fn fill_hulls(
+        &self,
+        hulls: &mut Hulls,
+        q: i64,
+        [upper, lower]: [Insertion; 2],
+        change: DriftChangeLimit,
+    ) {
         if self.is_sparse(q) {
             // The latest exchanges are in the order of their return, in which the upper points need not be sorted.
             let mut upper: Vec<Point> = self.latest.iter().map(|bounds| bounds.upper).collect();
@@ -237,12 +255,12 @@ impl Band {
         match (upper, self.upper.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_upper(newest, change),
             (Insertion::Unchanged, _) => {}
-            _ => hulls.set_upper(self.upper.around(q, self.window, MOST), change),
+            _ => hulls.set_upper(self.upper.around(q, self.window, MAX_POINTS_PER_SIDE), change),
         }
         match (lower, self.lower.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_lower(newest, change),
             (Insertion::Unchanged, _) => {}
-            _ => hulls.set_lower(self.lower.around(q, self.window, MOST), change),
+            _ => hulls.set_lower(self.lower.around(q, self.window, MAX_POINTS_PER_SIDE), change),
         }
     }
 
@@ -251,35 +269,37 @@ impl Band {
         self.latest.front().is_some_and(|oldest| q.saturating_sub(oldest.upper.x) > self.window)
     }
 
-    /// Returns the age of the oldest exchange that bounds the offset at a time: the window, or more where exchanges are
-    /// rare.
-    pub(crate) fn reach(&self, at: RawTime) -> Option<Span> {
+    /// Returns the age of the oldest exchange that bounds the offset at a time: the window, or the age of the oldest of
+    /// the newest eight exchanges if that is more. `None` without exchanges.
+    pub(crate) fn window_span(&self, at: RawTime) -> Option<Span> {
         let oldest = self.latest.front()?.upper.x;
         Some(Span::from_nanos(at.nanos().saturating_sub(oldest).max(self.window)))
     }
 
     /// Returns the upper bound at `q` by the limit of drift, from the points within the window and the latest
     /// exchanges.
-    fn above(&self, q: i64) -> Option<i64> {
-        let latest = lowest(self.latest.iter().map(|bounds| bounds.upper), self.drift.limit, q);
+    fn upper_bound(&self, q: i64) -> Option<i64> {
+        let latest = lowest_bound(self.latest.iter().map(|bounds| bounds.upper), self.drift.limit, q);
         self.upper.bound(q, self.window).into_iter().chain(latest).min()
     }
 
     /// Returns the lower bound at `q` in the same way, with the opposite sign.
-    fn below(&self, q: i64) -> Option<i64> {
-        let latest = lowest(self.latest.iter().map(|bounds| bounds.lower), self.drift.limit, q);
+    fn lower_bound(&self, q: i64) -> Option<i64> {
+        let latest = lowest_bound(self.latest.iter().map(|bounds| bounds.lower), self.drift.limit, q);
         self.lower.bound(q, self.window).into_iter().chain(latest).min()
     }
 
     /// Returns the estimate at a time within `interval`, which must be the band's interval at that time.
     pub(crate) fn estimate(&self, at: RawTime, interval: Interval) -> Span {
-        let guess =
-            self.trend.at(at.nanos(), self.drift.limit.slope()).unwrap_or_else(|| interval.middle().nanos());
-        Span::from_nanos(guess).clamp(interval.lo, interval.hi)
+        let estimate = self
+            .trend
+            .estimate_at(at.nanos(), self.drift.limit.slope())
+            .unwrap_or_else(|| interval.middle().nanos());
+        Span::from_nanos(estimate).clamp(interval.lo, interval.hi)
     }
 
     /// Returns the estimated change of the offset between two neighbouring times.
-    pub(crate) fn growth(&self, from: RawTime, to: RawTime) -> Span {
+    pub(crate) fn offset_change(&self, from: RawTime, to: RawTime) -> Span {
         let slope = self.trend.slope_at(from.nanos(), self.drift.limit.slope()).unwrap_or(0.0);
         Span::from_nanos((slope * (to - from).nanos() as f64).round() as i64)
     }
@@ -298,7 +318,7 @@ impl Band {
     pub(crate) fn excess_skew(&self) -> Option<ProvenSkew> {
         // The proof is computed in floating point; a billionth is far more than its rounding error.
         let limit = self.drift.limit.slope() * 1e6 * (1.0 + 1e-9);
-        self.proven_skew().filter(|skew| skew.least_ppm > limit || skew.most_ppm < -limit)
+        self.proven_skew().filter(|skew| skew.min_ppm > limit || skew.max_ppm < -limit)
     }
 
     /// Returns the number of exchanges inserted.
@@ -306,12 +326,12 @@ impl Band {
         self.exchanges
     }
 
-    /// Returns the time from which on exchanges bound the offset at `at`: the begin of the window, or of the latest
-    /// exchanges where these are rare.
-    pub(crate) fn bounds_from(&self, at: RawTime) -> RawTime {
-        let begin = at.nanos().saturating_sub(self.window);
-        let oldest = self.latest.front().map_or(begin, |oldest| oldest.upper.x);
-        RawTime::from_nanos(begin.min(oldest))
+    /// Returns the time from which on exchanges bound the offset at `at`: the start of the window, or the oldest of the
+    /// newest eight exchanges if that is earlier.
+    pub(crate) fn window_start(&self, at: RawTime) -> RawTime {
+        let start = at.nanos().saturating_sub(self.window);
+        let oldest = self.latest.front().map_or(start, |oldest| oldest.upper.x);
+        RawTime::from_nanos(start.min(oldest))
     }
 
     /// Returns the time on the edge's clock at which the newest exchange returned.

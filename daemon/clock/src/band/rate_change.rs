@@ -1,5 +1,5 @@
-//! Bounds that rest on a slowly changing rate: the rate that two exchanges prove at one time nearly holds at other
-//! times, too.
+//! Bounds by the limit of the change of the drift: the rate that two exchanges prove at one time holds approximately at
+//! other times.
 //!
 //! With |θ''| ≤ κ, ψ(x) = θ(x) + κx²/2 is convex and φ(x) = θ(x) − κx²/2 is concave. Hence, for points (a, U_a) from
 //! above and (a, L_a) from below and a time q:
@@ -18,10 +18,11 @@ use super::drift::DriftChangeLimit;
 use super::hull;
 use super::slots::Point;
 
-/// Largest number of points of one side before a time, and after it. Points older than 12 s add nothing at the usual κ.
-pub(super) const MOST: usize = 24;
-/// Longest time in nanoseconds (13 days) over which a rate extends bounds.
-const LONGEST: u64 = 1 << 50;
+/// Largest number of points of one side before a time, and after it: 12 s of slots.
+// At the usual κ, older points give no better bound.
+pub(super) const MAX_POINTS_PER_SIDE: usize = 24;
+/// Longest time over which a rate extends bounds: 13 days.
+const MAX_LENGTH_NANOS: u64 = 1 << 50;
 
 /// The points of both sides that can give a bound.
 #[derive(Clone, Debug, Default)]
@@ -48,13 +49,13 @@ struct Hull {
     others: Vec<Point>,
 }
 
-/// The two points that a bound rests on.
+/// The two points that a bound follows from.
 #[derive(Clone, Copy)]
-enum Pair {
+enum BoundPair {
     /// Two points of one side, one before the time and one after it.
-    Around(Point, Point),
+    Interpolated(Point, Point),
     /// The nearer point, of the side that is bounded, and the farther one, of the other side.
-    Beyond(Point, Point),
+    Extrapolated(Point, Point),
 }
 
 impl Hulls {
@@ -70,22 +71,22 @@ impl Hulls {
 
     /// Replaces the newest point of the upper side.
     pub(super) fn replace_upper(&mut self, newest: Point, change: DriftChangeLimit) {
-        self.upper.replace(newest, change.half_per_nano());
+        self.upper.replace(newest, change.half_limit_per_nano());
     }
 
     /// Replaces the newest point of the lower side, which has the opposite sign.
     pub(super) fn replace_lower(&mut self, newest: Point, change: DriftChangeLimit) {
-        self.lower.replace(newest, change.half_per_nano());
+        self.lower.replace(newest, change.half_limit_per_nano());
     }
 
     /// Returns the upper bound at `q`; `None` where no two points give one.
-    pub(super) fn above(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
-        bound(&self.upper, &self.lower, q, change)
+    pub(super) fn upper_bound(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
+        best_bound(&self.upper, &self.lower, q, change)
     }
 
     /// Returns the lower bound at `q` with the opposite sign.
-    pub(super) fn below(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
-        bound(&self.lower, &self.upper, q, change)
+    pub(super) fn lower_bound(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
+        best_bound(&self.lower, &self.upper, q, change)
     }
 
     /// Returns whether both sides have points and all of them lie within `reach` of `q`.
@@ -107,8 +108,9 @@ impl Hulls {
 }
 
 impl Side {
+    /// Replaces all points; `points` must be in the order of time.
     fn set(&mut self, points: impl Iterator<Item = Point>, change: DriftChangeLimit) {
-        let half = change.half_per_nano();
+        let half = change.half_limit_per_nano();
         self.raised.others.clear();
         self.lowered.others.clear();
         let mut newest: Option<Point> = None;
@@ -124,6 +126,7 @@ impl Side {
         }
     }
 
+    /// Replaces the newest point. `half` is κ / 2 per nanosecond.
     fn replace(&mut self, newest: Point, half: f64) {
         for (hull, half) in [(&mut self.raised, half), (&mut self.lowered, -half)] {
             // The newest point changes with almost each exchange; the hull of the others is reused.
@@ -133,14 +136,14 @@ impl Side {
     }
 }
 
-/// Returns the best bound of side `own` at `q` by two points.
-fn bound(own: &Side, other: &Side, q: i64, change: DriftChangeLimit) -> Option<i64> {
-    let (raised, lowered, others) = (&own.raised.points, &own.lowered.points, &other.raised.points);
-    // Subtracted before the conversion to floating point, which would lose nanoseconds of large offsets.
+/// Returns the best bound of a side at `q` by two points.
+fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) -> Option<i64> {
+    let (raised, lowered, others) = (&side.raised.points, &side.lowered.points, &opposite.raised.points);
+    // Values relative to an origin, because a conversion to floating point would lose nanoseconds of large offsets.
     let origin = raised.first()?.bound;
-    let half = change.half_per_nano();
-    let mut best: Option<(f64, Pair)> = None;
-    let mut offer = |value: f64, pair: Pair| {
+    let half = change.half_limit_per_nano();
+    let mut best: Option<(f64, BoundPair)> = None;
+    let mut consider = |value: f64, pair: BoundPair| {
         if best.is_none_or(|(least, _)| value < least) {
             best = Some((value, pair));
         }
@@ -149,15 +152,16 @@ fn bound(own: &Side, other: &Side, q: i64, change: DriftChangeLimit) -> Option<i
     if let (Some(a), Some(b)) = (after.checked_sub(1).and_then(|n| raised.get(n)), raised.get(after)) {
         let (from_a, to_b) = ((q - a.x) as f64, (b.x - q) as f64);
         let chord = ((a.bound - origin) as f64 * to_b + (b.bound - origin) as f64 * from_a) / (from_a + to_b);
-        offer(chord + half * from_a * to_b, Pair::Around(*a, *b));
+        consider(chord + half * from_a * to_b, BoundPair::Interpolated(*a, *b));
     }
     let beyond = |b: Point, a: Point| {
         let (near, far) = (q.abs_diff(b.x) as f64, q.abs_diff(a.x) as f64);
         let rate = b.bound.saturating_add(a.bound) as f64 / (far - near);
         (b.bound - origin) as f64 + near * rate + half * near * far
     };
-    // Seen from b, the values along the hull fall up to the tangent and rise after it.
-    let mut tangent = |b: Point, farther: &mut dyn Iterator<Item = &Point>| {
+    // The bounds by b and the points of the hull decrease up to the point where the line through b is a tangent of the
+    // hull, and increase after it.
+    let mut consider_tangent = |b: Point, farther: &mut dyn Iterator<Item = &Point>| {
         let mut least = f64::INFINITY;
         for a in farther {
             let value = beyond(b, *a);
@@ -165,39 +169,40 @@ fn bound(own: &Side, other: &Side, q: i64, change: DriftChangeLimit) -> Option<i
                 break;
             }
             least = value;
-            offer(value, Pair::Beyond(b, *a));
+            consider(value, BoundPair::Extrapolated(b, *a));
         }
     };
     for b in &lowered[..lowered.partition_point(|point| point.x <= q)] {
-        tangent(*b, &mut others.iter().take_while(|a| a.x < b.x));
+        consider_tangent(*b, &mut others.iter().take_while(|a| a.x < b.x));
     }
     for b in &lowered[lowered.partition_point(|point| point.x < q)..] {
-        tangent(*b, &mut others.iter().rev().take_while(|a| a.x > b.x));
+        consider_tangent(*b, &mut others.iter().rev().take_while(|a| a.x > b.x));
     }
     match best?.1 {
-        Pair::Around(a, b) => between(a, b, q, change),
-        Pair::Beyond(b, a) => carried(b, a, q, change),
+        BoundPair::Interpolated(a, b) => interpolate(a, b, q, change),
+        BoundPair::Extrapolated(b, a) => extrapolate(b, a, q, change),
     }
 }
 
 /// Returns the bound at `q` by two points of one side, before and after `q`, rounded up.
-fn between(a: Point, b: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
+fn interpolate(a: Point, b: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (from_a, to_b) = (q.abs_diff(a.x), q.abs_diff(b.x));
-    let share = share(from_a, i128::from(b.bound) - i128::from(a.bound), from_a.checked_add(to_b)?)?;
-    Some(a.bound.saturating_add(share).saturating_add(change.bend(from_a, to_b)))
+    let change_from_a =
+        multiply_divide(from_a, i128::from(b.bound) - i128::from(a.bound), from_a.checked_add(to_b)?)?;
+    Some(a.bound.saturating_add(change_from_a).saturating_add(change.max_deviation(from_a, to_b)))
 }
 
 /// Returns the bound at `q` by the point `b` of one side and the rate that it and the point `a` of the other side
 /// prove, rounded up.
-fn carried(b: Point, a: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
+fn extrapolate(b: Point, a: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (near, far) = (q.abs_diff(b.x), q.abs_diff(a.x));
-    let share = share(near, i128::from(b.bound) + i128::from(a.bound), a.x.abs_diff(b.x))?;
-    Some(b.bound.saturating_add(share).saturating_add(change.bend(near, far)))
+    let change_from_b = multiply_divide(near, i128::from(b.bound) + i128::from(a.bound), a.x.abs_diff(b.x))?;
+    Some(b.bound.saturating_add(change_from_b).saturating_add(change.max_deviation(near, far)))
 }
 
-/// Returns part × value / whole, rounded up; `None` where a length exceeds [`LONGEST`] or the result overflows.
-fn share(part: u64, value: i128, whole: u64) -> Option<i64> {
-    if whole == 0 || part > LONGEST || whole > LONGEST {
+/// Returns part × value / whole, rounded up; `None` where a length exceeds [`MAX_LENGTH_NANOS`] or the result overflows.
+fn multiply_divide(part: u64, value: i128, whole: u64) -> Option<i64> {
+    if whole == 0 || part > MAX_LENGTH_NANOS || whole > MAX_LENGTH_NANOS {
         return None;
     }
     // Integers, because the bound must be rounded up and never down.
@@ -231,13 +236,13 @@ mod tests {
     }
 
     /// Returns the best bound that the rules give over all pairs of points.
-    fn of_all_pairs(own: &[Point], other: &[Point], q: i64) -> Option<i64> {
+    fn best_of_all_pairs(own: &[Point], other: &[Point], q: i64) -> Option<i64> {
         let around = own.iter().flat_map(|a| own.iter().map(move |b| (a, b)));
         let around = around.filter(|(a, b)| a.x < q && q <= b.x);
-        let around = around.filter_map(|(a, b)| between(*a, *b, q, change()));
+        let around = around.filter_map(|(a, b)| interpolate(*a, *b, q, change()));
         let beyond = own.iter().flat_map(|b| other.iter().map(move |a| (a, b)));
         let beyond = beyond.filter(|(a, b)| (a.x < b.x && b.x <= q) || (q <= b.x && b.x < a.x));
-        let beyond = beyond.filter_map(|(a, b)| carried(*b, *a, q, change()));
+        let beyond = beyond.filter_map(|(a, b)| extrapolate(*b, *a, q, change()));
         around.chain(beyond).min()
     }
 
@@ -249,46 +254,46 @@ mod tests {
     proptest! {
         #[test]
         fn hulls_find_about_the_best_of_all_pairs(upper in points(), lower in points(), q in -SECOND..12 * SECOND) {
-            let known = hulls(&upper, &lower).above(q, change());
-            let best = of_all_pairs(&upper, &lower, q);
+            let actual = hulls(&upper, &lower).upper_bound(q, change());
+            let best = best_of_all_pairs(&upper, &lower, q);
             // The hulls leave out only pairs of points that are neighbours in time, which give weak bounds.
-            prop_assert!(known.is_none_or(|known| best.is_some_and(|best| best <= known)), "{known:?} {best:?}");
-            prop_assert!(best.is_none_or(|best| best > 0 || known.is_some()), "{known:?} {best:?}");
+            prop_assert!(actual.is_none_or(|actual| best.is_some_and(|best| best <= actual)), "{actual:?} {best:?}");
+            prop_assert!(best.is_none_or(|best| best > 0 || actual.is_some()), "{actual:?} {best:?}");
         }
 
         /// Uses exact bounds of an offset whose rate changes at the limit, first in one direction and then in the
         /// other.
         #[test]
-        fn exact_bounds_of_the_fastest_change_contain_the_truth(
+        fn exact_bounds_of_fastest_change_contain_truth(
             times in proptest::collection::btree_set(0..10 * SECOND, 2..24),
-            turn in 0..10 * SECOND,
+            reversal in 0..10 * SECOND,
             forward: bool,
             q in -SECOND..12 * SECOND,
         ) {
             let truth = |x: i64| {
-                let away = (x - turn) as f64;
-                let bend = away * away.abs() * 0.5e-15;
-                if forward { bend } else { -bend }
+                let away = (x - reversal) as f64;
+                let max_deviation = away * away.abs() * 0.5e-15;
+                if forward { max_deviation } else { -max_deviation }
             };
             let point = |x: &i64, sign: f64| Point { x: *x, bound: (sign * truth(*x)).ceil() as i64 };
             let upper: Vec<Point> = times.iter().map(|x| point(x, 1.0)).collect();
             let lower: Vec<Point> = times.iter().map(|x| point(x, -1.0)).collect();
             let hulls = hulls(&upper, &lower);
-            let (above, below) = (hulls.above(q, change()), hulls.below(q, change()));
-            prop_assert!(above.is_none_or(|bound| bound as f64 >= truth(q)), "{above:?} {}", truth(q));
-            prop_assert!(below.is_none_or(|bound| bound as f64 >= -truth(q)), "{below:?} {}", truth(q));
+            let (upper_bound, lower_bound) = (hulls.upper_bound(q, change()), hulls.lower_bound(q, change()));
+            prop_assert!(upper_bound.is_none_or(|bound| bound as f64 >= truth(q)), "{upper_bound:?} {}", truth(q));
+            prop_assert!(lower_bound.is_none_or(|bound| bound as f64 >= -truth(q)), "{lower_bound:?} {}", truth(q));
         }
     }
 
     #[test]
-    fn no_points_can_panic() {
+    fn extreme_points_do_not_panic() {
         // Larger stamps and offsets are refused before they get here.
         let most = 1 << 61;
         let wild = [(-most, most), (0, -most), (1, most), (most, -most)];
         let points: Vec<Point> = wild.into_iter().map(|(x, bound)| Point { x, bound }).collect();
         let hulls = hulls(&points, &points);
         for q in [i64::MIN, -1, 0, 1, i64::MAX] {
-            let _ = (hulls.above(q, change()), hulls.below(q, change()));
+            let _ = (hulls.upper_bound(q, change()), hulls.lower_bound(q, change()));
         }
     }
 }

@@ -1,5 +1,4 @@
-//! The skew that exchanges prove whatever the delays were: not the likely skew, but the least and the most that the
-//! clocks must have had.
+//! The skew that exchanges prove, whatever their delays were: not an estimate, but bounds.
 //!
 //! With an upper bound U_a and a later lower one L_b, the offset grew by at least L_b − U_a: at some time in between
 //! its rate was (L_b − U_a) / (b − a) or more. With L_a and U_b it was (U_b − L_a) / (b − a) or less. The window of the
@@ -10,16 +9,18 @@ use super::best_points::{BestPoints, Placement};
 use super::hull;
 use super::slots::Point;
 
-const STRETCH: i64 = 16_000_000_000;
-const MOST: usize = 128;
+/// Length of the intervals of which the best point is kept.
+const INTERVAL_NANOS: i64 = 16_000_000_000;
+/// Largest number of intervals: half an hour.
+const MAX_INTERVALS: usize = 128;
 
 /// Range of the skew that the exchanges of the last half hour prove.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProvenSkew {
     /// Parts per million. At some time the skew was this or more.
-    pub least_ppm: f64,
-    /// Parts per million. At some time the skew was this or less. It is below `least_ppm` only where the skew changed.
-    pub most_ppm: f64,
+    pub min_ppm: f64,
+    /// Parts per million. At some time the skew was this or less. It is below `min_ppm` only if the skew changed.
+    pub max_ppm: f64,
 }
 
 /// The points that prove a skew.
@@ -33,7 +34,7 @@ pub(super) struct SkewProof {
 
 impl Default for SkewProof {
     fn default() -> Self {
-        let best = || BestPoints::new(STRETCH, MOST);
+        let best = || BestPoints::new(INTERVAL_NANOS, MAX_INTERVALS);
         Self { upper: best(), lower: best(), proven: None }
     }
 }
@@ -42,24 +43,25 @@ impl SkewProof {
     /// Inserts an exchange; `slope` is the estimated skew in seconds per second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
         let placed = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
-        // Computed once per stretch, because it compares all pairs of points of the hulls.
+        // Computed once per interval, because it compares all pairs of points of the hulls.
         if placed.contains(&Placement::First) {
             self.proven = self.prove();
         }
     }
 
-    /// Returns the proven skew as of the start of the newest stretch.
+    /// Returns the proven skew as of the start of the newest interval.
     pub(super) fn proven(&self) -> Option<ProvenSkew> {
         self.proven
     }
 
+    /// Computes the proven skew; `None` without enough points.
     fn prove(&self) -> Option<ProvenSkew> {
         let (mut upper, mut lower) = (Vec::with_capacity(32), Vec::with_capacity(32));
         self.upper.iter().for_each(|point| hull::push(&mut upper, point, 0.0));
         self.lower.iter().for_each(|point| hull::push(&mut lower, point, 0.0));
-        let most = lowest_rate(&lower, &upper)?;
-        let least = -lowest_rate(&upper, &lower)?;
-        Some(ProvenSkew { least_ppm: least * 1e6, most_ppm: most * 1e6 })
+        let max = lowest_rate(&lower, &upper)?;
+        let min = -lowest_rate(&upper, &lower)?;
+        Some(ProvenSkew { min_ppm: min * 1e6, max_ppm: max * 1e6 })
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
@@ -72,7 +74,7 @@ impl SkewProof {
 fn lowest_rate(earlier: &[Point], later: &[Point]) -> Option<f64> {
     let rates = later.iter().flat_map(|b| {
         // Points too close in time prove no useful rate, because the delays dominate.
-        let before = earlier.iter().take_while(|a| b.x.saturating_sub(a.x) > STRETCH / 8);
+        let before = earlier.iter().take_while(|a| b.x.saturating_sub(a.x) > INTERVAL_NANOS / 8);
         before.map(|a| b.bound.saturating_add(a.bound) as f64 / (b.x - a.x) as f64)
     });
     rates.min_by(f64::total_cmp)
@@ -95,23 +97,23 @@ mod tests {
             let Bounds { upper, lower } = Bounds::from(&trip.exchange);
             proof.insert(upper, lower, 0.0);
         }
-        proof.proven().expect("several stretches")
+        proof.proven().expect("several intervals")
     }
 
     #[test]
     fn proven_skew_contains_the_truth_and_is_narrow_on_a_short_path() {
         for ppm in [-200.0, -3.0, 0.0, 100.0] {
             let proven = proven(ppm, Path::VETH, 100.0);
-            assert!(proven.least_ppm <= ppm && ppm <= proven.most_ppm, "{proven:?}");
-            assert!(proven.most_ppm - proven.least_ppm < 10.0, "{proven:?}");
+            assert!(proven.min_ppm <= ppm && ppm <= proven.max_ppm, "{proven:?}");
+            assert!(proven.max_ppm - proven.min_ppm < 10.0, "{proven:?}");
         }
     }
 
     #[test]
     fn skew_beyond_the_limit_is_proven_over_a_long_path_in_time() {
         let path = Path { up: 5e6, down: 40e6, jitter: 1e6, loss: 0.02, burst: 0.0 };
-        assert!(proven(100.0, path, 600.0).least_ppm < 50.0);
+        assert!(proven(100.0, path, 600.0).min_ppm < 50.0);
         let late = proven(100.0, path, 1_100.0);
-        assert!(50.0 < late.least_ppm && late.least_ppm <= 100.0 && late.most_ppm >= 100.0, "{late:?}");
+        assert!(50.0 < late.min_ppm && late.min_ppm <= 100.0 && late.max_ppm >= 100.0, "{late:?}");
     }
 }

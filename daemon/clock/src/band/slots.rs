@@ -1,4 +1,4 @@
-//! One side of the band: the best upper bound of the offset from each short stretch of time.
+//! One side of the band: the best upper bound of the offset from each short slot of time.
 //!
 //! A point (x, U) says that the offset is at most U at the edge's time x. Because the offset drifts no faster than ρ,
 //! it is at most U + w(|q − x|) at any time q, where w(d) is ρ·d rounded up: a cone that opens upwards. The bound at q
@@ -6,20 +6,20 @@
 //!
 //! Each slot keeps the point whose cone is the lowest at the later of two points' times. By w(a + b) ≥ w(a) + w(b) − 1
 //! that cone is, to a nanosecond, also the lowest at every time after the slot: a query about the present gets the
-//! answer that all exchanges together give. Two things are lost: the oldest slot of the window expires as a whole, and
-//! a query about a time within a slot may lose ρ × twice the slot's length. Any subset of valid bounds is valid, so
-//! that thinning never makes an interval wrong.
+//! bound that all exchanges together give. Thinning has two costs: the oldest slot of the window expires as a whole, and
+//! the bound at a time within a slot may be wider by ρ × twice the slot's length. It never makes an interval wrong,
+//! because any subset of valid bounds is valid.
 
 use std::collections::VecDeque;
 
 use super::drift::DriftLimit;
 
-/// Usual length of a slot in nanoseconds: the default window has 20 slots.
-const LENGTH: i64 = 500_000_000;
+/// Usual length of a slot: the default window has 20 slots.
+const DEFAULT_SLOT_NANOS: i64 = 500_000_000;
 /// Largest number of slots. Longer retention makes the slots longer instead.
-const MOST: i64 = 1_200;
+const MAX_SLOTS: i64 = 1_200;
 
-/// An upper bound of the offset (`bound`, nanoseconds) that holds exactly at one time (`x`, nanoseconds).
+/// An upper bound of the offset (`bound`, nanoseconds) at one time of the edge's clock (`x`, nanoseconds).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Point {
     pub(super) x: i64,
@@ -29,30 +29,29 @@ pub(super) struct Point {
 impl Point {
     /// Returns the bound at another time that follows from this point.
     #[inline]
-    pub(super) fn carried(self, drift: DriftLimit, q: i64) -> i64 {
-        self.bound.saturating_add(drift.between(self.x, q))
+    pub(super) fn bound_at(self, drift: DriftLimit, q: i64) -> i64 {
+        self.bound.saturating_add(drift.max_change_between(self.x, q))
     }
 
     /// Returns whether the cone at `q` is lower than `bound`. The first comparison is cheap and decides most cases.
     #[inline]
     pub(super) fn is_below(self, bound: i64, drift: DriftLimit, q: i64) -> bool {
-        self.bound < bound && self.carried(drift, q) < bound
+        self.bound < bound && self.bound_at(drift, q) < bound
     }
 }
 
 /// Returns the lowest cone at `q`; `None` without points.
 #[inline]
-pub(super) fn lowest(
+pub(super) fn lowest_bound(
     points: impl DoubleEndedIterator<Item = Point>,
     drift: DriftLimit,
     q: i64,
 ) -> Option<i64> {
-    // The last points are usually the nearest to `q`, and their bounds rule out most of the others without a
-    // multiplication.
+    // The last points are usually the nearest to `q`. Their bounds rule out most of the others without a multiplication.
     points.rev().fold(None, |best, point| match best {
         Some(best) if point.bound >= best => Some(best),
-        Some(best) => Some(point.carried(drift, q).min(best)),
-        None => Some(point.carried(drift, q)),
+        Some(best) => Some(point.bound_at(drift, q).min(best)),
+        None => Some(point.bound_at(drift, q)),
     })
 }
 
@@ -78,14 +77,14 @@ pub(super) struct Slots {
 impl Slots {
     /// Creates slots for points that are kept for `retention` nanoseconds.
     pub(super) fn new(drift: DriftLimit, retention: i64) -> Self {
-        Self { drift, length: LENGTH.max(retention / MOST), points: VecDeque::new() }
+        Self { drift, length: DEFAULT_SLOT_NANOS.max(retention / MAX_SLOTS), points: VecDeque::new() }
     }
 
     /// Returns the lowest cone at `q` of the points no further from it than `reach`; `None` without such points.
     #[inline]
     pub(super) fn bound(&self, q: i64, reach: i64) -> Option<i64> {
         let near = |point: &&Point| point.x.abs_diff(q) <= reach.unsigned_abs();
-        lowest(self.points.iter().filter(near).copied(), self.drift, q)
+        lowest_bound(self.points.iter().filter(near).copied(), self.drift, q)
     }
 
     /// Returns the newest point.
@@ -93,11 +92,17 @@ impl Slots {
         self.points.back().copied()
     }
 
-    /// Returns the points no further from `q` than `reach`, at most `most` before and `most` after it, in the order of
+    /// Returns the points no further from `q` than `reach`, at most `max_per_side` before and after it each, in the order of
     /// time.
-    pub(super) fn around(&self, q: i64, reach: i64, most: usize) -> impl Iterator<Item = Point> + Clone + '_ {
+    pub(super) fn around(
+        &self,
+        q: i64,
+        reach: i64,
+        max_per_side: usize,
+    ) -> impl Iterator<Item = Point> + Clone + '_ {
         let split = self.points.partition_point(|point| point.x <= q);
-        let range = split.saturating_sub(most)..split.saturating_add(most).min(self.points.len());
+        let range =
+            split.saturating_sub(max_per_side)..split.saturating_add(max_per_side).min(self.points.len());
         self.points.range(range).copied().filter(move |point| point.x.abs_diff(q) <= reach.unsigned_abs())
     }
 
@@ -122,13 +127,13 @@ impl Slots {
             _ => self.points.partition_point(|other| slot(other) < slot(&point)),
         };
         match self.points.get_mut(at) {
-            Some(known) if known.x.div_euclid(self.length) == point.x.div_euclid(self.length) => {
+            Some(best) if best.x.div_euclid(self.length) == point.x.div_euclid(self.length) => {
                 // Compared at the later time, because queries are mostly about times after the slot.
-                let later = known.x.max(point.x);
-                if point.carried(self.drift, later) >= known.carried(self.drift, later) {
+                let later = best.x.max(point.x);
+                if point.bound_at(self.drift, later) >= best.bound_at(self.drift, later) {
                     return Insertion::Unchanged;
                 }
-                *known = point;
+                *best = point;
                 if at + 1 == self.points.len() { Insertion::Newest } else { Insertion::Other }
             }
             _ => {
@@ -139,7 +144,7 @@ impl Slots {
     }
 
     /// Removes every point before `start`.
-    pub(super) fn expire(&mut self, start: i64) {
+    pub(super) fn remove_before(&mut self, start: i64) {
         while self.points.pop_front_if(|point| point.x < start).is_some() {}
     }
 
@@ -167,9 +172,9 @@ mod tests {
             let points: Vec<Point> = points.into_iter().map(|(x, bound)| Point { x, bound }).collect();
             let mut slots = Slots::new(limit(), 10_000_000_000);
             points.iter().for_each(|point| _ = slots.insert(*point));
-            let best = points.iter().map(|point| point.carried(limit(), after)).min().expect("points");
-            let known = slots.bound(after, i64::MAX).expect("points");
-            prop_assert!(best <= known && known <= best + 2, "{best} {known}");
+            let best = points.iter().map(|point| point.bound_at(limit(), after)).min().expect("points");
+            let actual = slots.bound(after, i64::MAX).expect("points");
+            prop_assert!(best <= actual && actual <= best + 2, "{best} {actual}");
         }
 
         #[test]
@@ -178,9 +183,9 @@ mod tests {
             let mut newest = 0;
             for x in times {
                 newest = newest.max(x);
-                slots.expire(newest - 10_000_000_000);
+                slots.remove_before(newest - 10_000_000_000);
                 slots.insert(Point { x, bound: x % 977 });
-                slots.expire(newest - 10_000_000_000);
+                slots.remove_before(newest - 10_000_000_000);
                 prop_assert!(slots.points.len() <= 21, "{}", slots.points.len());
                 prop_assert!(slots.points.iter().is_sorted_by_key(|point| point.x));
                 prop_assert!(slots.points.iter().all(|point| point.x >= newest - 10_000_000_000));
@@ -190,7 +195,7 @@ mod tests {
         #[test]
         fn widening_adds_up_to_within_a_nanosecond(a in 0i64..1 << 60, b in 0i64..1 << 60, ppm in 0.0f64..500.0) {
             let drift = DriftLimit::new(ppm);
-            let (parts, whole) = (drift.over(a) + drift.over(b), drift.over(a + b));
+            let (parts, whole) = (drift.max_change_over(a) + drift.max_change_over(b), drift.max_change_over(a + b));
             prop_assert!(whole <= parts && parts <= whole + 1);
         }
     }
@@ -207,12 +212,15 @@ mod tests {
 
     #[test]
     fn rounding_is_to_the_safe_side_and_the_limit_holds_by_either_clock() {
-        assert_eq!(limit().over(1), 1);
+        assert_eq!(limit().max_change_over(1), 1);
         // 50 ppm of the cloud's clock are 50.0025 ppm of the second of a slow edge.
-        assert!(limit().over(1_000_000_000) >= 50_003);
-        assert!(limit().over(1_000_000_000) <= 50_004);
-        assert_eq!(limit().between(i64::MIN, i64::MAX), limit().between(i64::MAX, i64::MIN));
+        assert!(limit().max_change_over(1_000_000_000) >= 50_003);
+        assert!(limit().max_change_over(1_000_000_000) <= 50_004);
+        assert_eq!(
+            limit().max_change_between(i64::MIN, i64::MAX),
+            limit().max_change_between(i64::MAX, i64::MIN)
+        );
         assert_eq!(DriftLimit::new(f64::NAN), DriftLimit::new(f64::INFINITY));
-        assert_eq!(DriftLimit::new(-3.0).over(i64::MAX), 0);
+        assert_eq!(DriftLimit::new(-3.0).max_change_over(i64::MAX), 0);
     }
 }

@@ -54,7 +54,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn the_truth_is_always_inside(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
+    fn truth_is_always_inside(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
         let mut random = RandomSource::new(seed);
         let (window, kept) = (Span::from_seconds(10), Span::from_seconds(40));
         for host_clocks in host_clock_pairs(Span::from_nanos(ahead), Span::from_seconds(120), &mut random) {
@@ -99,20 +99,20 @@ proptest! {
             all.push(bounds);
             all.sort_by_key(|bounds| bounds.lower.x);
             let q = band.newest().expect("has exchanges").nanos();
-            let least = all.len().saturating_sub(LEAST_EXCHANGES);
-            let lowest = |point: fn(&Bounds) -> Point, reach: i64| {
+            let least = all.len().saturating_sub(MIN_EXCHANGES);
+            let lowest_bound = |point: fn(&Bounds) -> Point, reach: i64| {
                 let counts = |(n, bounds): &(usize, &Bounds)| *n >= least || point(bounds).x >= q - reach;
                 let counted = all.iter().enumerate().filter(counts);
-                counted.map(|(_, bounds)| point(bounds).carried(drift, q)).min().expect("has exchanges")
+                counted.map(|(_, bounds)| point(bounds).bound_at(drift, q)).min().expect("has exchanges")
             };
-            let known = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
+            let actual = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
             // The oldest slot expires when its best point does, together with points that may be younger.
             let short = window.nanos() - 500_000_000;
             for (point, bound) in [
-                ((|bounds| bounds.upper) as fn(&Bounds) -> Point, known.hi.nanos()),
-                (|bounds| bounds.lower, -known.lo.nanos()),
+                ((|bounds| bounds.upper) as fn(&Bounds) -> Point, actual.hi.nanos()),
+                (|bounds| bounds.lower, -actual.lo.nanos()),
             ] {
-                let (best, worst) = (lowest(point, window.nanos()), lowest(point, short) + 2);
+                let (best, worst) = (lowest_bound(point, window.nanos()), lowest_bound(point, short) + 2);
                 prop_assert!(best <= bound && bound <= worst, "{best} {bound} {worst}");
             }
         }
@@ -157,7 +157,7 @@ fn rare_exchanges_bound_offset_at_any_age() {
         let interval = band.interval(at).expect("has exchanges").interval;
         assert!(contains(interval, host_clocks.offset(at)));
         let is_narrow = interval.width() < Span::from_millis(100);
-        assert_eq!(is_narrow, n < LEAST_EXCHANGES as i32, "{n}: {interval:?}");
+        assert_eq!(is_narrow, n < MIN_EXCHANGES as i32, "{n}: {interval:?}");
     }
 }
 

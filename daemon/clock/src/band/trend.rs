@@ -1,12 +1,13 @@
 //! The point estimate of the offset within the band, and its rate.
 //!
-//! The slots of the band do not serve this purpose: the best point of a slot is the one that bounds later times best,
-//! and for two clocks that drift apart at the limit that is always the earliest or the latest one. The estimate keeps
-//! the best point of each second on either side instead. The skew is the mean slope of two lines, one below all upper
-//! points and one above all lower ones, of about twenty seconds around the time of the query. After the skew is
-//! removed, the rest of the drift is a wander much slower than the limit, and the band of these points is much
-//! narrower. The estimate is its middle. It assumes that the shortest delays of both directions are equal. This cannot
-//! be verified, and the bounds do not rely on it.
+//! The estimate keeps the best point of each second on either side. The skew is the mean slope of two lines, one below
+//! all upper points and one above all lower ones, of about twenty seconds around the time of the query. After the skew is
+//! removed, the remaining drift is a wander much slower than the limit, so that the band of these points is much
+//! narrower. The estimate is the middle of this narrow band. It assumes that the shortest delays of both directions are
+//! equal. This cannot be verified, and the bounds do not rely on it.
+//!
+//! The slots of the band are unsuitable for the estimate. The best point of a slot is the one that bounds later times
+//! best. For two clocks that drift apart at the limit, that is always the earliest or the latest point.
 
 use std::sync::OnceLock;
 
@@ -17,20 +18,21 @@ use super::slots::Point;
 
 const SECOND: i64 = 1_000_000_000;
 /// Largest number of seconds kept.
-const SECONDS: usize = 1024;
-/// Seconds with exchanges that an estimate uses. More make it steadier under load, fewer follow a wandering clock
-/// faster.
-const FOR_ESTIMATE: usize = 20;
-/// Seconds with exchanges that the reported skew uses.
-const FOR_SKEW: usize = 120;
-/// Largest distance in nanoseconds between a point and the time that it is used for.
-const REACH: i64 = 120 * SECOND;
-/// Assumed wander of clocks around their skew, seconds per second. Crystals at changing temperature wander far less.
-const WANDER: f64 = 2e-6;
+const MAX_SECONDS: usize = 1024;
+/// Number of seconds with exchanges that an estimate uses.
+// More seconds make the estimate steadier under load; fewer seconds follow a wandering clock faster.
+const ESTIMATE_SECONDS: usize = 20;
+/// Number of seconds with exchanges that the reported skew uses.
+const SKEW_SECONDS: usize = 120;
+/// Largest time between a point and a query that it is used for.
+const MAX_DISTANCE_NANOS: i64 = 120 * SECOND;
+/// Assumed wander of clocks around their skew, seconds per second.
+// Crystals wander far less, even at changing temperature.
+const MAX_WANDER: f64 = 2e-6;
 /// Smallest number of exchanges from which a skew is computed.
-const LEAST_EXCHANGES: u64 = 8;
-/// Shortest time in nanoseconds from which a skew is computed.
-const LEAST_TIME: i64 = 5 * SECOND;
+const MIN_EXCHANGES: u64 = 8;
+/// Shortest time between the first and the last exchange from which a skew is computed.
+const MIN_NANOS: i64 = 5 * SECOND;
 
 /// The best points of each second on either side.
 #[derive(Clone, Debug)]
@@ -38,12 +40,13 @@ pub(super) struct Trend {
     upper: BestPoints,
     /// Lower bounds with the opposite sign.
     lower: BestPoints,
-    /// Skew of the offset as of the newest second. A later point replaces an earlier one if it is lower than this skew
-    /// explains.
+    /// Skew of the offset as of the newest second. A later point replaces an earlier one of its second if it is lower than
+    /// the earlier one plus the drift at this skew.
     slope: f64,
-    /// Cached slope of the newest [`FOR_ESTIMATE`] seconds, until one of their points changes. Most queries are about
-    /// the present, and most exchanges change no point.
+    /// Cached slope of the newest [`ESTIMATE_SECONDS`] seconds, until one of their points changes.
+    // Most queries are about the present, and most exchanges change no point.
     newest_slope: OnceLock<Option<f64>>,
+    /// Times of the first and the last exchange, nanoseconds.
     span: Option<(i64, i64)>,
     exchanges: u64,
     proof: SkewProof,
@@ -51,7 +54,7 @@ pub(super) struct Trend {
 
 impl Default for Trend {
     fn default() -> Self {
-        let best = || BestPoints::new(SECOND, SECONDS);
+        let best = || BestPoints::new(SECOND, MAX_SECONDS);
         Self {
             upper: best(),
             lower: best(),
@@ -77,19 +80,19 @@ impl Trend {
         }
         // Once per second is enough, because the skew changes slowly.
         if placed.contains(&Placement::First) {
-            self.slope = self.slope(lower.x, FOR_ESTIMATE, limit).unwrap_or(0.0);
+            self.slope = self.slope(lower.x, ESTIMATE_SECONDS, limit).unwrap_or(0.0);
         }
     }
 
     /// Returns the estimate at a time in nanoseconds; `None` without enough exchanges.
     ///
-    /// An empty narrow band means that the clocks wander faster than assumed. The estimate then uses half of the
-    /// seconds, and then a quarter of them.
-    pub(super) fn at(&self, x: i64, limit: f64) -> Option<i64> {
-        [FOR_ESTIMATE, FOR_ESTIMATE / 2, FOR_ESTIMATE / 4].into_iter().find_map(|seconds| {
+    /// If the clocks wander faster than assumed, the narrow band is empty. The estimate then uses half of the seconds, and
+    /// then a quarter of them.
+    pub(super) fn estimate_at(&self, x: i64, limit: f64) -> Option<i64> {
+        [ESTIMATE_SECONDS, ESTIMATE_SECONDS / 2, ESTIMATE_SECONDS / 4].into_iter().find_map(|seconds| {
             let slope = self.slope(x, seconds, limit)?;
-            let above = lowest(&self.upper, x, seconds, slope)?;
-            let below = lowest(&self.lower, x, seconds, -slope)?;
+            let above = lowest_bound(&self.upper, x, seconds, slope)?;
+            let below = lowest_bound(&self.lower, x, seconds, -slope)?;
             // Below 0 the narrow band is empty.
             (above.saturating_add(below) >= 0).then(|| above.saturating_sub(below) / 2)
         })
@@ -97,13 +100,13 @@ impl Trend {
 
     /// Returns the rate of the offset around a time in seconds per second.
     pub(super) fn slope_at(&self, x: i64, limit: f64) -> Option<f64> {
-        self.slope(x, FOR_ESTIMATE, limit)
+        self.slope(x, ESTIMATE_SECONDS, limit)
     }
 
     /// Returns the rate of the offset over the latest exchanges in seconds per second. No limit applies, so that clocks
     /// which exceed theirs are visible.
     pub(super) fn skew(&self) -> Option<f64> {
-        self.slope(self.span?.1, FOR_SKEW, f64::INFINITY)
+        self.slope(self.span?.1, SKEW_SECONDS, f64::INFINITY)
     }
 
     /// Returns the proof of the skew.
@@ -115,21 +118,23 @@ impl Trend {
         self.upper.memory_bytes() + self.lower.memory_bytes() + self.proof.memory_bytes()
     }
 
+    /// Returns the rate of the offset by the `seconds` nearest seconds, in seconds per second.
     fn slope(&self, x: i64, seconds: usize, limit: f64) -> Option<f64> {
         let (first, last) = self.span?;
-        if self.exchanges < LEAST_EXCHANGES || last.saturating_sub(first) < LEAST_TIME {
+        if self.exchanges < MIN_EXCHANGES || last.saturating_sub(first) < MIN_NANOS {
             return None;
         }
-        let between = || {
-            let above = hull::slope_under(around(&self.upper, x, seconds))?;
-            let below = hull::slope_under(around(&self.lower, x, seconds))?;
+        let compute = || {
+            let above = hull::slope_below(around(&self.upper, x, seconds))?;
+            let below = hull::slope_below(around(&self.lower, x, seconds))?;
             Some((above - below) / 2.0)
         };
-        let are_newest = |points: &BestPoints| points.are_newest_around(x, seconds, REACH as u64);
-        let slope = if seconds == FOR_ESTIMATE && are_newest(&self.upper) && are_newest(&self.lower) {
-            *self.newest_slope.get_or_init(between)
+        let are_newest =
+            |points: &BestPoints| points.are_newest_around(x, seconds, MAX_DISTANCE_NANOS as u64);
+        let slope = if seconds == ESTIMATE_SECONDS && are_newest(&self.upper) && are_newest(&self.lower) {
+            *self.newest_slope.get_or_init(compute)
         } else {
-            between()
+            compute()
         };
         // A steeper slope is noise of the delays, because the clocks cannot drift as fast.
         Some(slope?.clamp(-limit, limit))
@@ -137,15 +142,15 @@ impl Trend {
 }
 
 /// Returns the lowest bound at `x` by the points around it, for a known skew and the assumed wander around it.
-fn lowest(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64> {
-    let carried = |point: Point| {
+fn lowest_bound(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64> {
+    let bound_at = |point: Point| {
         let away = x.saturating_sub(point.x) as f64;
-        point.bound.saturating_add((slope * away + WANDER * away.abs()).round() as i64)
+        point.bound.saturating_add((slope * away + MAX_WANDER * away.abs()).round() as i64)
     };
-    around(points, x, seconds).map(carried).min()
+    around(points, x, seconds).map(bound_at).min()
 }
 
 /// Returns the points of the nearest seconds: half of them before `x` and half after it, where enough exist.
 fn around(points: &BestPoints, x: i64, seconds: usize) -> impl Iterator<Item = Point> + '_ {
-    points.around(x, seconds).filter(move |point| point.x.abs_diff(x) <= REACH as u64)
+    points.around(x, seconds).filter(move |point| point.x.abs_diff(x) <= MAX_DISTANCE_NANOS as u64)
 }

@@ -1,34 +1,34 @@
-//! Computation of a delay from the known offset.
+//! Computation of one-way delays from the offset, and their verdicts.
 
-use super::sources::{Combined, Knowledge};
+use super::sources::{CombinedOffset, OffsetSources};
 use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
 /// Smallest number of exchanges in the window from which a delay is judged at all.
-const LEAST_EXCHANGES: u64 = 3;
+const MIN_EXCHANGES: u64 = 3;
 
 impl Relation {
-    /// Learns a finished exchange of data, then judges its two delays. The delays of an exchange that was refused are
-    /// `stepped`.
+    /// Learns a finished exchange of data, and returns its two delays. If it is refused, they are `stepped`, or
+    /// `unsynchronised` if the clocks were never related.
     pub fn judge(&mut self, observation: &ExchangeObservation) -> JudgedExchange {
         let exchange = &observation.exchange;
-        let company = self.presence.near(exchange.sent, exchange.returned, self.settings.fresh);
-        // Learnt after the search for recent exchanges, in which this one must not count, and before the judgement,
-        // which it narrows.
+        let is_fresh =
+            self.exchange_times.has_exchange_near(exchange.sent, exchange.returned, self.settings.fresh);
+        // The exchange must not count as a recent one for its own delays, but narrows their intervals.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
         if let LearnResult::Refused(why) = learned {
             return JudgedExchange {
                 learned,
-                up: self.refused(why, Direction::Up, sent, received),
-                down: self.refused(why, Direction::Down, replied, returned),
+                up: self.refused_delay(why, Direction::Up, sent, received),
+                down: self.refused_delay(why, Direction::Down, replied, returned),
             };
         }
-        let [up, down] = self.guesses(sent, returned);
+        let [up, down] = self.offsets_of_exchange(sent, returned);
         JudgedExchange {
             learned,
-            up: self.delay_in_company(Direction::Up, sent, received, company, up),
-            down: self.delay_in_company(Direction::Down, replied, returned, company, down),
+            up: self.corrected_delay(Direction::Up, sent, received, up, is_fresh),
+            down: self.corrected_delay(Direction::Down, replied, returned, down, is_fresh),
         }
     }
 
@@ -36,90 +36,107 @@ impl Relation {
     /// exchanges learnt so far.
     pub fn delay(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
-        let company = self.presence.near(at, at, self.settings.fresh);
-        self.delay_in_company(direction, sent, received, company, self.knowledge(at, None).combined())
+        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.fresh);
+        self.corrected_delay(direction, sent, received, self.combined_offset(at), is_fresh)
     }
 
-    /// Returns how much later one receiver got a message than another one on the other host, for a message in each
-    /// direction. Each pair contains the stamps of the two receivers, with the one on the sender's host first.
+    /// Returns the differences between the times at which two receivers on the two hosts got the same message, for one
+    /// message in each direction. Each pair contains the stamps of the two receivers; the one on the sender's host comes
+    /// first.
     ///
-    /// Nothing is learnt from the stamps, because none of them is a departure: they bound no offset. A difference and
-    /// its interval may be negative, because each receiver has its own delay.
-    pub fn differences(&self, up: (RawTime, RawTime), down: (RawTime, RawTime)) -> [OneWayDelay; 2] {
-        let company = self.presence.near(up.0, down.1, self.settings.fresh);
-        let [of_up, of_down] = self.guesses(up.0, down.1);
+    /// A difference and its interval may be negative, because each receiver has its own delay.
+    // The relation learns nothing from these stamps. None of them is a departure, so that they do not bound the offset.
+    pub fn reception_differences(
+        &self,
+        up: (RawTime, RawTime),
+        down: (RawTime, RawTime),
+    ) -> [OneWayDelay; 2] {
+        let is_fresh = self.exchange_times.has_exchange_near(up.0, down.1, self.settings.fresh);
+        let [of_up, of_down] = self.offsets_of_exchange(up.0, down.1);
         [
-            self.difference_in_company(Direction::Up, up.0, up.1, company, of_up),
-            self.difference_in_company(Direction::Down, down.0, down.1, company, of_down),
+            self.corrected_difference(Direction::Up, up.0, up.1, of_up, is_fresh),
+            self.corrected_difference(Direction::Down, down.0, down.1, of_down, is_fresh),
         ]
     }
 
-    /// Returns the same difference for one message.
-    pub fn difference(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
-        let at = edge_time(direction, sent, received);
-        let company = self.presence.near(at, at, self.settings.fresh);
-        self.difference_in_company(direction, sent, received, company, self.knowledge(at, None).combined())
-    }
-
-    fn difference_in_company(
+    /// Returns the difference between the times at which two receivers got one message, as
+    /// [`reception_differences`](Self::reception_differences) does for a pair of messages.
+    pub fn reception_difference(
         &self,
         direction: Direction,
         sent: RawTime,
         received: RawTime,
-        company: bool,
-        known: Option<Combined>,
+    ) -> OneWayDelay {
+        let at = edge_time(direction, sent, received);
+        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.fresh);
+        self.corrected_difference(direction, sent, received, self.combined_offset(at), is_fresh)
+    }
+
+    /// Computes a difference between two receivers from the offset at the time of the edge's stamp.
+    fn corrected_difference(
+        &self,
+        direction: Direction,
+        sent: RawTime,
+        received: RawTime,
+        offset: Option<CombinedOffset>,
+        is_fresh: bool,
     ) -> OneWayDelay {
         let raw = received - sent;
-        let Some(known) = known else {
+        let Some(offset) = offset else {
             return OneWayDelay::unsynchronised(raw);
         };
-        let (lo, hi, value) = without_offset(direction, raw, &known);
-        // Allowance for the drift of the two clocks during the difference, because it may be counted by either.
-        let rate = Span::from_nanos(self.windows.limit().over(lo.abs().max(hi.abs()).nanos()));
-        // Two stamps of one clock differ by no drift.
-        let is_exact = known.source == DelaySource::SameClock && known.agree;
+        let (lo, hi, value) = subtract_offset(direction, raw, &offset);
+        // The difference may be measured by either clock, and the clocks drift apart during it.
+        let rate = Span::from_nanos(self.windows.limit().max_change_over(lo.abs().max(hi.abs()).nanos()));
+        // There is no drift between two stamps of one clock.
+        let is_exact = offset.source == DelaySource::SameClock && offset.is_consistent;
         let bounds =
             if is_exact { Interval::exactly(raw) } else { Interval { lo: lo - rate, hi: hi + rate } };
-        self.judged(edge_time(direction, sent, received), raw, (value, bounds), &known, company)
+        self.with_verdict(edge_time(direction, sent, received), raw, (value, bounds), &offset, is_fresh)
     }
 
-    /// Returns what is known at `sent` and at `returned`. Both directions share one estimate, so that the two delays
-    /// add up to the round trip.
-    fn guesses(&self, sent: RawTime, returned: RawTime) -> [Option<Combined>; 2] {
-        let down = self.knowledge(returned, None).combined();
-        let guess = down.map(|down| down.estimate + self.windows.growth(returned, sent));
-        [self.knowledge(sent, guess).combined(), down]
+    /// Returns the offsets at the times at which an exchange was sent and returned.
+    // Both directions share one estimate, so that the two delays add up to the round trip.
+    fn offsets_of_exchange(&self, sent: RawTime, returned: RawTime) -> [Option<CombinedOffset>; 2] {
+        let down = self.combined_offset(returned);
+        let up_estimate = down.map(|down| down.estimate + self.windows.offset_change(returned, sent));
+        [self.offset_sources(sent, up_estimate).combine(), down]
     }
 
-    /// Returns what each source states at a time. `guess`, if given, replaces the band's estimate.
-    pub(super) fn knowledge(&self, at: RawTime, guess: Option<Span>) -> Knowledge {
-        let known = self.windows.interval(at);
-        let in_band = known.map(|known| {
-            let estimate = match guess {
-                Some(guess) => guess.clamp(known.interval.lo, known.interval.hi),
-                None => self.windows.estimate(at, known),
+    /// Returns the offset at a time by all sources together; `None` if there is no source.
+    fn combined_offset(&self, at: RawTime) -> Option<CombinedOffset> {
+        self.offset_sources(at, None).combine()
+    }
+
+    /// Returns the interval of each source at a time. `estimate`, if given, replaces the band's own estimate.
+    pub(super) fn offset_sources(&self, at: RawTime, estimate: Option<Span>) -> OffsetSources {
+        let band = self.windows.interval(at);
+        let in_band = band.map(|band| {
+            let estimate = match estimate {
+                Some(estimate) => estimate.clamp(band.interval.lo, band.interval.hi),
+                None => self.windows.estimate(at, band),
             };
-            (known.interval, estimate)
+            (band.interval, estimate)
         });
         let same = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
         let claimed = || self.claims.offset().filter(|_| self.settings.trust_time_daemons);
-        Knowledge {
+        OffsetSources {
             in_band,
-            is_consistent: known.is_none_or(|known| known.is_consistent),
+            is_consistent: band.is_none_or(|band| band.is_consistent),
             other: same.or_else(claimed),
         }
     }
 
-    /// Returns `ok`, `stale` or `inconsistent`. Exchanges must be recent, and their assumptions not in doubt, only
-    /// where they narrow the interval.
-    pub(super) fn verdict_of(&self, combined: &Combined, fresh: bool) -> Verdict {
-        let in_band = matches!(combined.source, DelaySource::InBand | DelaySource::Intersection);
-        if !combined.agree || (in_band && self.in_doubt()) {
+    /// Returns `ok`, `stale` or `inconsistent`. `is_fresh` says whether there are recent exchanges.
+    // Old exchanges and violated assumptions matter only where exchanges narrow the interval.
+    pub(super) fn verdict_of(&self, offset: &CombinedOffset, is_fresh: bool) -> Verdict {
+        let in_band = matches!(offset.source, DelaySource::InBand | DelaySource::Intersection);
+        if !offset.is_consistent || (in_band && self.violates_limit()) {
             return Verdict::Inconsistent;
         }
         if in_band
-            && (!fresh
-                || self.windows.exchanges() < LEAST_EXCHANGES
+            && (!is_fresh
+                || self.windows.exchanges() < MIN_EXCHANGES
                 || !self.contradictions.suspects.is_empty())
         {
             return Verdict::Stale;
@@ -127,78 +144,84 @@ impl Relation {
         Verdict::Ok
     }
 
-    /// Returns the delay of a refused exchange. After a step nothing is known yet, but the step remains the reason for
-    /// the refusal.
-    fn refused(&self, why: Refusal, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
+    /// Returns the delay of a refused exchange: `stepped` after a step or if there is an offset, otherwise
+    /// `unsynchronised`.
+    fn refused_delay(
+        &self,
+        why: Refusal,
+        direction: Direction,
+        sent: RawTime,
+        received: RawTime,
+    ) -> OneWayDelay {
         let raw = received - sent;
         let at = edge_time(direction, sent, received);
-        let stepped = why == Refusal::Stepped || self.restarted.is_some();
-        if stepped || self.knowledge(at, Some(Span::ZERO)).combined().is_some() {
+        let is_near_step = why == Refusal::Stepped || self.estimate_before_restart.is_some();
+        if is_near_step || self.combined_offset(at).is_some() {
             OneWayDelay::stepped(raw, DelaySource::None)
         } else {
             OneWayDelay::unsynchronised(raw)
         }
     }
 
-    /// Computes a delay from the offset at the edge's own stamp, which is exact.
+    /// Computes a delay from the offset at the time of the edge's stamp.
     ///
-    /// The other stamp minus what the cloud showed at that moment is the delay by the cloud's clock. By the edge's
-    /// clock it may differ by ρ × delay. The interval contains both, and the value by any clock between the two.
-    fn delay_in_company(
+    /// The interval contains the delay as measured by either clock. The two differ by up to ρ × delay, where ρ is the
+    /// limit of drift.
+    fn corrected_delay(
         &self,
         direction: Direction,
         sent: RawTime,
         received: RawTime,
-        company: bool,
-        known: Option<Combined>,
+        offset: Option<CombinedOffset>,
+        is_fresh: bool,
     ) -> OneWayDelay {
         let raw = received - sent;
         let at = edge_time(direction, sent, received);
-        let Some(known) = known else {
+        let Some(offset) = offset else {
             return OneWayDelay::unsynchronised(raw);
         };
-        if known.source == DelaySource::SameClock && known.agree {
+        if offset.source == DelaySource::SameClock && offset.is_consistent {
             return OneWayDelay::same_clock(raw);
         }
-        let (lo, hi, value) = without_offset(direction, raw, &known);
+        let (lo, hi, value) = subtract_offset(direction, raw, &offset);
         // No delay is negative, so a clock was stepped near this message.
         if hi.is_negative() {
-            return OneWayDelay::stepped(raw, known.source);
+            return OneWayDelay::stepped(raw, offset.source);
         }
-        let rate = Span::from_nanos(self.windows.limit().over(hi.nanos()));
+        let rate = Span::from_nanos(self.windows.limit().max_change_over(hi.nanos()));
         let bounds = Interval { lo: (lo - rate).max(Span::ZERO), hi: hi + rate };
-        // The estimate assumes a symmetric path, so it may lie outside of what is proven.
+        // The estimate assumes a symmetric path, so that it may lie outside of the proven interval.
         let value = value.clamp(lo.max(Span::ZERO), hi);
-        self.judged(at, raw, (value, bounds), &known, company)
+        self.with_verdict(at, raw, (value, bounds), &offset, is_fresh)
     }
 
-    /// Builds the result with its source and verdict.
-    fn judged(
+    /// Returns a delay or a difference with its source and verdict.
+    fn with_verdict(
         &self,
         at: RawTime,
         raw: Span,
         (value, bounds): (Span, Interval),
-        known: &Combined,
-        company: bool,
+        offset: &CombinedOffset,
+        is_fresh: bool,
     ) -> OneWayDelay {
         let is_wide = bounds.width() > Span::from_nanos(value.abs().nanos() / 2);
-        let verdict = match self.verdict_of(known, company) {
-            Verdict::Ok if is_wide || self.windows.is_unsettled(at) => Verdict::Limited,
+        let verdict = match self.verdict_of(offset, is_fresh) {
+            Verdict::Ok if is_wide || self.windows.is_near_suspected_jump(at) => Verdict::Limited,
             verdict => verdict,
         };
-        // One of the sources is wrong and it is unknown which, so that no interval can be stated.
-        let is_known = verdict != Verdict::Inconsistent;
+        // One of the sources is wrong, and it is unknown which, so that there is no valid interval.
+        let is_valid = verdict != Verdict::Inconsistent;
         OneWayDelay {
             raw,
-            value: is_known.then_some(value),
-            bounds: is_known.then_some(bounds),
-            source: known.source,
+            value: is_valid.then_some(value),
+            bounds: is_valid.then_some(bounds),
+            source: offset.source,
             verdict,
         }
     }
 }
 
-/// Returns the stamp that is the edge's.
+/// Returns the stamp that the edge's clock made.
 fn edge_time(direction: Direction, sent: RawTime, received: RawTime) -> RawTime {
     match direction {
         Direction::Up => sent,
@@ -207,9 +230,9 @@ fn edge_time(direction: Direction, sent: RawTime, received: RawTime) -> RawTime 
 }
 
 /// Returns the lower bound, the upper bound and the estimate of a raw difference after the clocks' offset is removed.
-fn without_offset(direction: Direction, raw: Span, known: &Combined) -> (Span, Span, Span) {
+fn subtract_offset(direction: Direction, raw: Span, offset: &CombinedOffset) -> (Span, Span, Span) {
     match direction {
-        Direction::Up => (raw - known.bounds.hi, raw - known.bounds.lo, raw - known.estimate),
-        Direction::Down => (raw + known.bounds.lo, raw + known.bounds.hi, raw + known.estimate),
+        Direction::Up => (raw - offset.bounds.hi, raw - offset.bounds.lo, raw - offset.estimate),
+        Direction::Down => (raw + offset.bounds.lo, raw + offset.bounds.hi, raw + offset.estimate),
     }
 }

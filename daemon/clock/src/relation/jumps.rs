@@ -13,20 +13,20 @@ use std::collections::VecDeque;
 use crate::band::DriftLimit;
 use crate::{Exchange, RawTime, Span};
 
-/// Length in nanoseconds of the stretches whose shortest round trips are kept.
-const STRETCH: i64 = 500_000_000;
-/// Number of newest stretches that are kept at any age.
-const LEAST: usize = 8;
-/// Largest number of stretches that are kept.
-const MOST: usize = 20;
-/// Smallest number of stretches from which the shortest round trip is considered known.
-const LEAST_TO_SUSPECT: usize = 4;
-/// Movement of a middle in nanoseconds that is never suspected. The tolerance is a fiftieth of the shortest round trip
-/// if that is more.
-const TOLERANCE: i64 = 100_000;
-const TOLERANCE_SHARE: i64 = 50;
+/// Length of the intervals of which the exchange with the shortest round trip is kept.
+const INTERVAL_NANOS: i64 = 500_000_000;
+/// Number of newest points that are kept at any age.
+const MIN_POINTS: usize = 8;
+/// Largest number of points.
+const MAX_POINTS: usize = 20;
+/// Smallest number of points from which the shortest round trip is reliable.
+const MIN_POINTS_TO_SUSPECT: usize = 4;
+/// Movement of a middle that is never suspected.
+const MIN_TOLERANCE_NANOS: i64 = 100_000;
+/// The tolerance is the shortest round trip divided by this number, if that is more than the minimum.
+const ROUND_TRIP_TO_TOLERANCE: i64 = 50;
 
-/// The exchange with the shortest round trip of each half second of the window.
+/// The exchange with the shortest round trip of each interval of the window.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ShortestRoundTrips {
     points: VecDeque<RoundTripPoint>,
@@ -34,8 +34,8 @@ pub(super) struct ShortestRoundTrips {
     /// path's own round trip by the spread.
     shortest: i64,
     spread: i64,
-    /// Time until which short exchanges are ignored, after one seemed shorter than the path. An exchange sent later was
-    /// not in flight together with it.
+    /// Time until which short exchanges are ignored, after one seemed shorter than the path.
+    // An exchange that is sent later was not in flight together with the short one.
     shortened_until: Option<RawTime>,
 }
 
@@ -52,7 +52,7 @@ struct RoundTripPoint {
 
 /// A jump that an exchange suggests.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Suspicion {
+pub(super) struct SuspectedJump {
     /// Movement of the middle.
     pub(super) moved: Span,
     /// Times at which the last earlier exchange that would have shown the jump was sent and returned.
@@ -72,44 +72,47 @@ impl From<&Exchange> for RoundTripPoint {
 }
 
 impl ShortestRoundTrips {
-    /// Returns the jump that an exchange suggests, which must be within the limits of drift and of its change.
-    pub(super) fn suspect(&self, exchange: &Exchange, drift: DriftLimit) -> Option<Suspicion> {
+    /// Returns the jump that an exchange suggests. The exchange must not contradict the band.
+    pub(super) fn suspected_jump(&self, exchange: &Exchange, drift: DriftLimit) -> Option<SuspectedJump> {
         let point = RoundTripPoint::from(exchange);
-        let longer = point.round_trip.saturating_sub(self.shortest).saturating_abs();
+        let extra_round_trip = point.round_trip.saturating_sub(self.shortest).saturating_abs();
         let newest = self.points.back()?;
         // Cheap check first: usually the middle is where the newest one was.
         let tolerance = self.tolerance();
-        let moved = |known: &RoundTripPoint| point.middle.saturating_sub(known.middle);
-        if self.points.len() < LEAST_TO_SUSPECT
-            || (longer / 2).saturating_add(tolerance) > moved(newest).abs()
+        let moved = |earlier: &RoundTripPoint| point.middle.saturating_sub(earlier.middle);
+        if self.points.len() < MIN_POINTS_TO_SUSPECT
+            || (extra_round_trip / 2).saturating_add(tolerance) > moved(newest).abs()
         {
             return None;
         }
-        let is_beyond = |known: &&RoundTripPoint| {
-            let moved = moved(known).abs();
-            let waited = longer.saturating_add(known.round_trip - self.shortest) / 2;
+        let exceeds_explanation = |earlier: &&RoundTripPoint| {
+            let moved = moved(earlier).abs();
+            let waited = extra_round_trip.saturating_add(earlier.round_trip - self.shortest) / 2;
             // The middle belongs to the bounds at two times, between which the offset drifts.
-            let drifted =
-                drift.between(known.sent.min(point.sent).nanos(), known.returned.max(point.returned).nanos());
-            let explained = [waited, drifted, tolerance, self.spread, point.uncertainty, known.uncertainty];
-            longer <= moved / 4 && moved > explained.into_iter().fold(0, i64::saturating_add)
+            let drifted = drift.max_change_between(
+                earlier.sent.min(point.sent).nanos(),
+                earlier.returned.max(point.returned).nanos(),
+            );
+            let explained = [waited, drifted, tolerance, self.spread, point.uncertainty, earlier.uncertainty];
+            extra_round_trip <= moved / 4 && moved > explained.into_iter().fold(0, i64::saturating_add)
         };
-        let moved = moved(self.points.iter().rev().find(is_beyond)?);
-        let would_show = |known: &&RoundTripPoint| known.round_trip - self.shortest <= moved.abs() / 4;
+        let moved = moved(self.points.iter().rev().find(exceeds_explanation)?);
+        let would_show = |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest <= moved.abs() / 4;
         let last = self.points.iter().rev().find(would_show)?;
-        Some(Suspicion { moved: Span::from_nanos(moved), last_before: (last.sent, last.returned) })
+        Some(SuspectedJump { moved: Span::from_nanos(moved), last_before: (last.sent, last.returned) })
     }
 
+    /// Returns the movement of a middle in nanoseconds up to which no jump is suspected.
     fn tolerance(&self) -> i64 {
-        TOLERANCE.max(self.shortest / TOLERANCE_SHARE)
+        MIN_TOLERANCE_NANOS.max(self.shortest / ROUND_TRIP_TO_TOLERANCE)
     }
 
-    /// Returns whether an exchange seems shorter than the path, and no exchange that was not in flight together with it
-    /// did so.
-    fn may_span_jump(&mut self, point: &RoundTripPoint) -> bool {
+    /// Returns whether an exchange may have been in flight during a jump: it seems shorter than the path, and no exchange
+    /// that was sent after its return is as short. Updates the time until which short exchanges are ignored.
+    fn check_for_spanned_jump(&mut self, point: &RoundTripPoint) -> bool {
         let shorter = self.shortest.saturating_sub(point.round_trip);
         let explained = self.tolerance().saturating_add(self.spread).saturating_add(point.uncertainty);
-        let is_short = self.points.len() >= LEAST_TO_SUSPECT && shorter > explained;
+        let is_short = self.points.len() >= MIN_POINTS_TO_SUSPECT && shorter > explained;
         match self.shortened_until {
             Some(until) if until <= point.sent => {
                 self.shortened_until = None;
@@ -118,8 +121,8 @@ impl ShortestRoundTrips {
             Some(_) => is_short,
             None => {
                 // By the clock that stamped its departure, the exchange returned later by as much as it seems shorter.
-                let apart = Span::from_nanos(shorter.saturating_add(explained));
-                self.shortened_until = is_short.then(|| point.returned + apart);
+                let delay = Span::from_nanos(shorter.saturating_add(explained));
+                self.shortened_until = is_short.then(|| point.returned + delay);
                 is_short
             }
         }
@@ -128,30 +131,31 @@ impl ShortestRoundTrips {
     /// Inserts an exchange, and removes those more than `window` before it.
     pub(super) fn insert(&mut self, exchange: &Exchange, window: Span) {
         let point = RoundTripPoint::from(exchange);
-        if self.may_span_jump(&point) {
+        if self.check_for_spanned_jump(&point) {
             return;
         }
-        let stretch = |point: &RoundTripPoint| point.sent.nanos().div_euclid(STRETCH);
+        let interval = |point: &RoundTripPoint| point.sent.nanos().div_euclid(INTERVAL_NANOS);
         match self.points.back_mut() {
-            Some(last) if stretch(last) == stretch(&point) => {
+            Some(last) if interval(last) == interval(&point) => {
                 if point.round_trip < last.round_trip {
                     *last = point;
                     self.shortest = self.shortest.min(point.round_trip);
                 }
             }
-            // A late answer of an earlier half second adds nothing.
-            Some(last) if stretch(last) > stretch(&point) => {}
+            // A late answer of an earlier interval adds nothing.
+            Some(last) if interval(last) > interval(&point) => {}
             _ => {
                 self.points.push_back(point);
                 let start = point.sent - window;
-                let is_needless = |points: &VecDeque<RoundTripPoint>| {
-                    points.len() > MOST
-                        || (points.len() > LEAST && points.front().is_some_and(|point| point.sent < start))
+                let has_expired_point = |points: &VecDeque<RoundTripPoint>| {
+                    points.len() > MAX_POINTS
+                        || (points.len() > MIN_POINTS
+                            && points.front().is_some_and(|point| point.sent < start))
                 };
-                while is_needless(&self.points) {
+                while has_expired_point(&self.points) {
                     self.points.pop_front();
                 }
-                self.measure();
+                self.update_shortest();
             }
         }
     }
@@ -162,14 +166,15 @@ impl ShortestRoundTrips {
         self.shortened_until = None;
     }
 
-    fn measure(&mut self) {
-        // The newest stretch is incomplete, so that its shortest round trip is not known yet.
+    /// Updates the shortest round trip and the spread.
+    fn update_shortest(&mut self) {
+        // The newest interval is incomplete, so that its shortest round trip is not final.
         let complete = self.points.len().saturating_sub(1).max(1);
-        let mut trips = [i64::MAX; MOST];
+        let mut trips = [i64::MAX; MAX_POINTS];
         for (trip, point) in trips.iter_mut().zip(self.points.iter().take(complete)) {
             *trip = point.round_trip;
         }
-        let (_, other, _) = trips[..].select_nth_unstable(LEAST.min(complete) - 1);
+        let (_, other, _) = trips[..].select_nth_unstable(MIN_POINTS.min(complete) - 1);
         self.shortest = self.points.iter().map(|point| point.round_trip).min().unwrap_or(0);
         self.spread = *other - self.shortest;
     }

@@ -1,14 +1,14 @@
 //! The relation between two hosts' clocks: its offset by the exchanges between the hosts, by the claims of their time
 //! daemons, and by a proof that they read one clock.
 //!
-//! No I/O: tests feed generated histories of clocks and paths, some of which violate an assumption.
+//! The module does no I/O. Tests feed it generated histories of clocks and paths, some of which violate an assumption.
 
+mod contradictions;
+mod exchange_times;
 mod judging;
 mod jumps;
-mod presence;
 mod sources;
 mod steps;
-mod suspects;
 #[cfg(test)]
 mod tests;
 mod types;
@@ -16,21 +16,24 @@ mod windows;
 
 use crate::band::{Bounds, Contradiction, ProvenSkew};
 use crate::{Discipline, Exchange, ExchangeObservation, RawTime, RelatedClocks, Span, WallTime};
-use presence::Presence;
+use contradictions::Contradictions;
+use exchange_times::ExchangeTimes;
 use sources::Claims;
 use steps::StepTracker;
-use suspects::Contradictions;
 pub use types::{
-    Direction, Doubt, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, RelationSettings,
+    Direction, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, RelationSettings, ViolatedLimit,
 };
 use windows::Windows;
 
-/// Largest magnitude of stamps and offsets (±73 years; a host without a battery starts in 1970).
-const ABSURD: Span = Span::from_nanos(1 << 61);
-/// Largest difference between the progress of a wall clock and of the monotonic clock that is no step: the time to read
-/// two clocks, plus [`STEADY_PPM`] for the drift of a clock with injected faults.
-const STEADY: Span = Span::from_micros(50);
-const STEADY_PPM: i64 = 500;
+/// Largest magnitude of stamps and offsets: 73 years.
+// A host whose clock has no battery starts in 1970, so that large offsets are valid.
+const MAX_STAMP: Span = Span::from_nanos(1 << 61);
+/// Largest difference between the progress of a wall clock and of the monotonic clock that is no step.
+// Reading two clocks takes time.
+const MAX_READING_DIFFERENCE: Span = Span::from_micros(50);
+/// Further difference that is no step, in parts per million of the progress.
+// A clock with injected faults drifts against the monotonic clock.
+const MAX_RATE_DIFFERENCE_PPM: i64 = 500;
 
 /// The relation between a clock of an edge and one of a cloud. It belongs to the pair of hosts; all their links
 /// contribute exchanges.
@@ -41,11 +44,11 @@ pub struct Relation {
     same_clock: bool,
     settings: RelationSettings,
     windows: Windows,
-    presence: Presence,
+    exchange_times: ExchangeTimes,
     contradictions: Contradictions,
     steps: StepTracker,
-    /// Set if a step began the window and no exchange was accepted since; contains the last estimate before the step.
-    restarted: Option<Option<Span>>,
+    /// The last estimate before the step that started the window; `None` once an exchange was accepted in this window.
+    estimate_before_restart: Option<Option<Span>>,
     claims: Claims,
     counts: ExchangeCounts,
 }
@@ -57,10 +60,10 @@ impl Relation {
             same_clock: false,
             settings,
             windows: Windows::new(&settings),
-            presence: Presence::new(settings.fresh, settings.window.max(settings.retention)),
+            exchange_times: ExchangeTimes::new(settings.fresh, settings.window.max(settings.retention)),
             contradictions: Contradictions::default(),
             steps: StepTracker::default(),
-            restarted: None,
+            estimate_before_restart: None,
             claims: Claims::default(),
             counts: ExchangeCounts::default(),
         }
@@ -85,24 +88,24 @@ impl Relation {
 
     /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim counts, if
     /// the settings trust it, until the next call or until its clock is stepped.
-    pub fn set_disciplines(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
+    pub fn set_claims(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
         self.claims = Claims { edge, cloud };
     }
 
     /// Returns the offset at a time of the edge's clock within the window or shortly after it, at which its wall clock
-    /// showed `wall`; `None` if nothing is known.
+    /// showed `wall`; `None` if no source bounds it.
     pub fn offset(&self, at: RawTime, wall: WallTime) -> Option<Offset> {
-        let known = self.knowledge(at, None);
-        let combined = known.combined()?;
+        let sources = self.offset_sources(at, None);
+        let combined = sources.combine()?;
         let band = self.windows.current();
-        let fresh = self.presence.near(at, at, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.fresh);
         Some(Offset {
             at: wall,
             estimate: combined.estimate,
             bounds: combined.bounds,
             source: combined.source,
-            sources: known.sources(),
-            verdict: self.verdict_of(&combined, fresh),
+            sources: sources.sources(),
+            verdict: self.verdict_of(&combined, is_fresh),
             skew_ppm: band.skew_ppm(),
             exchanges: band.exchanges(),
             age: band.newest().map(|newest| (at - newest).max(Span::ZERO)),
@@ -114,33 +117,33 @@ impl Relation {
         self.counts
     }
 
-    /// Returns the number of the window: it grows when a step invalidates what was learnt before, and when a jump is
-    /// suspected.
+    /// Returns the number of the current window. A step, which invalidates all earlier exchanges, and a suspected jump
+    /// start a new one.
     pub const fn window(&self) -> u32 {
         self.counts.restarts
     }
 
-    /// Returns the skew that the exchanges of the current window prove whatever the delays were; `None` without enough
-    /// exchanges.
+    /// Returns the skew that the exchanges of the current window prove, whatever their delays were. `None` without
+    /// enough exchanges.
     pub fn proven_skew(&self) -> Option<ProvenSkew> {
         self.windows.current().proven_skew()
     }
 
     /// Returns the age of the oldest exchange that bounds the offset at a time: the settings' window, or more where the
     /// newest eight exchanges span a longer time. `None` without exchanges.
-    pub fn window_reach(&self, at: RawTime) -> Option<Span> {
-        self.windows.current().reach(at)
+    pub fn window_span(&self, at: RawTime) -> Option<Span> {
+        self.windows.current().window_span(at)
     }
 
-    /// Returns the assumption that the clocks seem to violate. Delays are `inconsistent` then.
+    /// Returns the limit that the clocks seem to violate. Delays are `inconsistent` then.
     ///
-    /// Exchanges prove a skew beyond the limit, or they contradict each other repeatedly. A peer that sends wrong
-    /// stamps has the same effect.
-    pub fn doubt(&self) -> Option<Doubt> {
+    /// A limit is violated if exchanges prove a skew beyond it, or contradict each other repeatedly. A peer that sends
+    /// wrong stamps has the same effect.
+    pub fn violated_limit(&self) -> Option<ViolatedLimit> {
         if self.excess_skew().is_some() {
-            return Some(Doubt::Drift);
+            return Some(ViolatedLimit::Drift);
         }
-        self.contradictions.unannounced_steps.doubt(self.windows.current().newest()?)
+        self.contradictions.unannounced_steps.violated_limit(self.windows.current().newest()?)
     }
 
     /// Returns the proven skew if it is beyond the limit.
@@ -148,26 +151,26 @@ impl Relation {
         self.windows.current().excess_skew()
     }
 
-    /// Returns whether an assumption is in doubt.
-    pub fn in_doubt(&self) -> bool {
-        self.doubt().is_some()
+    /// Returns whether the clocks seem to violate a limit.
+    pub fn violates_limit(&self) -> bool {
+        self.violated_limit().is_some()
     }
 
     /// Returns the bytes of memory that the exchanges of the window take.
     pub fn memory_bytes(&self) -> usize {
         self.windows.memory_bytes()
             + self.contradictions.suspects.memory_bytes()
-            + self.presence.memory_bytes()
+            + self.exchange_times.memory_bytes()
     }
 
-    /// Learns a finished exchange, unless it is refused.
+    /// Checks a finished exchange, and inserts it unless it is refused.
     pub fn learn(&mut self, observation: &ExchangeObservation) -> LearnResult {
-        let learned = self.consider(observation);
+        let learned = self.check_and_insert(observation);
         let counts = &mut self.counts;
         match learned {
-            LearnResult::Taken | LearnResult::Restarted(_) | LearnResult::Jumped(_) => {
+            LearnResult::Accepted | LearnResult::Restarted(_) | LearnResult::Jumped(_) => {
                 counts.taken += 1;
-                self.presence.note(observation.exchange.returned);
+                self.exchange_times.insert(observation.exchange.returned);
             }
             LearnResult::Refused(Refusal::Impossible) => counts.impossible += 1,
             LearnResult::Refused(Refusal::Outlier) => counts.outliers += 1,
@@ -176,42 +179,43 @@ impl Relation {
         learned
     }
 
-    /// Begins a new window after a step of the edge's own clock, or after a drift beyond the limit.
-    pub fn edge_stepped(&mut self, epoch: u32) {
-        if self.steps.edge_stepped(epoch) {
+    /// Starts a new window if `epoch` is a new epoch of the edge's clock, which follows a step or a drift beyond the limit.
+    pub fn restart_after_edge_step(&mut self, epoch: u32) {
+        if self.steps.update_edge_epoch(epoch) {
             self.claims.edge = None;
             self.restart();
         }
     }
 
-    /// Begins a new window after the peer reported a step of its clock, or a drift beyond the limit.
-    pub fn cloud_stepped(&mut self, epoch: u32) {
-        if self.steps.cloud_stepped(epoch) {
+    /// Starts a new window if `epoch` is a new epoch of the cloud's clock, which the peer reported.
+    pub fn restart_after_cloud_step(&mut self, epoch: u32) {
+        if self.steps.update_cloud_epoch(epoch) {
             self.claims.cloud = None;
             self.restart();
         }
     }
 
-    fn consider(&mut self, observation: &ExchangeObservation) -> LearnResult {
+    /// Checks an exchange against its epochs and the window, and inserts it if it passes.
+    fn check_and_insert(&mut self, observation: &ExchangeObservation) -> LearnResult {
         let exchange = &observation.exchange;
         if !self.is_possible(exchange) {
             return LearnResult::Refused(Refusal::Impossible);
         }
-        // An exchange that spans a step is refused, but its epochs count.
+        // The epochs count even if the exchange itself spans a step and is refused.
         let report = self.steps.compare(observation);
-        self.claims.edge.take_if(|_| report.of_edge);
-        self.claims.cloud.take_if(|_| report.of_cloud);
-        if report.of_edge || report.of_cloud {
+        self.claims.edge.take_if(|_| report.has_edge_step);
+        self.claims.cloud.take_if(|_| report.has_cloud_step);
+        if report.has_edge_step || report.has_cloud_step {
             self.restart();
         }
-        if !report.is_current || !is_steady(observation) || self.steps.excludes(exchange) {
+        if !report.is_current || !is_free_of_cloud_step(observation) || self.steps.excludes(exchange) {
             return LearnResult::Refused(Refusal::Stepped);
         }
         let bounds = Bounds::from(exchange);
         let contradiction = self.windows.contradiction(&bounds);
         let moved = match contradiction {
             Some(contradiction) => {
-                if !self.replace_window(&bounds, exchange.returned, contradiction) {
+                if !self.replace_window_if_confirmed(&bounds, exchange.returned, contradiction) {
                     return LearnResult::Refused(Refusal::Outlier);
                 }
                 None
@@ -230,22 +234,27 @@ impl Relation {
             self.counts.restarts += 1;
             return LearnResult::Jumped(moved);
         }
-        match self.restarted.take() {
-            None => LearnResult::Taken,
+        match self.estimate_before_restart.take() {
+            None => LearnResult::Accepted,
             Some(before) => {
-                let now = self.estimate_at(exchange.returned);
-                LearnResult::Restarted(before.zip(now).map(|(before, now)| now - before))
+                let after = self.estimate_at(exchange.returned);
+                LearnResult::Restarted(before.zip(after).map(|(before, after)| after - before))
             }
         }
     }
 
-    /// Adds an exchange that contradicts the window to the suspects. Returns whether enough suspects agree, in which
-    /// case they replace the window.
-    fn replace_window(&mut self, bounds: &Bounds, at: RawTime, contradiction: Contradiction) -> bool {
+    /// Adds an exchange that contradicts the window to the suspects. If enough suspects agree, they
+    /// replace the window, and the method returns `true`.
+    fn replace_window_if_confirmed(
+        &mut self,
+        bounds: &Bounds,
+        at: RawTime,
+        contradiction: Contradiction,
+    ) -> bool {
         let Some(window) = self.contradictions.suspects.add(bounds, || self.windows.empty()) else {
             return false;
         };
-        self.steps.admit_all();
+        self.steps.stop_excluding();
         self.restart();
         self.contradictions.unannounced_steps.record(at, contradiction);
         self.windows.restart(window);
@@ -256,38 +265,41 @@ impl Relation {
     /// negative by more than the stamps' uncertainty and the clocks' drift.
     fn is_possible(&self, exchange: &Exchange) -> bool {
         let Exchange { sent, received, replied, returned, uncertainty } = *exchange;
-        let apart = Span::from_nanos(self.windows.limit().between(sent.nanos(), returned.nanos()));
-        let absurd = [sent, received, replied, returned]
+        let max_drift =
+            Span::from_nanos(self.windows.limit().max_change_between(sent.nanos(), returned.nanos()));
+        let is_too_large = [sent, received, replied, returned]
             .into_iter()
             .map(|stamp| stamp - RawTime::from_nanos(0))
             .chain([exchange.upper(), exchange.lower(), uncertainty])
-            .any(|span| span.abs() > ABSURD);
-        !absurd
+            .any(|span| span.abs() > MAX_STAMP);
+        !is_too_large
             && !uncertainty.is_negative()
             && returned >= sent
             && replied >= received
-            && exchange.round_trip() + uncertainty + uncertainty + apart >= Span::ZERO
+            && exchange.round_trip() + uncertainty + uncertainty + max_drift >= Span::ZERO
     }
 
-    /// Begins a new window after a step of a clock.
+    /// Starts a new window after a step of a clock.
     fn restart(&mut self) {
         self.contradictions.suspects.clear();
         let Some(newest) = self.windows.current().newest() else { return };
-        self.restarted = Some(self.estimate_at(newest));
+        self.estimate_before_restart = Some(self.estimate_at(newest));
         self.windows.restart(self.windows.empty());
-        self.presence.clear();
+        self.exchange_times.clear();
         self.counts.restarts += 1;
     }
 
+    /// Returns the estimate of the offset by the exchanges at a time.
     fn estimate_at(&self, at: RawTime) -> Option<Span> {
-        self.windows.interval(at).map(|known| self.windows.estimate(at, known))
+        self.windows.interval(at).map(|interval| self.windows.estimate(at, interval))
     }
 }
 
 /// Returns whether the cloud's clock advanced like its monotonic clock, where both are known.
-fn is_steady(ExchangeObservation { exchange, cloud_elapsed, .. }: &ExchangeObservation) -> bool {
+fn is_free_of_cloud_step(ExchangeObservation { exchange, cloud_elapsed, .. }: &ExchangeObservation) -> bool {
     cloud_elapsed.is_none_or(|mono| {
-        let limit = STEADY + Span::from_nanos(mono.abs().nanos() / 1_000_000 * STEADY_PPM);
+        let limit = MAX_READING_DIFFERENCE
+            + Span::from_nanos(mono.abs().nanos() / 1_000_000 * MAX_RATE_DIFFERENCE_PPM);
         (exchange.replied - exchange.received - mono).abs() <= limit
     })
 }

@@ -1,7 +1,7 @@
 //! Combination of several sources by intersection (RFC 5905, section 11.2.1, after Marzullo 1984).
 //!
-//! With two sources that must both be right, the intersection is their overlap. Without an overlap the contradiction is
-//! reported; the sources are not averaged.
+//! The offset lies in the overlap of two sources if both are right. Without an overlap at least one is wrong; the result
+//! says so, and does not average them.
 
 use crate::{DelaySource, Discipline, Interval, Span};
 
@@ -19,9 +19,9 @@ impl Claims {
     }
 }
 
-/// Statements of all sources about the offset at one time.
+/// Intervals of the offset at one time, by source.
 #[derive(Clone, Debug)]
-pub(super) struct Knowledge {
+pub(super) struct OffsetSources {
     /// The band and the estimate within it.
     pub(super) in_band: Option<(Interval, Span)>,
     /// `true` if some offset agrees with all exchanges and both assumptions.
@@ -30,44 +30,61 @@ pub(super) struct Knowledge {
     pub(super) other: Option<(DelaySource, Interval)>,
 }
 
-/// The combined statement about the offset.
+/// The offset at one time by all sources together.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Combined {
+pub(super) struct CombinedOffset {
     pub(super) bounds: Interval,
     /// Estimate within the bounds.
     pub(super) estimate: Span,
     pub(super) source: DelaySource,
-    /// `true` if the sources overlap. If not, the bounds contain them all, and the estimate is the band's, because no
-    /// source claims a value between the two.
-    pub(super) agree: bool,
+    /// `true` if the sources overlap and the exchanges agree. If the sources do not overlap, the bounds contain all of
+    /// them, and the estimate is the band's.
+    pub(super) is_consistent: bool,
 }
 
-impl Knowledge {
+impl OffsetSources {
+    /// Returns each source with its interval, the band first.
     pub(super) fn sources(&self) -> Vec<(DelaySource, Interval)> {
         self.in_band.map(|(band, _)| (DelaySource::InBand, band)).into_iter().chain(self.other).collect()
     }
 
     /// Returns the combination of the sources; `None` if there is no source.
-    pub(super) fn combined(&self) -> Option<Combined> {
-        let combined = self.intersected()?;
-        Some(Combined { agree: combined.agree && self.is_consistent, ..combined })
+    pub(super) fn combine(&self) -> Option<CombinedOffset> {
+        let combined = self.intersect()?;
+        Some(CombinedOffset { is_consistent: combined.is_consistent && self.is_consistent, ..combined })
     }
 
-    fn intersected(&self) -> Option<Combined> {
+    /// Returns the intersection of the sources, or their hull if they do not overlap.
+    fn intersect(&self) -> Option<CombinedOffset> {
         let ((band, estimate), (source, other)) = match (self.in_band, self.other) {
             (None, None) => return None,
             (Some((bounds, estimate)), None) => {
-                return Some(Combined { bounds, estimate, source: DelaySource::InBand, agree: true });
+                return Some(CombinedOffset {
+                    bounds,
+                    estimate,
+                    source: DelaySource::InBand,
+                    is_consistent: true,
+                });
             }
             (None, Some((source, bounds))) => {
-                return Some(Combined { bounds, estimate: bounds.middle(), source, agree: true });
+                return Some(CombinedOffset {
+                    bounds,
+                    estimate: bounds.middle(),
+                    source,
+                    is_consistent: true,
+                });
             }
             (Some(in_band), Some(other)) => (in_band, other),
         };
         let Some(bounds) = band.intersection(other) else {
-            // Without an overlap at least one source is wrong; averaging them would hide that.
+            // Averaging the sources would hide that one of them is wrong.
             let bounds = band.hull(other);
-            return Some(Combined { bounds, estimate, source: DelaySource::InBand, agree: false });
+            return Some(CombinedOffset {
+                bounds,
+                estimate,
+                source: DelaySource::InBand,
+                is_consistent: false,
+            });
         };
         let source = if source != DelaySource::SameClock && bounds == band {
             DelaySource::InBand
@@ -76,9 +93,9 @@ impl Knowledge {
         } else {
             DelaySource::Intersection
         };
-        // An estimate outside the other source is wrong by an asymmetry of the path that nothing else shows. The middle
-        // of the overlap is then the best estimate.
+        // The band's estimate assumes a symmetric path. If it lies outside of the other source, the path is asymmetric,
+        // and the middle of the overlap is the best estimate.
         let estimate = if bounds.contains(estimate) { estimate } else { bounds.middle() };
-        Some(Combined { bounds, estimate, source, agree: true })
+        Some(CombinedOffset { bounds, estimate, source, is_consistent: true })
     }
 }

@@ -2,29 +2,29 @@
 
 use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
-/// Number of equal lower values in a row after which a peer's epoch is taken for that of a new process. Fewer are late
-/// answers that were overtaken.
-const NEW_COUNTER: u32 = 8;
-/// Longest time by which an exchange may have begun before the one that reported a step of the edge. It is short,
-/// because the stamps themselves may have been set back; longer exchanges show the step against the monotonic clock.
-const EDGE_REACH: Span = Span::from_seconds(2);
-/// Longest time by which an exchange may have begun before the one that reported a step of the cloud.
-const CLOUD_REACH: Span = Span::from_seconds(60);
+/// Number of answers in a row with the same lower epoch after which the peer counts as restarted.
+// Fewer are late answers that were overtaken.
+const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
+/// Longest time between the start of an excluded exchange and the return of the one that reported a step of the edge.
+// It is short, because the stamps themselves may have been set back. Longer exchanges show the step against the
+// monotonic clock.
+const MAX_EDGE_REACH: Span = Span::from_seconds(2);
+/// Longest time between the start of an excluded exchange and the return of the one that reported a step of the cloud.
+const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
 /// The epochs of both hosts, and the exclusion of exchanges that the last step requires.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StepTracker {
     edge: Option<u32>,
     cloud: Option<u32>,
-    /// A lower epoch of the cloud than the known one, and how often it came in a row.
-    older: Option<(u32, u32)>,
+    /// An epoch of the cloud below the current one, and the number of answers in a row that carried it.
+    lower_epoch: Option<(u32, u32)>,
     barrier: Barrier,
 }
 
 /// Rule that excludes exchanges which were in flight during a step.
-///
-/// The edge compares its epoch before and after an exchange. The cloud's epoch is read after its stamps, so that a
-/// stamp may belong to an earlier epoch, never to a later one.
+// The edge compares its epoch before and after an exchange, and needs no rule. The cloud's epoch is read after its
+// stamps, so that a stamp may belong to an earlier epoch, but never to a later one.
 #[derive(Clone, Copy, Debug, Default)]
 enum Barrier {
     /// Excludes nothing.
@@ -40,68 +40,70 @@ enum Barrier {
 /// Steps that the epochs of an exchange report.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepReport {
-    pub(super) of_edge: bool,
-    pub(super) of_cloud: bool,
-    /// `true` if the exchange itself took place after the last step that was known before.
+    pub(super) has_edge_step: bool,
+    pub(super) has_cloud_step: bool,
+    /// `true` if the epochs of the exchange equal the previous ones, so that it reports no step.
     pub(super) is_current: bool,
 }
 
 impl StepTracker {
-    /// Updates the edge's epoch. Returns whether it is higher than the known one.
-    pub(super) fn edge_stepped(&mut self, epoch: u32) -> bool {
-        let is_new = self.edge.is_none_or(|known| known < epoch);
+    /// Updates the edge's epoch. Returns whether it is higher than the previous one.
+    pub(super) fn update_edge_epoch(&mut self, epoch: u32) -> bool {
+        let is_new = self.edge.is_none_or(|previous| previous < epoch);
         if is_new {
-            (self.edge, self.barrier) = (Some(epoch), Barrier::Next(EDGE_REACH));
+            (self.edge, self.barrier) = (Some(epoch), Barrier::Next(MAX_EDGE_REACH));
         }
         is_new
     }
 
-    /// Updates the cloud's epoch. Returns whether it is higher than the known one.
-    pub(super) fn cloud_stepped(&mut self, epoch: u32) -> bool {
-        let is_new = self.cloud.is_none_or(|known| known < epoch);
+    /// Updates the cloud's epoch. Returns whether it is higher than the previous one.
+    pub(super) fn update_cloud_epoch(&mut self, epoch: u32) -> bool {
+        let is_new = self.cloud.is_none_or(|previous| previous < epoch);
         if is_new {
-            (self.cloud, self.barrier) = (Some(epoch), Barrier::Next(CLOUD_REACH));
+            (self.cloud, self.barrier) = (Some(epoch), Barrier::Next(MAX_CLOUD_REACH));
         }
         is_new
     }
 
-    /// Compares the epochs of an exchange with the known ones, and updates these.
+    /// Compares the epochs of an exchange with the previous ones, and updates these.
     pub(super) fn compare(&mut self, observation: &ExchangeObservation) -> StepReport {
         let returned = observation.exchange.returned;
         let edge = *self.edge.get_or_insert(observation.edge_epoch);
-        let of_edge = observation.edge_epoch > edge;
-        if of_edge {
+        let has_edge_step = observation.edge_epoch > edge;
+        if has_edge_step {
             self.edge = Some(observation.edge_epoch);
-            self.barrier = Barrier::Before(returned, EDGE_REACH);
+            self.barrier = Barrier::Before(returned, MAX_EDGE_REACH);
         }
-        let cloud = observation.cloud_epoch.map(|told| (told, *self.cloud.get_or_insert(told)));
+        let cloud = observation.cloud_epoch.map(|reported| (reported, *self.cloud.get_or_insert(reported)));
         // Answers can overtake each other, so that a lower epoch is usually a late one.
-        let is_overtaken = cloud.is_some_and(|(told, known)| told < known && !self.is_new_counter(told));
-        let mut of_cloud = false;
-        if let Some((told, known)) = cloud.filter(|_| !is_overtaken) {
-            self.older = None;
-            of_cloud = told != known;
-            if of_cloud {
-                self.cloud = Some(told);
-                self.barrier = Barrier::Before(returned, CLOUD_REACH);
+        let is_overtaken = cloud
+            .is_some_and(|(reported, previous)| reported < previous && !self.is_restarted_counter(reported));
+        let mut has_cloud_step = false;
+        if let Some((reported, previous)) = cloud.filter(|_| !is_overtaken) {
+            self.lower_epoch = None;
+            has_cloud_step = reported != previous;
+            if has_cloud_step {
+                self.cloud = Some(reported);
+                self.barrier = Barrier::Before(returned, MAX_CLOUD_REACH);
             }
         }
-        let is_current = observation.edge_epoch == edge && cloud.is_none_or(|(told, known)| told == known);
-        StepReport { of_edge, of_cloud, is_current }
+        let is_current =
+            observation.edge_epoch == edge && cloud.is_none_or(|(reported, previous)| reported == previous);
+        StepReport { has_edge_step, has_cloud_step, is_current }
     }
 
-    /// Returns whether a lower epoch came often enough in a row to be that of a new process.
-    fn is_new_counter(&mut self, told: u32) -> bool {
-        let times = match self.older {
-            Some((older, times)) if older == told => times + 1,
+    /// Counts an answer with a lower epoch. Returns whether enough answers in a row carried it, so that the cloud restarted.
+    fn is_restarted_counter(&mut self, reported: u32) -> bool {
+        let count = match self.lower_epoch {
+            Some((lower_epoch, count)) if lower_epoch == reported => count + 1,
             _ => 1,
         };
-        self.older = Some((told, times));
-        times >= NEW_COUNTER
+        self.lower_epoch = Some((reported, count));
+        count >= LOWER_EPOCHS_FOR_RESTART
     }
 
-    /// Returns whether an exchange may have begun before the last step. The first exchange after a report gives the
-    /// time of the step.
+    /// Returns whether an exchange may have started before the last step. The first exchange after a report sets the time
+    /// of the step.
     pub(super) fn excludes(&mut self, exchange: &Exchange) -> bool {
         match self.barrier {
             Barrier::Open => false,
@@ -114,8 +116,8 @@ impl StepTracker {
         }
     }
 
-    /// Ends the exclusion. Used when the exchanges themselves show the step, so that those which follow began after it.
-    pub(super) fn admit_all(&mut self) {
+    /// Ends the exclusion. Called when the exchanges themselves show the step, so that later exchanges started after it.
+    pub(super) fn stop_excluding(&mut self) {
         self.barrier = Barrier::Open;
     }
 }

@@ -1,4 +1,4 @@
-//! Inputs and results of a relation.
+//! Settings and results of a relation.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,10 +24,10 @@ pub struct RelationSettings {
     /// Largest change of the drift, parts per million per second. Used where both clocks run freely: all bounds then
     /// hold as long as the clocks keep it, too.
     pub max_drift_change_ppm_per_s: f64,
-    /// Largest distance in time at which an exchange bounds the offset, in both directions. The newest eight exchanges
+    /// Largest time between an exchange and a query at which the exchange bounds the offset. The newest eight exchanges
     /// bound it at any distance.
     pub window: Span,
-    /// Time for which exchanges are kept to answer queries about the past; at least the window.
+    /// Time for which exchanges are kept to answer queries about the past. A value below `window` counts as `window`.
     pub retention: Span,
     /// Largest distance in time to the nearest other exchange at which a delay is not `stale`.
     pub fresh: Span,
@@ -56,7 +56,7 @@ impl Default for RelationSettings {
 pub enum Refusal {
     /// No two clocks can produce the stamps: the answer left before the message came, or the round trip is negative.
     Impossible,
-    /// It contradicts all other exchanges. A step follows only if more exchanges agree with it.
+    /// It contradicts earlier exchanges. If more exchanges agree with it, a step is assumed.
     Outlier,
     /// A clock was stepped while it was in flight.
     Stepped,
@@ -66,21 +66,21 @@ pub enum Refusal {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LearnResult {
     /// It was accepted.
-    Taken,
-    /// It was accepted as the first of a new window, because a clock was stepped before it. The value is the movement
-    /// of the offset by the estimates before and after, where both exist.
+    Accepted,
+    /// It was accepted as the first of a new window, because a clock was stepped before it. The value is the estimate
+    /// after the step minus the one before it, where both exist.
     Restarted(Option<Span>),
-    /// It was accepted as the first of a new window: no host noticed a step, but the offset moved by this much at once,
-    /// which is more than waiting on the network explains. The path between the hosts changed, or a clock jumped.
-    /// Delays are `limited` until the window is full again.
+    /// It was accepted as the first of a new window, because a jump is suspected. The value is the movement of the
+    /// offset, which is more than queueing on the network explains. Either the path between the hosts changed, or a
+    /// clock jumped without notice. Delays are `limited` until the window is full again.
     Jumped(Span),
     /// It was refused.
     Refused(Refusal),
 }
 
-/// An assumption about the two clocks that they seem to violate.
+/// A limit that the two clocks seem to violate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Doubt {
+pub enum ViolatedLimit {
     /// The clocks drift apart faster than [`max_drift_ppm`](RelationSettings::max_drift_ppm).
     Drift,
     /// The drift changes faster than [`max_drift_change_ppm_per_s`](RelationSettings::max_drift_change_ppm_per_s).
@@ -95,7 +95,7 @@ pub struct Offset {
     /// Estimate within `bounds`; if the verdict is `inconsistent`, the estimate of `source` alone.
     pub estimate: Span,
     /// Interval that contains the truth as long as the clocks keep the limits of drift. If the verdict is
-    /// `inconsistent`, it contains the statements of all sources: one of them is wrong, and it is not known which.
+    /// `inconsistent`, it contains the intervals of all sources, of which at least one is wrong.
     pub bounds: Interval,
     /// Source of the bounds; if the verdict is `inconsistent`, source of the estimate.
     pub source: DelaySource,
@@ -122,7 +122,7 @@ pub struct ExchangeCounts {
     pub outliers: u64,
     /// Refused because a clock was stepped while they were in flight.
     pub stepped: u64,
-    /// Windows begun after a step or a suspected jump.
+    /// Windows that started after a step or a suspected jump.
     pub restarts: u32,
 }
 

@@ -1,21 +1,21 @@
-//! The current window of exchanges, and the earlier ones that suspected jumps ended.
+//! The current window of exchanges, and the past windows that suspected jumps ended.
 
 use std::collections::VecDeque;
 
 use super::RelationSettings;
-use super::jumps::{ShortestRoundTrips, Suspicion};
+use super::jumps::{ShortestRoundTrips, SuspectedJump};
 use crate::band::{Band, Bounds, Contradiction, DriftChangeLimit, DriftLimit, DriftModel, OffsetInterval};
 use crate::{Exchange, RawTime, Span};
 
 /// Largest number of earlier windows that are kept to judge delays of their time.
-const MAX_PAST: usize = 16;
+const MAX_PAST_WINDOWS: usize = 16;
 /// Time for which past windows are kept beyond `retention`: the longest duration of a message.
-const LONGEST_MESSAGE: Span = Span::from_seconds(60);
+const MAX_MESSAGE_DURATION: Span = Span::from_seconds(60);
 
-/// Statements of the exchanges about the offset, by window.
+/// Bounds of the offset by the exchanges of each window.
 ///
-/// A suspected jump lies at some time between two exchanges. Before the first one the earlier window holds, after the
-/// second one the later window. In between either may hold, and the interval is the hull of both.
+/// A suspected jump lies at some time between two exchanges. The earlier window holds before the first of them, and the
+/// later window after the second. Between the two either may hold, so that the interval is the hull of both.
 #[derive(Clone, Debug)]
 pub(super) struct Windows {
     drift: DriftModel,
@@ -83,25 +83,27 @@ impl Windows {
             // The exchange that showed the jump overtook this one, which may be from before the jump.
             return None;
         }
-        let suspicion = self.shortest_round_trips.suspect(exchange, self.drift.limit);
-        if let Some(Suspicion { last_before: (sent, returned), .. }) = suspicion {
+        let suspected = self.shortest_round_trips.suspected_jump(exchange, self.drift.limit);
+        if let Some(SuspectedJump { last_before: (sent, returned), .. }) = suspected {
             let empty = self.empty();
             let mut band = std::mem::replace(&mut self.current, empty);
             // Exchanges since then may be from after the jump, and too wide to show it.
             band.truncate(returned);
-            // The edge's own clock may have jumped back.
+            // The edge's own clock may have jumped back, so that the second exchange has the earlier stamps.
             let (until, next_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
             self.past.push_back(PastWindow { band, until, next_from, next_sent: exchange.sent });
             // Older windows can answer no query any more.
-            let start = exchange.returned - self.retention - LONGEST_MESSAGE;
-            while self.past.len() > MAX_PAST || self.past.front().is_some_and(|past| past.next_from < start) {
+            let start = exchange.returned - self.retention - MAX_MESSAGE_DURATION;
+            while self.past.len() > MAX_PAST_WINDOWS
+                || self.past.front().is_some_and(|past| past.next_from < start)
+            {
                 self.past.pop_front();
             }
             self.shortest_round_trips.clear();
         }
         self.current.insert(bounds);
         self.shortest_round_trips.insert(exchange, self.window);
-        suspicion.map(|suspicion| suspicion.moved)
+        suspected.map(|suspected| suspected.moved)
     }
 
     /// Replaces all windows by one, after a step of a clock.
@@ -114,26 +116,26 @@ impl Windows {
 
     /// Returns the interval at a time; `None` without an exchange that bounds the offset then.
     pub(super) fn interval(&self, at: RawTime) -> Option<OffsetInterval> {
-        let hull = |one: OffsetInterval, other: OffsetInterval| OffsetInterval {
-            interval: one.interval.hull(other.interval),
-            is_consistent: one.is_consistent && other.is_consistent,
+        let hull = |a: OffsetInterval, b: OffsetInterval| OffsetInterval {
+            interval: a.interval.hull(b.interval),
+            is_consistent: a.is_consistent && b.is_consistent,
         };
         self.bands(at).filter_map(|band| band.interval(at)).reduce(hull)
     }
 
     /// Returns the estimate at a time, within the interval of that time.
-    pub(super) fn estimate(&self, at: RawTime, known: OffsetInterval) -> Span {
+    pub(super) fn estimate(&self, at: RawTime, interval: OffsetInterval) -> Span {
         let band = self.bands(at).next().unwrap_or(&self.current);
-        band.estimate(at, known.interval)
+        band.estimate(at, interval.interval)
     }
 
     /// Returns the estimated change of the offset between two neighbouring times.
-    pub(super) fn growth(&self, from: RawTime, to: RawTime) -> Span {
-        self.current.growth(from, to)
+    pub(super) fn offset_change(&self, from: RawTime, to: RawTime) -> Span {
+        self.current.offset_change(from, to)
     }
 
     /// Returns whether a jump is suspected within the length of the window before a time, so that delays are `limited`.
-    pub(super) fn is_unsettled(&self, at: RawTime) -> bool {
+    pub(super) fn is_near_suspected_jump(&self, at: RawTime) -> bool {
         self.past.iter().any(|past| past.until <= at && at <= past.next_from + self.window)
     }
 
@@ -152,11 +154,11 @@ impl Windows {
     /// Returns the windows that may hold at a time, the latest first.
     fn bands(&self, at: RawTime) -> impl Iterator<Item = &Band> {
         let past = self.past.iter().rev();
-        let begins = past.clone().map(|past| Some(past.until)).chain([None]);
+        let starts = past.clone().map(|past| Some(past.until)).chain([None]);
         let ends = [None].into_iter().chain(past.clone().map(|past| Some(past.next_from)));
         let bands = [&self.current].into_iter().chain(past.map(|past| &past.band));
-        bands.zip(begins.zip(ends)).filter_map(move |(band, (begin, end))| {
-            let may_hold = begin.is_none_or(|begin| begin < at) && end.is_none_or(|end| at < end);
+        bands.zip(starts.zip(ends)).filter_map(move |(band, (start, end))| {
+            let may_hold = start.is_none_or(|start| start < at) && end.is_none_or(|end| at < end);
             may_hold.then_some(band)
         })
     }

@@ -6,7 +6,7 @@ mod step;
 mod tests;
 mod watch;
 
-pub(crate) use step::{Paired, StepWatch};
+pub(crate) use step::{PairedReading, StepWatch};
 pub use watch::{ClockWatch, Disturbance};
 
 use crate::{MonoTime, RawTime, Span, WallTime};
@@ -24,10 +24,11 @@ pub struct Readings {
     pub boot: MonoTime,
 }
 
-/// Smallest change between two clocks that is a step. Smaller changes may come from the time that reading takes.
-const LEAST_STEP: Span = Span::from_micros(20);
+/// Smallest change between two clocks that is a step.
+// Smaller changes may come from the time that reading takes.
+const MIN_STEP: Span = Span::from_micros(20);
 
 /// Returns `ppm` parts per million of a span.
-fn parts(ppm: f64, of: Span) -> Span {
-    Span::from_nanos((of.nanos() as f64 * ppm * 1e-6).round() as i64)
+fn parts_per_million(ppm: f64, span: Span) -> Span {
+    Span::from_nanos((span.nanos() as f64 * ppm * 1e-6).round() as i64)
 }

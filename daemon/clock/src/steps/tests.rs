@@ -11,14 +11,14 @@ fn readings(awake: Span, ahead: Span) -> Readings {
     Readings { wall: WallTime::from_unix_nanos(1 << 60) + awake + ahead, mono, raw, boot: mono }
 }
 
-fn pair(at: Span, ahead: Span, gap: Span) -> Paired {
+fn pair(at: Span, ahead: Span, gap: Span) -> PairedReading {
     let before = MonoTime::default() + at;
     let between = WallTime::from_unix_nanos(1 << 60) + at + ahead + Span::from_nanos(gap.nanos() / 2);
-    Paired { before, between: between.unix_nanos(), after: before + gap }
+    PairedReading { before, between: between.unix_nanos(), after: before + gap }
 }
 
 #[test]
-fn only_what_reading_cannot_explain_is_a_step() {
+fn step_exceeds_uncertainty_of_readings() {
     let calm = Span::from_nanos(80);
     let mut steps = StepWatch::default();
     let compare = |steps: &mut StepWatch, millis, ahead, gap| {
@@ -33,7 +33,7 @@ fn only_what_reading_cannot_explain_is_a_step() {
     assert_eq!(compare(&mut steps, 40, micros(-3_000_040), micros(200)), 2);
     // An uninterrupted reading shows the same difference, which is now certain.
     assert_eq!(compare(&mut steps, 41, micros(-3_000_040), calm), 3);
-    steps.begin();
+    steps.begin_epoch();
     assert_eq!(compare(&mut steps, 42, micros(-3_000_040), calm), 4);
 }
 
@@ -47,29 +47,29 @@ fn constant_drift_is_no_step() {
 }
 
 #[test]
-fn an_interrupted_read_is_repeated() {
+fn interrupted_read_is_repeated() {
     let mut reads = [50, 40, 2, 1].into_iter().map(|gap| pair(Span::ZERO, Span::ZERO, micros(gap)));
-    let best = Paired::read(|| reads.next().expect("not so often"));
+    let best = PairedReading::read(|| reads.next().expect("another reading"));
     assert_eq!(best.after - best.before, micros(2));
     let mut never =
         [50, 40, 30, 90, 20, 60, 70, 80, 10].into_iter().map(|gap| pair(Span::ZERO, Span::ZERO, micros(gap)));
-    let best = Paired::read(|| never.next().expect("not so often"));
+    let best = PairedReading::read(|| never.next().expect("another reading"));
     assert_eq!(best.after - best.before, micros(20));
 }
 
 /// Returns the disturbances that a watch reports in ten readings per second.
-fn watched(ppm: f64, seconds: i64, ahead: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
+fn disturbances_of(ppm: f64, seconds: i64, ahead: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
     let mut watch = ClockWatch::new(ppm);
     (0..seconds * 10).flat_map(|tenth| watch.compare(ahead(tenth))).collect()
 }
 
 #[test]
-fn step_is_reported_once_and_calm_clock_never() {
+fn step_is_reported_once_and_steady_clock_never() {
     let tenths = |tenth: i64| Span::from_millis(100 * tenth);
-    assert_eq!(watched(50.0, 60, |tenth| readings(tenths(tenth), Span::ZERO)), []);
+    assert_eq!(disturbances_of(50.0, 60, |tenth| readings(tenths(tenth), Span::ZERO)), []);
     for by in [micros(150), micros(-150), Span::from_seconds(3), Span::from_seconds(-3600)] {
         let stepped = |tenth| readings(tenths(tenth), if tenth < 111 { Span::ZERO } else { by });
-        assert_eq!(watched(50.0, 60, stepped), [Disturbance::Step(by)]);
+        assert_eq!(disturbances_of(50.0, 60, stepped), [Disturbance::Step(by)]);
     }
 }
 
@@ -78,22 +78,24 @@ fn slew_is_distinguished_from_constant_drift() {
     // A constant 60 ppm, for which a time daemon compensates.
     let rate =
         |tenth: i64, ppm: i64| readings(Span::from_millis(100 * tenth), Span::from_nanos(tenth * 100 * ppm));
-    assert_eq!(watched(50.0, 60, |tenth| rate(tenth, 60)), []);
+    assert_eq!(disturbances_of(50.0, 60, |tenth| rate(tenth, 60)), []);
     // Then 300 ppm more for twenty seconds. The monotonic clock is slewed as well, so that no step shows.
     let slewed = |tenth: i64| {
         let slew = Span::from_nanos((tenth - 300).clamp(0, 200) * 100 * 300);
         let plain = rate(tenth, 60);
         Readings { wall: plain.wall + slew, mono: plain.mono + slew, boot: plain.boot + slew, ..plain }
     };
-    let told = watched(50.0, 90, slewed);
-    assert!((3..=5).contains(&told.len()), "{told:?}");
+    let reported = disturbances_of(50.0, 90, slewed);
+    assert!((3..=5).contains(&reported.len()), "{reported:?}");
     assert!(
-        told.iter().all(|odd| matches!(odd, Disturbance::Slew(ppm) if (100.0..320.0).contains(ppm))),
-        "{told:?}"
+        reported
+            .iter()
+            .all(|disturbance| matches!(disturbance, Disturbance::Slew(ppm) if (100.0..320.0).contains(ppm))),
+        "{reported:?}"
     );
     // No crystal is off by 400 ppm. The slew is reported from the start, and repeatedly.
-    assert!(watched(50.0, 60, |tenth| rate(tenth, 400)).len() >= 9);
-    assert_eq!(watched(150.0, 60, |tenth| rate(tenth, 100)), []);
+    assert!(disturbances_of(50.0, 60, |tenth| rate(tenth, 400)).len() >= 9);
+    assert_eq!(disturbances_of(150.0, 60, |tenth| rate(tenth, 100)), []);
 }
 
 #[test]
@@ -108,7 +110,7 @@ fn suspend_is_reported_and_is_no_step() {
             Readings { wall: plain.wall + slept + late, boot: plain.boot + slept, ..plain }
         }
     };
-    assert_eq!(watched(50.0, 20, nap(Span::ZERO)), [Disturbance::Suspend(slept)]);
+    assert_eq!(disturbances_of(50.0, 20, nap(Span::ZERO)), [Disturbance::Suspend(slept)]);
     let late = Span::from_millis(-400);
-    assert_eq!(watched(50.0, 20, nap(late)), [Disturbance::Suspend(slept), Disturbance::Step(late)]);
+    assert_eq!(disturbances_of(50.0, 20, nap(late)), [Disturbance::Suspend(slept), Disturbance::Step(late)]);
 }

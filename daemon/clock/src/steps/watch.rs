@@ -1,6 +1,6 @@
 //! Detection of all disturbances of a host's clocks, from about ten readings of them per second.
 
-use super::{LEAST_STEP, Readings, parts};
+use super::{MIN_STEP, Readings, parts_per_million};
 use crate::Span;
 
 /// A disturbance between two readings.
@@ -15,91 +15,96 @@ pub enum Disturbance {
     Suspend(Span),
 }
 
-/// Comparison of all clocks of a host with each other.
+/// Detector of disturbances, which compares all clocks of a host with each other.
 ///
-/// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`, not that rate itself: a machine whose
-/// crystal is off by 60 ppm and whose time daemon compensates for it shows a constant 60 ppm and has an excellent wall
-/// clock. A rate beyond that of any crystal (100 ppm) counts as a slew from the start; so does an injected drift that
-/// exceeds it by more than the limit.
-///
-/// The limit is the one for a pair of hosts. Half of it may be due to the other host, but neither of them knows the
-/// other's part; exchanges between the two detect what this check misses.
+/// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`. The rate itself is no slew: on a machine
+/// whose crystal is off by 60 ppm and whose time daemon compensates for it, the rate is a constant 60 ppm and the wall
+/// clock is excellent. A rate that exceeds that of any crystal (100 ppm) by more than the limit counts as a slew from the
+/// start.
+// The limit is the one for a pair of hosts. Half of it may be due to the other host, but neither host knows the other's
+// part. Exchanges between the two hosts detect what this check misses.
 #[derive(Debug)]
 pub struct ClockWatch {
     max_drift_ppm: f64,
     last: Option<Readings>,
     /// Reading from which the rate is measured.
     base: Option<Readings>,
-    usual: Option<f64>,
+    /// Rate of the wall clock in its normal state, parts per million.
+    usual_rate: Option<f64>,
     /// A rate other than the usual one, and its number of measurements in a row.
-    other: (f64, u32),
+    deviating_rate: (f64, u32),
 }
 
 impl ClockWatch {
-    /// Injected drift up to which a clock is not considered stepped.
+    /// Largest difference in rate that is no step, for clocks with injected drift.
     const RATE_PPM: f64 = 500.0;
-    /// Shortest sleep that is reported. Reading takes less time.
-    const LEAST_SLEEP: Span = Span::from_millis(100);
-    /// Shortest time over which a rate is measured. The time that reading takes is then below one part per million.
-    const LEAST_TIME: Span = Span::from_seconds(5);
-    const CRYSTAL_PPM: f64 = 100.0;
+    /// Shortest sleep that is reported.
+    // The time between the reads of two clocks is shorter.
+    const MIN_SLEEP: Span = Span::from_millis(100);
+    /// Shortest time over which a rate is measured.
+    // The time that reading takes then changes the rate by less than one part per million.
+    const MIN_TIME: Span = Span::from_seconds(5);
+    /// Largest rate error of a crystal.
+    const MAX_CRYSTAL_PPM: f64 = 100.0;
     /// Number of equal measurements after which a rate becomes the usual one.
-    const SETTLED: u32 = 12;
+    const MEASUREMENTS_TO_SETTLE: u32 = 12;
 
     /// Creates a watch without readings; `max_drift_ppm` as in [`RelationSettings`](crate::RelationSettings).
     pub fn new(max_drift_ppm: f64) -> Self {
-        Self { max_drift_ppm, last: None, base: None, usual: None, other: (0.0, 0) }
+        Self { max_drift_ppm, last: None, base: None, usual_rate: None, deviating_rate: (0.0, 0) }
     }
 
     /// Compares a new reading with the last one. Returns the disturbances in between.
     pub fn compare(&mut self, now: Readings) -> Vec<Disturbance> {
-        let mut odd = Vec::new();
+        let mut disturbances = Vec::new();
         let Some(last) = self.last.replace(now) else {
             self.base = Some(now);
-            return odd;
+            return disturbances;
         };
         let passed = now.boot - last.boot;
         let slept = passed - (now.mono - last.mono);
-        if slept > Self::LEAST_SLEEP {
-            odd.push(Disturbance::Suspend(slept));
+        if slept > Self::MIN_SLEEP {
+            disturbances.push(Disturbance::Suspend(slept));
         }
         // The wall clock continues while the machine sleeps, and is set from a coarser clock when it wakes.
         let stepped = (now.wall - last.wall) - passed;
-        if stepped.abs() > LEAST_STEP + parts(Self::RATE_PPM, passed) {
-            odd.push(Disturbance::Step(stepped));
+        if stepped.abs() > MIN_STEP + parts_per_million(Self::RATE_PPM, passed) {
+            disturbances.push(Disturbance::Step(stepped));
         }
-        if odd.is_empty() {
-            odd.extend(self.slewed(now).map(Disturbance::Slew));
+        if disturbances.is_empty() {
+            disturbances.extend(self.slew_since_base(now).map(Disturbance::Slew));
         } else {
             self.base = Some(now);
         }
-        odd
+        disturbances
     }
 
-    fn slewed(&mut self, now: Readings) -> Option<f64> {
+    /// Returns the slew since the base reading, if enough time has passed for a measurement.
+    fn slew_since_base(&mut self, now: Readings) -> Option<f64> {
         let base = *self.base.get_or_insert(now);
         let raw = now.raw - base.raw;
-        if raw < Self::LEAST_TIME {
+        if raw < Self::MIN_TIME {
             return None;
         }
         self.base = Some(now);
         let rate = ((now.wall - base.wall) - raw).seconds() / raw.seconds() * 1e6;
         // Only a rate that a crystal can have may become the usual one.
-        let crystal = rate.clamp(-Self::CRYSTAL_PPM, Self::CRYSTAL_PPM);
-        let usual = self.usual.get_or_insert(crystal);
-        if (rate - *usual).abs() <= self.max_drift_ppm {
+        let crystal = rate.clamp(-Self::MAX_CRYSTAL_PPM, Self::MAX_CRYSTAL_PPM);
+        let usual_rate = self.usual_rate.get_or_insert(crystal);
+        if (rate - *usual_rate).abs() <= self.max_drift_ppm {
             // Follows slow changes, as with temperature.
-            *usual += (crystal - *usual) / 16.0;
-            self.other.1 = 0;
+            *usual_rate += (crystal - *usual_rate) / 16.0;
+            self.deviating_rate.1 = 0;
             return None;
         }
-        let slew = rate - *usual;
-        let same = self.other.1 > 0 && (rate - self.other.0).abs() <= 1.0 + self.max_drift_ppm / 10.0;
-        self.other = (rate, if same { self.other.1 + 1 } else { 1 });
-        // A lasting rate is the clock's new normal state and is not reported for ever.
-        if self.other.1 >= Self::SETTLED {
-            self.usual = Some(crystal);
-            self.other.1 = 0;
+        let slew = rate - *usual_rate;
+        let is_same = self.deviating_rate.1 > 0
+            && (rate - self.deviating_rate.0).abs() <= 1.0 + self.max_drift_ppm / 10.0;
+        self.deviating_rate = (rate, if is_same { self.deviating_rate.1 + 1 } else { 1 });
+        // A lasting rate becomes the usual one, so that it is not reported for ever.
+        if self.deviating_rate.1 >= Self::MEASUREMENTS_TO_SETTLE {
+            self.usual_rate = Some(crystal);
+            self.deviating_rate.1 = 0;
         }
         Some(slew)
     }

@@ -15,7 +15,7 @@ use super::CommandLine;
 const FINGERPRINT_DIGITS: usize = 12;
 
 /// Prefix of the fact about a program.
-const PROGRAM: &str = "the program ";
+const PROGRAM_FACT_PREFIX: &str = "the program ";
 
 /// Names of the facts about programs.
 const FACT_NAMES: [&str; 3] = ["Sensor", "Model", "Actuator"];
@@ -37,7 +37,7 @@ impl FingerprintKey {
     }
 
     /// Returns the fingerprint of the whole command: the first 48 bits of HMAC-SHA256 (RFC 2104).
-    fn of(&self, command: &CommandLine) -> String {
+    fn fingerprint(&self, command: &CommandLine) -> String {
         let mut mac = Hmac::<Sha256>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
         // The length marks where each word ends.
         let mut word = |word: &str| {
@@ -62,8 +62,8 @@ impl fmt::Debug for FingerprintKey {
 impl CommandLine {
     /// Returns the number of arguments and the fingerprint as text; `None` if there are no arguments.
     pub(super) fn fingerprint(&self, key: &FingerprintKey) -> Option<String> {
-        let count = self.arguments();
-        (count > 0).then(|| format!("{count}, fingerprint {}", key.of(self)))
+        let count = self.argument_count();
+        (count > 0).then(|| format!("{count}, fingerprint {}", key.fingerprint(self)))
     }
 }
 
@@ -99,7 +99,7 @@ struct PublicCommand<'a> {
 
 impl<'a> From<&'a CommandLine> for PublicCommand<'a> {
     fn from(command: &'a CommandLine) -> Self {
-        Self { arguments: command.arguments(), program: command.program() }
+        Self { arguments: command.argument_count(), program: command.program() }
     }
 }
 
@@ -121,7 +121,7 @@ pub fn hide_arguments(configuration: &str) -> String {
         return configuration.to_owned();
     }
     let Ok(mut table) = configuration.parse::<Table>() else {
-        return "# cannot be shown: it is no TOML, and may hold arguments of programs\n".to_owned();
+        return "# cannot be shown: it is not TOML, and may contain arguments of programs\n".to_owned();
     };
     for name in TABLES {
         let command = table.get_mut(name).and_then(|inner| inner.get_mut("command"));
@@ -129,7 +129,7 @@ pub fn hide_arguments(configuration: &str) -> String {
             && let Ok(line) = command.clone().try_into::<CommandLine>()
         {
             match Value::try_from(PublicCommand::from(&line)) {
-                Ok(told) => *command = told,
+                Ok(public) => *command = public,
                 Err(error) => return format!("# cannot be written down: {error}\n"),
             }
         }
@@ -141,17 +141,17 @@ pub fn hide_arguments(configuration: &str) -> String {
 pub fn hide_arguments_in_facts(facts: &mut [(String, String)]) {
     for (name, fact) in facts {
         if FACT_NAMES.contains(&name.as_str())
-            && let Some(line) = fact.strip_prefix(PROGRAM)
+            && let Some(line) = fact.strip_prefix(PROGRAM_FACT_PREFIX)
         {
             let line = CommandLine::Shell(line.to_owned());
-            *fact = fact_of(&line);
+            *fact = program_fact(&line);
         }
     }
 }
 
 /// Returns the value of the fact about a program: `the program ./blur`.
-pub(super) fn fact_of(command: &CommandLine) -> String {
-    format!("{PROGRAM}{}", command.program())
+pub(super) fn program_fact(command: &CommandLine) -> String {
+    format!("{PROGRAM_FACT_PREFIX}{}", command.program())
 }
 
 #[cfg(test)]
@@ -216,14 +216,14 @@ mod tests {
         let hidden = write();
         assert!(!hidden.contains("hunter"), "{hidden}");
         let table: Table = hidden.parse().expect("TOML");
-        let told = |program: &str, arguments: i64| {
+        let expected = |program: &str, arguments: i64| {
             Value::Table(Table::from_iter([
                 ("program".to_owned(), Value::String(program.to_owned())),
                 ("arguments".to_owned(), Value::Integer(arguments)),
             ]))
         };
-        assert_eq!(table["sensor"]["launch"], told("./light", 2));
-        assert_eq!(table["sensor"]["then"][0], told("sh", 1));
+        assert_eq!(table["sensor"]["launch"], expected("./light", 2));
+        assert_eq!(table["sensor"]["then"][0], expected("sh", 1));
 
         let whole: Table = with_arguments(write).parse().expect("TOML");
         assert_eq!(whole["sensor"]["launch"].clone().try_into(), Ok(launch));
@@ -239,10 +239,10 @@ mod tests {
             fact("Actuator", "log"),
             fact("Notes", "the program ./light 5"),
         ];
-        let told = [("Sensor", "the program ./light"), ("Model", "the program sh"), ("Actuator", "log")];
+        let expected = [("Sensor", "the program ./light"), ("Model", "the program sh"), ("Actuator", "log")];
         for _ in 0..2 {
             hide_arguments_in_facts(&mut facts);
-            assert_eq!(&facts[..3], told.map(|(name, value)| fact(name, value)));
+            assert_eq!(&facts[..3], expected.map(|(name, value)| fact(name, value)));
             assert_eq!(facts[3].1, "the program ./light 5");
         }
     }

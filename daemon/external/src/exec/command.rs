@@ -10,15 +10,15 @@ use std::path::{Path, PathBuf};
 use peernet_clock::Span;
 use serde::{Deserialize, Serialize};
 
-use super::arguments::fact_of;
+use super::arguments::program_fact;
 use super::error::CommandError;
-use super::shell::{only_program, script, split};
+use super::shell::{script, single_program, split};
 use super::{FingerprintKey, Role};
 use crate::digest;
-use crate::process::{MAX_TIMEOUT_MS, find_program, impossible_variable};
+use crate::process::{MAX_TIMEOUT_MS, find_program, invalid_variable};
 
 /// Largest number of a command's files that are recorded as facts.
-const MAX_FILES: usize = 4;
+const MAX_RECORDED_FILES: usize = 4;
 
 /// Permission bit that lets users read a file who are neither its owner nor in its group.
 const READ_BY_OTHERS: u32 = 0o004;
@@ -58,7 +58,7 @@ pub struct ExecConfig {
 
 impl ExecConfig {
     /// Returns the configuration of a command with the defaults.
-    pub fn of(command: CommandLine) -> Self {
+    pub fn new(command: CommandLine) -> Self {
         Self { command, timeout_ms: ten_seconds(), folder: None, env: BTreeMap::new() }
     }
 
@@ -78,14 +78,14 @@ impl ExecConfig {
         if let Some(folder) = self.folder.as_ref().filter(|folder| !folder.is_dir()) {
             return Err(CommandError::NotAFolder(folder.clone()));
         }
-        if let Some(name) = impossible_variable(&self.env) {
+        if let Some(name) = invalid_variable(&self.env) {
             return Err(CommandError::Variable(name.to_owned()));
         }
         match &self.command {
             CommandLine::Shell(line) if line.trim().is_empty() => Err(CommandError::Empty),
-            CommandLine::Shell(line) => match only_program(line) {
+            CommandLine::Shell(line) => match single_program(line) {
                 // A name without a slash may be a builtin command of the shell.
-                Some(program) if program.contains('/') => self.find(program),
+                Some(program) if program.contains('/') => self.check_program(program),
                 _ => Ok(()),
             },
             CommandLine::Words(words) => match words.first() {
@@ -93,7 +93,7 @@ impl ExecConfig {
                 Some(program) if words.iter().any(|word| word.contains('\0')) => {
                     Err(CommandError::ZeroByte { program: program.clone() })
                 }
-                Some(program) => self.find(program),
+                Some(program) => self.check_program(program),
             },
         }
     }
@@ -102,16 +102,16 @@ impl ExecConfig {
     /// the command names with their SHA-256. The name of each fact begins with the role. Reads those files.
     pub fn facts(&self, role: Role) -> Vec<(String, String)> {
         let heading = role.heading();
-        let mut facts = vec![(heading.to_owned(), fact_of(&self.command))];
+        let mut facts = vec![(heading.to_owned(), program_fact(&self.command))];
         facts.extend(digest::files_fact(heading, &self.files(role)));
         facts
     }
 
     /// Returns the fact that distinguishes runs with different arguments without revealing them (`Sensor arguments`,
     /// `2, fingerprint 8a5e1f0c92d3`); `None` if there are no arguments.
-    pub fn arguments(&self, role: Role, key: &FingerprintKey) -> Option<(String, String)> {
-        let told = self.command.fingerprint(key)?;
-        Some((format!("{} arguments", role.heading()), told))
+    pub fn arguments_fact(&self, role: Role, key: &FingerprintKey) -> Option<(String, String)> {
+        let fingerprint = self.command.fingerprint(key)?;
+        Some((format!("{} arguments", role.heading()), fingerprint))
     }
 
     /// Returns the files that the command names, as far as its text shows: the program, and its script or data.
@@ -121,7 +121,7 @@ impl ExecConfig {
     /// script.
     fn files(&self, role: Role) -> Vec<PathBuf> {
         let (program, words) = match &self.command {
-            CommandLine::Shell(line) => (only_program(line), split(line)),
+            CommandLine::Shell(line) => (single_program(line), split(line)),
             CommandLine::Words(words) => (words.first().map(String::as_str), words.clone()),
         };
         let on_path = program.filter(|program| !program.contains('/'));
@@ -131,8 +131,8 @@ impl ExecConfig {
         let script = script(&words, is_file).cloned();
         let is_code = |word: &str| Some(word) == program || Some(word) == script.as_deref();
         let is_public = |word: &str| {
-            let about = folder.join(word).metadata();
-            about.is_ok_and(|about| about.permissions().mode() & READ_BY_OTHERS != 0)
+            let metadata = folder.join(word).metadata();
+            metadata.is_ok_and(|metadata| metadata.permissions().mode() & READ_BY_OTHERS != 0)
         };
         let words = match role {
             Role::Sensor | Role::Model => words,
@@ -140,11 +140,11 @@ impl ExecConfig {
         };
         let named = words.into_iter().skip(on_path.iter().count());
         let named = named.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
-        on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MAX_FILES).collect()
+        on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MAX_RECORDED_FILES).collect()
     }
 
     /// Checks that a program exists.
-    fn find(&self, program: &str) -> Result<(), CommandError> {
+    fn check_program(&self, program: &str) -> Result<(), CommandError> {
         if program.contains('/') {
             let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
             return if path.is_file() { Ok(()) } else { Err(CommandError::NoFile(path)) };
@@ -154,13 +154,14 @@ impl ExecConfig {
     }
 
     /// Returns the program and its arguments for the system call.
-    pub(super) fn words(&self) -> (String, Vec<String>) {
+    pub(super) fn program_and_arguments(&self) -> (String, Vec<String>) {
         match &self.command {
             CommandLine::Shell(line) => {
                 // A shell that waits for its only program would keep the pipes open when the program closes them, and
                 // would turn the signal that kills the program into an exit status.
-                let alone = only_program(line).is_some_and(|program| self.find(program).is_ok());
-                let line = if alone { format!("exec {line}") } else { line.clone() };
+                let is_single =
+                    single_program(line).is_some_and(|program| self.check_program(program).is_ok());
+                let line = if is_single { format!("exec {line}") } else { line.clone() };
                 ("sh".to_owned(), vec!["-c".to_owned(), line])
             }
             CommandLine::Words(words) => {
@@ -179,15 +180,15 @@ impl CommandLine {
     /// Returns the program without its arguments; `sh` for a line that is more than one program with its arguments.
     pub fn program(&self) -> &str {
         match self {
-            Self::Shell(line) => only_program(line).unwrap_or("sh"),
+            Self::Shell(line) => single_program(line).unwrap_or("sh"),
             Self::Words(words) => words.first().map_or("", String::as_str),
         }
     }
 
     /// Returns the number of the program's arguments.
-    pub(super) fn arguments(&self) -> usize {
+    pub(super) fn argument_count(&self) -> usize {
         match self {
-            Self::Shell(line) if only_program(line).is_some() => split(line).len().saturating_sub(1),
+            Self::Shell(line) if single_program(line).is_some() => split(line).len().saturating_sub(1),
             // The line is the one argument after `-c`.
             Self::Shell(_) => 1,
             Self::Words(words) => words.len().saturating_sub(1),
@@ -213,16 +214,16 @@ mod tests {
     #[test]
     fn command_is_shell_line_or_list_of_words() {
         let words = read("command = ['cat', '-u']").expect("reads");
-        assert_eq!(words.words(), ("cat".to_owned(), vec!["-u".to_owned()]));
+        assert_eq!(words.program_and_arguments(), ("cat".to_owned(), vec!["-u".to_owned()]));
         assert_eq!((words.check(), words.timeout()), (Ok(()), Span::from_seconds(10)));
         let line = read("command = 'while read x; do :; done'\ntimeout_ms = 5").expect("reads");
-        assert_eq!(line.words().1, ["-c", "while read x; do :; done"]);
+        assert_eq!(line.program_and_arguments().1, ["-c", "while read x; do :; done"]);
         assert!(read("comand = 'x'").is_err() && read("command = 3").is_err());
     }
 
     #[test]
     fn single_program_replaces_its_shell() {
-        for (line, alone) in [
+        for (line, is_single) in [
             ("cat -u", true),
             ("  cat \"$HOME\" 2> /dev/null", true),
             ("/bin/cat", true),
@@ -234,8 +235,11 @@ mod tests {
             (". /etc/profile", false),
             ("~/own", false),
         ] {
-            let expected = if alone { format!("exec {line}") } else { line.to_owned() };
-            assert_eq!(ExecConfig::of(CommandLine::Shell(line.to_owned())).words().1[1], expected);
+            let expected = if is_single { format!("exec {line}") } else { line.to_owned() };
+            assert_eq!(
+                ExecConfig::new(CommandLine::Shell(line.to_owned())).program_and_arguments().1[1],
+                expected
+            );
         }
     }
 
@@ -243,25 +247,28 @@ mod tests {
     fn files_of_command_are_recorded() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("own.sh"), "abc").expect("writable");
-        let own = "/own.sh SHA-256 ba7816bf";
+        let script_entry = "/own.sh SHA-256 ba7816bf";
         for (command, files) in [
-            ("['sh', 'own.sh', '--fast']", &["/sh SHA-256", own][..]),
-            ("['./own.sh', 'none']", &[own]),
-            ("'sh own.sh 2> /dev/null'", &["/sh SHA-256", own]),
-            ("'sh \"own.sh\" --fast'", &["/sh SHA-256", own]),
+            ("['sh', 'own.sh', '--fast']", &["/sh SHA-256", script_entry][..]),
+            ("['./own.sh', 'none']", &[script_entry]),
+            ("'sh own.sh 2> /dev/null'", &["/sh SHA-256", script_entry]),
+            ("'sh \"own.sh\" --fast'", &["/sh SHA-256", script_entry]),
             ("'while read x; do own.sh; done'", &[]),
             ("'cd x && cat'", &[]),
         ] {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
             let facts = config.facts(Role::Sensor);
             assert!(facts[0].0 == "Sensor" && facts[0].1.starts_with("the program "), "{facts:?}");
-            let told = facts.get(1).map_or("", |(name, told)| {
+            let recorded = facts.get(1).map_or("", |(name, recorded)| {
                 assert_eq!(name, "Sensor files");
-                told
+                recorded
             });
-            let told: Vec<&str> = told.split(", ").filter(|part| !part.is_empty()).collect();
-            assert_eq!(told.len(), files.len(), "{command}: {told:?}");
-            assert!(told.iter().zip(files).all(|(told, file)| told.contains(file)), "{command}: {told:?}");
+            let recorded: Vec<&str> = recorded.split(", ").filter(|part| !part.is_empty()).collect();
+            assert_eq!(recorded.len(), files.len(), "{command}: {recorded:?}");
+            assert!(
+                recorded.iter().zip(files).all(|(recorded, file)| recorded.contains(file)),
+                "{command}: {recorded:?}"
+            );
         }
     }
 
@@ -271,26 +278,29 @@ mod tests {
         for file in ["act.sh", "answers.txt"] {
             std::fs::write(folder.path().join(file), "abc").expect("writable");
         }
-        let own = "/act.sh SHA-256 ba7816bf";
+        let script_entry = "/act.sh SHA-256 ba7816bf";
         for (command, files) in [
-            ("['sh', 'act.sh', 'answers.txt']", &["/sh SHA-256", own][..]),
-            ("['sh', '-e', 'act.sh', 'answers.txt']", &["/sh SHA-256", own]),
-            ("['/bin/sh', 'act.sh', 'answers.txt']", &["/bin/sh SHA-256", own]),
-            ("['env', 'A=b', './act.sh', 'answers.txt']", &["/env SHA-256", own]),
-            ("['./act.sh', 'answers.txt']", &[own]),
+            ("['sh', 'act.sh', 'answers.txt']", &["/sh SHA-256", script_entry][..]),
+            ("['sh', '-e', 'act.sh', 'answers.txt']", &["/sh SHA-256", script_entry]),
+            ("['/bin/sh', 'act.sh', 'answers.txt']", &["/bin/sh SHA-256", script_entry]),
+            ("['env', 'A=b', './act.sh', 'answers.txt']", &["/env SHA-256", script_entry]),
+            ("['./act.sh', 'answers.txt']", &[script_entry]),
             ("['tee', 'answers.txt']", &["/tee SHA-256"]),
             ("['sh', '-c', 'cat > \"$0\"', 'answers.txt']", &["/sh SHA-256"]),
-            ("'sh act.sh >> answers.txt'", &["/sh SHA-256", own]),
-            ("'./act.sh >> answers.txt'", &[own]),
-            ("'sh act.sh | tee answers.txt'", &[own]),
+            ("'sh act.sh >> answers.txt'", &["/sh SHA-256", script_entry]),
+            ("'./act.sh >> answers.txt'", &[script_entry]),
+            ("'sh act.sh | tee answers.txt'", &[script_entry]),
             ("'cd x && tee answers.txt'", &[]),
         ] {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
             let facts = config.facts(Role::Actuator);
-            let told = facts.get(1).map_or("", |(_, told)| told);
-            let told: Vec<&str> = told.split(", ").filter(|part| !part.is_empty()).collect();
-            assert_eq!(told.len(), files.len(), "{command}: {told:?}");
-            assert!(told.iter().zip(files).all(|(told, file)| told.contains(file)), "{command}: {told:?}");
+            let recorded = facts.get(1).map_or("", |(_, recorded)| recorded);
+            let recorded: Vec<&str> = recorded.split(", ").filter(|part| !part.is_empty()).collect();
+            assert_eq!(recorded.len(), files.len(), "{command}: {recorded:?}");
+            assert!(
+                recorded.iter().zip(files).all(|(recorded, file)| recorded.contains(file)),
+                "{command}: {recorded:?}"
+            );
         }
     }
 

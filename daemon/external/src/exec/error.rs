@@ -7,17 +7,15 @@ use std::time::Duration;
 use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, VERSION};
 use crate::process::{MAX_TIMEOUT_MS, ProcessError};
 
-/// Reply that does not follow the framing. The program is stopped, because the beginning of its next message is
-/// unknown.
+/// Reply that does not follow the framing.
+// The program is killed, because the start of its next message cannot be found.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FramingError {
     /// The line is not UTF-8.
-    #[error("it wrote {0:?}, which is not UTF-8 text; write what is not for peernet to standard error")]
+    #[error("it wrote {0:?}, which is not UTF-8 text; write all other output to standard error")]
     NotText(String),
     /// The first word of the line has no meaning for this role.
-    #[error(
-        "it wrote {line:?}; a {role} writes one of: {words}. Write what is not for peernet to standard error"
-    )]
+    #[error("it wrote {line:?}; a {role} writes one of: {words}. Write all other output to standard error")]
     Word {
         /// The line.
         line: String,
@@ -53,12 +51,12 @@ pub enum FramingError {
     TooManyParts,
     /// The name is reserved.
     #[error(
-        "it reported {0:?}, which is not its to measure; use another name, or as a model the stages preprocessing, inference, \
+        "it reported {0:?}, which is a reserved name; use another name, or as a model the stages preprocessing, inference, \
          postprocessing"
     )]
     Name(String),
     /// The program uses an unknown version of the framing.
-    #[error("it speaks version {0} of the framing; this peernet speaks version {VERSION}")]
+    #[error("it uses version {0} of the framing; this peernet supports version {VERSION}")]
     Version(u32),
 }
 
@@ -66,19 +64,19 @@ pub enum FramingError {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     /// The timeout is longer than allowed.
-    #[error("timeout_ms = {timeout_ms} is too much; at most {MAX_TIMEOUT_MS}")]
+    #[error("timeout_ms = {timeout_ms} is above the limit of {MAX_TIMEOUT_MS}")]
     Timeout {
         /// The configured timeout, milliseconds.
         timeout_ms: NonZeroU64,
     },
     /// The working directory does not exist.
-    #[error("{} is not a folder to run it in", .0.display())]
+    #[error("its working directory {} is not a folder", .0.display())]
     NotAFolder(PathBuf),
     /// The system cannot pass an environment variable with this name or value.
-    #[error("{0:?} cannot be given to it as an environment variable")]
+    #[error("the environment variable {0:?} has an invalid name or value")]
     Variable(String),
     /// The command is empty.
-    #[error("an empty command runs nothing")]
+    #[error("the command is empty")]
     Empty,
     /// A word contains a zero byte, where the system would end it.
     #[error("the command of {program:?} contains a zero byte")]
@@ -107,21 +105,21 @@ pub enum ExchangeError {
     #[error("{0}")]
     Start(ProcessError),
     /// The program ended, or its pipe failed.
-    #[error("{0}; it is started anew")]
+    #[error("{0}; it is restarted")]
     Process(#[from] ProcessError),
     /// The program did not follow the framing.
-    #[error("{0} (it is stopped and started anew; docs/external-programs.md describes the framing)")]
+    #[error("{0} (it is killed and restarted; docs/external-programs.md describes the framing)")]
     Framing(#[from] FramingError),
     /// The program wrote more than its reply.
     #[error(
-        "it wrote {0:?} before it was asked: one reply for each request, and nothing else, goes to standard output (it is \
-         stopped and started anew)"
+        "it wrote {0:?} without a request; write one reply for each request, and nothing else, to standard output (it is \
+         killed and restarted)"
     )]
     UnsolicitedOutput(String),
     /// The program did not reply before its timeout.
     #[error(
-        "it gave no whole reply within {after:?}{stderr_suffix}; it is killed and started anew (timeout_ms sets how long it \
-         may take)"
+        "it gave no complete reply within {after:?}{stderr_suffix}; it is killed and restarted (timeout_ms sets the time \
+         limit)"
     )]
     TooSlow {
         /// The timeout.
@@ -130,7 +128,7 @@ pub enum ExchangeError {
         stderr_suffix: String,
     },
     /// The program failed several times in a row and is not restarted yet.
-    #[error("it failed again and again; it is started anew in {left:.1?}; the last time {last}")]
+    #[error("it failed repeatedly; it is restarted in {left:.1?}; last failure: {last}")]
     RestartDelayed {
         /// Time until the next start.
         left: Duration,

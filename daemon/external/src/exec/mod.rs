@@ -23,14 +23,14 @@ mod reply;
 mod request;
 mod shape;
 mod shell;
+mod text_line;
 mod timeline;
-mod words;
 
 pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts, with_arguments};
 pub use command::{CommandLine, ExecConfig};
 pub use error::{CommandError, ExchangeError, FramingError};
 pub use program::{Exchange, Program};
-pub use reply::{Next, Notes, Reply, ReplyAssembler, ReplyOutcome};
+pub use reply::{Reply, ReplyAssembler, ReplyInput, ReplyNotes, ReplyOutcome};
 pub use request::Request;
 pub use timeline::TimedStage;
 
@@ -38,7 +38,7 @@ pub use timeline::TimedStage;
 pub const VERSION: u32 = 1;
 
 /// Longest line of a program, bytes, without the line feed.
-pub const MAX_LINE: usize = 4096;
+pub const MAX_LINE_BYTES: usize = 4096;
 /// Largest number of lines in one reply.
 pub const MAX_LINES: usize = 256;
 /// Largest number of parts of one sample.

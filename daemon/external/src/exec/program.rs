@@ -3,14 +3,14 @@
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
 
-use super::words::shorten;
+use super::text_line::shorten;
 use super::{
-    ExchangeError, ExecConfig, MAX_LINE, Next, Notes, Reply, ReplyAssembler, ReplyOutcome, Request, Role,
-    VERSION,
+    ExchangeError, ExecConfig, MAX_LINE_BYTES, Reply, ReplyAssembler, ReplyInput, ReplyNotes, ReplyOutcome,
+    Request, Role, VERSION,
 };
 use crate::process::{Launch, Process, ProcessError, RestartBackoff, StderrLog};
 
-/// Time that a program has to end after its standard input is closed.
+/// Time for a program to end after its standard input is closed.
 const STOP_TIMEOUT: Span = Span::from_millis(1000);
 
 /// External program in one role. All calls block.
@@ -23,22 +23,22 @@ pub struct Program {
     process: Option<Process>,
     restart_backoff: RestartBackoff,
     /// Text of the last failure, returned to callers while the program is not restarted.
-    last: String,
+    last_failure: String,
     /// `true` after a sensor has reported its end; it is not asked again.
     is_finished: bool,
 }
 
-/// Request with its reply.
+/// A request and its reply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exchange {
     /// Start of the program's restart for this request, if it had failed before.
-    pub restarted: Option<MonoTime>,
+    pub restarted_at: Option<MonoTime>,
     /// Time at which writing the request began.
-    pub began: MonoTime,
+    pub started_at: MonoTime,
     /// Time at which the reply was complete.
-    pub ended: MonoTime,
+    pub ended_at: MonoTime,
     /// Notes that preceded the reply.
-    pub notes: Notes,
+    pub notes: ReplyNotes,
     /// Result of the request; never [`ReplyOutcome::Error`].
     pub outcome: ReplyOutcome,
 }
@@ -55,7 +55,7 @@ impl Program {
         clock: &SharedClock,
     ) -> Result<Self, ExchangeError> {
         config.check()?;
-        let (program, arguments) = config.words();
+        let (program, arguments) = config.program_and_arguments();
         let mut environment = config.env.clone();
         environment.insert("PEERNET_EXEC".to_owned(), VERSION.to_string());
         environment.insert("PEERNET_ROLE".to_owned(), role.word().to_owned());
@@ -66,7 +66,7 @@ impl Program {
             arguments: arguments.into_iter().map(Into::into).collect(),
             folder: config.folder.clone(),
             environment,
-            inherits: None,
+            inherited_file: None,
         };
         let process = Process::start(&launch, clock).map_err(ExchangeError::Start)?;
         Ok(Self {
@@ -76,7 +76,7 @@ impl Program {
             clock: SharedClock::clone(clock),
             process: Some(process),
             restart_backoff: RestartBackoff::default(),
-            last: String::new(),
+            last_failure: String::new(),
             is_finished: false,
         })
     }
@@ -88,26 +88,26 @@ impl Program {
     ///
     /// # Errors
     /// The reason that this request has no reply. The next request may succeed.
-    pub fn ask(&mut self, request: Request<'_>) -> Result<Exchange, ExchangeError> {
+    pub fn call(&mut self, request: Request<'_>) -> Result<Exchange, ExchangeError> {
         if self.is_finished {
             let now = self.clock.mono();
-            let notes = Notes::default();
+            let notes = ReplyNotes::default();
             return Ok(Exchange {
-                restarted: None,
-                began: now,
-                ended: now,
+                restarted_at: None,
+                started_at: now,
+                ended_at: now,
                 notes,
                 outcome: ReplyOutcome::End,
             });
         }
-        let restarted = self.process.is_none().then(|| self.clock.mono());
+        let restarted_at = self.process.is_none().then(|| self.clock.mono());
         let mut process = match self.process.take() {
             Some(process) => process,
             None => self.restart()?,
         };
-        let began = self.clock.mono();
-        let replied = exchange(&mut process, request, self.role, began + self.timeout);
-        let ended = self.clock.mono();
+        let started_at = self.clock.mono();
+        let replied = run_exchange(&mut process, request, self.role, started_at + self.timeout);
+        let ended_at = self.clock.mono();
         match replied {
             Ok(Reply { notes, outcome }) => {
                 self.process = Some(process);
@@ -115,11 +115,11 @@ impl Program {
                 self.is_finished = outcome == ReplyOutcome::End;
                 match outcome {
                     ReplyOutcome::Error(text) => Err(ExchangeError::Refused(text)),
-                    outcome => Ok(Exchange { restarted, began, ended, notes, outcome }),
+                    outcome => Ok(Exchange { restarted_at, started_at, ended_at, notes, outcome }),
                 }
             }
             Err(error) => {
-                // The program is killed before the delay begins, so that it cannot disturb its successor.
+                // The program is killed before the delay starts, so that it cannot disturb the next process.
                 let error = match error {
                     ExchangeError::Process(ProcessError::TimedOut) => ExchangeError::TooSlow {
                         after: self.timeout.to_duration(),
@@ -137,15 +137,18 @@ impl Program {
 
     fn restart(&mut self) -> Result<Process, ExchangeError> {
         if let Some(left) = self.restart_backoff.remaining_delay(self.clock.mono()) {
-            return Err(ExchangeError::RestartDelayed { left: left.to_duration(), last: self.last.clone() });
+            return Err(ExchangeError::RestartDelayed {
+                left: left.to_duration(),
+                last: self.last_failure.clone(),
+            });
         }
-        tracing::info!(name = self.launch.name, "starting the program anew");
+        tracing::info!(name = self.launch.name, "restarting the program");
         Process::start(&self.launch, &self.clock).map_err(|error| self.failed(ExchangeError::Start(error)))
     }
 
     fn failed(&mut self, error: ExchangeError) -> ExchangeError {
         self.restart_backoff.record_failure(self.clock.mono());
-        self.last = error.to_string();
+        self.last_failure = error.to_string();
         error
     }
 }
@@ -154,33 +157,34 @@ impl Drop for Program {
     fn drop(&mut self) {
         if let Some(process) = self.process.take() {
             let ended = process.end(STOP_TIMEOUT);
-            tracing::debug!(name = self.launch.name, %ended, "the program was told to end");
+            tracing::debug!(name = self.launch.name, %ended, "stopped the program");
         }
     }
 }
 
-fn exchange(
+/// Sends a request and reads the reply.
+fn run_exchange(
     process: &mut Process,
     request: Request<'_>,
     role: Role,
-    until: MonoTime,
+    deadline: MonoTime,
 ) -> Result<Reply, ExchangeError> {
-    // Output before the request would be taken for the reply, and every later reply would be the wrong one.
+    // Output before the request would be taken for its reply, and each later reply for that of the next request.
     if process.has_more() {
         return Err(ExchangeError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
-    process.write(&slices, until)?;
+    process.write(&slices, deadline)?;
     let mut assembler = ReplyAssembler::new(role);
-    let mut next = Next::Line;
+    let mut next = ReplyInput::Line;
     loop {
         next = match next {
-            Next::Line => assembler.line(&process.read_line(MAX_LINE, until)?)?,
-            Next::Bytes(0) => assembler.bytes(Bytes::new()),
+            ReplyInput::Line => assembler.push_line(&process.read_line(MAX_LINE_BYTES, deadline)?)?,
+            ReplyInput::Bytes(0) => assembler.push_bytes(Bytes::new()),
             // The count is at most `MAX_BYTES`, which fits into a usize.
-            Next::Bytes(count) => assembler.bytes(process.read_exact(count as usize, until)?),
-            Next::Reply(reply) => return Ok(reply),
+            ReplyInput::Bytes(count) => assembler.push_bytes(process.read_exact(count as usize, deadline)?),
+            ReplyInput::Reply(reply) => return Ok(reply),
         }
     }
 }

@@ -5,11 +5,11 @@ use peernet_clock::Span;
 use peernet_sample::{MediaType, Part};
 
 use super::error::FramingError;
-use super::words::{shorten, split_first_word, text};
+use super::text_line::{shorten, split_first_word, text};
 use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
-/// Node names that PEERNet itself gives to every tree, so that programs must not use them.
+/// Names of nodes that PEERNet itself records, which programs must not use.
 const RESERVED_NAMES: [&str; 34] = [
     "iteration",
     "sensing",
@@ -53,7 +53,7 @@ const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"]
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reply {
     /// Notes that preceded the result.
-    pub notes: Notes,
+    pub notes: ReplyNotes,
     /// Result of the request.
     pub outcome: ReplyOutcome,
 }
@@ -73,7 +73,7 @@ pub enum ReplyOutcome {
 
 /// Notes that a program may write before its result.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Notes {
+pub struct ReplyNotes {
     /// The program's own stages in order: name and duration.
     pub stages: Vec<(String, Span)>,
     /// Values: name, number, symbol of the unit.
@@ -88,7 +88,7 @@ pub struct Notes {
 
 /// Input that the assembler needs next.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Next {
+pub enum ReplyInput {
     /// A line, up to `\n`.
     Line,
     /// The given number of bytes.
@@ -101,26 +101,26 @@ pub enum Next {
 #[derive(Debug)]
 pub struct ReplyAssembler {
     role: Role,
-    notes: Notes,
+    notes: ReplyNotes,
     parts: Vec<Part>,
     lines: usize,
     /// Number of bytes of all parts so far.
     bytes: u64,
     /// Description of the part whose bytes are expected next, and whether it is the last part.
-    open: Option<(peernet_sample::Description, bool)>,
+    pending_part: Option<(peernet_sample::Description, bool)>,
 }
 
 impl ReplyAssembler {
     /// Creates the assembler for one reply of a program in the given role.
     pub fn new(role: Role) -> Self {
-        Self { role, notes: Notes::default(), parts: Vec::new(), lines: 0, bytes: 0, open: None }
+        Self { role, notes: ReplyNotes::default(), parts: Vec::new(), lines: 0, bytes: 0, pending_part: None }
     }
 
     /// Processes a line, without its `\n`.
     ///
     /// # Errors
     /// If the line does not follow the framing.
-    pub fn line(&mut self, line: &[u8]) -> Result<Next, FramingError> {
+    pub fn push_line(&mut self, line: &[u8]) -> Result<ReplyInput, FramingError> {
         self.lines += 1;
         if self.lines > MAX_LINES {
             return Err(FramingError::TooManyLines);
@@ -155,27 +155,27 @@ impl ReplyAssembler {
             ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),
             ("answer" | "part", Role::Sensor | Role::Model) => {
                 return self
-                    .announce(rest, word == "answer")
+                    .announce_part(rest, word == "answer")
                     .map_err(|error| error.unwrap_or_else(|| wrong(ANSWER)));
             }
-            _ => return Err(self.unknown(line)),
+            _ => return Err(self.unknown_word(line)),
         }
-        Ok(Next::Line)
+        Ok(ReplyInput::Line)
     }
 
-    /// Processes the bytes that [`Next::Bytes`] asked for.
-    pub fn bytes(&mut self, bytes: Bytes) -> Next {
-        let Some((description, last)) = self.open.take() else { return Next::Line };
+    /// Processes the bytes that [`ReplyInput::Bytes`] asked for.
+    pub fn push_bytes(&mut self, bytes: Bytes) -> ReplyInput {
+        let Some((description, last)) = self.pending_part.take() else { return ReplyInput::Line };
         self.parts.push(Part { description, bytes });
         if last {
             let parts = std::mem::take(&mut self.parts);
             return self.finish(ReplyOutcome::Parts(parts));
         }
-        Next::Line
+        ReplyInput::Line
     }
 
     /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` stands for a wrong form.
-    fn announce(&mut self, rest: &str, last: bool) -> Result<Next, Option<FramingError>> {
+    fn announce_part(&mut self, rest: &str, last: bool) -> Result<ReplyInput, Option<FramingError>> {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
         let media = words.next().map_or(MediaType::Bytes, MediaType::from_iana);
@@ -194,15 +194,15 @@ impl ReplyAssembler {
         if self.parts.len() == MAX_PARTS {
             return Err(Some(FramingError::TooManyParts));
         }
-        self.open = Some((description, last));
-        Ok(Next::Bytes(bytes))
+        self.pending_part = Some((description, last));
+        Ok(ReplyInput::Bytes(bytes))
     }
 
-    fn finish(&mut self, outcome: ReplyOutcome) -> Next {
-        Next::Reply(Reply { notes: std::mem::take(&mut self.notes), outcome })
+    fn finish(&mut self, outcome: ReplyOutcome) -> ReplyInput {
+        ReplyInput::Reply(Reply { notes: std::mem::take(&mut self.notes), outcome })
     }
 
-    fn unknown(&self, line: &str) -> FramingError {
+    fn unknown_word(&self, line: &str) -> FramingError {
         let words = match self.role {
             Role::Sensor => "answer, part, end, error, stage, value, sequence, label, source, version",
             Role::Model => "answer, part, error, stage, value, version",
@@ -218,13 +218,13 @@ const ANSWER: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640
 
 /// Returns `name` if programs may use it.
 fn check_name(name: &str, is_model: bool) -> Result<String, FramingError> {
-    let taken = RESERVED_NAMES.contains(&name) || !is_model && MODEL_STAGES.contains(&name);
-    if taken { Err(FramingError::Name(name.to_owned())) } else { Ok(name.to_owned()) }
+    let is_reserved = RESERVED_NAMES.contains(&name) || !is_model && MODEL_STAGES.contains(&name);
+    if is_reserved { Err(FramingError::Name(name.to_owned())) } else { Ok(name.to_owned()) }
 }
 
 /// Parses `NAME SECONDS`.
 fn stage(rest: &str) -> Option<(&str, Span)> {
-    let (name, seconds) = named(rest)?;
+    let (name, seconds) = split_name(rest)?;
     let seconds: f64 = seconds.parse().ok()?;
     // One day is longer than any stage and far below the largest value of `Span`.
     (0.0..=86_400.0).contains(&seconds).then(|| (name, Span::from_seconds_f64(seconds)))
@@ -232,17 +232,17 @@ fn stage(rest: &str) -> Option<(&str, Span)> {
 
 /// Parses `NAME NUMBER [UNIT]`.
 fn value(rest: &str) -> Option<(&str, f64, &str)> {
-    let (name, rest) = named(rest)?;
+    let (name, rest) = split_name(rest)?;
     let (number, unit) = split_first_word(rest);
     let number: f64 = number.parse().ok()?;
     (number.is_finite() && unit.len() <= 16).then_some((name, number, unit))
 }
 
 /// Splits off a name of lower-case letters, digits and hyphens.
-fn named(rest: &str) -> Option<(&str, &str)> {
+fn split_name(rest: &str) -> Option<(&str, &str)> {
     let (name, rest) = split_first_word(rest);
-    let good = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
-    (!name.is_empty() && name.len() <= 64 && name.bytes().all(good)).then_some((name, rest))
+    let is_valid = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
+    (!name.is_empty() && name.len() <= 64 && name.bytes().all(is_valid)).then_some((name, rest))
 }
 
 #[cfg(test)]

@@ -65,7 +65,8 @@ mod tests {
 
     #[test]
     fn one_line_and_the_bytes() {
-        let mut sample = Sample::of(Description::unshaped(MediaType::Text), Bytes::from_static(b"hello"));
+        let mut sample =
+            Sample::from_part(Description::unshaped(MediaType::Text), Bytes::from_static(b"hello"));
         assert_eq!(written(Request::Sample(&sample)), "sample 5 text/plain - -\nhello");
         sample.source = "a b\nnext.jpg".to_owned();
         assert_eq!(written(Request::Sample(&sample)), "sample 5 text/plain - a b next.jpg\nhello");
@@ -79,7 +80,7 @@ mod tests {
     #[test]
     fn all_parts_except_last_announce_another() {
         let pixels = Description::pixels(PixelFormat::Rgb8, 2, 1);
-        let mut sample = Sample::of(pixels, Bytes::from_static(b"rgbrgb"));
+        let mut sample = Sample::from_part(pixels, Bytes::from_static(b"rgbrgb"));
         sample.parts.push(Part { description: Description::bytes(), bytes: Bytes::from_static(b"d") });
         let expected = "part 6 image/x-rgb8 1x2x3:u8 -\nrgbrgbsample 1 application/octet-stream - -\nd";
         assert_eq!(written(Request::Sample(&sample)), expected);

@@ -1,7 +1,7 @@
 //! Analysis of a shell command line, without running it.
 
 /// Returns the program of a line that is one program with arguments; `None` if the text does not show that.
-pub(super) fn only_program(line: &str) -> Option<&str> {
+pub(super) fn single_program(line: &str) -> Option<&str> {
     let program = line.split_ascii_whitespace().next()?;
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-+./".contains(&byte);
     let more = [';', '&', '|', '\n', '(', ')', '{', '}', '`', '\0'];
@@ -61,7 +61,7 @@ const INTERPRETERS: [(&str, &str); 20] = [
 ];
 
 /// Long options with the same meaning.
-const INLINE: [&str; 4] = ["--eval", "--print", "--command", "--split-string"];
+const INLINE_CODE_OPTIONS: [&str; 4] = ["--eval", "--print", "--command", "--split-string"];
 
 /// Returns the script that an interpreter runs.
 ///
@@ -75,7 +75,7 @@ pub(super) fn script(words: &[String], is_file: impl Fn(&str) -> bool) -> Option
     let is_inline = |argument: &String| {
         let letters = argument.strip_prefix('-').filter(|rest| !rest.starts_with('-'));
         letters.is_some_and(|letters| letters.contains(|letter| inline.contains(letter)))
-            || INLINE.iter().any(|option| argument.starts_with(option))
+            || INLINE_CODE_OPTIONS.iter().any(|option| argument.starts_with(option))
     };
     let before = arguments.iter().take_while(|argument| !is_inline(argument));
     before.into_iter().find(|argument| is_file(argument))

@@ -5,13 +5,13 @@ use peernet_clock::{MonoTime, Span};
 use super::{Exchange, ExchangeError};
 
 /// Stages of a model that count towards the sum of the stages.
-const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+const SUMMED_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 /// Stage of the time that is not spent in the program: sending the request and receiving the reply.
 const IPC: &str = "ipc";
 /// Node that takes the place of `ipc` in the first reply after a restart; it includes the start of the program.
 const RESTART: &str = "restart";
 /// Largest excess of the stages' sum over the whole that is attributed to rounding.
-const ROUNDING: Span = Span::from_millis(1);
+const ROUNDING_TOLERANCE: Span = Span::from_millis(1);
 
 /// Stage with its beginning and end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,14 +26,14 @@ pub struct TimedStage {
 
 impl Exchange {
     /// Returns the time from the request to the reply.
-    pub fn whole(&self) -> Span {
-        self.ended - self.began
+    pub fn duration(&self) -> Span {
+        self.ended_at - self.started_at
     }
 
     /// Returns the interval from the restart of the program to its reply, if it was restarted. A program does not
     /// report when it is ready, so that the duration of the start itself is unknown.
-    pub fn restart(&self) -> Option<(MonoTime, MonoTime)> {
-        self.restarted.map(|from| (from, self.ended))
+    pub fn restart_interval(&self) -> Option<(MonoTime, MonoTime)> {
+        self.restarted_at.map(|from| (from, self.ended_at))
     }
 
     /// Returns the stages of a model.
@@ -49,34 +49,34 @@ impl Exchange {
     /// [`ExchangeError::Stages`] if the stages add up to more than the whole.
     pub fn stages(&self) -> Result<Vec<TimedStage>, ExchangeError> {
         let timed = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
-        let is_stage = |name: &String| STAGES.contains(&name.as_str());
-        let own = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
-        let reported: Span = own.map(|(_, span)| *span).sum();
-        if reported > self.whole() + ROUNDING {
-            let (stages, whole) = (reported.to_duration(), self.whole().to_duration());
+        let is_stage = |name: &String| SUMMED_STAGES.contains(&name.as_str());
+        let summed = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
+        let reported: Span = summed.map(|(_, span)| *span).sum();
+        if reported > self.duration() + ROUNDING_TOLERANCE {
+            let (stages, whole) = (reported.to_duration(), self.duration().to_duration());
             return Err(ExchangeError::Stages { stages, whole });
         }
-        let begins = match self.restarted {
-            Some(from) => from + (self.ended - from - reported).max(Span::ZERO),
-            None => self.began,
+        let stages_start = match self.restarted_at {
+            Some(from) => from + (self.ended_at - from - reported).max(Span::ZERO),
+            None => self.started_at,
         };
-        let (mut stages, mut at) = (Vec::new(), begins);
+        let (mut stages, mut at) = (Vec::new(), stages_start);
         for (name, span) in &self.notes.stages {
             if is_stage(name) {
                 stages.push(timed(name, at, at + *span));
                 at = at + *span;
             } else {
-                stages.push(timed(name, self.began, self.began + *span));
+                stages.push(timed(name, self.started_at, self.started_at + *span));
             }
         }
         // `restart` is a node and no stage: it belongs to the failure before it, not to the loop, and would distort
         // the sum of the stages.
-        if let Some(from) = self.restarted {
-            stages.push(timed(RESTART, from, begins));
+        if let Some(from) = self.restarted_at {
+            stages.push(timed(RESTART, from, stages_start));
         } else if !stages.iter().any(|stage| is_stage(&stage.name)) {
-            stages.push(timed("inference", self.began, self.ended));
+            stages.push(timed("inference", self.started_at, self.ended_at));
         } else {
-            stages.push(timed(IPC, at.min(self.ended), self.ended));
+            stages.push(timed(IPC, at.min(self.ended_at), self.ended_at));
         }
         Ok(stages)
     }
@@ -85,7 +85,7 @@ impl Exchange {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exec::{Notes, ReplyOutcome};
+    use crate::exec::{ReplyNotes, ReplyOutcome};
 
     /// Returns the stages of a program that reported these durations (milliseconds) and replied after 10 ms.
     fn stages(reported: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
@@ -98,10 +98,10 @@ mod tests {
         reported: &[(&str, i64)],
     ) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
         let stages = reported.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
-        let (began, ended) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
-        let restarted = restart.map(|before| MonoTime::from_nanos(-before * 1_000_000));
-        let notes = Notes { stages, ..Notes::default() };
-        let exchange = Exchange { restarted, began, ended, notes, outcome: ReplyOutcome::Done };
+        let (started_at, ended_at) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
+        let restarted_at = restart.map(|before| MonoTime::from_nanos(-before * 1_000_000));
+        let notes = ReplyNotes { stages, ..ReplyNotes::default() };
+        let exchange = Exchange { restarted_at, started_at, ended_at, notes, outcome: ReplyOutcome::Done };
         let millis = |at: MonoTime| at.nanos() / 1_000_000;
         Ok(exchange
             .stages()?
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_program_is_all_inference() {
+    fn program_without_stages_is_all_inference() {
         assert_eq!(stages(&[]).expect("adds up"), [("inference".to_owned(), 0, 10)]);
         assert_eq!(stages(&[("warm", 3)]).expect("adds up")[1], ("inference".to_owned(), 0, 10));
     }

@@ -19,12 +19,12 @@ pub enum ProcessError {
     #[error("{0}")]
     ProcessEnd(ProcessEnd),
     /// The process neither read nor wrote before the deadline.
-    #[error("it did not answer in time")]
+    #[error("it did not answer before its timeout")]
     TimedOut,
-    /// The process sends more than the given number of bytes at once.
-    #[error("it sends more than {0} bytes at once")]
+    /// The process sent a line of more than the given number of bytes.
+    #[error("it sent a line of more than {0} bytes")]
     TooLong(usize),
     /// Reading from or writing to a pipe failed for another reason.
-    #[error("the pipe failed: {0}")]
+    #[error("its pipe failed: {0}")]
     Pipe(io::Error),
 }

@@ -8,14 +8,15 @@ use rustix::process::{Pid, Signal, kill_process_group};
 
 use super::spawner;
 
-/// Shell command of the watcher. Its standard input closes when this program ends, for whatever reason; then it kills
-/// its group. It ignores the signals that ask the group to end.
+/// Shell command of the watcher. It kills its group when its standard input closes, and ignores the signals that ask the
+/// group to end.
+// The standard input closes when this program ends, for whatever reason.
 const WATCHER_SCRIPT: &str = "trap '' HUP INT QUIT TERM USR1 USR2; read -r _; kill -KILL 0";
 
 /// A process that leads a process group, and a watcher in that group.
 ///
-/// The group's number is the leader's. The system does not reuse it until the leader's status has been collected, so
-/// the group can be signalled until then, whether or not the leader still runs.
+/// The group has the number of its leader. The system does not reuse the number until the leader's status has been
+/// collected. Until then the group can be signalled, whether or not the leader still runs.
 #[derive(Debug)]
 pub(super) struct Group {
     leader: Child,
@@ -37,7 +38,9 @@ impl Group {
         let leader = spawner::spawn(command)?;
         let watcher = Watcher::start(&leader)
             // Without it only the leader ends when this program is killed.
-            .inspect_err(|error| tracing::warn!(%error, "nobody watches over the processes of a program"))
+            .inspect_err(|error| {
+                tracing::warn!(%error, "cannot start the watcher of a program; its processes may outlive this program");
+            })
             .ok();
         Ok(Self { leader, watcher })
     }
@@ -56,13 +59,13 @@ impl Group {
         i32::try_from(self.id()).ok().and_then(Pid::from_raw)
     }
 
-    /// Asks all processes of the group to end (SIGTERM). To be called before [`finish`](Self::finish) only.
+    /// Asks all processes of the group to end (SIGTERM). Must not be called after [`finish`](Self::finish).
     pub(super) fn terminate(&self) {
         self.signal(Signal::TERM);
     }
 
-    /// Kills the rest of the group, then collects the leader's status. The order matters: afterwards the number may
-    /// belong to another process.
+    /// Kills the rest of the group, then collects the leader's status.
+    // In this order, because afterwards the number may belong to another process.
     pub(super) fn finish(&mut self) -> Option<ExitStatus> {
         self.signal(Signal::KILL);
         // Ends a leader that moved to another group. For a leader that has already ended the error does not matter.

@@ -30,7 +30,7 @@ pub struct Launch {
     /// Environment variables added to those of this program.
     pub environment: BTreeMap<String, String>,
     /// Open file that the process inherits, under the same descriptor number.
-    pub inherits: Option<Arc<File>>,
+    pub inherited_file: Option<Arc<File>>,
 }
 
 impl Launch {
@@ -52,7 +52,7 @@ impl Launch {
             command.current_dir(folder);
         }
         let parent = getpid();
-        let inherits = self.inherits.clone();
+        let inherited_file = self.inherited_file.clone();
         #[expect(
             unsafe_code,
             reason = "only between fork and exec can a process be told to die with its parent, and what stays open"
@@ -60,7 +60,7 @@ impl Launch {
         // SAFETY: the closure makes three system calls, allocates nothing and takes no lock.
         unsafe {
             command.pre_exec(move || {
-                if let Some(file) = &inherits {
+                if let Some(file) = &inherited_file {
                     fcntl_setfd(file, FdFlags::empty())?;
                 }
                 set_parent_process_death_signal(Some(Signal::KILL))?;
@@ -73,11 +73,11 @@ impl Launch {
 }
 
 /// Returns the name of a variable that the system cannot pass to a process, if there is one.
-pub(crate) fn impossible_variable(environment: &BTreeMap<String, String>) -> Option<&str> {
-    let impossible = |(name, value): &(&String, &String)| {
+pub(crate) fn invalid_variable(environment: &BTreeMap<String, String>) -> Option<&str> {
+    let is_invalid = |(name, value): &(&String, &String)| {
         name.is_empty() || name.contains(['=', '\0']) || value.contains('\0')
     };
-    environment.iter().find(impossible).map(|(name, _)| name.as_str())
+    environment.iter().find(is_invalid).map(|(name, _)| name.as_str())
 }
 
 /// Returns the file of a program: `name` itself if it is a path, otherwise the first file of that name in the folders

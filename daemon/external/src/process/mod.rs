@@ -17,7 +17,7 @@ mod spawner;
 mod stderr_log;
 
 pub use error::ProcessError;
-pub(crate) use launch::impossible_variable;
+pub(crate) use launch::invalid_variable;
 pub use launch::{Launch, find_program};
 pub use process_end::{Fault, ProcessEnd};
 pub use restart_backoff::RestartBackoff;

@@ -14,19 +14,19 @@ use super::{Fault, ProcessError};
 
 /// Requested capacity of a pipe, bytes: the most that Linux grants to unprivileged processes (`fs.pipe-max-size`).
 const PIPE_BYTES: usize = 1 << 20;
-/// Bytes that are read at once while the length of the data is unknown.
-const CHUNK: usize = 8 << 10;
+/// Number of bytes that are read at once while the length of the data is unknown.
+const READ_CHUNK_BYTES: usize = 8 << 10;
 /// Largest number of bytes that are read ahead while a request is still being written: the length of the longest answer.
-const MAX_READ_AHEAD: usize = 1 << 30;
-/// Largest capacity of an empty buffer, bytes: more is given back.
-const MAX_IDLE_CAPACITY: usize = 4 << 20;
+const MAX_READ_AHEAD_BYTES: usize = 1 << 30;
+/// Largest capacity of an empty buffer. Memory beyond it is freed.
+const MAX_IDLE_CAPACITY_BYTES: usize = 4 << 20;
 /// Largest number of slices in one write, well below the system's limit.
-const MAX_SLICES: usize = 64;
+const MAX_SLICES_PER_WRITE: usize = 64;
 
 /// Reason that a pipe cannot be used any more.
 #[derive(Debug)]
 pub(super) enum PipeError {
-    /// The other end is closed; `None` when that is because the process is gone.
+    /// The other end is closed; `None` if the process has ended.
     Closed(Option<Fault>),
     TimedOut,
     TooLong(usize),
@@ -48,7 +48,7 @@ impl PipeError {
         match self {
             Self::Closed(end) => Err(end),
             Self::TimedOut => Ok(ProcessError::TimedOut),
-            Self::TooLong(most) => Ok(ProcessError::TooLong(most)),
+            Self::TooLong(limit) => Ok(ProcessError::TooLong(limit)),
             Self::Failed(error) => Ok(ProcessError::Pipe(error)),
         }
     }
@@ -59,7 +59,7 @@ pub(super) fn prepare(fd: impl AsFd) -> io::Result<()> {
     rustix::io::ioctl_fionbio(&fd, true)?;
     // A smaller pipe works as well, with more system calls.
     if let Err(error) = fcntl_setpipe_size(&fd, PIPE_BYTES) {
-        tracing::debug!(%error, "a pipe stays at its usual size");
+        tracing::debug!(%error, "cannot enlarge a pipe; it keeps its default size");
     }
     Ok(())
 }
@@ -69,8 +69,8 @@ pub(super) fn prepare(fd: impl AsFd) -> io::Result<()> {
 pub(super) struct Wait<'a> {
     pub(super) clock: &'a SharedClock,
     pub(super) until: MonoTime,
-    /// Descriptor that tells when the process at the other end has ended, where the kernel has such descriptors (pidfd_open(2)).
-    /// The pipe alone does not tell it: a child of the process may keep the pipe open.
+    /// Descriptor that becomes readable when the process at the other end ends (pidfd_open(2)), if the kernel supports it.
+    // The pipe alone does not show the end, because a child of the process may keep it open.
     pub(super) process: Option<BorrowedFd<'a>>,
 }
 
@@ -81,7 +81,7 @@ impl Wait<'_> {
         watched.extend(self.process.map(|process| PollFd::from_borrowed_fd(process, PollFlags::IN)));
         self.poll(&mut watched)?;
         if watched[..N].iter().all(|pipe| pipe.revents().is_empty()) {
-            // The process is gone; what it wrote just before is in its pipe by now.
+            // The process has ended; its last output is in the pipe by now.
             poll(&mut watched[..N], Some(&Timespec::default()))?;
         }
         let ready = std::array::from_fn(|at| !watched[at].revents().is_empty());
@@ -91,9 +91,11 @@ impl Wait<'_> {
     /// Waits until one of the descriptors is ready.
     fn poll(&self, watched: &mut [PollFd<'_>]) -> Result<(), PipeError> {
         loop {
-            let left = (self.until - self.clock.mono()).to_duration();
-            let timeout =
-                Timespec { tv_sec: left.as_secs().cast_signed(), tv_nsec: left.subsec_nanos().into() };
+            let remaining = (self.until - self.clock.mono()).to_duration();
+            let timeout = Timespec {
+                tv_sec: remaining.as_secs().cast_signed(),
+                tv_nsec: remaining.subsec_nanos().into(),
+            };
             match poll(watched, Some(&timeout)) {
                 Ok(0) if self.until <= self.clock.mono() => return Err(PipeError::TimedOut),
                 Ok(0) | Err(Errno::INTR) => {}
@@ -105,13 +107,13 @@ impl Wait<'_> {
 
     /// Waits for the end of the process. Returns `false` if it still runs at the deadline, or if the kernel cannot tell.
     pub(super) fn wait_for_exit(&self) -> bool {
-        let over = |process| self.poll(&mut [PollFd::from_borrowed_fd(process, PollFlags::IN)]).is_ok();
-        self.process.is_some_and(over)
+        let has_ended = |process| self.poll(&mut [PollFd::from_borrowed_fd(process, PollFlags::IN)]).is_ok();
+        self.process.is_some_and(has_ended)
     }
 }
 
-/// Writes all parts, one after the other, and reads what the process writes meanwhile: otherwise both would wait for each
-/// other when the process answers before it has read everything.
+/// Writes all parts in order, and reads what the process writes meanwhile.
+// Otherwise both sides would wait for each other if the process answers before it has read everything.
 pub(super) fn write(
     fd: &OwnedFd,
     parts: &[&[u8]],
@@ -119,11 +121,11 @@ pub(super) fn write(
     wait: Wait<'_>,
 ) -> Result<(), PipeError> {
     let mut slices: Vec<IoSlice<'_>> = parts.iter().map(|part| IoSlice::new(part)).collect();
-    let mut left = slices.as_mut_slice();
-    IoSlice::advance_slices(&mut left, 0);
-    while !left.is_empty() {
-        match rustix::io::writev(fd, &left[..left.len().min(MAX_SLICES)]) {
-            Ok(written) => IoSlice::advance_slices(&mut left, written),
+    let mut remaining = slices.as_mut_slice();
+    IoSlice::advance_slices(&mut remaining, 0);
+    while !remaining.is_empty() {
+        match rustix::io::writev(fd, &remaining[..remaining.len().min(MAX_SLICES_PER_WRITE)]) {
+            Ok(written) => IoSlice::advance_slices(&mut remaining, written),
             Err(Errno::INTR) => {}
             Err(Errno::AGAIN) => wait_to_write(fd, answers, wait)?,
             Err(Errno::PIPE) => return Err(PipeError::Closed(Some(Fault::ClosedInput))),
@@ -133,14 +135,14 @@ pub(super) fn write(
     Ok(())
 }
 
-/// Waits until the pipe takes more, and reads what the process writes meanwhile.
+/// Waits until the pipe accepts more, and reads what the process writes meanwhile.
 fn wait_to_write(fd: &OwnedFd, answers: &mut Reader, wait: Wait<'_>) -> Result<(), PipeError> {
-    let room = (fd, PollFlags::OUT);
+    let writable = (fd, PollFlags::OUT);
     if answers.is_full() {
-        return wait.ready([room]).map(drop);
+        return wait.ready([writable]).map(drop);
     }
-    let [_, answered] = wait.ready([room, (&answers.fd, PollFlags::IN)])?;
-    if answered { answers.read_more(wait) } else { Ok(()) }
+    let [_, has_answer] = wait.ready([writable, (&answers.fd, PollFlags::IN)])?;
+    if has_answer { answers.read_more(wait) } else { Ok(()) }
 }
 
 /// The end of a pipe that is read, with a buffer for what was read ahead.
@@ -149,29 +151,29 @@ pub(super) struct Reader {
     pub(super) fd: OwnedFd,
     buffer: Vec<u8>,
     /// Number of bytes of `buffer` that were returned already.
-    taken: usize,
+    consumed: usize,
 }
 
 impl Reader {
     pub(super) fn new(fd: OwnedFd) -> Self {
-        Self { fd, buffer: Vec::with_capacity(CHUNK), taken: 0 }
+        Self { fd, buffer: Vec::with_capacity(READ_CHUNK_BYTES), consumed: 0 }
     }
 
     /// Returns whether the limit of read-ahead is reached.
     fn is_full(&self) -> bool {
-        self.buffered().len() >= MAX_READ_AHEAD
+        self.buffered().len() >= MAX_READ_AHEAD_BYTES
     }
 
     /// Returns the bytes that were read and not returned yet.
     fn buffered(&self) -> &[u8] {
-        &self.buffer[self.taken..]
+        &self.buffer[self.consumed..]
     }
 
     /// Returns whether a byte can be read without waiting.
     pub(super) fn has_more(&self) -> bool {
-        let nothing = Timespec { tv_sec: 0, tv_nsec: 0 };
+        let no_wait = Timespec { tv_sec: 0, tv_nsec: 0 };
         let mut fds = [PollFd::from_borrowed_fd(self.fd.as_fd(), PollFlags::IN)];
-        let polled = self.buffered().is_empty().then(|| poll(&mut fds, Some(&nothing)));
+        let polled = self.buffered().is_empty().then(|| poll(&mut fds, Some(&no_wait)));
         // A closed pipe holds nothing; the next write or read returns the error.
         polled.is_none_or(|polled| polled.is_ok() && fds[0].revents().contains(PollFlags::IN))
     }
@@ -190,16 +192,16 @@ impl Reader {
     }
 
     fn read_more(&mut self, wait: Wait<'_>) -> Result<(), PipeError> {
-        if self.taken == self.buffer.len() {
+        if self.consumed == self.buffer.len() {
             self.buffer.clear();
-            self.buffer.shrink_to(MAX_IDLE_CAPACITY);
-            self.taken = 0;
+            self.buffer.shrink_to(MAX_IDLE_CAPACITY_BYTES);
+            self.consumed = 0;
         } else if self.buffer.len() == self.buffer.capacity() {
-            self.buffer.drain(..self.taken);
-            self.taken = 0;
+            self.buffer.drain(..self.consumed);
+            self.consumed = 0;
         }
         if self.buffer.len() == self.buffer.capacity() {
-            self.buffer.reserve(CHUNK);
+            self.buffer.reserve(READ_CHUNK_BYTES);
         }
         Self::read_into(&self.fd, &mut self.buffer, wait)
     }
@@ -216,16 +218,16 @@ impl Reader {
     /// Reads exactly `length` bytes.
     pub(super) fn read_exact(&mut self, length: usize, wait: Wait<'_>) -> Result<Bytes, PipeError> {
         let mut bytes = Vec::with_capacity(length);
-        let early = self.buffered().len().min(length);
-        bytes.extend_from_slice(&self.buffered()[..early]);
-        self.taken += early;
+        let buffered = self.buffered().len().min(length);
+        bytes.extend_from_slice(&self.buffered()[..buffered]);
+        self.consumed += buffered;
         while bytes.len() < length {
-            // A short rest is read together with what follows it, which saves a system call.
-            if length - bytes.len() < CHUNK {
+            // A short remainder is read together with the bytes after it, which saves a system call.
+            if length - bytes.len() < READ_CHUNK_BYTES {
                 self.read_more(wait)?;
                 let more = self.buffered().len().min(length - bytes.len());
                 bytes.extend_from_slice(&self.buffered()[..more]);
-                self.taken += more;
+                self.consumed += more;
             } else {
                 Self::read_into(&self.fd, &mut bytes, wait)?;
             }
@@ -233,19 +235,24 @@ impl Reader {
         Ok(bytes.into())
     }
 
-    /// Reads the bytes up to the next `end`, without it; at most `most`.
-    pub(super) fn read_until(&mut self, end: u8, most: usize, wait: Wait<'_>) -> Result<Bytes, PipeError> {
+    /// Reads the bytes up to the next `end`, without it; at most `max_length`.
+    pub(super) fn read_until(
+        &mut self,
+        end: u8,
+        max_length: usize,
+        wait: Wait<'_>,
+    ) -> Result<Bytes, PipeError> {
         let mut searched = 0;
         loop {
             if let Some(at) = self.buffered()[searched..].iter().position(|byte| *byte == end) {
                 let length = searched + at;
                 let bytes = Bytes::copy_from_slice(&self.buffered()[..length]);
-                self.taken += length + 1;
-                return if length > most { Err(PipeError::TooLong(most)) } else { Ok(bytes) };
+                self.consumed += length + 1;
+                return if length > max_length { Err(PipeError::TooLong(max_length)) } else { Ok(bytes) };
             }
             searched = self.buffered().len();
-            if searched > most {
-                return Err(PipeError::TooLong(most));
+            if searched > max_length {
+                return Err(PipeError::TooLong(max_length));
             }
             self.read_more(wait)?;
         }

@@ -33,11 +33,11 @@ pub enum Fault {
 }
 
 impl Fault {
-    const fn in_words(self) -> &'static str {
+    const fn description(self) -> &'static str {
         match self {
             Self::ClosedInput => "closed its standard input",
             Self::ClosedOutput => "closed its standard output",
-            Self::IgnoredTermination => "did not end when it was asked to",
+            Self::IgnoredTermination => "did not end after SIGTERM",
         }
     }
 }
@@ -57,7 +57,7 @@ impl ProcessEnd {
     }
 
     /// Returns the status as text: `exit status 3`, `signal 11 (SIGSEGV)`.
-    pub fn in_words(&self) -> String {
+    pub fn status_text(&self) -> String {
         match self.status {
             Some(status) => match (status.code(), status.signal()) {
                 // A shell reports a program that a signal ended as 128 + the number of the signal.
@@ -79,7 +79,7 @@ impl ProcessEnd {
     pub fn stderr_suffix(&self) -> String {
         match self.last_lines.as_slice() {
             [] => String::new(),
-            lines => format!("; its last words: {}", lines.join(" / ")),
+            lines => format!("; last lines of its standard error: {}", lines.join(" / ")),
         }
     }
 }
@@ -87,10 +87,10 @@ impl ProcessEnd {
 impl fmt::Display for ProcessEnd {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the process ")?;
-        match self.fault.map(Fault::in_words) {
+        match self.fault.map(Fault::description) {
             Some(fault) if self.killed => write!(f, "{fault} and was killed")?,
-            Some(fault) => write!(f, "{fault} and ended with {}", self.in_words())?,
-            None => write!(f, "ended with {}", self.in_words())?,
+            Some(fault) => write!(f, "{fault} and ended with {}", self.status_text())?,
+            None => write!(f, "ended with {}", self.status_text())?,
         }
         f.write_str(&self.stderr_suffix())
     }

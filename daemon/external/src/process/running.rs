@@ -15,10 +15,9 @@ use super::pipe::{self, PipeError, Reader, Wait};
 use super::stderr_log::StderrReader;
 use super::{Fault, Launch, ProcessEnd, ProcessError};
 
-/// Longest time between the moment a process closes its pipes as it ends and its end.
+/// Longest time from the closing of a process's pipes to its end, if it closes them because it ends.
 const PIPE_CLOSE_BEFORE_EXIT: Span = Span::from_millis(200);
-/// Time that a process that closed a pipe and still runs has to end by itself, so that its exit status can be
-/// reported.
+/// Time for a running process that closed a pipe to end by itself, so that its exit status can be reported.
 const EXIT_AFTER_PIPE_CLOSE: Span = Span::from_millis(1000);
 /// Longest wait for the rest of its standard error after its end.
 const LAST_OUTPUT_TIMEOUT: Duration = Duration::from_millis(200);
@@ -69,14 +68,14 @@ impl Process {
 
     /// Returns its standard input and output, and starts the thread that reads its standard error.
     fn pipes(group: &mut Group, launch: &Launch) -> io::Result<(OwnedFd, OwnedFd, StderrReader)> {
-        let missing = || io::Error::other("it came without its pipes");
+        let missing = || io::Error::other("the started process has no pipes");
         let child = group.leader();
         let input = OwnedFd::from(child.stdin.take().ok_or_else(missing)?);
         let output = OwnedFd::from(child.stdout.take().ok_or_else(missing)?);
         let stderr = child.stderr.take().ok_or_else(missing)?;
         pipe::prepare(&input)?;
         pipe::prepare(&output)?;
-        let stderr_log = StderrReader::begin(stderr, launch.stderr_log, launch.name.clone())?;
+        let stderr_log = StderrReader::start(stderr, launch.stderr_log, launch.name.clone())?;
         Ok((input, output, stderr_log))
     }
 
@@ -88,12 +87,12 @@ impl Process {
     pub fn write(&mut self, parts: &[&[u8]], until: MonoTime) -> Result<(), ProcessError> {
         let result = match &self.input {
             Some(input) => {
-                let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
+                let wait = wait_until(&self.clock, self.pidfd.as_ref(), until);
                 pipe::write(input, parts, &mut self.output, wait)
             }
             None => Err(PipeError::Closed(None)),
         };
-        result.map_err(|error| self.explain(error))
+        result.map_err(|error| self.convert_pipe_error(error))
     }
 
     /// Reads exactly `length` bytes from its standard output.
@@ -101,17 +100,17 @@ impl Process {
     /// # Errors
     /// If the process has ended, or does not send all bytes before the deadline `until`.
     pub fn read_exact(&mut self, length: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
-        let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
-        self.output.read_exact(length, wait).map_err(|error| self.explain(error))
+        let wait = wait_until(&self.clock, self.pidfd.as_ref(), until);
+        self.output.read_exact(length, wait).map_err(|error| self.convert_pipe_error(error))
     }
 
-    /// Reads the next line of its standard output, without the line feed, of at most `most` bytes.
+    /// Reads the next line of its standard output, without the line feed, of at most `max_length` bytes.
     ///
     /// # Errors
     /// If the process has ended, sends a longer line, or sends no whole line before the deadline `until`.
-    pub fn read_line(&mut self, most: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
-        let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
-        self.output.read_until(b'\n', most, wait).map_err(|error| self.explain(error))
+    pub fn read_line(&mut self, max_length: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
+        let wait = wait_until(&self.clock, self.pidfd.as_ref(), until);
+        self.output.read_until(b'\n', max_length, wait).map_err(|error| self.convert_pipe_error(error))
     }
 
     /// Returns whether there is output that was not read yet.
@@ -121,14 +120,14 @@ impl Process {
 
     /// Returns the part of its next line that has been written so far, without waiting. For messages only.
     pub fn peek_line(&mut self) -> String {
-        let wait = waiting(&self.clock, self.pidfd.as_ref(), self.clock.mono());
+        let wait = wait_until(&self.clock, self.pidfd.as_ref(), self.clock.mono());
         String::from_utf8_lossy(self.output.peek_line(wait)).into_owned()
     }
 
     /// Kills the process and its group.
     pub fn kill(mut self) -> ProcessEnd {
         self.reap(None);
-        self.ended()
+        self.process_end()
     }
 
     /// Ends the process: closes its standard input, sends SIGTERM after half of `grace`, and kills the group when
@@ -136,31 +135,32 @@ impl Process {
     pub fn end(mut self, grace: Span) -> ProcessEnd {
         self.input = None;
         let half = Span::from_nanos(grace.nanos() / 2);
-        if !self.ends_within(half) {
+        if !self.exits_within(half) {
             self.termination_requested = true;
             self.group.terminate();
-            self.ends_within(half);
+            self.exits_within(half);
         }
         self.reap(Some(Fault::IgnoredTermination));
-        self.ended()
+        self.process_end()
     }
 
     /// Converts the error of a pipe to that of the process; waits for the exit status of a process that closed its end.
-    fn explain(&mut self, error: PipeError) -> ProcessError {
+    fn convert_pipe_error(&mut self, error: PipeError) -> ProcessError {
         error.into_process_error().unwrap_or_else(|fault| {
             // A process that ends closes its pipes as well. A closed pipe is a fault only of a process that still
             // runs.
-            let is_running = !self.ends_within(PIPE_CLOSE_BEFORE_EXIT);
+            let is_running = !self.exits_within(PIPE_CLOSE_BEFORE_EXIT);
             self.input = None;
             if is_running {
-                self.ends_within(EXIT_AFTER_PIPE_CLOSE);
+                self.exits_within(EXIT_AFTER_PIPE_CLOSE);
             }
             self.reap(fault.filter(|_| is_running));
-            ProcessError::ProcessEnd(self.ended())
+            ProcessError::ProcessEnd(self.process_end())
         })
     }
 
-    fn ended(&self) -> ProcessEnd {
+    /// Returns the end of the process, with the last lines of its standard error.
+    fn process_end(&self) -> ProcessEnd {
         let last_lines = self.stderr_log.last_lines(LAST_OUTPUT_TIMEOUT);
         ProcessEnd {
             status: self.status,
@@ -173,18 +173,18 @@ impl Process {
 
     /// Waits for the end of the process without collecting its status. If the kernel has no pidfd, this does not
     /// wait.
-    fn ends_within(&self, patience: Span) -> bool {
-        let until = self.clock.mono() + patience;
-        self.status.is_some() || waiting(&self.clock, self.pidfd.as_ref(), until).wait_for_exit()
+    fn exits_within(&self, timeout: Span) -> bool {
+        let deadline = self.clock.mono() + timeout;
+        self.status.is_some() || wait_until(&self.clock, self.pidfd.as_ref(), deadline).wait_for_exit()
     }
 
     /// Kills the rest of the process and its group; `fault` is what the process did wrong before.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
-            let ended = self.ends_within(Span::ZERO);
+            let has_ended = self.exits_within(Span::ZERO);
             self.status = self.group.finish();
             let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));
-            self.killed = !ended && by_kill;
+            self.killed = !has_ended && by_kill;
             self.fault = fault.filter(|fault| self.killed || *fault != Fault::IgnoredTermination);
         }
     }
@@ -196,6 +196,6 @@ impl Drop for Process {
     }
 }
 
-fn waiting<'a>(clock: &'a SharedClock, pidfd: Option<&'a OwnedFd>, until: MonoTime) -> Wait<'a> {
+fn wait_until<'a>(clock: &'a SharedClock, pidfd: Option<&'a OwnedFd>, until: MonoTime) -> Wait<'a> {
     Wait { clock, until, process: pidfd.map(AsFd::as_fd) }
 }

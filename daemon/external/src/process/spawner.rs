@@ -1,7 +1,7 @@
-//! The one thread that starts all processes.
+//! The thread that starts all processes.
 //!
-//! The kernel sends the parent-death signal when the *thread* that started the process ends, and threads of a pool
-//! come and go. This thread lives as long as the program.
+//! The kernel sends the parent-death signal when the *thread* that started the process ends. Threads of a pool may end at
+//! any time; this thread runs as long as the program.
 
 use std::io;
 use std::process::{Child, Command};
@@ -18,7 +18,7 @@ struct SpawnRequest {
 /// Starts a process on the spawner thread.
 pub(super) fn spawn(command: Command) -> io::Result<Child> {
     static SPAWNER: OnceLock<SyncSender<SpawnRequest>> = OnceLock::new();
-    let gone = || io::Error::other("the thread that starts processes is gone");
+    let spawner_gone = || io::Error::other("the thread that starts processes has ended");
     let requests = match SPAWNER.get() {
         Some(requests) => requests,
         None => {
@@ -29,8 +29,8 @@ pub(super) fn spawn(command: Command) -> io::Result<Child> {
         }
     };
     let (reply, started) = sync_channel(1);
-    requests.send(SpawnRequest { command, reply }).map_err(|_| gone())?;
-    started.recv().map_err(|_| gone())?
+    requests.send(SpawnRequest { command, reply }).map_err(|_| spawner_gone())?;
+    started.recv().map_err(|_| spawner_gone())?
 }
 
 fn serve(requests: &Receiver<SpawnRequest>) {

@@ -31,12 +31,12 @@ pub enum Stage {
 /// Timing of a call on this process's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CallTimes {
-    /// Start of a new process for this call, if the last one had died. It was ready at `begun`.
-    pub restarted: Option<MonoTime>,
+    /// Start of a new process for this call, if the last one had died. It was ready at `started_at`.
+    pub restarted_at: Option<MonoTime>,
     /// Beginning of the call.
-    pub begun: MonoTime,
+    pub started_at: MonoTime,
     /// Time at which the result was received.
-    pub ended: MonoTime,
+    pub ended_at: MonoTime,
     /// Steps that were run, in order. A step that raised an exception is the last one.
     pub stages: Vec<(Stage, MonoTime, MonoTime)>,
 }
@@ -47,13 +47,13 @@ impl CallTimes {
     /// The worker stamps with `time.monotonic_ns()`, which reads the same clock as this process. Under clock fault
     /// injection the stamps may lie outside of the call; then the steps are placed one after the other from the
     /// beginning of the call.
-    pub(super) fn new(begun: MonoTime, ended: MonoTime, stamps: &[(Stage, i64, i64)]) -> Self {
-        let inside = stamps
-            .iter()
-            .try_fold(begun.nanos(), |before, (_, from, to)| (before <= *from && from <= to).then_some(*to));
-        let mut next = begun;
+    pub(super) fn new(started_at: MonoTime, ended_at: MonoTime, stamps: &[(Stage, i64, i64)]) -> Self {
+        let inside = stamps.iter().try_fold(started_at.nanos(), |before, (_, from, to)| {
+            (before <= *from && from <= to).then_some(*to)
+        });
+        let mut next = started_at;
         let place = |&(stage, from, to): &(Stage, i64, i64)| match inside {
-            Some(last) if last <= ended.nanos() => {
+            Some(last) if last <= ended_at.nanos() => {
                 (stage, MonoTime::from_nanos(from), MonoTime::from_nanos(to))
             }
             _ => {
@@ -62,13 +62,13 @@ impl CallTimes {
                 (stage, from_here, next)
             }
         };
-        Self { restarted: None, begun, ended, stages: stamps.iter().map(place).collect() }
+        Self { restarted_at: None, started_at, ended_at, stages: stamps.iter().map(place).collect() }
     }
 
     /// Returns the time that is not spent in the user's code: both transfers and both conversions.
     pub fn overhead(&self) -> Span {
         let own: Span = self.stages.iter().map(|(_, from, to)| *to - *from).sum();
-        (self.ended - self.begun - own).max(Span::ZERO)
+        (self.ended_at - self.started_at - own).max(Span::ZERO)
     }
 }
 

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::PythonError;
-use crate::process::{MAX_TIMEOUT_MS, impossible_variable};
+use crate::process::{MAX_TIMEOUT_MS, invalid_variable};
 
 /// Configuration of a Python object: `{ kind = "python", … }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -57,7 +57,7 @@ pub enum Images {
 
 impl PythonConfig {
     /// Returns the configuration of an object with all defaults, as for `module::object` on the command line.
-    pub fn of(object: &str) -> Self {
+    pub fn new(object: &str) -> Self {
         Self {
             object: object.to_owned(),
             folder: None,
@@ -65,7 +65,7 @@ impl PythonConfig {
             env: BTreeMap::new(),
             pickle: false,
             images: Images::default(),
-            timeout_ms: a_minute(),
+            timeout_ms: one_minute(),
             start_timeout_ms: five_minutes(),
         }
     }
@@ -81,12 +81,12 @@ impl PythonConfig {
 
     /// Checks the numbers against their upper limits, and the names of variables.
     pub(super) fn check(&self) -> Result<(), PythonError> {
-        if let Some(name) = impossible_variable(&self.env) {
+        if let Some(name) = invalid_variable(&self.env) {
             return Err(PythonError::Variable(name.to_owned()));
         }
         for (key, value) in [("timeout_ms", self.timeout_ms), ("start_timeout_ms", self.start_timeout_ms)] {
             if value.get() > MAX_TIMEOUT_MS {
-                return Err(PythonError::TooMuch { key, value: value.get(), most: MAX_TIMEOUT_MS });
+                return Err(PythonError::AboveLimit { key, value: value.get(), most: MAX_TIMEOUT_MS });
             }
         }
         Ok(())
@@ -101,7 +101,7 @@ fn is_path(text: &str) -> bool {
     text.split('.').all(|name| !name.is_empty() && is_name(name))
 }
 
-const fn a_minute() -> NonZeroU64 {
+const fn one_minute() -> NonZeroU64 {
     NonZeroU64::new(60_000).expect("above 0")
 }
 
@@ -116,7 +116,7 @@ mod tests {
     #[test]
     fn objects_are_named_as_python_names_them() {
         let parts =
-            |object| PythonConfig::of(object).module_and_path().map(|(a, b)| (a.to_owned(), b.to_owned()));
+            |object| PythonConfig::new(object).module_and_path().map(|(a, b)| (a.to_owned(), b.to_owned()));
         for (object, module, path) in [
             ("camera::Camera", "camera", "Camera"),
             ("lab.robot::rig.left", "lab.robot", "rig.left"),
@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn short_form_uses_defaults_misspelt_keys_are_refused() {
         let read = |text: &str| toml::from_str::<PythonConfig>(text);
-        assert_eq!(read("object = 'a::b'").expect("reads"), PythonConfig::of("a::b"));
+        assert_eq!(read("object = 'a::b'").expect("reads"), PythonConfig::new("a::b"));
         assert!(read("object = 'a::b'\npikle = true").is_err());
         for (text, part) in [
             ("timeout_ms = 86400001", "86400000"),

@@ -17,8 +17,8 @@ pub enum PythonError {
     )]
     Name(String),
     /// A value is above its upper limit.
-    #[error("{key} = {value} is too much; at most {most}")]
-    TooMuch {
+    #[error("{key} = {value} is above the limit of {most}")]
+    AboveLimit {
         /// Configuration key.
         key: &'static str,
         /// Configured value.
@@ -27,10 +27,10 @@ pub enum PythonError {
         most: u64,
     },
     /// The system cannot pass an environment variable with this name or value.
-    #[error("{0:?} cannot be given to it as an environment variable")]
+    #[error("the environment variable {0:?} has an invalid name or value")]
     Variable(String),
     /// The folder does not exist.
-    #[error("{} is not a folder; name the one that holds the module", .0.display())]
+    #[error("{} is not a folder; set folder to the one that contains the module", .0.display())]
     Folder(PathBuf),
     /// The interpreter does not exist.
     #[error("there is no Python at {0}; install python3, or name one with python or PEERNET_PYTHON")]
@@ -65,7 +65,7 @@ pub enum PythonError {
     #[error("{0}")]
     Value(String),
     /// The process ended.
-    #[error("the Python process of {object} is gone: {ended}; it is started anew")]
+    #[error("the Python process of {object} ended: {ended}; it is restarted")]
     Died {
         /// Name of the object.
         object: String,
@@ -74,8 +74,8 @@ pub enum PythonError {
     },
     /// The call exceeded its timeout, and the process was killed.
     #[error(
-        "{object} did not answer within {} s and was killed{stderr_suffix}; it is started anew; raise timeout_ms when it \
-         needs longer", .after.seconds()
+        "{object} did not answer within {} s and was killed{stderr_suffix}; it is restarted; raise timeout_ms if it needs \
+         longer", .after.seconds()
     )]
     TooSlow {
         /// Name of the object.
@@ -86,7 +86,7 @@ pub enum PythonError {
         stderr_suffix: String,
     },
     /// The process died repeatedly and is not restarted yet.
-    #[error("{object} is started anew in {:.1} s, because it keeps dying: {last}", .left.seconds())]
+    #[error("{object} is restarted in {:.1} s, because it failed repeatedly: {last}", .left.seconds())]
     RestartDelayed {
         /// Name of the object.
         object: String,
@@ -97,7 +97,7 @@ pub enum PythonError {
     },
     /// The worker sent an invalid message.
     #[error(
-        "the Python process of {object} does not speak as agreed: {source}; it was killed and is started anew"
+        "the Python process of {object} sent an invalid message: {source}; it was killed and is restarted"
     )]
     InvalidMessage {
         /// Name of the object.

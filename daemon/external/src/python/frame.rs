@@ -9,14 +9,14 @@ use peernet_sample::{Description, Part};
 use serde::{Deserialize, Serialize};
 
 use super::{Images, ObjectDescription, Role, Stage};
-use crate::text::words;
+use crate::text::deserialize_printable;
 
 /// First bytes of every message, by which other output on the pipe is noticed.
-pub(super) const MARK: [u8; 4] = *b"PN1\n";
+pub(super) const MESSAGE_MARK: [u8; 4] = *b"PN1\n";
 /// Number of bytes before the header: the mark and the header's length.
-pub(super) const PREFIX: usize = 8;
+pub(super) const PREFIX_BYTES: usize = 8;
 /// Longest header, bytes.
-pub(super) const MAX_HEADER: usize = 1 << 20;
+pub(super) const MAX_HEADER_BYTES: usize = 1 << 20;
 /// Largest size of all parts of a value, bytes (1 GiB).
 pub(super) const MAX_BYTES: u64 = 1 << 30;
 /// Media type of a pickled object; the parts after it are its buffers (pickle protocol 5, PEP 574).
@@ -44,13 +44,13 @@ pub(super) enum Reply {
     Over { stages: Vec<(Stage, i64, i64)> },
     /// The user's code raised an exception.
     Raised {
-        #[serde(deserialize_with = "words")]
+        #[serde(deserialize_with = "deserialize_printable")]
         text: String,
         stages: Vec<(Stage, i64, i64)>,
     },
     /// The value cannot be transferred.
     Refused {
-        #[serde(deserialize_with = "words")]
+        #[serde(deserialize_with = "deserialize_printable")]
         text: String,
         stages: Vec<(Stage, i64, i64)>,
     },
@@ -67,7 +67,7 @@ pub(super) struct PartHead {
 }
 
 impl PartHead {
-    pub(super) fn of(part: &Part, at: Option<u64>) -> Self {
+    pub(super) fn new(part: &Part, at: Option<u64>) -> Self {
         Self { description: part.description.clone(), length: part.bytes.len() as u64, at }
     }
 }
@@ -76,22 +76,22 @@ impl PartHead {
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
     /// The message does not begin with the mark.
-    #[error("a message begins with {0:?}")]
+    #[error("it starts with {0:?} instead of the mark")]
     Mark(String),
     /// The header is longer than allowed.
-    #[error("a header has {0} bytes; at most {MAX_HEADER}")]
+    #[error("its header has {0} bytes, the limit is {MAX_HEADER_BYTES}")]
     HeaderLength(usize),
     /// The header cannot be read or written.
     #[error(transparent)]
     Header(#[from] serde_json::Error),
     /// The parts are longer than allowed.
-    #[error("a value has more than {MAX_BYTES} bytes")]
+    #[error("its value has more than {MAX_BYTES} bytes")]
     ValueLength,
     /// The worker reports a second time that it is ready.
-    #[error("it says twice that it is ready")]
+    #[error("it reports twice that it is ready")]
     ReadyTwice,
     /// The part is not within the shared memory.
-    #[error("{length} bytes at {at} are not in the shared memory")]
+    #[error("{length} bytes at {at} are outside of the shared memory")]
     Position {
         /// Length of the part, bytes.
         length: usize,
@@ -103,19 +103,20 @@ pub enum FrameError {
 /// Returns mark, length and header of a request.
 pub(super) fn encode(request: &Request<'_>) -> Result<Vec<u8>, serde_json::Error> {
     let mut frame = Vec::with_capacity(256);
-    frame.extend_from_slice(&MARK);
+    frame.extend_from_slice(&MESSAGE_MARK);
     frame.extend_from_slice(&[0; 4]);
     serde_json::to_writer(&mut frame, request)?;
-    let length = u32::try_from(frame.len() - PREFIX).unwrap_or(u32::MAX);
-    frame[MARK.len()..PREFIX].copy_from_slice(&length.to_le_bytes());
+    let length = u32::try_from(frame.len() - PREFIX_BYTES).unwrap_or(u32::MAX);
+    frame[MESSAGE_MARK.len()..PREFIX_BYTES].copy_from_slice(&length.to_le_bytes());
     Ok(frame)
 }
 
 /// Returns the length of the header that follows a prefix.
 pub(super) fn header_length(prefix: &[u8]) -> Result<usize, FrameError> {
-    let Some(length) = prefix.strip_prefix(&MARK).and_then(|rest| <[u8; 4]>::try_from(rest).ok()) else {
+    let Some(length) = prefix.strip_prefix(&MESSAGE_MARK).and_then(|rest| <[u8; 4]>::try_from(rest).ok())
+    else {
         return Err(FrameError::Mark(String::from_utf8_lossy(prefix).into_owned()));
     };
     let length = u32::from_le_bytes(length) as usize;
-    if length > MAX_HEADER { Err(FrameError::HeaderLength(length)) } else { Ok(length) }
+    if length > MAX_HEADER_BYTES { Err(FrameError::HeaderLength(length)) } else { Ok(length) }
 }

@@ -1,56 +1,56 @@
-# What a user's object is made of: the user's own files, found by their imports without running any, and the libraries.
+# The code of a user's object: the user's own files, found by static analysis of imports, and the libraries.
 import ast
 import os
 import warnings
 from importlib.machinery import PathFinder
 
-# Most files of the user's own, and most libraries, that are told.
+# Limit of the number of reported files of the user, and of libraries.
 MAX_FILES = 64
-# Characters of the names of these files, all together: a host tells its peers of them in one message.
+# Limit of the total length of the names of these files, in characters: a host sends them to its peers in one message.
 MAX_NAMES = 1 << 14
-# Bytes of source that are read for what they import, all together: some tenths of a second at most.
+# Limit of the total source that is parsed for imports, in bytes: takes some tenths of a second at most.
 MAX_SOURCE = 1 << 18
 MAX_VERSION = 100
-# Characters of the longest path that Linux opens.
+# Length of the longest path that Linux opens, in characters.
 MAX_PATH = 4096
 STANDARD = os.path.dirname(os.__file__) + os.sep
 INSTALLED = ("site-packages", "dist-packages")
 
 
 class Imports:
-    """What is found from one module on."""
+    """Files and libraries that one module imports, directly or indirectly."""
 
     def __init__(self, folder):
-        # What the user's code changes to is not where its modules were looked for.
+        # The user's code may change the working folder, but its modules were searched in the first one.
         self.folder = folder
         self.path = [place or folder for place in sys.path if isinstance(place, str)]
-        # Dictionaries keep the order in which things were found.
+        # Dictionaries keep the order of discovery.
         self.files, self.libraries = {}, {}
-        # Where the parts of a package are, by its name; None of what is followed no further.
+        # Folders of the submodules of a package, by its name; None if its imports are not followed.
         self.places = {}
         self.unread, self.more = [], False
-        self.names, self.left = MAX_NAMES, MAX_SOURCE
+        self.name_space, self.source_space = MAX_NAMES, MAX_SOURCE
         self.distributions = {}
 
     def follow(self, name):
-        """Takes down a module and the packages that it is in, and all that they import if they are the user's own."""
-        self.take(name)
+        """Records a module, the packages that contain it, and all their imports if they are the user's own."""
+        self.visit(name)
         while self.unread:
             for name in imports_of(*self.unread.pop(0)):
-                self.take(name)
+                self.visit(name)
 
-    def take(self, name):
+    def visit(self, name):
         whole, within = "", self.path
         for part in name.split("."):
             whole = whole + "." + part if whole else part
             if whole not in self.places:
-                self.places[whole] = self.take_one(whole, within)
+                self.places[whole] = self.visit_one(whole, within)
             within = self.places[whole]
             if within is None:
                 return
 
-    def take_one(self, name, within):
-        file, places = located(name, within)
+    def visit_one(self, name, within):
+        file, places = locate(name, within)
         where = file or (places[0] if places else None)
         if where is None or self.is_standard(where):
             return None
@@ -59,10 +59,10 @@ class Imports:
                 self.libraries[name] = self.version(name, file)
                 return None
             return places
-        file = on_disk(os.path.join(self.folder, file)) if file else None
+        file = containing_archive(os.path.join(self.folder, file)) if file else None
         if file and file not in self.files:
-            self.names -= len(file)
-            if len(self.files) == MAX_FILES or self.names < 0:
+            self.name_space -= len(file)
+            if len(self.files) == MAX_FILES or self.name_space < 0:
                 self.more = True
                 return None
             self.files[file] = None
@@ -70,15 +70,15 @@ class Imports:
         return places
 
     def queue(self, package, file):
-        """Reads a file if it is Python and there is room for it; what Python cannot read imports nothing."""
+        """Parses a Python file within the limit of source. A file that Python cannot parse has no imports."""
         if not file.endswith(".py") or not os.path.isfile(file):
             return
         try:
             with open(file, "rb") as opened:
-                source = opened.read(self.left + 1)
-            self.more = self.more or len(source) > self.left
-            if len(source) <= self.left:
-                self.left -= len(source)
+                source = opened.read(self.source_space + 1)
+            self.more = self.more or len(source) > self.source_space
+            if len(source) <= self.source_space:
+                self.source_space -= len(source)
                 self.unread.append((ast.parse(source), package))
         except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
             pass
@@ -87,14 +87,16 @@ class Imports:
         return where.startswith(STANDARD) and not any(name in where[len(STANDARD) :] for name in INSTALLED)
 
     def is_installed(self, name, where):
-        """Whether pip or the system put it there."""
+        """Whether pip or the system installed it."""
         if any(folder in INSTALLED for folder in where.split(os.sep)):
             return True
-        return name.partition(".")[0] in self.installed(above(name, where))
+        return name.partition(".")[0] in self.installed(search_folder(name, where))
 
     def version(self, name, file):
-        """As the library tells it; otherwise, and of one that is not imported yet, as its installation does."""
-        version = told(name, "__version__") or self.installed(above(name, file)).get(name.partition(".")[0], "")
+        """The `__version__` of the library; if it has none or is not imported yet, the version of its installation."""
+        version = module_text(name, "__version__")
+        if not version:
+            version = self.installed(search_folder(name, file)).get(name.partition(".")[0], "")
         return version[:MAX_VERSION]
 
     def installed(self, folder):
@@ -103,13 +105,14 @@ class Imports:
         return self.distributions[folder]
 
 
-def located(name, within):
-    """The file of a module, and where its parts are if it is a package; nothing of one that is not to be had."""
+def locate(name, within):
+    """The file of a module, and the folders of its submodules if it is a package; None if it is not found."""
     try:
         module = sys.modules.get(name)
         if module is not None:
             places = getattr(module, "__path__", None)
-            return told(name, "__file__"), [place for place in places if isinstance(place, str)] if places else None
+            places = [place for place in places if isinstance(place, str)] if places else None
+            return module_text(name, "__file__"), places
         spec = PathFinder.find_spec(name, within)
     except Exception:
         return None, None
@@ -122,8 +125,8 @@ def located(name, within):
     return spec.origin, spec.submodule_search_locations
 
 
-def on_disk(file):
-    """The archive that a module lies in, such as a zipped egg; otherwise its own file."""
+def containing_archive(file):
+    """The archive that contains a module, such as a zipped egg; otherwise its own file."""
     place = file if len(file) < MAX_PATH else ""
     while place and not os.path.exists(place):
         place = os.path.dirname(place)
@@ -131,7 +134,7 @@ def on_disk(file):
 
 
 def imports_of(tree, package):
-    """The names of what a source of this package imports, wherever in it; the last part may be no module."""
+    """The names that a source of this package imports anywhere; the last component may not be a module."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -141,8 +144,8 @@ def imports_of(tree, package):
             yield from (base + "." + alias.name if base else alias.name for alias in node.names)
 
 
-def above(name, where):
-    """The folder of the path in which a module was found."""
+def search_folder(name, where):
+    """The entry of the search path in which a module was found."""
     if os.path.basename(where).startswith("__init__."):
         where = os.path.dirname(where)
     for _ in name.split("."):
@@ -151,7 +154,7 @@ def above(name, where):
 
 
 def distributions(folder):
-    """Versions of what is installed in a folder, by the names of modules (PEP 376, PEP 627)."""
+    """Versions of the distributions in a folder, by the names of their modules (PEP 376, PEP 627)."""
     versions = {}
     try:
         entries = os.listdir(folder)
@@ -167,7 +170,7 @@ def distributions(folder):
 
 
 def modules(information):
-    """The modules of a distribution, as it lists them or as its files have it."""
+    """The modules of a distribution, from its list of top-level names or of its files."""
     for name, end in (("top_level.txt", "\n"), ("RECORD", ".")):
         try:
             with open(os.path.join(information, name), encoding="utf-8", errors="replace") as lines:
@@ -177,13 +180,13 @@ def modules(information):
     return set()
 
 
-def made_of(module, folder, before):
-    """The files, the libraries with their versions, and whether there is more of either than is told."""
+def describe_code(module, folder, before):
+    """The files, the libraries with their versions, and whether either list is incomplete."""
     found = Imports(folder)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            # What was imported by other means than a line that says so is among the modules that are there.
+            # Modules that were imported without an import statement are among the loaded modules.
             for name in [module] + [name for name in list(sys.modules) if name not in before]:
                 found.follow(name)
     except Exception:

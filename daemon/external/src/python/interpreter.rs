@@ -32,8 +32,8 @@ const MODULE_SEARCH_TIMEOUT: Span = Span::from_seconds(20);
 /// # Errors
 /// If it does not exist.
 pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
-    let named = config.python.clone().map(PathBuf::into_os_string);
-    let name = named
+    let configured = config.python.clone().map(PathBuf::into_os_string);
+    let name = configured
         .or_else(|| env::var_os(PYTHON_VARIABLE).filter(|name| !name.is_empty()))
         .unwrap_or_else(|| OsString::from("python3"));
     let missing = || {
@@ -69,7 +69,7 @@ pub(super) fn launch(
         arguments,
         folder,
         environment,
-        inherits: None,
+        inherited_file: None,
     })
 }
 
@@ -91,8 +91,8 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     let python = launch.program.to_string_lossy().into_owned();
     let failed =
         |reason: String| PythonError::Start { object: config.object.clone(), python: python.clone(), reason };
-    let looking = Launch { arguments, ..launch };
-    let mut process = Process::start(&looking, clock).map_err(PythonError::Process)?;
+    let search = Launch { arguments, ..launch };
+    let mut process = Process::start(&search, clock).map_err(PythonError::Process)?;
     match process.read_exact(1, clock.mono() + MODULE_SEARCH_TIMEOUT) {
         Err(ProcessError::ProcessEnd(ended)) if ended.is_success() => Ok(()),
         Err(ProcessError::ProcessEnd(ended)) if ended.status.and_then(|status| status.code()) == Some(1) => {
@@ -101,7 +101,7 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
             Err(PythonError::NoModule { module: module.to_owned(), folder, python })
         }
         Err(error) => Err(failed(error.to_string())),
-        Ok(_) => Err(failed("it writes to its standard output as it starts".to_owned())),
+        Ok(_) => Err(failed("it wrote to its standard output at its start".to_owned())),
     }
 }
 

@@ -35,21 +35,24 @@ pub struct ObjectDescription {
     /// Path of the interpreter.
     executable: String,
     /// Description of the object, such as `class camera::Camera`.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub object: String,
     /// Users' own files that the object is made of, beginning with that of its module.
     files: Vec<PathBuf>,
     /// Names and versions of the libraries that these files import anywhere, and of everything that was imported
     /// during the start; a version may be empty.
     libraries: Vec<(String, String)>,
     /// `true` if `files` or `libraries` is incomplete because of its limit.
-    more: bool,
+    #[serde(rename = "more")]
+    is_incomplete: bool,
 }
 
 impl ObjectDescription {
     /// Returns facts for the run's page, such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`). The
     /// name of each begins with `role`. Reads the files for their hashes.
     pub fn facts(&self, role: &str) -> Vec<(String, String)> {
-        let mut facts = vec![(role.to_owned(), format!("the Python {}, Python {}", self.what, self.python))];
+        let mut facts =
+            vec![(role.to_owned(), format!("the Python {}, Python {}", self.object, self.python))];
         if !self.executable.is_empty() {
             facts.push((format!("{role} interpreter"), printable_lines(&self.executable).into_owned()));
         }
@@ -62,7 +65,7 @@ impl ObjectDescription {
             let libraries: Vec<String> = self.libraries.iter().map(library).collect();
             facts.push((format!("{role} libraries"), libraries.join(", ")));
         }
-        if self.more {
+        if self.is_incomplete {
             facts.push((format!("{role} imports"), "more than is told here".to_owned()));
         }
         facts
@@ -76,11 +79,11 @@ pub struct PythonObject {
     role: Role,
     launch: Launch,
     clock: SharedClock,
-    about: ObjectDescription,
+    description: ObjectDescription,
     worker: Option<Worker>,
     restart_backoff: RestartBackoff,
     /// Text of the last failure, returned to callers while the process is not restarted.
-    last: String,
+    last_failure: String,
 }
 
 impl PythonObject {
@@ -112,52 +115,52 @@ impl PythonObject {
             role,
             launch: interpreter::launch(config, name.to_owned(), device)?,
             clock: SharedClock::clone(clock),
-            about: ObjectDescription::default(),
+            description: ObjectDescription::default(),
             worker: None,
             restart_backoff: RestartBackoff::default(),
-            last: String::new(),
+            last_failure: String::new(),
         };
         object.worker = Some(object.start_worker()?);
         Ok(object)
     }
 
     /// Returns the description of the object.
-    pub fn about(&self) -> &ObjectDescription {
-        &self.about
+    pub fn description(&self) -> &ObjectDescription {
+        &self.description
     }
 
     /// Calls the object with a value; `sample()` takes none. Blocks until the object has answered, the timeout is
     /// over, or the process has ended. After a failure the next call restarts the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
-        let asked = self.clock.mono();
-        let restarted = self.worker.is_none().then_some(asked);
+        let called_at = self.clock.mono();
+        let restarted = self.worker.is_none().then_some(called_at);
         let answer = self.take_or_start_worker().and_then(|mut worker| {
-            let begun = self.clock.mono();
-            let until = begun + milliseconds(self.config.timeout_ms.get());
+            let started_at = self.clock.mono();
+            let until = started_at + milliseconds(self.config.timeout_ms.get());
             match worker.call(parts, until) {
-                // A process is kept only after an answer: what is left in the pipe after a failure would be taken for
-                // the answer to the next call.
+                // A process is used again only after an answer: after a failure, bytes in the pipe would be taken for the
+                // answer to the next call.
                 Ok(answer) => {
                     self.worker = Some(worker);
                     self.restart_backoff.record_success();
-                    Ok((begun, answer))
+                    Ok((started_at, answer))
                 }
                 Err(failure) => Err(self.failure(failure, worker)),
             }
         });
         let ended = self.clock.mono();
         match answer {
-            Ok((begun, (reply, bytes))) => {
-                let mut call_result = self.call_result(reply, bytes, begun, ended);
-                call_result.times.restarted = restarted;
+            Ok((started_at, (reply, bytes))) => {
+                let mut call_result = self.call_result(reply, bytes, started_at, ended);
+                call_result.times.restarted_at = restarted;
                 call_result
             }
             Err(error) => {
                 if !matches!(error, PythonError::RestartDelayed { .. }) {
                     self.restart_backoff.record_failure(ended);
-                    self.last = error.to_string();
+                    self.last_failure = error.to_string();
                 }
-                CallResult { result: Err(error), times: CallTimes::new(asked, ended, &[]) }
+                CallResult { result: Err(error), times: CallTimes::new(called_at, ended, &[]) }
             }
         }
     }
@@ -166,12 +169,12 @@ impl PythonObject {
         &mut self,
         reply: Reply,
         bytes: Vec<Bytes>,
-        begun: MonoTime,
+        started_at: MonoTime,
         ended: MonoTime,
     ) -> CallResult {
         let call_result = |result, stages: &[(Stage, i64, i64)]| CallResult {
             result,
-            times: CallTimes::new(begun, ended, stages),
+            times: CallTimes::new(started_at, ended, stages),
         };
         match reply {
             Reply::Value { parts, stages } => {
@@ -199,14 +202,10 @@ impl PythonObject {
             return Err(PythonError::RestartDelayed {
                 object: self.config.object.clone(),
                 left,
-                last: self.last.clone(),
+                last: self.last_failure.clone(),
             });
         }
-        tracing::info!(
-            name = self.launch.name,
-            object = self.config.object,
-            "a Python process is started anew"
-        );
+        tracing::info!(name = self.launch.name, object = self.config.object, "restarting a Python process");
         self.start_worker()
     }
 
@@ -226,16 +225,16 @@ impl PythonObject {
             window: worker.window(),
         };
         match worker.create_object(&settings, until) {
-            Ok((Reply::Ready(about), _)) => {
-                self.about = about;
+            Ok((Reply::Ready(description), _)) => {
+                self.description = description;
                 Ok(worker)
             }
             Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(self.start_error(text)),
-            Ok(_) => Err(self.start_error("it answers before it was asked".to_owned())),
+            Ok(_) => Err(self.start_error("it answered before a request".to_owned())),
             Err(WorkerError::Process(ProcessError::TimedOut)) => {
                 let (allowed, stderr_suffix) = (allowed.seconds(), worker.kill().stderr_suffix());
                 Err(self.start_error(format!(
-                    "it was not ready within {allowed} s and was killed{stderr_suffix}; raise start_timeout_ms when it needs \
+                    "it was not ready within {allowed} s and was killed{stderr_suffix}; raise start_timeout_ms if it needs \
                      longer"
                 )))
             }
@@ -274,7 +273,7 @@ impl Drop for PythonObject {
         if let Some(worker) = self.worker.take() {
             let ended = worker.end(STOP_TIMEOUT);
             if !ended.ended_as_requested() {
-                tracing::warn!(name = self.launch.name, "at its end, {ended}");
+                tracing::warn!(name = self.launch.name, "the Python process did not exit cleanly: {ended}");
             }
         }
     }

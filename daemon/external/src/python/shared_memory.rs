@@ -22,7 +22,7 @@ const MIN_SHARED_BYTES: usize = 4 << 10;
 const ALIGNMENT: usize = 64;
 /// Initial size, bytes.
 const INITIAL_BYTES: usize = 1 << 20;
-/// Memory that is kept between calls, bytes. Memory beyond it is returned to the system after a call.
+/// Memory that stays allocated between calls, bytes. Memory beyond it is returned to the system after a call.
 const MAX_KEPT_BYTES: u64 = 64 << 20;
 
 /// Shared memory, as mapped in this process.
@@ -33,8 +33,8 @@ pub(super) struct SharedMemory {
 }
 
 impl SharedMemory {
-    /// Creates the memory. It is sealed so that it can grow but not shrink: otherwise a side that reads announced
-    /// bytes would be killed (SIGBUS) when the other side shortens the file.
+    /// Creates the memory, sealed so that it can grow but not shrink.
+    // If one side shortened the file, the other side would be killed (SIGBUS) while it reads.
     pub(super) fn new() -> io::Result<Self> {
         let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
         let create = |flags| memfd_create(c"peernet-window", flags);
@@ -57,7 +57,7 @@ impl SharedMemory {
     /// Copies the parts that are large enough into the memory. Returns the position of each; `None` for a short part.
     pub(super) fn write_parts(&mut self, parts: &[Part]) -> io::Result<Vec<Option<u64>>> {
         let mut end = 0_usize;
-        let places: Vec<_> = parts
+        let positions: Vec<_> = parts
             .iter()
             .map(|part| {
                 (part.bytes.len() >= MIN_SHARED_BYTES).then(|| {
@@ -74,7 +74,7 @@ impl SharedMemory {
             }
             self.map = MmapRaw::map_raw(&*self.file)?;
         }
-        for (part, at) in parts.iter().zip(&places) {
+        for (part, at) in parts.iter().zip(&positions) {
             let Some(at) = *at else { continue };
             #[expect(unsafe_code, reason = "memory that another process may write to has no slice")]
             // SAFETY: `at + len <= end <= map.len()`; nobody else here has a pointer into the map.
@@ -86,7 +86,7 @@ impl SharedMemory {
                 );
             }
         }
-        Ok(places.into_iter().map(|at| at.map(|at| at as u64)).collect())
+        Ok(positions.into_iter().map(|at| at.map(|at| at as u64)).collect())
     }
 
     /// Copies bytes out of the memory; returns `None` if they are not within it.
@@ -110,13 +110,13 @@ impl SharedMemory {
         Ok(Some(bytes.into()))
     }
 
-    /// Returns memory beyond `MAX_KEPT_BYTES` to the system. To be called between calls only.
+    /// Returns memory beyond `MAX_KEPT_BYTES` to the system. Must not be called during a call.
     pub(super) fn release_excess(&self) {
         let length = self.map.len() as u64;
         if length > MAX_KEPT_BYTES {
             let hole = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
             if let Err(error) = fallocate(&*self.file, hole, MAX_KEPT_BYTES, length - MAX_KEPT_BYTES) {
-                tracing::debug!(%error, "shared memory stays in use");
+                tracing::debug!(%error, "cannot release excess shared memory");
             }
         }
     }
@@ -139,9 +139,9 @@ mod tests {
     fn only_large_parts_get_shared_memory() {
         let mut window = SharedMemory::new().expect("there is memory");
         let parts = [part(5000), part(10), part(3 << 20), part(MIN_SHARED_BYTES)];
-        let places = window.write_parts(&parts).expect("there is memory");
-        assert_eq!(places[1], None);
-        for (part, at) in parts.iter().zip(&places) {
+        let positions = window.write_parts(&parts).expect("there is memory");
+        assert_eq!(positions[1], None);
+        for (part, at) in parts.iter().zip(&positions) {
             let Some(at) = *at else { continue };
             assert_eq!(at % ALIGNMENT as u64, 0);
             assert_eq!(

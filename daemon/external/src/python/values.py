@@ -1,5 +1,5 @@
-# How Python values become parts of a sample, and parts become values. Standard library only; numpy, PIL and torch are
-# used where the user's code has them.
+# Conversion between Python values and parts of a sample. Standard library only; numpy, PIL and torch are used if the
+# user's code imports them.
 import io
 import json
 import math
@@ -9,12 +9,12 @@ import sys
 PICKLE = "application/x-python-pickle"
 # A tree of containers as JSON whose leaves may be the parts that follow.
 TREE = "application/x-python-tree"
-OR_PICKLE = "say pickle = true on both ends"
-# A message takes 64 parts; the first may be the tree or the pickle.
+OR_PICKLE = "set pickle = true on both ends"
+# A message holds up to 64 parts; the first may be the tree or the pickle.
 MAX_LEAVES = 63
-# Of all parts of a value together: 1 GiB.
+# Limit of the total size of a value: 1 GiB.
 MAX_BYTES = 1 << 30
-# Of one dimension of an array.
+# Limit of one dimension of an array.
 MAX_LENGTH = (1 << 32) - 1
 
 DTYPES = {
@@ -30,20 +30,20 @@ NUMBERS = {"I;16": "u16", "I;16L": "u16", "I;16B": "u16", "I": "i32", "F": "f32"
 PIXELS = {"RGB": ("rgb8", 3), "L": ("grey8", 1)}
 
 
-# Made once: dumps() with separators would make one for each call.
+# Created once, because json.dumps() with separators creates an encoder in every call.
 to_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
 class Refused(Exception):
-    """A value that cannot cross."""
+    """A value that cannot be transferred."""
 
 
-class Gone(Exception):
+class PipeClosed(Exception):
     """The other end of the pipe is closed."""
 
 
 def is_a(value, module, kind):
-    """Whether it is of that class. The module may not be there, or be imported by another thread just now."""
+    """Whether a value has that class. The module may be missing, or another thread may be importing it."""
     return isinstance(value, getattr(sys.modules.get(module), kind, ()))
 
 
@@ -71,16 +71,16 @@ class Encoder:
         leaves = []
         tree, is_json = self.tree(value, leaves, 0)
         if not leaves and is_json:
-            # Only numpy's scalars are left to the default.
+            # `default` is called for numpy's scalars only.
             text = json.dumps(value, separators=(",", ":"), default=lambda scalar: scalar.item())
             return [part("json", text.encode())]
         if len(leaves) > MAX_LEAVES:
             many = (len(leaves), MAX_LEAVES)
-            raise Refused("a value holds %d arrays, pictures or byte strings; at most %d cross" % many)
+            raise Refused("a value holds %d arrays, pictures or byte strings; at most %d can be transferred" % many)
         return [part({"other": TREE}, to_json(tree).encode())] + leaves
 
     def form(self, value):
-        """What makes the part of a value that has a form of its own; None for others."""
+        """The method that encodes a value as a single part; None if it has no such form."""
         if isinstance(value, (bytes, bytearray, memoryview)):
             return self.bytes
         if isinstance(value, str):
@@ -94,7 +94,7 @@ class Encoder:
 
     def bytes(self, value):
         view = memoryview(value)
-        # A view may be one of numbers, have several dimensions, or gaps.
+        # A view may hold numbers, have several dimensions or be non-contiguous.
         is_bytes = view.format in ("B", "b", "c") and view.ndim == 1 and view.contiguous
         return part("bytes", value if is_bytes else view.tobytes())
 
@@ -102,24 +102,26 @@ class Encoder:
         try:
             return part("text", value.encode())
         except UnicodeEncodeError as error:
-            raise Refused("a text that is not Unicode does not cross (%s); encode it" % error.reason) from None
+            raise Refused("a text that is not Unicode cannot be transferred (%s); encode it" % error.reason) from None
 
     def tensor(self, value):
         try:
             return self.array(value.detach().cpu().numpy())
         except (RuntimeError, TypeError) as error:
-            text = "a tensor of type %s does not cross (%s); convert it, or %s"
+            text = "a tensor of type %s cannot be transferred (%s); convert it, or %s"
             raise Refused(text % (value.dtype, error, OR_PICKLE)) from None
 
     def array(self, value):
         numpy = sys.modules["numpy"]
         if isinstance(value, numpy.ma.MaskedArray) and numpy.ma.is_masked(value):
-            raise Refused("a masked array does not cross, because its mask would be lost; fill it, or " + OR_PICKLE)
+            text = "a masked array cannot be transferred, because its mask would be lost; fill it, or "
+            raise Refused(text + OR_PICKLE)
         element = ELEMENTS.get(value.dtype.str[1:])
         if element is None:
-            raise Refused("an array of type %s does not cross; convert it, or %s" % (value.dtype, OR_PICKLE))
+            raise Refused("an array of type %s cannot be transferred; convert it, or %s" % (value.dtype, OR_PICKLE))
         if any(length > MAX_LENGTH for length in value.shape):
-            raise Refused("an array of shape %s does not cross; at most %d in each" % (value.shape, MAX_LENGTH))
+            text = "an array of shape %s cannot be transferred; each dimension may be at most %d"
+            raise Refused(text % (value.shape, MAX_LENGTH))
         value = numpy.ascontiguousarray(value, dtype=DTYPES[element]).reshape(value.shape)
         data = value.reshape(-1).view(numpy.uint8).data if value.size else b""
         return part("tensor", data, value.shape, element)
@@ -135,7 +137,8 @@ class Encoder:
             try:
                 value = value.convert("L" if value.mode in ("1", "LA") else "RGB")
             except ValueError as error:
-                raise Refused("a picture of mode %s does not cross (%s); convert it" % (value.mode, error)) from None
+                text = "a picture of mode %s cannot be transferred (%s); convert it"
+                raise Refused(text % (value.mode, error)) from None
         name, channels = PIXELS[value.mode]
         return part({"pixels": name}, value.tobytes(), (value.height, value.width, channels), "u8")
 
@@ -153,7 +156,7 @@ class Encoder:
         return self.form(value) is not None
 
     def tree(self, value, leaves, depth):
-        """The value as JSON, with lists, tuples and dictionaries told apart, and whether it is JSON as it stands."""
+        """The value as JSON, with lists, tuples and dictionaries distinguished, and whether it is plain JSON."""
         if value is None or isinstance(value, (bool, int)):
             return value, True
         if isinstance(value, float):
@@ -173,18 +176,19 @@ class Encoder:
         if isinstance(value, dict):
             keys = [self.tree(key, leaves, depth + 1)[0] for key in value]
             if not all(key is None or isinstance(key, (str, int, float)) for key in keys):
-                raise Refused("a dictionary whose keys are not strings or numbers does not cross; " + OR_PICKLE)
+                raise Refused("a dictionary whose keys are not strings or numbers cannot be transferred; " + OR_PICKLE)
             items = [self.tree(one, leaves, depth + 1) for one in value.values()]
             is_json = all(isinstance(key, str) for key in keys) and all(plain for _, plain in items)
             return {"dict": [[key, item] for key, (item, _) in zip(keys, items)]}, is_json
         if is_a(value, "numpy", "generic") and value.dtype.kind in "biuf":
             number = value.item()
-            # Of one that Python has no type for it is a numpy scalar again.
+            # If Python has no matching type, item() returns a numpy scalar again.
             if isinstance(number, (bool, int, float)):
                 return self.tree(number, leaves, depth)
         kind = type(value)
         raise Refused(
-            "a %s.%s does not cross; return bytes, text, numbers, arrays, pictures, lists or dictionaries of them, or %s"
+            "a %s.%s cannot be transferred; return bytes, text, numbers, arrays, pictures, lists or dictionaries of "
+            "them, or %s"
             % (kind.__module__, kind.__qualname__, OR_PICKLE)
         )
 
@@ -211,8 +215,8 @@ class Decoder:
         self.may_pickle = may_pickle
         self.images = images
 
-    def read(self, border, heads):
-        """The value of the parts that come next; all are read, whatever is wrong with one."""
+    def read(self, channel, heads):
+        """The value of the next parts. All parts are read, even if one is invalid."""
         first = heads[0]["description"]["media"] if heads else None
         other = first.get("other") if isinstance(first, dict) else None
         values, refused = [], None
@@ -220,12 +224,12 @@ class Decoder:
             description = head["description"]
             try:
                 if other == PICKLE:
-                    values.append(border.array(head))
+                    values.append(channel.array(head))
                 elif description["media"] == "tensor":
-                    values.append(self.array(description, border.array(head)))
+                    values.append(self.array(description, channel.array(head)))
                 else:
-                    values.append(self.value(description, border.bytes(head)))
-            except Gone:
+                    values.append(self.value(description, channel.bytes(head)))
+            except PipeClosed:
                 raise
             except Exception as error:
                 # The other parts still have to be read.
@@ -236,9 +240,9 @@ class Decoder:
             return self.unpickled(values)
         if other == TREE:
             try:
-                return grown(json.loads(values[0]), values)
+                return from_tree(json.loads(values[0]), values)
             except Exception as error:
-                raise Refused("a value arrived whose containers make no sense: %s" % error) from None
+                raise Refused("a value arrived with invalid containers: %s" % error) from None
         return None if not values else values[0] if len(values) == 1 else tuple(values)
 
     def value(self, description, data):
@@ -259,7 +263,7 @@ class Decoder:
         try:
             return numpy.frombuffer(data, dtype="u1" if dtype is None else dtype).reshape(shape if dtype else -1)
         except ValueError as error:
-            raise Refused("an array is not of its shape: %s" % error) from None
+            raise Refused("an array does not match its shape: %s" % error) from None
 
     def pixels(self, description, data):
         height, width, channels = description["shape"]
@@ -269,15 +273,15 @@ class Decoder:
                 return pil().new(mode, (width, height))
             return pil().frombuffer(mode, (width, height), data, "raw", mode, 0, 1)
         if self.images == "numpy":
-            numpy = imported("numpy", "a picture", "python3-numpy", " or say images = 'bytes'")
+            numpy = imported("numpy", "a picture", "python3-numpy", " or set images = 'bytes'")
             return numpy.frombuffer(data, dtype="u1").reshape(height, width, channels)
         return data
 
     def unpickled(self, parts):
         if not self.may_pickle:
             raise Refused(
-                "a pickled object arrived and is not unpickled, because that runs code of whoever sent it; "
-                "where you trust them, say pickle = true here as well"
+                "a pickled object arrived and is not unpickled, because that runs code of the sender; "
+                "if you trust the sender, set pickle = true here as well"
             )
         try:
             return pickle.loads(parts[0], buffers=parts[1:])
@@ -287,7 +291,7 @@ class Decoder:
 
 
 def pil():
-    return imported("PIL.Image", "a picture", "python3-pil", " or say images = 'numpy' or 'bytes'")
+    return imported("PIL.Image", "a picture", "python3-pil", " or set images = 'numpy' or 'bytes'")
 
 
 def imported(module, what, package, otherwise):
@@ -299,16 +303,16 @@ def imported(module, what, package, otherwise):
     return sys.modules[module]
 
 
-def grown(tree, parts):
+def from_tree(tree, parts):
     """The value of a tree whose leaves are `parts`."""
     if isinstance(tree, list):
-        return [grown(one, parts) for one in tree]
+        return [from_tree(one, parts) for one in tree]
     if not isinstance(tree, dict):
         return tree
     if "part" in tree:
         return parts[tree["part"]]
     if "tuple" in tree:
-        return tuple(grown(one, parts) for one in tree["tuple"])
-    return {key: grown(one, parts) for key, one in tree["dict"]}
+        return tuple(from_tree(one, parts) for one in tree["tuple"])
+    return {key: from_tree(one, parts) for key, one in tree["dict"]}
 
 

@@ -1,41 +1,41 @@
-# The border of the process: the protocol's two pipes, and the memory that both sides have.
+# The channel to the daemon: two pipes and shared memory.
 import mmap
 import os
 
 MARK = b"PN1\n"
-# Parts shorter than this cross in the pipe, with the header: a page.
-LEAST = 4096
+# Shorter parts are sent through the pipe, after the header: one page.
+MIN_SHARED_BYTES = 4096
 # Every part in the shared memory begins at a multiple of this: a cache line.
 ALIGNMENT = 64
 
 
-class Border:
-    """What crosses it; the user's code has other pipes in the place of these."""
+class Channel:
+    """Reads requests and writes replies. The user's code gets other standard streams."""
 
     def __init__(self):
         self.source = os.fdopen(os.dup(0), "rb", 1 << 13)
         self.sink = os.dup(1)
-        self.window = None
-        # Requests with equal headers follow each other where all samples are alike.
+        self.memory = None
+        # Consecutive requests often have equal headers; the last one is parsed once.
         self.header, self.request = b"", None
         nothing = os.open(os.devnull, os.O_RDONLY)
         os.dup2(nothing, 0)
         os.close(nothing)
-        # What the user prints goes where their errors go.
+        # The user's output goes to standard error.
         os.dup2(2, 1)
         sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
-        # A process that the user forks has no business with the pipes.
+        # A forked process must not use the pipes.
         os.register_at_fork(after_in_child=self.forget)
 
     def share(self, number):
-        """From now on there is shared memory, in the inherited file of this number."""
-        self.window = Window(number)
+        """Maps the shared memory in the inherited file descriptor."""
+        self.memory = SharedMemory(number)
 
     def forget(self):
         os.close(self.source.fileno())
         os.close(self.sink)
-        if self.window is not None:
-            os.close(self.window.file)
+        if self.memory is not None:
+            os.close(self.memory.file)
 
     def read(self):
         """The next request, or None at the end."""
@@ -51,48 +51,48 @@ class Border:
 
     def bytes(self, head):
         """The content of a part."""
-        return self.piped(head["length"]) if head.get("at") is None else self.window.bytes(head["at"], head["length"])
+        return self.piped(head["length"]) if head.get("at") is None else self.memory.bytes(head["at"], head["length"])
 
     def array(self, head):
-        """The content of a part that may be written to: arrays that a user gets can be worked on in place."""
+        """The content of a part in writable memory, so that users can change arrays in place."""
         length = head["length"]
         empty = getattr(sys.modules.get("numpy"), "empty", None)
         data = bytearray(length) if empty is None else empty(length, "u1")
         if head.get("at") is not None:
-            memoryview(data)[:] = self.window.view(head["at"], length)
+            memoryview(data)[:] = self.memory.view(head["at"], length)
         elif self.source.readinto(data) < length:
-            raise Gone
+            raise PipeClosed
         return data
 
     def piped(self, length):
         data = self.source.read(length)
         if len(data) < length:
-            raise Gone
+            raise PipeClosed
         return data
 
     def write(self, kind, body):
         self.send(self.frame(kind, body))
 
     def frame(self, kind, body, parts=()):
-        """What is to be sent; large parts are in the shared memory by then."""
+        """The chunks to send through the pipe, after large parts were copied to the shared memory."""
         piped = []
         if parts:
             parts = [(description, memoryview(data)) for description, data in parts]
             length = sum(data.nbytes for _, data in parts)
             if length > MAX_BYTES:
-                raise Refused("a value has %d bytes; at most %d cross" % (length, MAX_BYTES))
+                raise Refused("a value has %d bytes; at most %d can be transferred" % (length, MAX_BYTES))
             body["parts"] = heads = []
             end = 0
             for description, data in parts:
                 head = {"description": description, "length": data.nbytes}
                 heads.append(head)
-                if data.nbytes >= LEAST:
+                if data.nbytes >= MIN_SHARED_BYTES:
                     head["at"] = -(-end // ALIGNMENT) * ALIGNMENT
                     end = head["at"] + data.nbytes
                     try:
-                        self.window.put(head["at"], data.cast("B"))
+                        self.memory.put(head["at"], data.cast("B"))
                     except (MemoryError, OSError) as error:
-                        raise Refused("there is no memory for a value of %d bytes: %s" % (length, error)) from None
+                        raise Refused("not enough memory for a value of %d bytes: %s" % (length, error)) from None
                 elif data.nbytes:
                     piped.append(data.cast("B"))
         header = to_json({kind: body}).encode()
@@ -107,17 +107,17 @@ class Border:
                 chunks[0] = chunks[0][written:]
 
 
-class Window:
-    """Memory that both sides have. It can grow, never shrink; nobody writes while the other reads."""
+class SharedMemory:
+    """Memory shared with the daemon. It never shrinks, and one side never writes while the other reads."""
 
     def __init__(self, file):
         self.file = file
-        # A program that the user starts has no business with it.
+        # A program that the user starts must not inherit it.
         os.set_inheritable(file, False)
         self.map = mmap.mmap(file, 0)
 
-    def reach(self, end):
-        """The memory, mapped up to there."""
+    def mapped_to(self, end):
+        """The memory, mapped at least up to `end`."""
         if len(self.map) < end:
             length = 1 << (end - 1).bit_length()
             if os.fstat(self.file).st_size < length:
@@ -126,12 +126,12 @@ class Window:
         return self.map
 
     def bytes(self, at, length):
-        return self.reach(at + length)[at : at + length]
+        return self.mapped_to(at + length)[at : at + length]
 
     def view(self, at, length):
-        return memoryview(self.reach(at + length))[at : at + length]
+        return memoryview(self.mapped_to(at + length))[at : at + length]
 
     def put(self, at, data):
-        self.reach(at + len(data))[at : at + len(data)] = data
+        self.mapped_to(at + len(data))[at : at + len(data)] = data
 
 

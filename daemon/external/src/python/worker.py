@@ -1,42 +1,43 @@
-# The process around a user's object: reads a call, makes it, writes what it gave.
+# The worker process of a user's object: reads a call, makes it and writes the result.
 import inspect
 import time
 import traceback
 
 METHODS = {"sensor": "sample", "model": "infer"}
 MAX_TEXT = 4000
-# What users say to end the process, and so do; everything else that they raise fails one call.
-ENDS = (SystemExit, KeyboardInterrupt)
+# Exceptions that end the process; every other exception fails one call.
+EXITS = (SystemExit, KeyboardInterrupt)
 now = time.monotonic_ns
 
 
-def found(module, path, method):
-    """The user's object, made where it is a class."""
+def load_object(module, path, method):
+    """The user's object; a class is instantiated."""
     __import__(module)
-    thing = sys.modules[module]
+    user_object = sys.modules[module]
     for name in path.split(".") if path else ():
-        if not hasattr(thing, name):
-            there = [one for one in vars(thing) if not one.startswith("_")] if hasattr(thing, "__dict__") else []
-            raise Refused("%s has no %s; it has %s" % (module, path, ", ".join(there[:20]) or "nothing"))
-        thing = getattr(thing, name)
-    what = "%s %s" % (kind_of(thing), "%s::%s" % (module, path) if path else module)
-    if inspect.isclass(thing):
-        thing = thing()
-    if not callable(getattr(thing, method, None)):
+        if not hasattr(user_object, name):
+            names = getattr(user_object, "__dict__", ())
+            public = [one for one in names if not one.startswith("_")]
+            raise Refused("%s has no %s; it has %s" % (module, path, ", ".join(public[:20]) or "nothing"))
+        user_object = getattr(user_object, name)
+    what = "%s %s" % (kind_of(user_object), "%s::%s" % (module, path) if path else module)
+    if inspect.isclass(user_object):
+        user_object = user_object()
+    if not callable(getattr(user_object, method, None)):
         raise Refused("the %s has no %s(%s)" % (what, method, "x" if method == "infer" else ""))
-    return thing, what
+    return user_object, what
 
 
-def kind_of(thing):
-    if inspect.isclass(thing):
+def kind_of(user_object):
+    if inspect.isclass(user_object):
         return "class"
-    if inspect.ismodule(thing):
+    if inspect.ismodule(user_object):
         return "module"
-    return "function" if inspect.isfunction(thing) else "object"
+    return "function" if inspect.isfunction(user_object) else "object"
 
 
-def told(module, name):
-    """A text that a module says of itself, whatever users put into its place."""
+def module_text(module, name):
+    """The text of an attribute of a module; None if it is missing or not a text."""
     try:
         text = getattr(sys.modules.get(module), name, None)
         return plain(text) if isinstance(text, str) else None
@@ -45,59 +46,60 @@ def told(module, name):
 
 
 def plain(text):
-    """A text that can be written, and not without an end."""
+    """The text as valid UTF-8 of limited length."""
     return str(text)[:MAX_TEXT].encode("utf-8", "backslashreplace").decode()
 
 
-def finished():
-    """Waits until what was given to a GPU is computed, so that it counts where it was caused."""
-    # Another thread may be importing it just now.
+def wait_for_gpu():
+    """Waits until the GPU is idle, so that its time counts for the stage that caused it."""
+    # Another thread may be importing torch.
     cuda = getattr(sys.modules.get("torch"), "cuda", None)
     if hasattr(cuda, "is_initialized") and cuda.is_initialized():
         cuda.synchronize()
 
 
 def pictures(value):
-    """The pictures that a value is or holds."""
+    """The value if it is a picture, or the pictures in it."""
     held = value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else (value,)
     return [one for one in held if is_a(one, "PIL.Image", "Image")] if len(held) <= MAX_LEAVES else []
 
 
 class Sensor:
-    def __init__(self, thing):
-        self.thing = thing
+    def __init__(self, user_object):
+        self.user_object = user_object
 
     def call(self, _, stages):
         begun = now()
         try:
-            value = self.thing.sample()
-            # PIL opens files lazily; decoding them is part of having a sample.
+            value = self.user_object.sample()
+            # PIL decodes files lazily; decoding is part of taking the sample.
             for picture in pictures(value):
                 picture.load()
-            finished()
+            wait_for_gpu()
         finally:
             stages.append(("sample", begun, now()))
         return value
 
 
 class Model:
-    def __init__(self, thing):
+    def __init__(self, user_object):
         steps = (("preprocess", "preprocess"), ("infer", "infer"), ("postprocess", "postprocess"))
-        self.steps = [(stage, getattr(thing, name)) for stage, name in steps if callable(getattr(thing, name, None))]
+        methods = ((stage, getattr(user_object, name, None)) for stage, name in steps)
+        self.steps = [(stage, method) for stage, method in methods if callable(method)]
 
     def call(self, value, stages):
         for stage, step in self.steps:
             begun = now()
             try:
                 value = step(value)
-                finished()
+                wait_for_gpu()
             finally:
                 stages.append((stage, begun, now()))
         return value
 
 
-def text_of(error):
-    """An exception in one line, then its traceback from the user's first frame on, then bounded."""
+def exception_text(error):
+    """An exception in one line, then its traceback from the user's first frame on."""
     trace = error.__traceback__
     while trace is not None and trace.tb_frame.f_code.co_filename.startswith(("<peernet>", "<frozen importlib")):
         trace = trace.tb_next
@@ -108,12 +110,12 @@ def text_of(error):
     return line[: MAX_TEXT // 4] + "\n" + lines
 
 
-def fail(border, kind, text, stages):
-    # Half a character cannot be written, whoever put it into a message.
+def fail(channel, kind, text, stages):
+    # Lone surrogates cannot be encoded.
     text = text.encode("utf-8", "backslashreplace").decode()
     if len(text) > MAX_TEXT:
         text = text[: MAX_TEXT // 2] + "\n  …\n" + text[-MAX_TEXT // 2 :]
-    border.write(kind, {"text": text, "stages": stages})
+    channel.write(kind, {"text": text, "stages": stages})
 
 
 def start(request):
@@ -121,58 +123,58 @@ def start(request):
     sys.path[:] = [""] + [place for place in sys.path if place != ""]
     sys.argv[:] = [settings["module"]]
     if settings["role"] == "model" and settings["images"] == "pil":
-        # So that the first picture does not wait for it.
+        # Imported now, so that the first picture does not wait for it.
         try:
             import PIL.Image  # noqa: F401
         except ImportError:
             pass
-    # What opens the pictures that a model is given is one of its libraries, whoever imports it.
+    # PIL opens the pictures of a model, so it is one of its libraries even if the model does not import it.
     folder, before = os.getcwd(), set(sys.modules) - {"PIL"}
-    thing, what = found(settings["module"], settings["path"], METHODS[settings["role"]])
-    role = Sensor(thing) if settings["role"] == "sensor" else Model(thing)
+    user_object, what = load_object(settings["module"], settings["path"], METHODS[settings["role"]])
+    role = Sensor(user_object) if settings["role"] == "sensor" else Model(user_object)
     version = ".".join(str(number) for number in sys.version_info[:3])
     about = {"what": what, "python": version, "executable": plain(sys.executable or "")}
-    about.update(made_of(settings["module"], folder, before))
+    about.update(describe_code(settings["module"], folder, before))
     return role, about, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
 
 
-def answer(border, request, role, encoder, decoder):
+def answer(channel, request, role, encoder, decoder):
     stages = []
     try:
-        value = decoder.read(border, request["call"]["parts"])
+        value = decoder.read(channel, request["call"]["parts"])
         value = role.call(value, stages)
-        frame = border.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
-    except (Gone, *ENDS):
+        frame = channel.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
+    except (PipeClosed, *EXITS):
         raise
     except Refused as error:
-        fail(border, "refused", str(error), stages)
+        fail(channel, "refused", str(error), stages)
     except BaseException as error:
         if isinstance(error, StopIteration) and isinstance(role, Sensor):
-            border.write("over", {"stages": stages})
+            channel.write("over", {"stages": stages})
         else:
-            fail(border, "raised", text_of(error), stages)
+            fail(channel, "raised", exception_text(error), stages)
     else:
-        border.send(frame)
+        channel.send(frame)
 
 
 def main():
-    border = Border()
-    request = border.read()
-    border.share(request["start"]["window"])
+    channel = Channel()
+    request = channel.read()
+    channel.share(request["start"]["window"])
     try:
         role, about, encoder, decoder = start(request)
-    except ENDS:
+    except EXITS:
         raise
     except Refused as error:
-        return fail(border, "refused", str(error), [])
+        return fail(channel, "refused", str(error), [])
     except BaseException as error:
-        return fail(border, "raised", text_of(error), [])
-    border.write("ready", about)
+        return fail(channel, "raised", exception_text(error), [])
+    channel.write("ready", about)
     while True:
-        request = border.read()
+        request = channel.read()
         if request is None:
             return None
-        answer(border, request, role, encoder, decoder)
+        answer(channel, request, role, encoder, decoder)
 
 
 main()

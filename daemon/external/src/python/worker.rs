@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::Part;
 
 use super::SOURCE;
-use super::frame::{self, FrameError, MAX_BYTES, PREFIX, PartHead, Reply, Request};
+use super::frame::{self, FrameError, MAX_BYTES, PREFIX_BYTES, PartHead, Reply, Request};
 use super::shared_memory::SharedMemory;
 use crate::process::{Launch, Process, ProcessEnd, ProcessError};
 
@@ -27,7 +27,7 @@ pub(super) struct Worker {
 pub(super) enum WorkerError {
     #[error(transparent)]
     Process(#[from] ProcessError),
-    #[error("its process does not speak as agreed: {0}")]
+    #[error("its process sent an invalid message: {0}")]
     InvalidMessage(#[from] FrameError),
     #[error("cannot share memory with its process: {0}")]
     Memory(io::Error),
@@ -37,7 +37,7 @@ impl Worker {
     /// Starts the process.
     pub(super) fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, WorkerError> {
         let window = SharedMemory::new().map_err(WorkerError::Memory)?;
-        let launch = Launch { inherits: Some(window.file()), ..launch.clone() };
+        let launch = Launch { inherited_file: Some(window.file()), ..launch.clone() };
         Ok(Self { process: Process::start(&launch, clock)?, window })
     }
 
@@ -52,18 +52,18 @@ impl Worker {
         settings: &Request<'_>,
         until: MonoTime,
     ) -> Result<Answer, WorkerError> {
-        let head = encoded(settings)?;
+        let head = encode_request(settings)?;
         self.process.write(&[SOURCE.as_bytes(), &head], until)?;
         self.receive_reply(until)
     }
 
     /// Calls the object.
     pub(super) fn call(&mut self, parts: &[Part], until: MonoTime) -> Result<Answer, WorkerError> {
-        let places = self.window.write_parts(parts).map_err(WorkerError::Memory)?;
-        let heads = parts.iter().zip(&places).map(|(part, at)| PartHead::of(part, *at)).collect();
-        let head = encoded(&Request::Call { parts: heads })?;
+        let positions = self.window.write_parts(parts).map_err(WorkerError::Memory)?;
+        let heads = parts.iter().zip(&positions).map(|(part, at)| PartHead::new(part, *at)).collect();
+        let head = encode_request(&Request::Call { parts: heads })?;
         let mut chunks: Vec<&[u8]> = vec![&head];
-        let piped = parts.iter().zip(&places).filter(|(_, at)| at.is_none());
+        let piped = parts.iter().zip(&positions).filter(|(_, at)| at.is_none());
         chunks.extend(piped.map(|(part, _)| &part.bytes[..]));
         self.process.write(&chunks, until)?;
         let answer = self.receive_reply(until)?;
@@ -82,7 +82,7 @@ impl Worker {
     }
 
     fn receive_reply(&mut self, until: MonoTime) -> Result<Answer, WorkerError> {
-        let prefix = self.process.read_exact(PREFIX, until)?;
+        let prefix = self.process.read_exact(PREFIX_BYTES, until)?;
         let length = frame::header_length(&prefix)?;
         let header = self.process.read_exact(length, until)?;
         let reply: Reply = serde_json::from_slice(&header).map_err(FrameError::from)?;
@@ -99,11 +99,11 @@ impl Worker {
     fn read_part(&mut self, part: &PartHead, until: MonoTime) -> Result<Bytes, WorkerError> {
         let length = part.length as usize;
         let Some(at) = part.at else { return Ok(self.process.read_exact(length, until)?) };
-        let taken = self.window.read_part(at, length).map_err(WorkerError::Memory)?;
-        taken.ok_or_else(|| FrameError::Position { length, at }.into())
+        let bytes = self.window.read_part(at, length).map_err(WorkerError::Memory)?;
+        bytes.ok_or_else(|| FrameError::Position { length, at }.into())
     }
 }
 
-fn encoded(request: &Request<'_>) -> Result<Vec<u8>, WorkerError> {
+fn encode_request(request: &Request<'_>) -> Result<Vec<u8>, WorkerError> {
     Ok(frame::encode(request).map_err(FrameError::from)?)
 }

@@ -16,7 +16,7 @@ fn example(name: &str) -> PathBuf {
 fn start(role: Role, words: &[&str]) -> Program {
     let words = words.iter().map(|word| (*word).to_owned()).collect();
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")));
-    Program::start(&ExecConfig::of(CommandLine::Words(words)), role, "an example", &clock).expect("is there")
+    Program::start(&ExecConfig::new(CommandLine::Words(words)), role, "an example", &clock).expect("is there")
 }
 
 fn sample(media: &str, parts: &[&'static [u8]]) -> Sample {
@@ -26,14 +26,14 @@ fn sample(media: &str, parts: &[&'static [u8]]) -> Sample {
 }
 
 #[test]
-fn the_actuator_writes_all_parts_of_an_answer() {
+fn actuator_writes_all_parts_of_an_answer() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("answers");
     let (program, file) = (example("record.sh"), file.to_string_lossy().into_owned());
     let mut program = start(Role::Actuator, &[&program.to_string_lossy(), &file]);
     for parts in [&[&b"left"[..]][..], &[b"left", b"0.5", b"now"], &[b"right"]] {
         let answer = sample("text/plain", parts);
-        let acted = program.ask(Request::Answer { answer: &answer, source: "cam" }).expect("acts");
+        let acted = program.call(Request::Answer { answer: &answer, source: "cam" }).expect("acts");
         assert_eq!(acted.outcome, ReplyOutcome::Done);
     }
     assert_eq!(fs::read_to_string(file).expect("was written"), "cam left\ncam left 0.5 now\ncam right\n");
@@ -48,9 +48,9 @@ fn model_refuses_several_pictures_and_continues() {
     let mut program = start(Role::Model, &[&program.to_string_lossy()]);
     let grey = |parts: &[&'static [u8]]| sample("image/x-grey8", parts);
     let refused =
-        program.ask(Request::Sample(&grey(&[b"\xff", b"\xff"]))).expect_err("takes one").to_string();
+        program.call(Request::Sample(&grey(&[b"\xff", b"\xff"]))).expect_err("takes one").to_string();
     assert!(refused.contains("not a sample of 2 parts"), "{refused}");
-    let answered = program.ask(Request::Sample(&grey(&[b"\xff"]))).expect("answers");
+    let answered = program.call(Request::Sample(&grey(&[b"\xff"]))).expect("answers");
     assert!(
         matches!(&answered.outcome, ReplyOutcome::Parts(parts) if parts[0].bytes.starts_with(b"{\"label\":\"bright\"")),
         "{answered:?}"

@@ -25,7 +25,7 @@ fn shell(script: &str, clock: &SharedClock) -> Process {
         arguments: vec!["-c".into(), script.into()],
         folder: None,
         environment: [].into(),
-        inherits: None,
+        inherited_file: None,
     };
     Process::start(&launch, clock).expect("sh is there")
 }
@@ -54,23 +54,23 @@ impl Watched {
 const LEAVES_ONE: &str = "sleep 600 & echo $!; read -r _; exit 3";
 
 #[test]
-fn a_process_that_ends_by_itself_leaves_nothing() {
+fn process_that_ends_by_itself_leaves_nothing() {
     let clock = clock();
     let mut process = shell(LEAVES_ONE, &clock);
-    let left = Watched::new(&line(&mut process, &clock).expect("a number"));
+    let child = Watched::new(&line(&mut process, &clock).expect("a number"));
     process.write(&[b"go\n"], clock.mono() + PATIENT).expect("it reads");
     let error = line(&mut process, &clock).expect_err("it has ended").to_string();
     assert!(error.contains("exit status 3"), "{error}");
-    assert!(left.ends());
+    assert!(child.ends());
 }
 
 #[test]
 fn requested_end_leaves_no_processes() {
     let clock = clock();
     let mut process = shell(LEAVES_ONE, &clock);
-    let left = Watched::new(&line(&mut process, &clock).expect("a number"));
-    assert!(process.end(PATIENT).in_words().contains("exit status 3"));
-    assert!(left.ends());
+    let child = Watched::new(&line(&mut process, &clock).expect("a number"));
+    assert!(process.end(PATIENT).status_text().contains("exit status 3"));
+    assert!(child.ends());
 }
 
 #[test]
@@ -99,15 +99,15 @@ fn ends_with_its_host(end: impl FnOnce(&mut std::process::Child)) {
         .stdout(Stdio::piped())
         .spawn()
         .expect("it starts");
-    let said = BufReader::new(host.stdout.take().expect("a pipe"));
-    let mut numbers = said.lines().map_while(Result::ok).filter_map(|line| {
+    let output = BufReader::new(host.stdout.take().expect("a pipe"));
+    let mut numbers = output.lines().map_while(Result::ok).filter_map(|line| {
         let (_, number) = line.split_once("left ")?;
         Some(Watched::new(number))
     });
-    let left = [numbers.next().expect("the pipeline"), numbers.next().expect("the one behind")];
+    let child = [numbers.next().expect("the pipeline"), numbers.next().expect("the one behind")];
     end(&mut host);
     host.wait().expect("it was started");
-    assert!(left.iter().all(Watched::ends));
+    assert!(child.iter().all(Watched::ends));
 }
 
 #[test]

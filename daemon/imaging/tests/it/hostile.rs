@@ -43,7 +43,7 @@ fn unknown_format_is_refused() {
 }
 
 #[test]
-fn a_jpeg_that_claims_to_be_huge_is_refused() {
+fn jpeg_that_claims_to_be_huge_is_refused() {
     let mut jpeg = file(Encoding::Jpeg { quality: 85 });
     let frame = jpeg.windows(2).position(|pair| pair == [0xff, 0xc0]).expect("has a frame header");
     jpeg[frame + 5..frame + 9].fill(0xff);
@@ -54,7 +54,7 @@ fn a_jpeg_that_claims_to_be_huge_is_refused() {
 }
 
 #[test]
-fn a_png_that_claims_to_be_huge_is_refused() {
+fn png_that_claims_to_be_huge_is_refused() {
     let mut png = file(Encoding::Png);
     for side in [100_000u32, 1 << 31, 20_000] {
         png[16..20].copy_from_slice(&side.to_be_bytes());

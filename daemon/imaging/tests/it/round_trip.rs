@@ -55,8 +55,9 @@ fn jpeg_is_near_and_nearer_at_higher_quality() {
             let mut back = Picture::default();
             decode(&part.bytes, format, &mut back).expect("decodes");
             assert_eq!((back.width(), back.height()), (161, 83));
-            let apart = original.pixels().iter().zip(back.pixels()).map(|(a, b)| f64::from(a.abs_diff(*b)));
-            let error = apart.sum::<f64>() / original.pixels().len() as f64;
+            let difference =
+                original.pixels().iter().zip(back.pixels()).map(|(a, b)| f64::from(a.abs_diff(*b)));
+            let error = difference.sum::<f64>() / original.pixels().len() as f64;
             assert!(error < last.0 && part.bytes.len() > last.1, "{format:?} {quality}: {error}");
             last = (error, part.bytes.len());
         }
@@ -80,7 +81,7 @@ fn file_is_decoded_to_requested_channels() {
 }
 
 #[test]
-fn a_buffer_serves_pictures_of_any_size_in_turn() {
+fn buffer_serves_pictures_of_any_size_in_turn() {
     let mut buffer = Picture::default();
     for (width, height) in [(64, 48), (8, 8), (100, 3)] {
         let original = scene(PixelFormat::Rgb8, width, height);

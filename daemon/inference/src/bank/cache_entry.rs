@@ -11,13 +11,13 @@ use crate::{LoadError, ModelConfig, Pool};
 /// are not delayed.
 pub(super) struct CacheEntry {
     pub(super) config: ModelConfig,
-    /// State of its files when the entry was created; `None` if changes of the files do not matter.
-    pub(super) stamp: Option<Stamp>,
+    /// State of the model's files when the entry was created; `None` if changes of the files are ignored.
+    pub(super) stamp: Option<FilesStamp>,
     pool: Mutex<Option<Arc<Pool>>>,
 }
 
 impl CacheEntry {
-    pub(super) fn new(config: ModelConfig, stamp: Option<Stamp>) -> Arc<Self> {
+    pub(super) fn new(config: ModelConfig, stamp: Option<FilesStamp>) -> Arc<Self> {
         Arc::new(Self { config, stamp, pool: Mutex::new(None) })
     }
 
@@ -38,13 +38,13 @@ impl CacheEntry {
 
     /// Returns whether the pool is not in use. The caller must be the only holder of the entry.
     pub(super) fn is_idle(&self) -> bool {
-        // The reference count of the pool tells that, so that no user has to give a model back, and none can forget to.
+        // Counted by references to the pool, so that users need not return a model, and cannot forget to.
         let Ok(pool) = self.pool.try_lock() else { return false };
         pool.as_ref().is_none_or(|pool| Arc::strong_count(pool) == 1)
     }
 
     /// Ends the threads of the model, if it is loaded. Blocks.
-    pub(super) fn clear(&self) {
+    pub(super) fn unload(&self) {
         let pool = self.pool.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(pool) = pool {
             pool.shutdown();
@@ -52,15 +52,16 @@ impl CacheEntry {
     }
 }
 
-/// Sizes and modification times of a model's files, by which replaced files are noticed.
+/// Sizes and modification times of a model's files, which show that files were replaced.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Stamp([Option<(u64, SystemTime)>; 2]);
+pub(super) struct FilesStamp([Option<(u64, SystemTime)>; 2]);
 
-impl Stamp {
-    pub(super) fn of(folder: &Path) -> Self {
+impl FilesStamp {
+    /// Reads the sizes and modification times of a model's files.
+    pub(super) fn read(folder: &Path) -> Self {
         Self([MODEL, CARD].map(|file| {
-            let known = std::fs::metadata(folder.join(file)).ok()?;
-            Some((known.len(), known.modified().ok()?))
+            let metadata = std::fs::metadata(folder.join(file)).ok()?;
+            Some((metadata.len(), metadata.modified().ok()?))
         }))
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
-use super::INSTALLED;
+use super::DEFAULT_MODEL_FOLDER;
 use crate::{ModelConfig, SharedKeys};
 
 /// The table `[bank]`: folders of models that are offered in addition to the `[[model]]` tables. A model has the name
@@ -37,7 +37,7 @@ impl Default for BankConfig {
     fn default() -> Self {
         let one = NonZeroUsize::MIN;
         Self {
-            folders: vec![INSTALLED.into()],
+            folders: vec![DEFAULT_MODEL_FOLDER.into()],
             devices: vec!["cpu".to_owned()],
             most_loaded: one.saturating_add(1),
             workers: one,

@@ -11,7 +11,7 @@ use crate::model::onnx::{self, CardSummary};
 use crate::{LoadError, ModelConfig};
 
 /// Default folder of the package and of `peernet models`.
-pub const INSTALLED: &str = "/var/lib/peernet/models";
+pub const DEFAULT_MODEL_FOLDER: &str = "/var/lib/peernet/models";
 
 /// Environment variable with further folders, separated by colons.
 const VARIABLE: &str = "PEERNET_MODELS";
@@ -30,19 +30,19 @@ pub struct ModelOnDisk {
     /// Summary of the card, or the error of the model that shows without loading it.
     pub card: Result<CardSummary, LoadError>,
     /// Folder of another model of this name, which takes precedence because its folder is searched first.
-    pub hidden_by: Option<PathBuf>,
+    pub shadowed_by: Option<PathBuf>,
 }
 
 impl ModelFolders {
-    /// Returns the folders that the command line searches: `extra`, then those of `PEERNET_MODELS`, [`INSTALLED`] and `models`.
+    /// Returns the folders that the command line searches: `extra`, then those of `PEERNET_MODELS`, [`DEFAULT_MODEL_FOLDER`] and `models`.
     pub fn search(extra: &[PathBuf]) -> Self {
         let variable = std::env::var_os(VARIABLE).unwrap_or_default();
         let named = std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty());
-        Self::of(extra.iter().cloned().chain(named).chain([INSTALLED.into(), "models".into()]))
+        Self::new(extra.iter().cloned().chain(named).chain([DEFAULT_MODEL_FOLDER.into(), "models".into()]))
     }
 
     /// Creates the list of these folders. A folder that occurs again, perhaps by another path, is left out.
-    pub fn of(folders: impl IntoIterator<Item = PathBuf>) -> Self {
+    pub fn new(folders: impl IntoIterator<Item = PathBuf>) -> Self {
         let mut seen = HashSet::new();
         let new = |folder: &PathBuf| seen.insert(folder.canonicalize().unwrap_or_else(|_| folder.clone()));
         Self(folders.into_iter().filter(new).collect())
@@ -56,15 +56,15 @@ impl ModelFolders {
     /// Lists all models, folder by folder, and by name within each. A folder that does not exist has none.
     pub fn list(&self) -> Vec<ModelOnDisk> {
         let mut models: Vec<ModelOnDisk> = Vec::new();
-        for place in &self.0 {
-            let mut names = names(place).unwrap_or_default();
+        for parent in &self.0 {
+            let mut names = model_names(parent).unwrap_or_default();
             names.sort();
             for name in names {
-                let first = models.iter().find(|model| model.name == name && model.hidden_by.is_none());
-                let hidden_by = first.map(|model| model.folder.clone());
+                let first = models.iter().find(|model| model.name == name && model.shadowed_by.is_none());
+                let shadowed_by = first.map(|model| model.folder.clone());
                 models.push(ModelOnDisk {
-                    hidden_by,
-                    ..ModelOnDisk::at(name.clone(), place.join(name.as_str()))
+                    shadowed_by,
+                    ..ModelOnDisk::read(name.clone(), parent.join(name.as_str()))
                 });
             }
         }
@@ -83,9 +83,9 @@ impl ModelFolders {
         let mut places =
             self.0.iter().filter_map(|place| Some((slug.clone()?, place.join(slug.as_ref()?.as_str()))));
         if let Some((name, folder)) = places.find(|(_, folder)| is_model(folder)) {
-            return Ok(ModelOnDisk::at(name, folder));
+            return Ok(ModelOnDisk::read(name, folder));
         }
-        let names = self.0.iter().flat_map(|place| names(place).unwrap_or_default());
+        let names = self.0.iter().flat_map(|place| model_names(place).unwrap_or_default());
         let mut known: Vec<String> = names.map(|name| name.to_string()).collect();
         known.sort();
         let mut seen = HashSet::new();
@@ -95,7 +95,7 @@ impl ModelFolders {
 
     /// Returns an error for each folder that exists and cannot be read.
     pub fn check(&self) -> Vec<LoadError> {
-        let unreadable = |place: &PathBuf| match names(place) {
+        let unreadable = |place: &PathBuf| match model_names(place) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
                 Some(LoadError::File { file: place.clone(), reason: error.to_string() })
             }
@@ -106,20 +106,20 @@ impl ModelFolders {
 }
 
 impl ModelOnDisk {
-    fn at(name: Slug, folder: PathBuf) -> Self {
+    fn read(name: Slug, folder: PathBuf) -> Self {
         let card = onnx::summarise(&folder);
-        Self { name, folder, card, hidden_by: None }
+        Self { name, folder, card, shadowed_by: None }
     }
 
     fn in_folder(folder: &Path) -> Result<Self, LoadError> {
         let wrong = |reason: String| LoadError::File { file: folder.to_owned(), reason };
         let folder = folder.canonicalize().map_err(|error| wrong(error.to_string()))?;
         if !is_model(&folder) {
-            return Err(wrong("the folder holds neither model.onnx nor model.toml".to_owned()));
+            return Err(wrong("the folder contains neither model.onnx nor model.toml".to_owned()));
         }
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
         let name = name.parse().map_err(|error: peernet_logger::InvalidName| wrong(error.to_string()))?;
-        Ok(Self::at(name, folder))
+        Ok(Self::read(name, folder))
     }
 
     /// Returns the configuration of this model on a device with one worker, like that of a `[[model]]` table; every other key has its
@@ -142,9 +142,9 @@ fn is_model(folder: &Path) -> bool {
 }
 
 /// Reads the names of the models in a folder.
-fn names(place: &Path) -> std::io::Result<Vec<Slug>> {
+fn model_names(parent: &Path) -> std::io::Result<Vec<Slug>> {
     let mut names = Vec::new();
-    for entry in std::fs::read_dir(place)? {
+    for entry in std::fs::read_dir(parent)? {
         let entry = entry?;
         // A folder whose name is not a slug is skipped.
         if let Some(Ok(name)) = entry.file_name().to_str().map(str::parse)

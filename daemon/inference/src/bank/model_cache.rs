@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_logger::Slug;
 
-use super::cache_entry::{CacheEntry, Stamp};
+use super::cache_entry::{CacheEntry, FilesStamp};
 use super::{BankConfig, ModelFolders};
 use crate::LoadError;
 
@@ -19,17 +19,18 @@ pub(super) struct ModelCache {
 
 impl ModelCache {
     pub(super) fn new(config: BankConfig) -> Self {
-        let folders = ModelFolders::of(config.folders.iter().cloned());
+        let folders = ModelFolders::new(config.folders.iter().cloned());
         Self { config, folders, entries: Mutex::default() }
     }
 
     /// Returns the names of the models on disk that can be requested.
     pub(super) fn names(&self) -> Vec<Slug> {
+        // Without a device no model of the folders can be requested.
         if self.config.devices.is_empty() {
             return Vec::new();
         }
         let usable =
-            self.folders.list().into_iter().filter(|found| found.hidden_by.is_none() && found.card.is_ok());
+            self.folders.list().into_iter().filter(|found| found.shadowed_by.is_none() && found.card.is_ok());
         usable.map(|found| found.name).collect()
     }
 
@@ -51,12 +52,13 @@ impl ModelCache {
             Some(asked) => devices.iter().find(|offered| *offered == asked).ok_or_else(|| other(asked))?,
             None => devices.first().ok_or_else(|| other("any device"))?,
         };
-        let stamp = Stamp::of(&found.folder);
+        let stamp = FilesStamp::read(&found.folder);
         let (entry, unloaded) = {
             let mut entries = self.lock();
-            let unloaded = make_room(&mut entries, name, device, &stamp, self.config.most_loaded.get())?;
-            let kept = entries.iter().position(|entry| is_entry(entry, name, device));
-            let entry = match kept {
+            let unloaded =
+                entries_to_unload(&mut entries, name, device, &stamp, self.config.most_loaded.get())?;
+            let existing = entries.iter().position(|entry| is_entry(entry, name, device));
+            let entry = match existing {
                 Some(at) => entries.remove(at),
                 None => CacheEntry::new(self.config.model(name, &found.folder, device), Some(stamp)),
             };
@@ -66,7 +68,7 @@ impl ModelCache {
         // The old models are unloaded before the caller loads the new one, so that the limit is never exceeded.
         for old in unloaded {
             tracing::info!(model = %old.config.name(), device = old.config.device(), "unloaded a model of the bank");
-            old.clear();
+            old.unload();
         }
         Ok(entry)
     }
@@ -89,11 +91,11 @@ impl ModelCache {
         let (value, most) = (self.config.most_loaded.get(), BankConfig::MAX_LOADED);
         if value > most {
             let (value, most) = (value as u64, most as u64);
-            errors.push(("most_loaded", LoadError::TooMuch { key: "most_loaded", value, most }));
+            errors.push(("most_loaded", LoadError::AboveLimit { key: "most_loaded", value, most }));
         }
-        let anything = self.config.model(&Slug::any(), Path::new("."), "cpu");
-        if let Err(LoadError::TooMuch { key, value, most }) = anything.check_limits() {
-            errors.push((key, LoadError::TooMuch { key, value, most }));
+        let probe = self.config.model(&Slug::any(), Path::new("."), "cpu");
+        if let Err(LoadError::AboveLimit { key, value, most }) = probe.check_limits() {
+            errors.push((key, LoadError::AboveLimit { key, value, most }));
         }
         for device in &self.config.devices {
             if let Err(error) = crate::model::onnx::check_device(device) {
@@ -115,21 +117,21 @@ fn is_entry(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
 }
 
 /// Removes and returns the entries that have to be unloaded for the requested model.
-fn make_room(
+fn entries_to_unload(
     entries: &mut Vec<Arc<CacheEntry>>,
     name: &Slug,
     device: &str,
-    stamp: &Stamp,
+    stamp: &FilesStamp,
     most: usize,
 ) -> Result<Vec<Arc<CacheEntry>>, LoadError> {
-    // While the lock is held, no caller can get hold of an entry that only the list holds.
-    let idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
+    // The caller holds the lock of the list, so that nobody else can get an entry that only the list references.
+    let is_idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
     if let Some(at) = entries.iter().position(|entry| is_entry(entry, name, device)) {
         if entries[at].stamp.as_ref() == Some(stamp) {
             return Ok(Vec::new());
         }
         // The files have changed. Two versions of one model must not be in use at the same time.
-        if !idle(&entries[at]) {
+        if !is_idle(&entries[at]) {
             return Err(LoadError::Changed(name.to_string()));
         }
         return Ok(vec![entries.remove(at)]);
@@ -137,7 +139,7 @@ fn make_room(
     if entries.len() < most {
         return Ok(Vec::new());
     }
-    match entries.iter().position(idle) {
+    match entries.iter().position(is_idle) {
         Some(at) => Ok(vec![entries.remove(at)]),
         None => {
             let in_use =

@@ -39,7 +39,7 @@ impl ModelKind for EchoConfig {
 impl ModelConfig {
     /// Returns the configuration of a model that answers with its input.
     pub fn echo(name: Slug) -> Self {
-        ModelTable { shared: SharedKeys::of(name), own: EchoConfig::default() }.into()
+        ModelTable { shared: SharedKeys::new(name), kind_keys: EchoConfig::default() }.into()
     }
 }
 
@@ -51,14 +51,14 @@ pub(crate) struct Echo {
 
 impl Echo {
     pub(crate) fn new(config: EchoConfig) -> Self {
-        let fixed = |length| Sample::of(Description::bytes(), Bytes::from(vec![0; length]));
+        let fixed = |length| Sample::from_part(Description::bytes(), Bytes::from(vec![0; length]));
         let answer = config.answer_bytes.map(fixed);
         Self { config, answer }
     }
 }
 
 impl Model for Echo {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         Ok(Box::new(EchoWorker { answer: self.answer.clone() }))
     }
 

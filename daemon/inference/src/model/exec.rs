@@ -20,7 +20,7 @@ const DEVICE: &str = "PEERNET_DEVICE";
 impl ModelConfig {
     /// Returns the configuration of a program, given as a line for the shell.
     pub fn program(shared: SharedKeys, command: &str) -> Self {
-        ModelTable { shared, own: ExecConfig::of(CommandLine::Shell(command.to_owned())) }.into()
+        ModelTable { shared, kind_keys: ExecConfig::new(CommandLine::Shell(command.to_owned())) }.into()
     }
 }
 
@@ -33,16 +33,16 @@ impl ModelKind for ExecConfig {
         true
     }
 
-    fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
-        Self::arguments(self, Role::Model, key)
+    fn arguments_fact(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        Self::arguments_fact(self, Role::Model, key)
     }
 
     fn hide_secrets(&mut self) {
         hide_values(&mut self.env);
     }
 
-    fn leave_out_defaults(&self, keys: &mut Keys) {
-        if self.timeout_ms == Self::of(self.command.clone()).timeout_ms {
+    fn remove_defaults(&self, keys: &mut Keys) {
+        if self.timeout_ms == Self::new(self.command.clone()).timeout_ms {
             keys.remove("timeout_ms");
         }
     }
@@ -81,7 +81,7 @@ struct Exec {
 }
 
 impl Model for Exec {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
         let program = first.map_or_else(|| start(&self.config, &self.shared, &self.clock), Ok)?;
         Ok(Box::new(ExecWorker { model: self.shared.name.to_string(), program }))
@@ -114,16 +114,16 @@ impl Worker for ExecWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let exchange =
-            self.program.ask(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
+            self.program.call(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
         for stage in exchange.stages().map_err(|error| failed(error.to_string()))? {
-            log.timed(Name::from(stage.name), stage.from, stage.to);
+            log.record_timer(Name::from(stage.name), stage.from, stage.to);
         }
         for (name, value, unit) in &exchange.notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         match exchange.outcome {
             ReplyOutcome::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
-            other => Err(failed(format!("it answered as a model does not: {other:?}"))),
+            other => Err(failed(format!("it replied with {other:?} instead of an answer"))),
         }
     }
 }

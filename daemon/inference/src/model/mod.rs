@@ -57,7 +57,7 @@ pub trait ModelKind {
     }
 
     /// Returns the fact that distinguishes programs with different arguments; the arguments themselves may be secret.
-    fn arguments(&self, _key: &FingerprintKey) -> Option<(String, String)> {
+    fn arguments_fact(&self, _key: &FingerprintKey) -> Option<(String, String)> {
         None
     }
 
@@ -67,7 +67,7 @@ pub trait ModelKind {
     /// Removes keys that are not recorded while they have their defaults.
     // Settings of runs are compared as texts: a default that earlier versions did not record would appear as a
     // difference.
-    fn leave_out_defaults(&self, _keys: &mut Keys) {}
+    fn remove_defaults(&self, _keys: &mut Keys) {}
 
     /// Checks the configuration without loading the model or running users' code.
     ///
@@ -116,8 +116,8 @@ pub enum ModelConfig {
 #[enum_dispatch]
 pub(crate) trait Table {
     fn shared(&self) -> &SharedKeys;
-    fn own(&self) -> &dyn ModelKind;
-    fn own_mut(&mut self) -> &mut dyn ModelKind;
+    fn kind_keys(&self) -> &dyn ModelKind;
+    fn kind_keys_mut(&mut self) -> &mut dyn ModelKind;
 }
 
 impl<K: ModelKind + 'static> Table for ModelTable<K> {
@@ -125,12 +125,12 @@ impl<K: ModelKind + 'static> Table for ModelTable<K> {
         &self.shared
     }
 
-    fn own(&self) -> &dyn ModelKind {
-        &self.own
+    fn kind_keys(&self) -> &dyn ModelKind {
+        &self.kind_keys
     }
 
-    fn own_mut(&mut self) -> &mut dyn ModelKind {
-        &mut self.own
+    fn kind_keys_mut(&mut self) -> &mut dyn ModelKind {
+        &mut self.kind_keys
     }
 }
 
@@ -157,23 +157,23 @@ impl ModelConfig {
 
     /// Returns whether the model runs a program of the user, whose arguments are published as a fingerprint only.
     pub fn is_program(&self) -> bool {
-        self.own().is_program()
+        self.kind_keys().is_program()
     }
 
     /// Removes what must not be published: the values of `env`.
     pub fn hide_secrets(&mut self) {
-        self.own_mut().hide_secrets();
+        self.kind_keys_mut().hide_secrets();
     }
 
     /// Checks the numbers against their upper limits.
     ///
     /// # Errors
-    /// [`LoadError::TooMuch`] for the first number above its limit.
+    /// [`LoadError::AboveLimit`] for the first number above its limit.
     pub fn check_limits(&self) -> Result<(), LoadError> {
         let of_all = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
-        match of_all.into_iter().chain(self.own().limits()).find(|(_, value, most)| value > most) {
+        match of_all.into_iter().chain(self.kind_keys().limits()).find(|(_, value, most)| value > most) {
             Some((key, value, most)) => {
-                Err(LoadError::TooMuch { key, value: value as u64, most: most as u64 })
+                Err(LoadError::AboveLimit { key, value: value as u64, most: most as u64 })
             }
             None => Ok(()),
         }
@@ -181,12 +181,12 @@ impl ModelConfig {
 
     /// Checks the configuration without loading the model or running users' code.
     pub(crate) fn check(&self, context: &LoadContext<'_>) -> Result<(), LoadError> {
-        self.own().check(self.shared(), context)
+        self.kind_keys().check(self.shared(), context)
     }
 
     /// Loads the part of the model that all workers share. Blocks.
     pub(crate) fn load(&self, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        self.own().load(self.shared(), context)
+        self.kind_keys().load(self.shared(), context)
     }
 }
 

@@ -15,7 +15,7 @@ use crate::{InferenceError, LoadError, Model, Worker};
 impl ModelConfig {
     /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
     pub fn python_object(shared: SharedKeys, object: &str, pickle: bool) -> Self {
-        ModelTable { shared, own: PythonConfig { pickle, ..PythonConfig::of(object) } }.into()
+        ModelTable { shared, kind_keys: PythonConfig { pickle, ..PythonConfig::new(object) } }.into()
     }
 }
 
@@ -28,8 +28,8 @@ impl ModelKind for PythonConfig {
         hide_values(&mut self.env);
     }
 
-    fn leave_out_defaults(&self, keys: &mut Keys) {
-        let default = Self::of(&self.object);
+    fn remove_defaults(&self, keys: &mut Keys) {
+        let default = Self::new(&self.object);
         if self.timeout_ms == default.timeout_ms {
             keys.remove("timeout_ms");
         }
@@ -46,7 +46,7 @@ impl ModelKind for PythonConfig {
     fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
         let (config, shared, clock) = (self.clone(), shared.clone(), SharedClock::clone(context.clock));
         let object = start(&config, &shared, &clock)?;
-        let facts = object.about().facts("Model");
+        let facts = object.description().facts("Model");
         Ok(Arc::new(Python { config, shared, clock, facts, first: Mutex::new(Some(object)) }))
     }
 }
@@ -62,7 +62,7 @@ struct Python {
 }
 
 impl Model for Python {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
         let object = first.map_or_else(|| start(&self.config, &self.shared, &self.clock), Ok)?;
         Ok(Box::new(PythonWorker { model: self.shared.name.to_string(), object }))
@@ -94,20 +94,20 @@ struct PythonWorker {
 impl Worker for PythonWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let called = self.object.call(&sample.parts);
-        let begun = called.times.begun;
-        if let Some(from) = called.times.restarted {
-            log.timed(stage::RESTART, from, begun);
+        let started_at = called.times.started_at;
+        if let Some(from) = called.times.restarted_at {
+            log.record_timer(stage::RESTART, from, started_at);
         }
-        log.timed(stage::IPC, begun, begun + called.times.overhead());
-        let has_inferred = called.times.stages.iter().any(|(own, ..)| *own == Stage::Infer);
-        for (own, from, to) in called.times.stages {
-            let name = match own {
+        log.record_timer(stage::IPC, started_at, started_at + called.times.overhead());
+        let has_inferred = called.times.stages.iter().any(|(stage, ..)| *stage == Stage::Infer);
+        for (step, from, to) in called.times.stages {
+            let name = match step {
                 Stage::Preprocess => stage::PREPROCESSING,
                 Stage::Infer => stage::INFERENCE,
                 Stage::Postprocess => stage::POSTPROCESSING,
                 Stage::Sample => stage::CAPTURE,
             };
-            log.timed(name, from, to);
+            log.record_timer(name, from, to);
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {
@@ -119,7 +119,8 @@ impl Worker for PythonWorker {
             }
             error => failed(error.to_string()),
         })?;
-        let parts = parts.ok_or_else(|| failed("it answered as a sensor at its end does".to_owned()))?;
+        let parts = parts
+            .ok_or_else(|| failed("it reported the end of samples, which only a sensor may do".to_owned()))?;
         Ok(Sample { parts, source: String::new(), label: None })
     }
 }

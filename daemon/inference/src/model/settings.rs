@@ -1,4 +1,4 @@
-//! A model's settings as facts, by which it can be offered again elsewhere.
+//! A model's settings as facts, so that another host can offer the same model.
 
 use peernet_external::environment;
 use peernet_external::exec::FingerprintKey;
@@ -13,7 +13,7 @@ impl ModelConfig {
     /// Returns the settings of the model and the environment that it runs in, as pairs.
     pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
-        facts.extend(key.and_then(|key| self.own().arguments(key)));
+        facts.extend(key.and_then(|key| self.kind_keys().arguments_fact(key)));
         facts.extend(environment().into_iter().map(|(name, value)| (format!("Model {name}"), value)));
         facts
     }
@@ -21,10 +21,10 @@ impl ModelConfig {
     /// Returns the keys of its table with their values, defaults included: `kind = onnx, workers = 2, …`.
     fn settings(&self) -> String {
         let table = serde_json::to_value(self).unwrap_or_default();
-        let untold = [&RECORDED_ELSEWHERE, self.own().unpublished_keys()].concat();
+        let unpublished = [&RECORDED_ELSEWHERE, self.kind_keys().unpublished_keys()].concat();
         let keys = table.as_object().into_iter().flatten();
-        let told = |(key, value): (&String, &Value)| match value {
-            _ if untold.contains(&key.as_str()) => None,
+        let entry = |(key, value): (&String, &Value)| match value {
+            _ if unpublished.contains(&key.as_str()) => None,
             // Values of environment variables may be secret, so that only the names are recorded.
             Value::Object(variables) => {
                 let names: Vec<&str> = variables.keys().map(String::as_str).collect();
@@ -33,7 +33,7 @@ impl ModelConfig {
             Value::String(text) => Some(format!("{key} = {text}")),
             value => Some(format!("{key} = {value}")),
         };
-        keys.filter_map(told).collect::<Vec<_>>().join(", ")
+        keys.filter_map(entry).collect::<Vec<_>>().join(", ")
     }
 }
 
@@ -47,15 +47,15 @@ mod tests {
 
     #[test]
     fn settings_are_recorded_without_places_and_secrets() {
-        let told = settings("kind = 'sleep'\nname = 's'\ninference_ms = 3\nworkers = 2");
+        let text = settings("kind = 'sleep'\nname = 's'\ninference_ms = 3\nworkers = 2");
         for part in ["kind = sleep", "inference_ms = 3", "preprocessing_ms = 10", "workers = 2", "queue = 16"]
         {
-            assert!(told.split(", ").any(|key| key == part), "{told}");
+            assert!(text.split(", ").any(|key| key == part), "{text}");
         }
-        let told = settings(
+        let text = settings(
             "kind = 'python'\nname = 'p'\nobject = 'a::B'\nfolder = '/home/me'\nenv = { TOKEN = 'secret' }",
         );
-        assert!(told.contains("env with TOKEN") && told.contains("images = pil"), "{told}");
-        assert!(!told.contains("secret") && !told.contains("/home/me"), "{told}");
+        assert!(text.contains("env with TOKEN") && text.contains("images = pil"), "{text}");
+        assert!(!text.contains("secret") && !text.contains("/home/me"), "{text}");
     }
 }

@@ -58,12 +58,12 @@ impl ModelKind for SleepConfig {
 impl ModelConfig {
     /// Returns the configuration of a model that takes 100 ms.
     pub fn sleep(name: Slug) -> Self {
-        let own = SleepConfig {
+        let kind_keys = SleepConfig {
             preprocessing_ms: ten_ms(),
             inference_ms: eighty_ms(),
             postprocessing_ms: ten_ms(),
         };
-        ModelTable { shared: SharedKeys::of(name), own }.into()
+        ModelTable { shared: SharedKeys::new(name), kind_keys }.into()
     }
 }
 
@@ -73,7 +73,7 @@ struct Sleep {
 }
 
 impl Model for Sleep {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let SleepConfig { preprocessing_ms, inference_ms, postprocessing_ms } = self.config;
         let stages = [
             (stage::PREPROCESSING, preprocessing_ms),
@@ -106,6 +106,6 @@ impl Worker for SleepWorker {
             let _stage = log.time(name.clone());
             std::thread::sleep(*duration);
         }
-        Ok(Sample::of(Description::bytes(), Bytes::new()))
+        Ok(Sample::from_part(Description::bytes(), Bytes::new()))
     }
 }

@@ -46,7 +46,7 @@ const fn sixteen() -> NonZeroUsize {
 
 impl SharedKeys {
     /// Returns the keys of a model with this name and otherwise the defaults.
-    pub fn of(name: Slug) -> Self {
+    pub fn new(name: Slug) -> Self {
         Self { name, device: cpu(), workers: one(), queue: sixteen() }
     }
 
@@ -65,23 +65,26 @@ pub struct ModelTable<K> {
     /// Keys that the kind shares with others.
     pub shared: SharedKeys,
     /// Keys of the kind.
-    pub own: K,
+    pub kind_keys: K,
 }
 
 impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let mut own = Keys::deserialize(deserializer)?;
-        let known = [K::shared_keys(), field_names::<K>()].concat();
-        if let Some(key) = own.keys().find(|key| !known.contains(&key.as_str())) {
-            return Err(de::Error::custom(format!("unknown field `{key}`, expected {}", one_of(&known))));
+        let mut kind_keys = Keys::deserialize(deserializer)?;
+        let known_keys = [K::shared_keys(), field_names::<K>()].concat();
+        if let Some(key) = kind_keys.keys().find(|key| !known_keys.contains(&key.as_str())) {
+            return Err(de::Error::custom(format!(
+                "unknown field `{key}`, expected {}",
+                one_of(&known_keys)
+            )));
         }
-        let shared: Keys = K::shared_keys().iter().filter_map(|key| own.remove_entry(*key)).collect();
+        let shared: Keys = K::shared_keys().iter().filter_map(|key| kind_keys.remove_entry(*key)).collect();
         let shared = serde_json::from_value(shared.into()).map_err(de::Error::custom)?;
         // For a kind without keys, serde reads `struct Name {}` from a map and `struct Name;` from null.
-        let is_keyless = own.is_empty() && field_names::<K>().is_empty();
-        let read = serde_json::from_value(own.into());
-        let own = if is_keyless { read.or_else(|_| serde_json::from_value(Value::Null)) } else { read };
-        Ok(Self { shared, own: own.map_err(de::Error::custom)? })
+        let is_keyless = kind_keys.is_empty() && field_names::<K>().is_empty();
+        let read = serde_json::from_value(kind_keys.into());
+        let kind_keys = if is_keyless { read.or_else(|_| serde_json::from_value(Value::Null)) } else { read };
+        Ok(Self { shared, kind_keys: kind_keys.map_err(de::Error::custom)? })
     }
 }
 
@@ -90,12 +93,12 @@ impl<K: ModelKind + Serialize + DeserializeOwned> Serialize for ModelTable<K> {
         let keys = |group: serde_json::Result<Value>| match group.map_err(ser::Error::custom)? {
             Value::Object(keys) => Ok(keys),
             Value::Null => Ok(Keys::new()),
-            _ => Err(ser::Error::custom("the keys of a model are no table")),
+            _ => Err(ser::Error::custom("the keys of a model are not a table")),
         };
-        let mut own = keys(serde_json::to_value(&self.own))?;
-        self.own.leave_out_defaults(&mut own);
+        let mut kind_keys = keys(serde_json::to_value(&self.kind_keys))?;
+        self.kind_keys.remove_defaults(&mut kind_keys);
         let mut table = keys(serde_json::to_value(&self.shared))?;
-        table.extend(own);
+        table.extend(kind_keys);
         // The keys are written in the order of their declaration, not in alphabetical order.
         let mut map = serializer.serialize_map(None)?;
         for name in K::shared_keys().iter().chain(field_names::<K>()) {
@@ -132,7 +135,7 @@ impl<'de> Deserializer<'de> for FieldNames<'_> {
     }
 
     fn deserialize_any<V: Visitor<'de>>(self, _visitor: V) -> Result<V::Value, Self::Error> {
-        Err(de::Error::custom("it is no struct"))
+        Err(de::Error::custom("the type is not a struct"))
     }
 
     forward_to_deserialize_any! {

@@ -7,13 +7,13 @@ fn read(text: &str) -> Result<ModelConfig, toml::de::Error> {
 }
 
 #[test]
-fn the_short_forms_have_sensible_defaults() {
+fn short_forms_have_sensible_defaults() {
     let onnx = read("name = \"q\"\nkind = \"onnx\"\npath = \"models/q\"").expect("reads");
     assert_eq!((onnx.device(), onnx.workers(), onnx.queue()), ("cpu", 1, 16));
     let ModelConfig::Sleep(sleep) = read("name = \"s\"\nkind = \"sleep\"").expect("reads") else {
         panic!("kind = sleep is a sleep");
     };
-    let sleep = sleep.own;
+    let sleep = sleep.kind_keys;
     assert_eq!((sleep.preprocessing_ms, sleep.inference_ms, sleep.postprocessing_ms), (10, 80, 10));
 }
 
@@ -46,7 +46,7 @@ fn every_number_has_an_upper_limit() {
         };
         assert!(with(most).is_ok(), "{key}");
         let error = with(most + 1).expect_err(key);
-        assert!(matches!(error, LoadError::TooMuch { key: k, .. } if k == key), "{error}");
+        assert!(matches!(error, LoadError::AboveLimit { key: k, .. } if k == key), "{error}");
         assert!(error.to_string().contains(&most.to_string()), "{error}");
     }
 }
@@ -116,7 +116,7 @@ macro_rules! keyless {
     ($($kind:ty),*) => { $(
         impl ModelKind for $kind {
             fn load(&self, _: &SharedKeys, _: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-                Err(LoadError::TooMuch { key: "name", value: 1, most: 0 })
+                Err(LoadError::AboveLimit { key: "name", value: 1, most: 0 })
             }
         }
     )* };

@@ -16,7 +16,7 @@ type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 struct TestModel(Arc<Compute>);
 
 impl Model for TestModel {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         Ok(Box::new(TestModel(Arc::clone(&self.0))))
     }
 
@@ -55,21 +55,21 @@ fn start(model: Arc<dyn Model>, sizes: Sizes, clock: Arc<ManualClock>) -> Arc<Po
 }
 
 fn sample(text: &'static str) -> Sample {
-    Sample::of(Description::bytes(), Bytes::from(text))
+    Sample::from_part(Description::bytes(), Bytes::from(text))
 }
 
-fn job(text: &'static str, reply: impl FnOnce(Done) + Send + 'static) -> Job {
-    let log = Recorder::begin(clock(), HostId::random());
+fn job(text: &'static str, reply: impl FnOnce(FinishedJob) + Send + 'static) -> Job {
+    let log = Recorder::new(clock(), HostId::random());
     Job { sample: sample(text), log, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
 }
 
 /// Creates a job and the receiver of its result.
-fn job_with_receiver(text: &'static str) -> (Job, Receiver<Done>) {
+fn job_with_receiver(text: &'static str) -> (Job, Receiver<FinishedJob>) {
     let (sender, receiver) = sync_channel(1);
     (job(text, move |done| sender.send(done).expect("is awaited")), receiver)
 }
 
-fn run(pool: &Pool, text: &'static str) -> Done {
+fn run(pool: &Pool, text: &'static str) -> FinishedJob {
     let (job, done) = job_with_receiver(text);
     pool.submit(job).expect("has room");
     done.recv().expect("is answered")
@@ -90,7 +90,7 @@ fn gated() -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync,
 }
 
 #[test]
-fn the_wait_for_a_worker_is_recorded() {
+fn wait_for_a_worker_is_recorded() {
     let clock = clock();
     let model = Arc::new(TestModel(Arc::new(|sample| Ok(sample.clone()))));
     let pool = start(model, Sizes { workers: 1, queue: 1 }, Arc::clone(&clock));
@@ -111,7 +111,7 @@ fn full_queue_returns_the_job() {
     begins.recv().expect("the worker began");
     let (second, second_done) = job_with_receiver("second");
     pool.submit(second).expect("the queue has room");
-    assert_eq!(pool.waiting(), 1);
+    assert_eq!(pool.waiting_samples(), 1);
     let refused = pool.submit(job_with_receiver("third").0).expect_err("the queue is full");
     assert_eq!(refused.job.sample, sample("third"));
     assert_eq!(refused.reason, InferenceError::QueueFull { model: "told".to_owned(), capacity: 1 });
@@ -137,7 +137,7 @@ fn workers_compute_at_the_same_time() {
 }
 
 #[test]
-fn a_panic_fails_one_sample_and_no_more() {
+fn panic_fails_one_sample_and_no_more() {
     let pool = pool(1, 4, |sample| {
         assert!(&sample.parts[0].bytes[..] != b"bad", "cannot take {}", "this");
         Ok(sample.clone())
@@ -154,7 +154,7 @@ fn a_panic_fails_one_sample_and_no_more() {
 }
 
 #[test]
-fn a_reply_that_panics_leaves_the_pool_working() {
+fn reply_that_panics_leaves_the_pool_working() {
     let pool = pool(1, 4, |sample| Ok(sample.clone()));
     pool.submit(job("a", |_| panic!("the receiver is broken"))).expect("has room");
     assert_eq!(run(&pool, "b").result, Ok(sample("b")));
@@ -205,7 +205,7 @@ fn echo_answers_on_thread_of_caller() {
     let pool = start(Arc::new(Echo::new(EchoConfig::default())), Sizes { workers: 1, queue: 1 }, clock());
     let caller = thread::current().id();
     let (sender, receiver) = sync_channel(1);
-    let reply = move |done: Done| sender.send((thread::current().id(), done)).expect("has room");
+    let reply = move |done: FinishedJob| sender.send((thread::current().id(), done)).expect("has room");
     pool.submit(job("abc", reply)).expect("always has room");
     let (computed_on, done) = receiver.try_recv().expect("was answered already");
     assert_eq!((computed_on, done.result), (caller, Ok(sample("abc"))));
@@ -213,7 +213,7 @@ fn echo_answers_on_thread_of_caller() {
 
     let (sender, receiver) = sync_channel(1);
     let again = Arc::clone(&pool);
-    let reply = move |_: Done| {
+    let reply = move |_: FinishedJob| {
         again.submit(job("b", move |done| sender.send(done).expect("has room"))).expect("nests");
     };
     pool.submit(job("a", reply)).expect("always has room");

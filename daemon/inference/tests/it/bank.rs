@@ -13,7 +13,7 @@ const SLEEP: &str =
     "name = \"nap\"\nkind = \"sleep\"\npreprocessing_ms = 1\ninference_ms = 2\npostprocessing_ms = 1";
 
 fn bytes(count: usize) -> Sample {
-    Sample::of(Description::bytes(), vec![7; count].into())
+    Sample::from_part(Description::bytes(), vec![7; count].into())
 }
 
 #[test]
@@ -24,7 +24,7 @@ fn models_are_listed_in_configured_order() {
 }
 
 #[test]
-fn a_model_is_loaded_once_and_shared() {
+fn model_is_loaded_once_and_shared() {
     let loads = Arc::new(AtomicUsize::new(0));
     let counted = Arc::clone(&loads);
     let bank = bank(&[&quality_control("")]).on_load(move |pool| {
@@ -37,7 +37,7 @@ fn a_model_is_loaded_once_and_shared() {
     });
     assert!(pools.iter().all(|pool| Arc::ptr_eq(pool, &pools[0])));
     assert_eq!(loads.load(Ordering::SeqCst), 1);
-    assert!(pools[0].loaded_in() > peernet_clock::Span::ZERO);
+    assert!(pools[0].load_duration() > peernet_clock::Span::ZERO);
     assert!(bank.load(&slug("qc"), Some("cpu")).is_ok());
 }
 
@@ -70,11 +70,11 @@ fn shutdown_does_not_wait_for_long_computation() {
         loaded(&bank, name);
     }
     let long = loaded(&bank, "long");
-    let log = Recorder::begin(clock(), HostId::random());
+    let log = Recorder::new(clock(), HostId::random());
     let received = log.clock().mono();
     let reply = Box::new(|_| ());
     long.submit(Job { sample: bytes(1), log, received, reply }).expect("the queue has room");
-    while long.waiting() > 0 {
+    while long.waiting_samples() > 0 {
         std::thread::yield_now();
     }
     assert_eq!(bank.shutdown_within(Duration::from_millis(300)), [slug("long")]);

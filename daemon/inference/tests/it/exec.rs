@@ -24,7 +24,7 @@ fn model(more: &str) -> String {
 }
 
 fn text(text: &'static str) -> Sample {
-    Sample::of(Description::unshaped(MediaType::Text), text.into())
+    Sample::from_part(Description::unshaped(MediaType::Text), text.into())
 }
 
 #[test]

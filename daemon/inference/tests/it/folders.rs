@@ -39,12 +39,12 @@ fn models_are_found_by_name_and_path() {
     put(&second, "-no-name");
     fs::create_dir(second.join("torn")).expect("made");
     fs::write(second.join("torn/model.toml"), "name = 7").expect("written");
-    let folders = ModelFolders::of([first, root.path().join("nowhere"), second.clone(), second]);
+    let folders = ModelFolders::new([first, root.path().join("nowhere"), second.clone(), second]);
 
     let listed: Vec<(String, bool, bool)> = folders
         .list()
         .into_iter()
-        .map(|found| (found.name.to_string(), found.card.is_ok(), found.hidden_by.is_some()))
+        .map(|found| (found.name.to_string(), found.card.is_ok(), found.shadowed_by.is_some()))
         .collect();
     let expected = [
         ("twin", true, false),
@@ -74,12 +74,12 @@ fn models_are_found_by_name_and_path() {
 fn bank_offers_complete_models_on_allowed_devices() {
     let root = tempfile::tempdir().expect("a folder");
     let bank = bank(root.path(), "");
-    assert!(matches!(bank.only(), Err(LoadError::Unnamed { known }) if known.is_empty()));
+    assert!(matches!(bank.default_model(), Err(LoadError::Unnamed { known }) if known.is_empty()));
     put(root.path(), "plates");
     fs::create_dir(root.path().join("torn")).expect("made");
     fs::write(root.path().join("torn/model.onnx"), "").expect("written");
-    assert_eq!(bank.offered(), [slug("plates")]);
-    assert_eq!(bank.only().expect("the only one"), slug("plates"));
+    assert_eq!(bank.offered_names(), [slug("plates")]);
+    assert_eq!(bank.default_model().expect("the only one"), slug("plates"));
 
     let pool = bank.load(&slug("plates"), Some("cpu")).expect("loads");
     assert_eq!((pool.name().as_str(), pool.device().as_str()), ("plates", "cpu"));
@@ -93,7 +93,7 @@ fn bank_offers_complete_models_on_allowed_devices() {
     let error = bank.load(&slug("plate"), None).expect_err("unknown").to_string();
     assert!(error.contains("plates") && !error.contains(&root.path().display().to_string()), "{error}");
     put(root.path(), "second");
-    let error = bank.only().expect_err("two").to_string();
+    let error = bank.default_model().expect_err("two").to_string();
     assert!(error.contains("plates, second"), "{error}");
     bank.shutdown();
 }
@@ -107,8 +107,8 @@ fn configured_model_has_priority_over_folder_model() {
     let bank = Bank::new(vec![echo("echo")], OnnxRuntimeConfig::default(), clock())
         .with_built_in(echo("calibration"))
         .with_folders(config(root.path(), ""));
-    assert_eq!(bank.offered(), [slug("echo"), slug("plates")]);
-    assert_eq!(bank.only().expect("the configured one"), slug("echo"));
+    assert_eq!(bank.offered_names(), [slug("echo"), slug("plates")]);
+    assert_eq!(bank.default_model().expect("the configured one"), slug("echo"));
     assert!(!bank.load(&slug("echo"), None).expect("is there").blocks(), "the one that echoes");
     assert!(bank.load(&slug("calibration"), None).is_ok());
 }
@@ -148,7 +148,7 @@ fn replaced_model_is_reloaded_when_unused() {
     fs::write(folder.join("model.toml"), card.replace("version = \"1\"", "version = \"22\""))
         .expect("written");
     let error = bank.load(&slug("plates"), None).expect_err("in use").to_string();
-    assert!(error.contains("changed on disk"), "{error}");
+    assert!(error.contains("changed while it is in use"), "{error}");
     drop(old);
     let new = bank.load(&slug("plates"), None).expect("loads");
     assert!(new.facts().iter().any(|(_, value)| value == "quality-control 22"), "{:?}", new.facts());
@@ -181,7 +181,7 @@ fn table_errors_name_their_key() {
     let none = config(root.path(), "devices = []");
     put(root.path(), "plates");
     let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(none);
-    assert!(bank.offered().is_empty());
+    assert!(bank.offered_names().is_empty());
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn invalid_card_blocks_no_other_model() {
     std::fs::write(folder("long").join("model.toml"), vec![b'#'; 2 << 20]).expect("writable");
     std::fs::write(folder("secret").join("model.toml"), "root:x:0:0:root").expect("writable");
 
-    let found = ModelFolders::of([place.path().to_owned()]).list();
+    let found = ModelFolders::new([place.path().to_owned()]).list();
     let reasons: Vec<_> =
         found.iter().map(|found| found.card.as_ref().expect_err("no card").to_string()).collect();
     assert_eq!(found.len(), 3, "{reasons:?}");

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_inference::{Bank, Done, InferenceError, Job, ModelConfig, OnnxRuntimeConfig, Pool};
+use peernet_inference::{Bank, FinishedJob, InferenceError, Job, ModelConfig, OnnxRuntimeConfig, Pool};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_sample::{Description, MediaType, Sample};
 use serde::Deserialize;
@@ -53,15 +53,15 @@ fn loaded(bank: &Bank, name: &str) -> Arc<Pool> {
 }
 
 fn jpeg(bytes: Vec<u8>) -> Sample {
-    Sample::of(Description::unshaped(MediaType::Jpeg), bytes.into())
+    Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes.into())
 }
 
 /// Submits a sample and waits for its answer.
-fn run(pool: &Pool, sample: Sample) -> Done {
+fn run(pool: &Pool, sample: Sample) -> FinishedJob {
     let (sender, receiver) = sync_channel(1);
     let clock = clock();
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
-    let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+    let log = Recorder::new(Arc::clone(&clock), HostId::random());
     pool.submit(Job { sample, log, received: clock.mono(), reply }).expect("the queue has room");
     receiver.recv().expect("is answered")
 }

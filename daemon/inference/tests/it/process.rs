@@ -44,7 +44,7 @@ fn unusable_library_error_names_file_reason_and_remedy() {
         ("text.so", "invalid ELF header"),
         ("other.so", "it is not ONNX Runtime"),
         ("old.so", "it is version 1.16.3, at least 1.17 is needed"),
-        ("missing.so", "there is no such file"),
+        ("missing.so", "the file does not exist"),
     ] {
         let printed = alone("child_checks", Some(&at(name)));
         for part in [name, reason, "ORT_DYLIB_PATH", "make setup"] {

@@ -24,7 +24,7 @@ fn model(folder: &tempfile::TempDir, object: &str, more: &str) -> String {
 }
 
 fn text(text: &'static str) -> Sample {
-    Sample::of(Description::unshaped(MediaType::Text), text.into())
+    Sample::from_part(Description::unshaped(MediaType::Text), text.into())
 }
 
 #[test]
@@ -53,13 +53,13 @@ fn exceptions_and_unsupported_values_fail_one_sample() {
     let pool = loaded(&bank, "p");
     let done = run(&pool, text(""));
     let error = done.result.expect_err("raises");
-    let said = error.to_string();
-    assert!(matches!(error, InferenceError::Failed { .. }), "{said}");
-    assert!(said.contains("ValueError: nothing to see") && said.contains("net.py"), "{said}");
+    let message = error.to_string();
+    assert!(matches!(error, InferenceError::Failed { .. }), "{message}");
+    assert!(message.contains("ValueError: nothing to see") && message.contains("net.py"), "{message}");
     assert!(done.log.finish().find(&["inference"]).is_none(), "it never began");
-    let error = run(&pool, text("set")).result.expect_err("a set does not cross");
+    let error = run(&pool, text("set")).result.expect_err("a set cannot be transferred");
     assert!(matches!(error, InferenceError::Failed { .. }), "{error}");
-    assert!(error.to_string().contains("its answer: a builtins.set does not cross"), "{error}");
+    assert!(error.to_string().contains("its answer: a builtins.set cannot be transferred"), "{error}");
     assert!(run(&pool, text("cat")).result.is_ok());
 }
 

@@ -9,7 +9,7 @@ fn refused(bank: &Bank, name: &str, device: Option<&str>) -> LoadError {
 }
 
 #[test]
-fn an_unknown_model_is_refused_with_the_list() {
+fn unknown_model_is_refused_with_the_list() {
     let two = bank(&[&quality_control(""), "name = \"echo\"\nkind = \"echo\""]);
     let error = refused(&two, "qd", None);
     assert_eq!(error.to_string(), "no model named qd; this host offers qc, echo");
@@ -20,7 +20,7 @@ fn an_unknown_model_is_refused_with_the_list() {
 #[test]
 fn refusal_of_device_names_offered_device() {
     let error = refused(&bank(&[&quality_control("")]), "qc", Some("cuda:0")).to_string();
-    assert_eq!(error, "model qc is not offered on cuda:0, only on cpu; ask for that or name no device");
+    assert_eq!(error, "model qc is not offered on cuda:0, only on cpu; request that device or none");
     let error = refused(&bank(&[&quality_control("device = \"gpu\"")]), "qc", None).to_string();
     assert!(error.contains("\"gpu\" is not a device") && error.contains("cuda:N"), "{error}");
 }
@@ -52,7 +52,7 @@ fn unsupported_device_is_refused_with_reason() {
 }
 
 #[test]
-fn a_second_library_is_refused_in_one_process() {
+fn second_library_is_refused_in_one_process() {
     let first = bank(&[&quality_control("")]);
     loaded(&first, "qc");
     let folder = tempfile::tempdir().expect("can be made");
@@ -61,7 +61,7 @@ fn a_second_library_is_refused_in_one_process() {
     let model: ModelConfig = toml::from_str(&quality_control("")).expect("is right");
     let second = Bank::new(vec![model], OnnxRuntimeConfig { library: Some(library) }, clock());
     let error = refused(&second, "qc", None);
-    assert!(matches!(error, LoadError::Library(LibraryError::AnotherLoaded { .. })), "{error}");
+    assert!(matches!(error, LoadError::Library(LibraryError::OtherLibraryLoaded { .. })), "{error}");
 }
 
 /// Creates a model's folder from changed files of the demo, and a bank of it.

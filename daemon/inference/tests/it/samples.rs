@@ -51,21 +51,21 @@ fn decoded_pixels_are_taken_as_well() {
 }
 
 #[test]
-fn a_bad_sample_fails_alone_with_the_reason() {
+fn bad_sample_fails_alone_with_the_reason() {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);
     let mut huge = file.clone();
     let frame = huge.windows(2).position(|pair| pair == [0xff, 0xc0]).expect("has a frame header");
     huge[frame + 5..frame + 9].fill(0xff);
-    let plain = |media| Sample::of(Description::unshaped(media), file.clone().into());
-    let lie = Sample::of(Description::pixels(PixelFormat::Rgb8, 40_000, 40_000), vec![0; 12].into());
+    let plain = |media| Sample::from_part(Description::unshaped(media), file.clone().into());
+    let lie = Sample::from_part(Description::pixels(PixelFormat::Rgb8, 40_000, 40_000), vec![0; 12].into());
     let bad = [
         (jpeg(file[..file.len() / 2].to_vec()), "the jpeg file cannot be read"),
         (jpeg(b"\xff\xd8\xff\xe0 broken".to_vec()), "the jpeg file cannot be read"),
         (jpeg(Vec::new()), "neither a jpeg nor a png"),
         (jpeg(huge), ""),
-        (lie, "40000 × 40000 pixels are not possible"),
+        (lie, "40000 × 40000 pixels is not supported"),
         (plain(MediaType::Bytes), "plain bytes, not a picture"),
         (plain(MediaType::Json), "json, not a picture"),
         (Sample { parts: Vec::new(), source: String::new(), label: None }, "no payload"),

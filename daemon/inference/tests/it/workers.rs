@@ -1,7 +1,7 @@
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 
-use peernet_inference::{Done, Job};
+use peernet_inference::{FinishedJob, Job};
 use peernet_logger::{HostId, Recorder};
 
 use super::{Answer, answer, bank, clock, jpeg, loaded, pictures, quality_control, run};
@@ -14,8 +14,8 @@ fn answers(more: &str) -> Vec<Answer> {
     let (sender, receiver) = sync_channel(30);
     for (index, (file, _)) in pictures("pictures").into_iter().enumerate() {
         let sender = sender.clone();
-        let reply = Box::new(move |done: Done| sender.send((index, done.result)).expect("is awaited"));
-        let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+        let reply = Box::new(move |done: FinishedJob| sender.send((index, done.result)).expect("is awaited"));
+        let log = Recorder::new(Arc::clone(&clock), HostId::random());
         let job = Job { sample: jpeg(file), log, received: clock.mono(), reply };
         pool.submit(job).expect("the queue has room");
     }
@@ -42,15 +42,15 @@ fn answers_are_independent_of_workers_and_threads() {
 }
 
 #[test]
-fn a_pool_serves_until_it_is_shut_down() {
+fn pool_serves_until_it_is_shut_down() {
     let bank = bank(&[&quality_control("workers = 2")]);
     let pool = loaded(&bank, "qc");
-    assert_eq!((pool.workers(), pool.waiting()), (2, 0));
+    assert_eq!((pool.workers(), pool.waiting_samples()), (2, 0));
     let (file, _) = pictures("pictures").swap_remove(0);
     assert!(run(&pool, jpeg(file.clone())).result.is_ok());
     bank.shutdown();
     let clock = clock();
-    let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+    let log = Recorder::new(Arc::clone(&clock), HostId::random());
     let job = Job { sample: jpeg(file), log, received: clock.mono(), reply: Box::new(|_| {}) };
     let refused = pool.submit(job).expect_err("is shut down");
     assert_eq!(refused.reason.to_string(), "model qc is shutting down");

@@ -53,7 +53,7 @@ fn columns_of_later_rows_keep_their_order() {
 }
 
 #[test]
-fn no_two_columns_have_one_name() {
+fn column_names_are_unique() {
     let rows = [tree(&[
         ("iteration", Some(0.0)),
         ("a_b", Some(1.0)),
@@ -66,14 +66,14 @@ fn no_two_columns_have_one_name() {
 }
 
 #[test]
-fn a_table_can_leave_out_what_lies_deeper() {
+fn table_can_omit_deeper_levels() {
     let row = tree(&[("sensing", Some(0.5)), ("sensing/capture", Some(0.4)), ("upload", Some(0.1))]);
-    let mut columns = Columns::down_to(1);
+    let mut columns = Columns::with_max_level(1);
     columns.add(&row);
     let mut out = Vec::new();
-    let mut table = Table::begin(&mut out, columns).expect("memory");
-    table.row(7, &row).expect("memory");
-    table.end().expect("memory");
+    let mut table = Table::new(&mut out, columns).expect("memory");
+    table.write_row(7, &row).expect("memory");
+    table.finish().expect("memory");
     assert_eq!(out, b"iteration,sensing,upload\n7,0.5,0.1\n");
 }
 
@@ -85,7 +85,7 @@ fn names_cannot_break_the_table() {
 
 proptest! {
     #[test]
-    fn every_value_stands_once_under_a_unique_header(
+    fn every_value_has_one_unique_header(
         rows in prop::collection::vec(prop::collection::vec(("[ab_]{1,2}", 0_usize..5, prop::option::of(1..1000_i32)), 0..12), 1..6),
     ) {
         let trees: Vec<Tree> = rows

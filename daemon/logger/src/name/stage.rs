@@ -56,7 +56,7 @@ standard_names! {
         TRANSFORM = "transform";
         /// Edge: conversion of the sample to wire frames.
         ENCODE = "encode";
-        /// Edge: from ready until handed to the network, including the wait for a free place in flight.
+        /// Edge: from ready to send until handed to the network, including the wait while too many iterations are in flight.
         SEND_QUEUE = "send-queue";
         /// Edge to cloud: from handed to the network until the whole message is received. A transit, with bounds.
         UPLOAD = "upload";
@@ -101,15 +101,14 @@ standard_names! {
 }
 
 /// Cloud or edge: overhead of the communication with the worker process that runs the model's code, in both directions.
-/// The wire form contains it as text, like names supplied by users.
+// The wire form contains it as text, like names supplied by users.
 pub const IPC: Name = Name::from_static("ipc");
-/// Overhead of the communication with a sensor's worker process, below `capture`. It has a separate name because
-/// summaries are grouped by name.
+/// Overhead of the communication with a sensor's worker process, below `capture`.
+// A name of its own, because summaries are grouped by name.
 pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
 
-/// Cloud or edge: wait of a sample for a model's worker that is restarted because the last one died. It is no stage,
-/// because it is caused by that death and not by the loop; it is part of `unattributed`. The wire form contains it as
-/// text.
+/// Cloud or edge: wait of a sample for the restart of a model's worker whose process died. It is part of `unattributed`.
+// No stage, because the death of the process causes it and not the loop. The wire form contains it as text.
 pub const RESTART: Name = Name::from_static("restart");
 /// Wait for a sensor's restarted worker, below `capture` and part of it.
 pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");
@@ -144,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn the_numbers_on_the_wire_stay_what_they_were() {
+    fn wire_numbers_are_unchanged() {
         for (number, name) in
             [(0, ITERATION), (1, SENSING), (6, UPLOAD), (8, PREPROCESSING), (21, DOWNLOAD_THROUGHPUT)]
         {

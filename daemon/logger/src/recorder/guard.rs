@@ -8,7 +8,7 @@ use crate::{Measure, Meter, NodeId, Recorder, Unit, stage};
 
 /// Guard of an open node. Nodes recorded through it become its children; dropping it closes the node.
 #[derive(Debug)]
-pub struct Timing<'a> {
+pub struct TimerGuard<'a> {
     pub(crate) recorder: &'a mut Recorder,
     pub(crate) node: NodeId,
     pub(crate) outer: NodeId,
@@ -16,31 +16,31 @@ pub struct Timing<'a> {
     pub(crate) started: MonoTime,
 }
 
-impl Timing<'_> {
+impl TimerGuard<'_> {
     /// Returns the open node.
     pub const fn id(&self) -> NodeId {
         self.node
     }
 }
 
-impl Deref for Timing<'_> {
+impl Deref for TimerGuard<'_> {
     type Target = Recorder;
     fn deref(&self) -> &Recorder {
         self.recorder
     }
 }
 
-impl DerefMut for Timing<'_> {
+impl DerefMut for TimerGuard<'_> {
     fn deref_mut(&mut self) -> &mut Recorder {
         self.recorder
     }
 }
 
-impl Drop for Timing<'_> {
+impl Drop for TimerGuard<'_> {
     #[inline]
     fn drop(&mut self) {
         let recorder = &mut *self.recorder;
-        // Guards are dropped innermost first, so the outer node is open again.
+        // Guards are dropped innermost first, so that the outer node becomes the innermost open one.
         (recorder.open, recorder.level) = (self.outer, self.outer_level);
         if let Some(node) = recorder.tree.nodes.get_mut(self.node.index())
             && let Measure::Timer(duration) = &mut node.measure
@@ -50,15 +50,15 @@ impl Drop for Timing<'_> {
     }
 }
 
-/// Guard of an open node that a user's instrument measures, created by [`Recorder::measure`].
+/// Guard of an open node with a user's instrument, created by [`Recorder::measure`].
 #[derive(Debug)]
-pub struct Measuring<'a, M: Meter> {
-    open: Timing<'a>,
+pub struct MeterGuard<'a, M: Meter> {
+    open: TimerGuard<'a>,
     meter: M,
 }
 
-impl<'a, M: Meter> Measuring<'a, M> {
-    pub(crate) fn begin(open: Timing<'a>, mut meter: M) -> Self {
+impl<'a, M: Meter> MeterGuard<'a, M> {
+    pub(crate) fn new(open: TimerGuard<'a>, mut meter: M) -> Self {
         meter.begin();
         Self { open, meter }
     }
@@ -74,20 +74,20 @@ impl<'a, M: Meter> Measuring<'a, M> {
     }
 }
 
-impl<M: Meter> Deref for Measuring<'_, M> {
+impl<M: Meter> Deref for MeterGuard<'_, M> {
     type Target = Recorder;
     fn deref(&self) -> &Recorder {
         self.open.recorder
     }
 }
 
-impl<M: Meter> DerefMut for Measuring<'_, M> {
+impl<M: Meter> DerefMut for MeterGuard<'_, M> {
     fn deref_mut(&mut self) -> &mut Recorder {
         self.open.recorder
     }
 }
 
-impl<M: Meter> Drop for Measuring<'_, M> {
+impl<M: Meter> Drop for MeterGuard<'_, M> {
     fn drop(&mut self) {
         let reading = self.meter.end();
         let node = self.open.node;
@@ -101,18 +101,18 @@ impl<M: Meter> Drop for Measuring<'_, M> {
 /// `time-to-first-token` as children.
 ///
 /// The rate is the number of tokens divided by the time from opening to the last token. That time includes the wait for
-/// the first token, as a user of the answer experiences it.
+/// the first token.
 #[derive(Debug)]
-pub struct Tokens<'a> {
-    open: Timing<'a>,
+pub struct TokenGuard<'a> {
+    open: TimerGuard<'a>,
     started: MonoTime,
     count: u64,
     first: Option<MonoTime>,
     last: MonoTime,
 }
 
-impl<'a> Tokens<'a> {
-    pub(crate) const fn begin(open: Timing<'a>, started: MonoTime) -> Self {
+impl<'a> TokenGuard<'a> {
+    pub(crate) const fn new(open: TimerGuard<'a>, started: MonoTime) -> Self {
         Self { open, started, count: 0, first: None, last: started }
     }
 
@@ -122,12 +122,12 @@ impl<'a> Tokens<'a> {
     }
 
     /// Counts one token.
-    pub fn token(&mut self) {
-        self.several(1);
+    pub fn add_token(&mut self) {
+        self.add_tokens(1);
     }
 
     /// Counts several tokens that arrived at once.
-    pub fn several(&mut self, tokens: u64) {
+    pub fn add_tokens(&mut self, tokens: u64) {
         if tokens > 0 {
             self.last = self.open.clock().mono();
             self.first.get_or_insert(self.last);
@@ -136,29 +136,29 @@ impl<'a> Tokens<'a> {
     }
 }
 
-impl Deref for Tokens<'_> {
+impl Deref for TokenGuard<'_> {
     type Target = Recorder;
     fn deref(&self) -> &Recorder {
         self.open.recorder
     }
 }
 
-impl DerefMut for Tokens<'_> {
+impl DerefMut for TokenGuard<'_> {
     fn deref_mut(&mut self) -> &mut Recorder {
         self.open.recorder
     }
 }
 
-impl Drop for Tokens<'_> {
+impl Drop for TokenGuard<'_> {
     fn drop(&mut self) {
-        let took = self.last - self.started;
+        let elapsed = self.last - self.started;
         let node = self.open.node;
         if let Some(Measure::TokenRate(rate)) = self.open.recorder.tree.measure_mut(node) {
-            *rate = (took > Span::ZERO).then(|| self.count as f64 / took.seconds());
+            *rate = (elapsed > Span::ZERO).then(|| self.count as f64 / elapsed.seconds());
         }
         self.open.recorder.value(stage::TOKENS, self.count as f64, Unit::TOKENS);
         if let Some(first) = self.first {
-            self.open.recorder.timed(stage::TIME_TO_FIRST_TOKEN, self.started, first);
+            self.open.recorder.record_timer(stage::TIME_TO_FIRST_TOKEN, self.started, first);
         }
     }
 }

@@ -7,7 +7,7 @@ use crate::limits::{MAX_NODES, RESERVED_NODES};
 
 fn recorder() -> (Arc<ManualClock>, Recorder) {
     let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(1_000), ClockIdentity::new("b", "c")));
-    let log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
+    let log = Recorder::new(Arc::<ManualClock>::clone(&clock), HostId::random());
     (clock, log)
 }
 
@@ -56,9 +56,9 @@ fn tokens_and_time_to_first_are_recorded() {
     {
         let mut tokens = log.tokens("answer".into());
         clock.advance(Span::from_millis(400));
-        tokens.token();
+        tokens.add_token();
         clock.advance(Span::from_millis(100));
-        tokens.several(4);
+        tokens.add_tokens(4);
         clock.advance(Span::from_seconds(9));
     }
     drop(log.tokens("silence".into()));
@@ -106,7 +106,7 @@ fn tree_stays_within_limits_and_counts_missing_nodes() {
     let nowhere = log.start(stage::CAPTURE);
     log.stop(nowhere);
     let mut tree = log.finish();
-    assert_eq!(nowhere, NodeId::NOWHERE);
+    assert_eq!(nowhere, NodeId::SKIPPED);
     let skipped = tree.find(&["skipped-nodes"]).and_then(|(_, node)| node.measure.value());
     assert_eq!(skipped, Some((RESERVED_NODES + 2) as f64));
     for _ in 1..RESERVED_NODES {
@@ -140,12 +140,12 @@ fn foreign(third: HostId) -> Tree {
     clock.advance(Span::from_nanos(50));
     log.value("force".into(), 2.0, Unit::new("N"));
     let sent = log.clock().stamp();
-    let upload = log.depart(stage::UPLOAD, sent);
+    let upload = log.start_transit(stage::UPLOAD, sent);
     let tree = log.tree().clone();
     let mut remote = Recorder::resume(log.clock().clone(), third, tree, upload, sent).expect("under way");
     remote.value("grip".into(), 3.0, Unit::new("N"));
     let delta = remote.into_tree_delta().expect("resumed");
-    log.tree_mut().absorb(delta).expect("fits");
+    log.tree_mut().apply_delta(delta).expect("fits");
     log.finish()
 }
 
@@ -156,7 +156,7 @@ fn inserted_tree_keeps_shape_hosts_and_times() {
     let (clock, _) = recorder();
     clock.advance(Span::from_nanos(7));
     // The inserting host is the third host, which the tree already contains.
-    let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), third);
+    let mut log = Recorder::new(Arc::<ManualClock>::clone(&clock), third);
     let root = {
         let mut inference = log.container(stage::INFERENCE);
         inference.insert(&other).expect("fits")
@@ -181,21 +181,21 @@ fn inserted_tree_returns_with_delta() {
     let other = foreign(HostId::random());
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
-    let upload = log.depart(stage::UPLOAD, sent);
+    let upload = log.start_transit(stage::UPLOAD, sent);
     let tree = log.tree().clone();
     let mut remote =
         Recorder::resume(log.clock().clone(), HostId::random(), tree, upload, sent).expect("under way");
     remote.insert(&other).expect("fits");
     let delta = remote.into_tree_delta().expect("resumed");
     assert_eq!(delta.others.len(), 2);
-    log.tree_mut().absorb(delta).expect("fits");
+    log.tree_mut().apply_delta(delta).expect("fits");
     let tree = log.finish();
     assert_eq!((tree.anchors().len(), tree.check(0)), (4, Ok(())));
     assert!(tree.find(&["iteration", "grip"]).is_some());
 }
 
 #[test]
-fn an_insertion_that_does_not_fit_changes_nothing() {
+fn failed_insertion_changes_nothing() {
     let (_, mut log) = recorder();
     for _ in 0..MAX_NODES - RESERVED_NODES - 3 {
         log.start(stage::CAPTURE);
@@ -218,12 +218,12 @@ fn an_insertion_that_does_not_fit_changes_nothing() {
 fn transit_is_continued_once_by_one_delta() {
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
-    let upload = log.depart(stage::UPLOAD, sent);
+    let upload = log.start_transit(stage::UPLOAD, sent);
     let resume = |log: &Recorder, at: NodeId| {
         Recorder::resume(log.clock().clone(), HostId::random(), log.tree().clone(), at, sent)
     };
-    assert!(matches!(resume(&log, NodeId::ROOT), Err(TreeError::NotUnderWay(0))));
-    assert!(matches!(resume(&log, NodeId::NOWHERE), Err(TreeError::NotUnderWay(_))));
+    assert!(matches!(resume(&log, NodeId::ROOT), Err(TreeError::NotInFlight(0))));
+    assert!(matches!(resume(&log, NodeId::SKIPPED), Err(TreeError::NotInFlight(_))));
     let delta = resume(&log, upload).expect("under way").into_tree_delta().expect("resumed");
     let mut crooked = delta.clone();
     crooked.nodes.push(Node {
@@ -234,8 +234,8 @@ fn transit_is_continued_once_by_one_delta() {
         measure: Measure::Container,
     });
     let before = log.tree().clone();
-    assert_eq!(log.tree_mut().absorb(crooked), Err(TreeError::Order(2)));
+    assert_eq!(log.tree_mut().apply_delta(crooked), Err(TreeError::Order(2)));
     assert_eq!(log.tree(), &before);
-    assert_eq!(log.tree_mut().absorb(delta.clone()), Ok(()));
-    assert_eq!(log.tree_mut().absorb(delta), Err(TreeError::NotUnderWay(1)));
+    assert_eq!(log.tree_mut().apply_delta(delta.clone()), Ok(()));
+    assert_eq!(log.tree_mut().apply_delta(delta), Err(TreeError::NotInFlight(1)));
 }

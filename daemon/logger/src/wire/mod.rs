@@ -5,7 +5,7 @@
 //! | tree | `[version, [anchor…], [node…]]` |
 //! | tree delta | `[version, base, anchor, [anchor…], closed node, closed at, [node…]]` |
 //! | anchor | `[host (16 bytes), wall clock]` |
-//! | node | `[parent or nil, name, host, start, kind, …]`, the rest as below |
+//! | node | `[parent or nil, name, host, start, kind, …]`, further fields by kind as below |
 //! | 0 container | |
 //! | 1 timer | duration or nil |
 //! | 2 transit | sent, received or nil, delay or nil; where they are known, sent and received by the free-running clocks |
@@ -16,8 +16,8 @@
 //! | delay | `[raw, value or nil, lower and upper bound or nil and nil, source, verdict]` |
 //!
 //! Times are integers in nanoseconds. A name is its position among the standard names, or a string. Numbers without a
-//! fraction may be written as integers. A tree of 12 nodes takes about 280 bytes; writing by hand over `rmp` keeps it
-//! that small.
+//! fraction may be written as integers. A tree of 12 nodes takes about 280 bytes, because the form is written with `rmp`
+//! directly and not through serde.
 //!
 //! The reader accepts input from untrusted peers: it allocates at most a small multiple of the input's length, enforces
 //! [`crate::limits`], and refuses everything else with the reason.
@@ -39,10 +39,10 @@ pub const VERSION: u64 = 1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// The input is longer than the limit.
-    #[error("{0} bytes are more than the limit of {MAX_BYTES}")]
+    #[error("the input has {0} bytes, the limit is {MAX_BYTES}")]
     TooLong(usize),
     /// The input was written by another version of this program.
-    #[error("version {0} of the wire form cannot be read, only {VERSION}")]
+    #[error("wire form version {0} is not supported, only version {VERSION}")]
     Version(u64),
     /// The input ends early, or contains something else than expected.
     #[error("expected {expected} at byte {at}")]
@@ -53,7 +53,7 @@ pub enum WireError {
         expected: &'static str,
     },
     /// The input contains more items than allowed.
-    #[error("{found} {what} are more than the limit of {limit}")]
+    #[error("the input has {found} {what}, the limit is {limit}")]
     Limit {
         /// Kind of the items.
         what: &'static str,
@@ -63,7 +63,7 @@ pub enum WireError {
         limit: usize,
     },
     /// Bytes follow the end.
-    #[error("{0} bytes follow the end")]
+    #[error("{0} bytes follow the end of the input")]
     Trailing(usize),
     /// The input is well-formed but no valid tree.
     #[error(transparent)]
@@ -83,10 +83,10 @@ pub fn encode(tree: &Tree, out: &mut Vec<u8>) {
 /// # Errors
 /// Unless the bytes are exactly one tree within the limits.
 pub fn decode(bytes: &[u8]) -> Result<Tree, WireError> {
-    let mut reader = Reader::begin(bytes, 3, "a tree")?;
+    let mut reader = Reader::new(bytes, 3, "a tree")?;
     let anchors = reader.anchors()?;
     let nodes = reader.nodes()?;
-    reader.end()?;
+    reader.finish()?;
     Ok(Tree::from_parts(anchors, nodes)?)
 }
 
@@ -103,21 +103,21 @@ pub fn encode_tree_delta(delta: &TreeDelta, out: &mut Vec<u8>) {
     writer::nodes(out, nodes);
 }
 
-/// Reads the wire form of a tree delta. [`Tree::absorb`] checks whether it fits a tree.
+/// Reads the wire form of a tree delta. [`Tree::apply_delta`] checks whether it fits a tree.
 ///
 /// # Errors
 /// Unless the bytes are exactly one tree delta within the limits.
 pub fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, WireError> {
-    let mut reader = Reader::begin(bytes, 7, "a growth")?;
-    let base = reader.small("the length of the tree")?;
+    let mut reader = Reader::new(bytes, 7, "a tree delta")?;
+    let base = reader.position("the length of the tree")?;
     let anchor = reader.anchor()?;
     let others = reader.anchors()?;
-    let closed = NodeId(reader.small("the position of the closed node")?);
-    let at = WallTime::from_unix_nanos(reader.int("the moment of closing")?);
+    let closed = NodeId(reader.position("the position of the closed node")?);
+    let at = WallTime::from_unix_nanos(reader.int("the time of closing")?);
     let nodes = reader.nodes()?;
-    reader.end()?;
+    reader.finish()?;
     for (index, node) in nodes.iter().enumerate() {
-        // The rest is checked by `Tree::absorb`, which knows the tree.
+        // The rest is checked by `Tree::apply_delta`, which knows the tree.
         node.measure.check(base as usize + index)?;
     }
     Ok(TreeDelta { base, anchor, others, closed: (closed, at), nodes })

@@ -7,21 +7,24 @@ use super::{VERSION, WireError};
 use crate::limits::{MAX_ANCHORS, MAX_BYTES, MAX_NAME_BYTES, MAX_NODES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
-/// Length of the shortest node in bytes. Together with the input's length it limits the capacity reserved for nodes.
-const SHORTEST_NODE: usize = 6;
-/// Length of the shortest anchor in bytes, for the same purpose.
-const SHORTEST_ANCHOR: usize = 20;
+/// Length of the shortest node.
+// The rest of the input divided by it limits the capacity that is reserved for nodes.
+const MIN_NODE_BYTES: usize = 6;
+/// Length of the shortest anchor, for the same purpose.
+const MIN_ANCHOR_BYTES: usize = 20;
 
+/// Position in the wire form of a tree or a tree delta.
 pub(super) struct Reader<'a> {
     rest: &'a [u8],
     length: usize,
 }
 
+/// Result of reading a part of the input.
 type Read<T> = Result<T, WireError>;
 
 impl<'a> Reader<'a> {
     /// Reads the header that trees and tree deltas share.
-    pub(super) fn begin(bytes: &'a [u8], fields: u32, what: &'static str) -> Read<Self> {
+    pub(super) fn new(bytes: &'a [u8], fields: u32, what: &'static str) -> Read<Self> {
         if bytes.len() > MAX_BYTES {
             return Err(WireError::TooLong(bytes.len()));
         }
@@ -34,7 +37,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    pub(super) fn end(self) -> Read<()> {
+    /// Checks that no bytes follow.
+    pub(super) fn finish(self) -> Read<()> {
         if self.rest.is_empty() { Ok(()) } else { Err(WireError::Trailing(self.rest.len())) }
     }
 
@@ -58,10 +62,10 @@ impl<'a> Reader<'a> {
     }
 
     /// Reads a position within a tree.
-    pub(super) fn small(&mut self, expected: &'static str) -> Read<u32> {
+    pub(super) fn position(&mut self, expected: &'static str) -> Read<u32> {
         let number = self.uint(expected)?;
         match u32::try_from(number) {
-            Ok(small) if small as usize <= MAX_NODES => Ok(small),
+            Ok(position) if position as usize <= MAX_NODES => Ok(position),
             _ => {
                 let found = usize::try_from(number).unwrap_or(usize::MAX);
                 Err(WireError::Limit { what: "nodes", found, limit: MAX_NODES })
@@ -140,8 +144,8 @@ impl<'a> Reader<'a> {
         if count > MAX_ANCHORS {
             return Err(WireError::Limit { what: "hosts", found: count, limit: MAX_ANCHORS });
         }
-        // The stated number is not trusted: the capacity is limited by what the input can hold.
-        let mut anchors = Vec::with_capacity(count.min(self.rest.len() / SHORTEST_ANCHOR));
+        // The stated count may be wrong, so that the length of the input limits the capacity.
+        let mut anchors = Vec::with_capacity(count.min(self.rest.len() / MIN_ANCHOR_BYTES));
         for _ in 0..count {
             anchors.push(self.anchor()?);
         }
@@ -154,7 +158,7 @@ impl<'a> Reader<'a> {
             return Err(WireError::Limit { what: "nodes", found: count, limit: MAX_NODES });
         }
         // A little more capacity than needed, because the edge adds computed nodes.
-        let mut nodes = Vec::with_capacity(count.min(self.rest.len() / SHORTEST_NODE) + 8);
+        let mut nodes = Vec::with_capacity(count.min(self.rest.len() / MIN_NODE_BYTES) + 8);
         for _ in 0..count {
             nodes.push(self.node()?);
         }
@@ -164,7 +168,7 @@ impl<'a> Reader<'a> {
     fn node(&mut self) -> Read<Node> {
         let error = self.malformed("a node");
         let length = self.array("a node")?;
-        let parent = self.optional(|reader| reader.small("a parent"))?.map(NodeId);
+        let parent = self.optional(|reader| reader.position("a parent"))?.map(NodeId);
         let name = self.name()?;
         let host = u8::try_from(self.uint("a host")?).map(HostIndex).map_err(|_| error)?;
         let start = self.span("a start")?;
@@ -184,7 +188,7 @@ impl<'a> Reader<'a> {
                 let value = self.optional(|reader| reader.number("a throughput"))?;
                 let lo = self.optional(|reader| reader.number("a lower bound"))?;
                 let hi = self.optional(|reader| reader.number("an upper bound"))?;
-                Measure::Throughput(Rate { value, bounds: both(lo, hi).ok_or(error)? })
+                Measure::Throughput(Rate { value, bounds: paired_bounds(lo, hi).ok_or(error)? })
             }
             (5, 6) => Measure::TokenRate(self.optional(|reader| reader.number("a rate"))?),
             (6, 8) => {
@@ -197,8 +201,8 @@ impl<'a> Reader<'a> {
     }
 
     fn transit(&mut self) -> Read<Transit> {
-        let sent = self.wall("the moment of sending")?;
-        let received = self.optional(|reader| reader.wall("the moment of receipt"))?;
+        let sent = self.wall("the time of sending")?;
+        let received = self.optional(|reader| reader.wall("the time of receipt"))?;
         Ok(Transit { sent, received, delay: self.optional(Self::delay)?, raw_stamps: None })
     }
 
@@ -211,7 +215,7 @@ impl<'a> Reader<'a> {
         let value = self.optional(|reader| reader.span("a delay"))?;
         let lo = self.optional(|reader| reader.span("a lower bound"))?;
         let hi = self.optional(|reader| reader.span("an upper bound"))?;
-        let bounds = both(lo, hi).ok_or(error)?.map(|(lo, hi)| Interval { lo, hi });
+        let bounds = paired_bounds(lo, hi).ok_or(error)?.map(|(lo, hi)| Interval { lo, hi });
         let source = variant(DelaySource::ALL, self.uint("a source")?).ok_or(error)?;
         let verdict = variant(Verdict::ALL, self.uint("a verdict")?).ok_or(error)?;
         Ok(OneWayDelay { raw, value, bounds, source, verdict })
@@ -219,7 +223,7 @@ impl<'a> Reader<'a> {
 }
 
 /// Returns both ends or neither; `None` if only one of them exists.
-fn both<T>(lo: Option<T>, hi: Option<T>) -> Option<Option<(T, T)>> {
+fn paired_bounds<T>(lo: Option<T>, hi: Option<T>) -> Option<Option<(T, T)>> {
     match (lo, hi) {
         (Some(lo), Some(hi)) => Some(Some((lo, hi))),
         (None, None) => Some(None),

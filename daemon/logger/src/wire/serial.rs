@@ -25,7 +25,7 @@ struct TreeView<'a> {
 
 #[derive(Deserialize)]
 #[serde(rename = "Growth")]
-struct PlainGrowth {
+struct PlainTreeDelta {
     base: u32,
     anchor: Anchor,
     others: Vec<Anchor>,
@@ -35,7 +35,7 @@ struct PlainGrowth {
 
 #[derive(Serialize)]
 #[serde(rename = "Growth")]
-struct GrowthView<'a> {
+struct TreeDeltaView<'a> {
     base: u32,
     anchor: &'a Anchor,
     others: &'a [Anchor],
@@ -69,7 +69,8 @@ impl Serialize for TreeDelta {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
             let Self { base, anchor, others, closed, nodes } = self;
-            return GrowthView { base: *base, anchor, others, closed: *closed, nodes }.serialize(serializer);
+            return TreeDeltaView { base: *base, anchor, others, closed: *closed, nodes }
+                .serialize(serializer);
         }
         let mut wire = Vec::with_capacity(self.nodes.len() * 24 + 64);
         encode_tree_delta(self, &mut wire);
@@ -80,7 +81,8 @@ impl Serialize for TreeDelta {
 impl<'de> Deserialize<'de> for TreeDelta {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         if deserializer.is_human_readable() {
-            let PlainGrowth { base, anchor, others, closed, nodes } = PlainGrowth::deserialize(deserializer)?;
+            let PlainTreeDelta { base, anchor, others, closed, nodes } =
+                PlainTreeDelta::deserialize(deserializer)?;
             if nodes.len() > MAX_NODES {
                 return Err(D::Error::custom(TreeError::TooManyNodes(nodes.len())));
             }

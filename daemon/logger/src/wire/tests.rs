@@ -97,7 +97,7 @@ fn delta_of(tree: &Tree, anchor: Anchor) -> TreeDelta {
 
 proptest! {
     #[test]
-    fn trees_and_growths_lead_back_in_every_form(tree in tree(), anchor in anchor()) {
+    fn trees_and_deltas_round_trip_in_every_form(tree in tree(), anchor in anchor()) {
         let bytes = wire(&tree);
         let read = decode(&bytes).expect("our own");
         prop_assert_eq!(&read, &tree);
@@ -115,14 +115,14 @@ proptest! {
     }
 
     #[test]
-    fn what_is_cut_off_is_refused(tree in tree(), at: prop::sample::Index) {
+    fn truncated_bytes_are_refused(tree in tree(), at: prop::sample::Index) {
         let bytes = wire(&tree);
         prop_assert!(decode(&bytes[..at.index(bytes.len())]).is_err());
         prop_assert_eq!(decode(&[&bytes[..], &[0]].concat()), Err(WireError::Trailing(1)));
     }
 
     #[test]
-    fn what_is_damaged_is_refused_or_is_another_good_tree(
+    fn damaged_bytes_are_refused_or_are_a_valid_tree(
         tree in tree(), damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
     ) {
         let mut bytes = wire(&tree);
@@ -151,7 +151,7 @@ fn human_readable_tree_is_checked_object() {
     assert_eq!(serde_json::from_str::<Tree>(&text).expect("our own"), tree);
     let forward = text.replace("\"parent\":0", "\"parent\":1");
     let error = serde_json::from_str::<Tree>(&forward).expect_err("a node is its own parent").to_string();
-    assert!(error.contains("stands before its parent"), "{error}");
+    assert!(error.contains("precedes its parent"), "{error}");
 }
 
 /// Builds a wire form by hand that the writer never produces.
@@ -169,7 +169,7 @@ fn by_hand(anchors: usize, nodes: &[&[u8]]) -> Vec<u8> {
 const ROOT: &[u8] = &[0x95, 0xc0, 0, 0, 0, 0];
 
 #[test]
-fn each_limit_is_named_when_it_is_broken() {
+fn error_names_exceeded_limit() {
     assert_eq!(decode(&by_hand(1, &[ROOT])).map(|tree| tree.nodes().len()), Ok(1));
 
     let limit = |what, found, limit| Err(WireError::Limit { what, found, limit });

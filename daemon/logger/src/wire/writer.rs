@@ -5,30 +5,31 @@ use rmp::encode;
 
 use crate::{Anchor, Measure, Name, Node, Unit, stage};
 
-/// Unwraps the result of a write to memory, which cannot fail. The library's signatures are made for sockets and files.
-macro_rules! infallible {
+/// Unwraps the result of a write to memory, which cannot fail.
+// The signatures of the library allow for sockets and files, which can.
+macro_rules! write_to_memory {
     ($result:expr) => {
         $result.expect("a vector takes all bytes")
     };
 }
 
 /// Largest magnitude up to which every integer is an exact `f64`.
-const EXACT: f64 = 9_007_199_254_740_992.0;
+const MAX_EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
 
 pub(super) fn array(out: &mut Vec<u8>, length: u32) {
-    infallible!(encode::write_array_len(out, length));
+    write_to_memory!(encode::write_array_len(out, length));
 }
 
 pub(super) fn uint(out: &mut Vec<u8>, number: u64) {
-    infallible!(encode::write_uint(out, number));
+    write_to_memory!(encode::write_uint(out, number));
 }
 
 pub(super) fn int(out: &mut Vec<u8>, number: i64) {
-    infallible!(encode::write_sint(out, number));
+    write_to_memory!(encode::write_sint(out, number));
 }
 
 fn nil(out: &mut Vec<u8>) {
-    infallible!(encode::write_nil(out));
+    write_to_memory!(encode::write_nil(out));
 }
 
 fn optional<T>(out: &mut Vec<u8>, value: Option<T>, write: impl Fn(&mut Vec<u8>, T)) {
@@ -42,10 +43,10 @@ fn optional<T>(out: &mut Vec<u8>, value: Option<T>, write: impl Fn(&mut Vec<u8>,
 fn number(out: &mut Vec<u8>, number: f64) {
     let whole = number as i64;
     // Compared by bits, because -0.0 would lose its sign as an integer.
-    if number.abs() < EXACT && (whole as f64).to_bits() == number.to_bits() {
+    if number.abs() < MAX_EXACT_INTEGER && (whole as f64).to_bits() == number.to_bits() {
         int(out, whole);
     } else {
-        infallible!(encode::write_f64(out, number));
+        write_to_memory!(encode::write_f64(out, number));
     }
 }
 
@@ -56,17 +57,17 @@ fn span(out: &mut Vec<u8>, span: Span) {
 fn name(out: &mut Vec<u8>, name: &Name) {
     match stage::code(name) {
         Some(code) => uint(out, u64::from(code)),
-        None => infallible!(encode::write_str(out, name)),
+        None => write_to_memory!(encode::write_str(out, name)),
     }
 }
 
 fn unit(out: &mut Vec<u8>, unit: &Unit) {
-    infallible!(encode::write_str(out, unit.symbol()));
+    write_to_memory!(encode::write_str(out, unit.symbol()));
 }
 
 pub(super) fn anchor(out: &mut Vec<u8>, anchor: &Anchor) {
     array(out, 2);
-    infallible!(encode::write_bin(out, anchor.host.as_bytes()));
+    write_to_memory!(encode::write_bin(out, anchor.host.as_bytes()));
     int(out, anchor.wall.unix_nanos());
 }
 

@@ -65,7 +65,7 @@ fn discipline() -> impl Strategy<Value = Discipline> {
 }
 
 fn rehearsal() -> impl Strategy<Value = ClockFaults> {
-    let step = (span(), span()).prop_map(|(at, by)| ClockFaultStep::of_wall(at, by));
+    let step = (span(), span()).prop_map(|(at, by)| ClockFaultStep::wall_step(at, by));
     let steps = proptest::collection::vec(step, 0..3);
     (span(), -1e3..1e3_f64, steps, any::<i64>()).prop_map(|(offset, drift_ppm, steps, since)| ClockFaults {
         offset,

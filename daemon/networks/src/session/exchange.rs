@@ -155,7 +155,7 @@ pub(crate) fn absorb(
     }
     let cloud_times = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
         // The cloud's wall clock replaces its free-running clock.
-        (false, ..) => (RawTime::of_wall(delta.closed.1), RawTime::of_wall(departure.sent)),
+        (false, ..) => (RawTime::from_wall(delta.closed.1), RawTime::from_wall(departure.sent)),
         (true, Some(received), Some(replied)) => (received, replied),
         (true, ..) => return Err(TreeDeltaError::NoRawStamps),
     };
@@ -169,7 +169,7 @@ pub(crate) fn absorb(
         measure: Measure::Transit(Box::new(transit)),
     });
     let observation = observation(departed, raw, cloud_times, departure, arrived);
-    log.tree_mut().absorb(delta)?;
+    log.tree_mut().apply_delta(delta)?;
     let up = RawStamps { sent: departed.at.raw, received: cloud_times.0 };
     set_raw_stamps(log.tree_mut(), departed.upload, up);
     let last = log.tree().nodes().len() - 1;

@@ -135,7 +135,7 @@ mod tests {
 
     fn log() -> Recorder {
         let clock = Arc::new(SystemClock::new(ClockIdentity::new("edge", "test")));
-        Recorder::begin(clock, HostId::random())
+        Recorder::new(clock, HostId::random())
     }
 
     #[tokio::test]

@@ -167,8 +167,8 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     let raw = |transit: &Transit| transit.raw_stamps.map(|stamps| (stamps.sent, stamps.received));
     assert_eq!(raw(&up), Some((stamps.sent, stamps.received)));
     assert_eq!(raw(&down), Some((stamps.replied, stamps.returned)));
-    assert_eq!(Some(stamps.received), up.received.map(RawTime::of_wall));
-    assert_eq!(stamps.replied, RawTime::of_wall(down.sent));
+    assert_eq!(Some(stamps.received), up.received.map(RawTime::from_wall));
+    assert_eq!(stamps.replied, RawTime::from_wall(down.sent));
     let offset = cloud_clock.system.wall_ahead();
     let wide = Span::from_millis(1);
     let offset = Interval { lo: offset.lo + DAY - wide, hi: offset.hi + DAY + wide };
@@ -177,7 +177,7 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     assert!(Span::ZERO <= there && there <= stamps.returned - stamps.sent, "{there}");
 
     let mut now = PeerClock { epoch: 1, ..raw_news() };
-    let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..ClockFaultStep::of_wall(HOUR, HOUR) };
+    let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..ClockFaultStep::wall_step(HOUR, HOUR) };
     now.rehearsal.as_mut().expect("rehearsed").steps.push(raw_step);
     cloud.listener.announcer().announce(now);
     let mut told = session.peer_clock();
@@ -300,7 +300,7 @@ async fn request_without_model_answer_yields_no_observation() {
 
 fn news() -> PeerClock {
     let error = Interval { lo: Span::from_micros(-20), hi: Span::from_micros(30) };
-    let step = ClockFaultStep::of_wall(Span::from_seconds(5), Span::from_seconds(3));
+    let step = ClockFaultStep::wall_step(Span::from_seconds(5), Span::from_seconds(3));
     PeerClock {
         epoch: 2,
         discipline: Some(Discipline { source: DelaySource::Chrony, error }),

@@ -21,7 +21,7 @@ fn payload(seed: usize) -> Bytes {
 
 async fn send_requests(session: Session, task: usize) -> Result<(), RequestError> {
     for n in 0..REQUESTS {
-        let sent = Sample::of(Description::bytes(), payload(task * REQUESTS + n));
+        let sent = Sample::from_part(Description::bytes(), payload(task * REQUESTS + n));
         let exchange = session.request(log(), &sent, Duration::from_secs(60)).await;
         assert_eq!(exchange.result?, sent);
         assert!(exchange.down.is_some());

@@ -28,7 +28,7 @@ async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let mut full = log();
-    while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
+    while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
     let pending = tokio::spawn(async move { session.request(full, &sample("hello"), PATIENCE).await });
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(sample("answer")));
@@ -64,7 +64,11 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     assert_eq!(incoming.session, id);
     assert_eq!(incoming.sample, two);
     let (upload, _) = incoming.log.tree().find(&["upload"]).expect("closed on arrival");
-    incoming.log.timed(stage::QUEUE, incoming.received.mono, incoming.received.mono + Span::from_micros(3));
+    incoming.log.record_timer(
+        stage::QUEUE,
+        incoming.received.mono,
+        incoming.received.mono + Span::from_micros(3),
+    );
     incoming.log.time(stage::INFERENCE);
     incoming.reply.send(incoming.log, Ok(sample("answer")));
 
@@ -210,7 +214,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), small.clone()).await;
     let (session, _) = cloud.session(settings()).await;
-    let large = Sample::of(Description::bytes(), vec![0; 100_001].into());
+    let large = Sample::from_part(Description::bytes(), vec![0; 100_001].into());
     let exchange = within(session.request(log(), &large, PATIENCE)).await;
     let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");

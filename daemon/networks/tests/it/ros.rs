@@ -61,7 +61,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
         let (session, _) = session(&mut cloud).await;
         for size in [0, 1, 1_000, 60_000, 1_200_000, 20_000_000, 1_000] {
             let bytes: Bytes = (0..size).map(|at: u32| (at % 251) as u8).collect::<Vec<u8>>().into();
-            let sample = Sample::of(description.clone(), bytes);
+            let sample = Sample::from_part(description.clone(), bytes);
             assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample);
         }
         let statistics = session.statistics();
@@ -82,7 +82,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
         .subscribe(&request_topic(&pipeline), kind, SubscriberOptions::default())
         .await
         .expect("registered");
-    let picture = Sample::of(Description::unshaped(MediaType::Jpeg), Bytes::from(vec![9; 5_000]));
+    let picture = Sample::from_part(Description::unshaped(MediaType::Jpeg), Bytes::from(vec![9; 5_000]));
     // The first pictures are sent in the companions until the topic is open.
     let seen = loop {
         exchange(&mut cloud, &session, picture.clone()).await;
@@ -294,7 +294,7 @@ async fn slow_subscriber_delays_nothing() {
         viewer.subscribe(&request_topic(&pipeline), TopicType::any(), options).await.expect("registered");
     // It never takes a message.
     for _ in 0..100 {
-        let sample = Sample::of(Description::bytes(), Bytes::from(vec![1; 1_000_000]));
+        let sample = Sample::from_part(Description::bytes(), Bytes::from(vec![1; 1_000_000]));
         exchange(&mut cloud, &session, sample).await;
     }
     assert_eq!(session.statistics().lost_messages, 0);

@@ -95,7 +95,7 @@ async fn connections_without_session_leave_memory_to_sessions() {
         publishers.push(publisher);
     }
     for _ in 0..20 {
-        let sample = Sample::of(Description::bytes(), Bytes::from(vec![1; 450_000]));
+        let sample = Sample::from_part(Description::bytes(), Bytes::from(vec![1; 450_000]));
         assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample);
     }
     assert_eq!(session.statistics().lost_messages, 0);

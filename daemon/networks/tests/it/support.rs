@@ -160,7 +160,7 @@ pub(crate) fn accepted(host: HostId) -> SessionAccepted {
 }
 
 pub(crate) fn sample(text: &str) -> Sample {
-    Sample::of(Description::bytes(), Bytes::copy_from_slice(text.as_bytes()))
+    Sample::from_part(Description::bytes(), Bytes::copy_from_slice(text.as_bytes()))
 }
 
 pub(crate) fn text(sample: &Sample) -> &str {
@@ -267,7 +267,7 @@ async fn open_by(address: Address, clock: SharedClock, versions: VersionRange) -
 }
 
 pub(crate) fn log() -> Recorder {
-    Recorder::begin(clock(), HostId::random())
+    Recorder::new(clock(), HostId::random())
 }
 
 /// Starts a request in a separate task.

@@ -20,7 +20,7 @@ fn payload(size: usize, seed: usize) -> Bytes {
 }
 
 fn sample_of(bytes: Bytes) -> Sample {
-    Sample::of(Description::bytes(), bytes)
+    Sample::from_part(Description::bytes(), bytes)
 }
 
 /// Answers every request with its own sample until the task is dropped.

@@ -46,7 +46,7 @@ fn topic(pipeline: &str, name: &str) -> String {
 
 fn picture(bytes: usize) -> Sample {
     let bytes: Vec<u8> = (0..bytes).map(|at| (at % 251) as u8).collect();
-    Sample::of(Description::unshaped(MediaType::Jpeg), bytes.into())
+    Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes.into())
 }
 
 const INFO: &str = "peernet_msgs/msg/MessageInfo";
@@ -63,7 +63,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
         let (session, _) = session(&mut cloud).await;
         for size in [0, 1, 1_000, 60_000, 1_200_000, 20_000_000, 1_200_000, 1_000] {
             let bytes: Bytes = (0..size).map(|at: u32| (at % 251) as u8).collect::<Vec<u8>>().into();
-            let sample = Sample::of(description.clone(), bytes);
+            let sample = Sample::from_part(description.clone(), bytes);
             assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample, "{size} bytes");
         }
         let statistics = session.statistics();
@@ -253,7 +253,7 @@ async fn slow_subscriber_delays_nothing() {
         .subscription(&topic(&pipeline, "request"), "std_msgs/msg/UInt8MultiArray", &QosProfile::default())
         .expect("a subscription");
     for _ in 0..60 {
-        let sample = Sample::of(Description::bytes(), Bytes::from(vec![1; 1_000_000]));
+        let sample = Sample::from_part(Description::bytes(), Bytes::from(vec![1; 1_000_000]));
         exchange(&mut cloud, &session, sample).await;
     }
     assert_eq!(session.statistics().lost_messages, 0);

@@ -92,7 +92,7 @@ async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
         }
     }
     if let Some(config) = configuration.agent {
-        if let Some(rehearsal) = agent_clock.rehearsal() {
+        if let Some(rehearsal) = agent_clock.injected_faults() {
             warn!(
                 "REHEARSAL: this agent's clocks are made wrong on purpose ({rehearsal}); for a host in earnest use remove the table [rehearsal]"
             );

@@ -424,7 +424,7 @@ mod tests {
         assert_eq!(truth.identity().clock.as_ref(), ClockIdentity::SYSTEM);
         assert!(agents.identity().clock.starts_with("rehearsal-"), "{:?}", agents.identity());
         assert!(agents.wall() - truth.wall() > Span::from_seconds(80_000));
-        assert_eq!(truth.rehearsal(), None);
+        assert_eq!(truth.injected_faults(), None);
 
         let (_, named) = clocks("clock_identity = \"mine\"\n[rehearsal]\n");
         assert_eq!(named.identity().clock.as_ref(), "mine");

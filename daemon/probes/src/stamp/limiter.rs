@@ -5,11 +5,11 @@ use std::net::IpAddr;
 
 use peernet_clock::{MonoTime, Span};
 
-use super::figures::Refusal;
+use super::counters::Refusal;
 use super::recent_map::RecentMap;
 
 /// Smallest number of sources without a session whose rates are remembered.
-const SOURCES: usize = 4096;
+const MIN_SOURCES: usize = 4096;
 
 /// Rate of all sources without a session together, as a multiple of the rate of one source.
 const SHARED_FACTOR: u32 = 10;
@@ -32,16 +32,16 @@ impl From<IpAddr> for Source {
 #[derive(Clone, Copy, Debug, Default)]
 struct TokenBucket {
     /// Time at which the bucket will be full again.
-    full: MonoTime,
+    full_at: MonoTime,
 }
 
 impl TokenBucket {
     fn has_token(self, interval: Span, now: MonoTime) -> bool {
-        self.full.max(now) + interval - now <= Span::from_seconds(1).max(interval)
+        self.full_at.max(now) + interval - now <= Span::from_seconds(1).max(interval)
     }
 
     fn take(&mut self, interval: Span, now: MonoTime) {
-        self.full = self.full.max(now) + interval;
+        self.full_at = self.full_at.max(now) + interval;
     }
 }
 
@@ -49,8 +49,8 @@ impl TokenBucket {
 ///
 /// A source that has a session with this host has its own bucket. Every other source has a bucket as well, and all of
 /// them share one more. Any number of forged source addresses is therefore answered at the rate of the shared bucket
-/// and takes nothing from the sources with a session. The table of the other sources is bounded; it forgets the ones
-/// that asked least recently.
+/// and takes nothing from the sources with a session. The table of the other sources is bounded; it drops the least
+/// recently used ones.
 #[derive(Debug)]
 pub struct Limiter {
     peers: HashMap<Source, TokenBucket>,
@@ -67,15 +67,15 @@ impl Limiter {
         let interval = |hz: u32| Span::from_nanos(1_000_000_000 / i64::from(hz.max(1)));
         Self {
             peers: HashMap::new(),
-            others: RecentMap::new(SOURCES),
+            others: RecentMap::new(MIN_SOURCES),
             shared: TokenBucket::default(),
             interval: interval(per_second),
             shared_interval: interval(per_second.max(1).saturating_mul(SHARED_FACTOR)),
         }
     }
 
-    /// Replaces the addresses with a session. A known address keeps the contents of its bucket, so that reopening a
-    /// session gains nothing.
+    /// Replaces the addresses with a session. An address keeps the contents of its bucket, so that reopening a session
+    /// does not refill it.
     pub fn set_peers(&mut self, addresses: &[IpAddr]) {
         let sources: HashSet<Source> = addresses.iter().copied().map(Source::from).collect();
         // Keeps the contents of the bucket of a source whose session has ended.

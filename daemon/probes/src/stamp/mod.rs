@@ -1,7 +1,7 @@
 //! The protocol: packets, authentication, and the state machines of the two roles, without sockets and timers.
 
 pub mod auth;
-pub mod figures;
+pub mod counters;
 pub mod kernel;
 pub mod limiter;
 pub mod packet;

@@ -8,7 +8,7 @@ use super::timestamp::ErrorEstimate;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     /// Unauthenticated packets.
-    Open,
+    Unauthenticated,
     /// Packets with an authentication code at the end of the base packet.
     Authenticated,
 }
@@ -19,20 +19,20 @@ struct Layout {
     estimate: usize,
     ssid: usize,
     received: usize,
-    asked_sequence: usize,
-    asked_timestamp: usize,
-    asked_estimate: usize,
+    request_sequence: usize,
+    request_timestamp: usize,
+    request_estimate: usize,
     ttl: usize,
 }
 
-const OPEN: Layout = Layout {
+const UNAUTHENTICATED: Layout = Layout {
     timestamp: 4,
     estimate: 12,
     ssid: 14,
     received: 16,
-    asked_sequence: 24,
-    asked_timestamp: 28,
-    asked_estimate: 36,
+    request_sequence: 24,
+    request_timestamp: 28,
+    request_estimate: 36,
     ttl: 40,
 };
 
@@ -41,29 +41,29 @@ const AUTHENTICATED: Layout = Layout {
     estimate: 24,
     ssid: 26,
     received: 32,
-    asked_sequence: 48,
-    asked_timestamp: 64,
-    asked_estimate: 72,
+    request_sequence: 48,
+    request_timestamp: 64,
+    request_estimate: 72,
     ttl: 80,
 };
 
 impl Mode {
     /// Returns the mode for an optional key.
-    pub const fn of(key: Option<&Key>) -> Self {
-        if key.is_some() { Self::Authenticated } else { Self::Open }
+    pub const fn for_key(key: Option<&Key>) -> Self {
+        if key.is_some() { Self::Authenticated } else { Self::Unauthenticated }
     }
 
     /// Returns the length of the base packet, which is the same for both roles. TLVs follow it.
     pub const fn base_bytes(self) -> usize {
         match self {
-            Self::Open => 44,
+            Self::Unauthenticated => 44,
             Self::Authenticated => 112,
         }
     }
 
     const fn layout(self) -> &'static Layout {
         match self {
-            Self::Open => &OPEN,
+            Self::Unauthenticated => &UNAUTHENTICATED,
             Self::Authenticated => &AUTHENTICATED,
         }
     }
@@ -94,7 +94,7 @@ pub struct Reply {
     /// Time of arrival of the request, in the format of the error estimate.
     pub received: u64,
     /// The answered request.
-    pub asked: Request,
+    pub request: Request,
     /// Remaining hops of the request's packet; zero if unknown to the reflector.
     pub ttl: u8,
 }
@@ -129,18 +129,18 @@ impl Reply {
     /// Reads a reply. `None` if the packet is too short. A request can also be read as a reply; the further fields are
     /// then the bytes that follow it.
     pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
-        let own = Request::parse(mode, packet)?;
+        let base_fields = Request::parse(mode, packet)?;
         let at = mode.layout();
         Some(Self {
-            sequence: own.sequence,
-            timestamp: own.timestamp,
-            estimate: own.estimate,
+            sequence: base_fields.sequence,
+            timestamp: base_fields.timestamp,
+            estimate: base_fields.estimate,
             received: u64::from_be_bytes(field(packet, at.received)),
-            asked: Request {
-                sequence: u32::from_be_bytes(field(packet, at.asked_sequence)),
-                timestamp: u64::from_be_bytes(field(packet, at.asked_timestamp)),
-                estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(packet, at.asked_estimate))),
-                ssid: own.ssid,
+            request: Request {
+                sequence: u32::from_be_bytes(field(packet, at.request_sequence)),
+                timestamp: u64::from_be_bytes(field(packet, at.request_timestamp)),
+                estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(packet, at.request_estimate))),
+                ssid: base_fields.ssid,
             },
             ttl: packet[at.ttl],
         })
@@ -148,32 +148,32 @@ impl Reply {
 
     /// Writes the whole base packet without its code. `packet` must be at least as long as the base packet.
     pub fn write(&self, mode: Mode, packet: &mut [u8]) {
-        let own = Request {
+        let base_fields = Request {
             sequence: self.sequence,
             timestamp: self.timestamp,
             estimate: self.estimate,
             // A reply repeats the session identifier of its request.
-            ssid: self.asked.ssid,
+            ssid: self.request.ssid,
         };
-        own.write(mode, packet);
+        base_fields.write(mode, packet);
         let at = mode.layout();
         put(packet, at.received, &self.received.to_be_bytes());
-        put(packet, at.asked_sequence, &self.asked.sequence.to_be_bytes());
-        put(packet, at.asked_timestamp, &self.asked.timestamp.to_be_bytes());
-        put(packet, at.asked_estimate, &self.asked.estimate.bits().to_be_bytes());
+        put(packet, at.request_sequence, &self.request.sequence.to_be_bytes());
+        put(packet, at.request_timestamp, &self.request.timestamp.to_be_bytes());
+        put(packet, at.request_estimate, &self.request.estimate.bits().to_be_bytes());
         packet[at.ttl] = self.ttl;
     }
 }
 
 /// Writes the code of an authenticated base packet, which covers all bytes before it.
-pub fn seal(key: &Key, packet: &mut [u8]) {
+pub fn authenticate(key: &Key, packet: &mut [u8]) {
     let at = Mode::Authenticated.base_bytes() - CODE_BYTES;
     let code = key.code(&[&packet[..at]]);
     put(packet, at, &code);
 }
 
 /// Returns whether an authenticated base packet has the right code.
-pub fn is_sealed(key: &Key, packet: &[u8]) -> bool {
+pub fn is_authentic(key: &Key, packet: &[u8]) -> bool {
     packet
         .get(..Mode::Authenticated.base_bytes())
         .and_then(|base| base.split_last_chunk::<CODE_BYTES>())

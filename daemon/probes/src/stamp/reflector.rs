@@ -8,7 +8,7 @@ use std::net::{IpAddr, SocketAddr};
 use peernet_clock::{Clock, MonoTime, RawTime, Span, Stamp, WallTime};
 
 use super::auth::{CODE_BYTES, Key};
-use super::figures::Refusal;
+use super::counters::Refusal;
 use super::limiter::Limiter;
 use super::packet::{self, Mode, Reply, Request};
 use super::recent_map::RecentMap;
@@ -17,10 +17,11 @@ use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty;
 
 /// Smallest number of remembered STAMP sessions, for peers and for others each.
-const SESSIONS: usize = 4096;
+const MIN_SESSIONS: usize = 4096;
 
-/// Longest time between receiving and replying; a reflector takes far less.
-const LONGEST_ANSWER: Span = Span::from_seconds(4);
+/// Longest time between the reception of a request and its reply.
+// A reflector takes far less.
+const MAX_ANSWER_DURATION: Span = Span::from_seconds(4);
 
 /// State of a reflector.
 #[derive(Debug)]
@@ -43,7 +44,7 @@ struct Sessions {
 
 impl Sessions {
     fn new() -> Self {
-        Self { peers: RecentMap::new(SESSIONS), others: RecentMap::new(SESSIONS) }
+        Self { peers: RecentMap::new(MIN_SESSIONS), others: RecentMap::new(MIN_SESSIONS) }
     }
 
     fn table(&mut self, session: &SessionId) -> &mut RecentMap<SessionId, Session> {
@@ -64,7 +65,7 @@ pub struct Arrival {
     pub now: MonoTime,
 }
 
-/// Identifies the packets that belong together.
+/// Identifies the packets of one STAMP session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SessionId {
     source: SocketAddr,
@@ -72,8 +73,10 @@ pub struct SessionId {
     is_peer: bool,
 }
 
+/// State of one STAMP session.
 #[derive(Debug, Default)]
 struct Session {
+    /// Number of the next reply.
     next: u32,
     last: Option<LastReply>,
 }
@@ -86,19 +89,19 @@ struct LastReply {
     raw: RawTime,
 }
 
-/// An answer without its departure stamp.
+/// A reply that still lacks its departure stamp.
 #[derive(Clone, Copy, Debug)]
-pub struct Answer {
+pub struct PreparedReply {
     reply: Reply,
     session: SessionId,
     mode: Mode,
-    intact: bool,
+    has_intact_tlvs: bool,
     received_raw: RawTime,
     previous: Option<(u32, RawTime)>,
 }
 
-impl Answer {
-    /// Returns the number of the reply, for [`ReflectorState::departed`].
+impl PreparedReply {
+    /// Returns the number of the reply, for [`ReflectorState::record_departure`].
     pub const fn sequence(&self) -> u32 {
         self.reply.sequence
     }
@@ -137,16 +140,16 @@ impl ReflectorState {
     /// # Errors
     /// The reason why it gets no answer. The rate of a source is only used by requests that would be answered, so that
     /// a sender without the key cannot use up the rate of another.
-    pub fn prepare(&mut self, packet: &mut [u8], arrival: &Arrival) -> Result<Answer, Refusal> {
+    pub fn prepare(&mut self, packet: &mut [u8], arrival: &Arrival) -> Result<PreparedReply, Refusal> {
         if arrival.source.port() == 0 {
             return Err(Refusal::NoPort);
         }
         let mode = self.mode(packet)?;
-        let asked = Request::parse(mode, packet).ok_or(Refusal::Short)?;
-        // An authenticated reply of another process is recognizable only in its own layout.
-        let is_keyed_reply =
+        let request = Request::parse(mode, packet).ok_or(Refusal::Short)?;
+        // An authenticated reply of another process has the layout of the authenticated mode.
+        let is_authenticated_reply =
             self.session_key.is_some() && is_reply(Mode::Authenticated, packet, arrival.received);
-        if is_keyed_reply || is_reply(mode, packet, arrival.received) {
+        if is_authenticated_reply || is_reply(mode, packet, arrival.received) {
             return Err(Refusal::Reply);
         }
         let address = arrival.source.ip();
@@ -154,58 +157,57 @@ impl ReflectorState {
         self.limiter.admit(address, arrival.now)?;
 
         let is_peer = self.limiter.is_peer(address);
-        let id = SessionId { source: arrival.source, ssid: asked.ssid, is_peer };
+        let id = SessionId { source: arrival.source, ssid: request.ssid, is_peer };
         let session =
             self.sessions.as_mut().map(|sessions| &*sessions.table(&id).entry(id, Session::default));
         let (next, previous) =
             (session.map(|session| session.next), session.and_then(|session| session.last));
         // The answer is in the format that the sender uses.
-        let format = asked.estimate.format();
+        let format = request.estimate.format();
         let tlvs = &mut packet[mode.base_bytes()..];
-        let intact = tlv::are_intact(self.key_of(mode), asked.sequence, tlvs);
+        let intact = tlv::are_intact(self.key_for(mode), request.sequence, tlvs);
         let follow_up =
             previous.map(|left| FollowUp { sequence: left.sequence, timestamp: format.encode(left.wall) });
         answer_tlvs(tlvs, intact, follow_up);
 
         let reply = Reply {
-            sequence: next.unwrap_or(asked.sequence),
+            sequence: next.unwrap_or(request.sequence),
             // Set by `complete`, right before the reply is sent.
             timestamp: 0,
-            estimate: ErrorEstimate::new(format, uncertainty::OWN),
+            estimate: ErrorEstimate::new(format, uncertainty::PEERNET_ENDS),
             received: format.encode(arrival.received),
-            asked,
-            // Unknown, because the hop limit of the request is not read.
+            request,
+            // Zero means unknown: the hop limit of the request is not read.
             ttl: 0,
         };
         let (previous, received_raw) = (previous.map(|left| (left.sequence, left.raw)), arrival.received_raw);
-        Ok(Answer { reply, session: id, mode, intact, received_raw, previous })
+        Ok(PreparedReply { reply, session: id, mode, has_intact_tlvs: intact, received_raw, previous })
     }
 
-    /// Returns the mode of a request. If no key is mandatory, the form of the request decides. A request that the key
-    /// of the sessions authenticates is authenticated, one that claims to be and is not is refused, and all others are
-    /// open.
+    /// Returns the mode of a request. If no key is mandatory, the form of the request decides: a request with a valid code of
+    /// the session key is authenticated, one with an invalid code is refused, and all others are unauthenticated.
     fn mode(&self, packet: &[u8]) -> Result<Mode, Refusal> {
-        let Some(key) = self.key_of(Mode::Authenticated) else { return Ok(Mode::Open) };
-        if packet::is_sealed(key, packet) {
+        let Some(key) = self.key_for(Mode::Authenticated) else { return Ok(Mode::Unauthenticated) };
+        if packet::is_authentic(key, packet) {
             return Ok(Mode::Authenticated);
         }
-        if self.key.is_none() && !claims_authentication(packet) {
-            return Ok(Mode::Open);
+        if self.key.is_none() && !has_authentication_code(packet) {
+            return Ok(Mode::Unauthenticated);
         }
         let is_short = packet.len() < Mode::Authenticated.base_bytes();
         Err(if is_short { Refusal::Short } else { Refusal::Unauthenticated })
     }
 
     /// Returns the key that authenticates packets of this mode.
-    fn key_of(&self, mode: Mode) -> Option<&Key> {
+    fn key_for(&self, mode: Mode) -> Option<&Key> {
         match mode {
-            Mode::Open => None,
+            Mode::Unauthenticated => None,
             Mode::Authenticated => self.key.as_ref().or(self.session_key.as_ref()),
         }
     }
 
     /// Stamps and authenticates the answer. Returns the stamp. The answer must be sent at once.
-    pub fn complete(&self, answer: &Answer, packet: &mut [u8], clock: &dyn Clock) -> Stamp {
+    pub fn complete(&self, answer: &PreparedReply, packet: &mut [u8], clock: &dyn Clock) -> Stamp {
         let mode = answer.mode;
         let now = clock.stamp();
         // Read after the stamp, so that a step in between is detected.
@@ -213,30 +215,30 @@ impl ReflectorState {
         let reply = Reply { timestamp: answer.reply.estimate.format().encode(now.wall), ..answer.reply };
         reply.write(mode, packet);
         let tlvs = &mut packet[mode.base_bytes()..];
-        if answer.intact {
-            let origin = tlv::places(tlvs).find(|place| is_for_origin(place, tlvs));
-            let raw_stamps = tlv::places(tlvs).find(|place| is_for_raw_stamps(place, tlvs));
-            if let Some(place) = origin {
+        if answer.has_intact_tlvs {
+            let origin = tlv::headers(tlvs).find(|header| is_for_origin(header, tlvs));
+            let raw_stamps = tlv::headers(tlvs).find(|header| is_for_raw_stamps(header, tlvs));
+            if let Some(header) = origin {
                 let origin = Origin { epoch: wall_epoch, instance: self.instance };
-                tlvs[place.value].copy_from_slice(&origin.to_value());
+                tlvs[header.value].copy_from_slice(&origin.to_value());
             }
-            if let Some(place) = raw_stamps {
-                let Answer { received_raw: received, previous, .. } = *answer;
+            if let Some(header) = raw_stamps {
+                let PreparedReply { received_raw: received, previous, .. } = *answer;
                 let stamps = RawStamps { epoch, received, replied: now.raw, previous };
-                tlvs[place.value].copy_from_slice(&stamps.to_value());
+                tlvs[header.value].copy_from_slice(&stamps.to_value());
             }
         }
-        if let Some(key) = self.key_of(mode) {
-            if answer.intact {
-                tlv::seal(key, reply.sequence, tlvs);
+        if let Some(key) = self.key_for(mode) {
+            if answer.has_intact_tlvs {
+                tlv::authenticate(key, reply.sequence, tlvs);
             }
-            packet::seal(key, packet);
+            packet::authenticate(key, packet);
         }
         now
     }
 
-    /// Notes that the answer was sent, not before `stamp`. Only then is its number used up.
-    pub fn sent(&mut self, answer: &Answer, stamp: Stamp) {
+    /// Records that the answer was sent, not before `stamp`. Only then is its number used up.
+    pub fn record_sent(&mut self, answer: &PreparedReply, stamp: Stamp) {
         if let Some(sessions) = &mut self.sessions {
             let session = sessions.table(&answer.session).entry(answer.session, Session::default);
             session.next = answer.sequence().wrapping_add(1);
@@ -247,13 +249,19 @@ impl ReflectorState {
     /// Handles the kernel's stamp of a reply's departure. `left_raw` is the derived time of the free-running clock,
     /// which is not later than the true one. Times outside the range from the program's stamp to the longest wait of a
     /// packet are ignored.
-    pub fn departed(&mut self, session: &SessionId, sequence: u32, left: WallTime, left_raw: RawTime) {
+    pub fn record_departure(
+        &mut self,
+        session: &SessionId,
+        sequence: u32,
+        left: WallTime,
+        left_raw: RawTime,
+    ) {
         let last = self
             .sessions
             .as_mut()
             .and_then(|sessions| sessions.table(session).get_mut(session)?.last.as_mut());
         if let Some(last) = last.filter(|last| last.sequence == sequence) {
-            let is_possible = |after: Span| (Span::ZERO..=LONGEST_ANSWER).contains(&after);
+            let is_possible = |after: Span| (Span::ZERO..=MAX_ANSWER_DURATION).contains(&after);
             if is_possible(left - last.wall) {
                 last.wall = left;
             }
@@ -277,54 +285,54 @@ fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
         let format = reply.estimate.format();
         let stamps = (format.decode(reply.received, near), format.decode(reply.timestamp, near));
         let (Some(received), Some(replied)) = stamps else { return false };
-        reply.received != 0 && (replied - received).abs() <= LONGEST_ANSWER
+        reply.received != 0 && (replied - received).abs() <= MAX_ANSWER_DURATION
     })
 }
 
 /// Returns whether the form of a packet is that of an authenticated one with TLVs.
-fn claims_authentication(packet: &[u8]) -> bool {
+fn has_authentication_code(packet: &[u8]) -> bool {
     let tlvs = packet.get(Mode::Authenticated.base_bytes()..).unwrap_or_default();
-    tlv::places(tlvs).any(|place| place.kind == tlv::HMAC && place.value.len() == CODE_BYTES)
+    tlv::headers(tlvs).any(|header| header.kind == tlv::HMAC && header.value.len() == CODE_BYTES)
 }
 
 /// Sets the flags of the TLVs and fills in the requested values. TLVs that are not intact are returned unchanged except
 /// for their flags.
 fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
     let mut at = 0;
-    while let Some(place) = tlv::place_at(tlvs, at) {
-        let length = place.value.len();
-        let (known, well_formed) = match place.kind {
+    while let Some(header) = tlv::header_at(tlvs, at) {
+        let length = header.value.len();
+        let (is_known, is_well_formed) = match header.kind {
             tlv::EXTRA_PADDING => (true, true),
             tlv::FOLLOW_UP => (true, length == FollowUp::BYTES),
             tlv::HMAC => (true, length == CODE_BYTES),
-            _ => (is_for_origin(&place, tlvs) || is_for_raw_stamps(&place, tlvs), true),
+            _ => (is_for_origin(&header, tlvs) || is_for_raw_stamps(&header, tlvs), true),
         };
         let mut flags = 0;
-        if !known {
+        if !is_known {
             flags |= tlv::UNRECOGNISED;
         }
-        if !well_formed || place.overruns {
+        if !is_well_formed || header.overruns {
             flags |= tlv::MALFORMED;
         }
         if !intact {
             flags |= tlv::NOT_INTACT;
         }
-        tlvs[place.at] = flags;
-        if place.kind == tlv::FOLLOW_UP && intact {
-            let value = &mut tlvs[place.value.clone()];
+        tlvs[header.offset] = flags;
+        if header.kind == tlv::FOLLOW_UP && intact {
+            let value = &mut tlvs[header.value.clone()];
             value.fill(0);
-            if let (true, Some(previous)) = (well_formed, previous) {
+            if let (true, Some(previous)) = (is_well_formed, previous) {
                 value.copy_from_slice(&previous.to_value());
             }
         }
-        at = place.end();
+        at = header.end();
     }
 }
 
-fn is_for_raw_stamps(place: &tlv::Place, tlvs: &[u8]) -> bool {
-    place.kind == tlv::RAW_STAMPS && RawStamps::from_value(&tlvs[place.value.clone()]).is_some()
+fn is_for_raw_stamps(header: &tlv::TlvHeader, tlvs: &[u8]) -> bool {
+    header.kind == tlv::RAW_STAMPS && RawStamps::from_value(&tlvs[header.value.clone()]).is_some()
 }
 
-fn is_for_origin(place: &tlv::Place, tlvs: &[u8]) -> bool {
-    place.kind == tlv::ORIGIN && Origin::from_value(&tlvs[place.value.clone()]).is_some()
+fn is_for_origin(header: &tlv::TlvHeader, tlvs: &[u8]) -> bool {
+    header.kind == tlv::ORIGIN && Origin::from_value(&tlvs[header.value.clone()]).is_some()
 }

@@ -23,13 +23,13 @@ pub(super) struct RequestPacket {
 
 impl RequestPacket {
     pub(super) fn new(config: &SenderConfig) -> Self {
-        let mut bytes = vec![0; Mode::of(config.key.as_ref()).base_bytes()];
+        let mut bytes = vec![0; Mode::for_key(config.key.as_ref()).base_bytes()];
         tlv::push(&mut bytes, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
         tlv::push(&mut bytes, tlv::ORIGIN, &Origin::default().to_value());
         if config.clocks == RelatedClocks::Raw {
             tlv::push(&mut bytes, tlv::RAW_STAMPS, &RawStamps::default().to_value());
         }
-        let nonce = (config.bound && config.key.is_some()).then(|| {
+        let nonce = (config.with_nonce && config.key.is_some()).then(|| {
             tlv::push(&mut bytes, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);
             bytes.len() - NONCE_BYTES..bytes.len()
         });
@@ -50,17 +50,17 @@ impl RequestPacket {
             octets
         });
         if let Some(key) = key {
-            let base = Mode::of(Some(key)).base_bytes();
-            tlv::seal(key, sequence, &mut self.bytes[base..]);
+            let base = Mode::for_key(Some(key)).base_bytes();
+            tlv::authenticate(key, sequence, &mut self.bytes[base..]);
         }
         nonce
     }
 
     /// Writes and seals the fields of a request. Returns the packet.
     pub(super) fn finish(&mut self, key: Option<&Key>, request: &Request) -> &[u8] {
-        request.write(Mode::of(key), &mut self.bytes);
+        request.write(Mode::for_key(key), &mut self.bytes);
         if let Some(key) = key {
-            packet::seal(key, &mut self.bytes);
+            packet::authenticate(key, &mut self.bytes);
         }
         &self.bytes
     }

@@ -15,11 +15,11 @@ use super::timestamp::{ErrorEstimate, Format};
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty::{self, ORDER_TOLERANCE};
 
-/// Largest number of remembered probes, waiting or answered. A further one replaces the oldest.
+/// Largest number of remembered probes, whether answered or not. A further one replaces the oldest.
 const MAX_PENDING: usize = 1024;
 
-/// Longest plausible time between the program's stamp and the kernel's.
-const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
+/// Longest plausible time between the program's stamp of a departure and the kernel's.
+const MAX_DEPARTURE_DELAY: Span = Span::from_seconds(1);
 
 /// Configuration of a sender.
 #[derive(Clone, Debug)]
@@ -28,16 +28,16 @@ pub struct SenderConfig {
     pub key: Option<Key>,
     /// The only accepted reflector, by its [`Origin::instance`]; `None` accepts any.
     pub instance: Option<u64>,
-    /// `true` if each request carries random octets that its answer must return; only used with a key. The TLVs of such
-    /// an answer were written for this request, and not for another one of the same number that the same key
-    /// authenticated.
-    pub bound: bool,
-    /// Clock of the reflector that is requested. Reflectors of other implementations only have the wall clock.
+    /// `true` if each request carries random octets that its answer must return. Only used with a key.
+    // The octets prove that the TLVs of an answer were written for this request, and not for another one with the same
+    // number and key.
+    pub with_nonce: bool,
+    /// Clocks that are related. Reflectors of other implementations only stamp by the wall clock.
     pub clocks: RelatedClocks,
     /// Distinguishes the session from other sessions between the same ports.
     pub ssid: u16,
     /// Number of the first packet.
-    pub first: u32,
+    pub first_sequence: u32,
     /// Bytes of padding.
     pub padding_bytes: u16,
     /// Time after which a probe without an answer counts as lost.
@@ -51,17 +51,17 @@ pub struct SenderState {
     instance: Option<u64>,
     clocks: RelatedClocks,
     ssid: u16,
-    next: u32,
+    next_sequence: u32,
     packet: RequestPacket,
     timeout: Span,
     pending: VecDeque<PendingProbe>,
     /// Requests that were lost recently, whose answers are late. At most [`MAX_PENDING`].
     lost: VecDeque<Departure>,
     /// `true` if the kernel's stamps are of another clock than the program's.
-    distrusts_kernel: bool,
+    ignores_kernel_stamps: bool,
 }
 
-/// A request with its departure stamp.
+/// A request with its departure stamp, before it is recorded as sent.
 #[derive(Clone, Copy, Debug)]
 pub struct Departure {
     sequence: u32,
@@ -70,27 +70,29 @@ pub struct Departure {
     nonce: Option<Nonce>,
     /// Difference wall clock minus free-running clock, read before the stamp.
     ahead: Interval,
-    /// Edge's epoch, read before: the stamp belongs to this epoch or a later one.
+    /// Edge's epoch, read before the stamp, so that the stamp belongs to this epoch or a later one.
     epoch: u32,
 }
 
 impl Departure {
-    /// Returns the number of the request, for [`SenderState::departed`].
+    /// Returns the number of the request, for [`SenderState::record_departure`].
     pub const fn sequence(&self) -> u32 {
         self.sequence
     }
 }
 
+/// A probe that was sent, whether answered or not.
 #[derive(Debug)]
 struct PendingProbe {
     departure: Departure,
-    /// Departure by the kernel's stamp, not later than the true one.
-    left: Option<RawTime>,
+    /// Departure by the kernel's stamp, not later than the true one; `None` until the stamp arrives.
+    kernel_departure: Option<RawTime>,
     /// `true` if the kernel's stamp is before the program's.
-    left_early: bool,
+    is_too_early: bool,
     answer: Option<AnsweredProbe>,
 }
 
+/// The accepted answer to a probe.
 #[derive(Debug)]
 struct AnsweredProbe {
     /// Number of the reply.
@@ -117,8 +119,8 @@ pub struct ReplyArrival {
 pub struct ReplyResult {
     /// An earlier exchange, now with the stamp of its reply's true departure.
     pub refined: Option<ExchangeObservation>,
-    /// The exchange that the reply completes. `None` if the edge's clock was interrupted in between: nothing follows
-    /// from its stamps.
+    /// The exchange that the reply completes. `None` if the edge's clock was interrupted in between, so that the stamps
+    /// cannot be compared.
     pub answered: Option<ExchangeObservation>,
 }
 
@@ -129,8 +131,8 @@ struct TlvValues {
     origin: Option<Origin>,
     raw: Option<RawStamps>,
     nonce: Option<Nonce>,
-    /// Reason why none of them is believed, if the TLVs were altered.
-    altered: Option<&'static str>,
+    /// Reason why all of them are ignored, if the TLVs were altered.
+    alteration: Option<&'static str>,
 }
 
 /// Times of the reflector's related clock in a reply.
@@ -147,13 +149,25 @@ impl SenderState {
     /// Creates a session that has sent nothing.
     pub fn new(config: SenderConfig) -> Self {
         let packet = RequestPacket::new(&config);
-        let SenderConfig { key, instance, clocks, ssid, first, timeout, .. } = config;
+        let SenderConfig { key, instance, clocks, ssid, first_sequence, timeout, .. } = config;
         let (pending, lost) = (VecDeque::new(), VecDeque::new());
-        let distrusts_kernel = false;
-        Self { key, instance, clocks, ssid, next: first, packet, timeout, pending, lost, distrusts_kernel }
+        let ignores_kernel_stamps = false;
+        Self {
+            key,
+            instance,
+            clocks,
+            ssid,
+            next_sequence: first_sequence,
+            packet,
+            timeout,
+            pending,
+            lost,
+            ignores_kernel_stamps,
+        }
     }
 
-    /// Returns the next request with its stamp. It must be sent at once and then passed to [`sent`](Self::sent).
+    /// Returns the next request with its stamp. The caller must send it at once and then call
+    /// [`record_sent`](Self::record_sent).
     pub fn request(&mut self, clock: &dyn Clock) -> (Departure, &[u8]) {
         self.request_with(clock, rand::random())
     }
@@ -162,7 +176,7 @@ impl SenderState {
     /// is sent.
     pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
         let key = self.key.as_ref();
-        let nonce = self.packet.prepare(key, self.next, octets);
+        let nonce = self.packet.prepare(key, self.next_sequence, octets);
         let ahead = clock.wall_ahead();
         // Read before the stamp, while the epoch at the return is read after its stamp. If both are equal, the clock
         // was not interrupted in between.
@@ -170,60 +184,67 @@ impl SenderState {
         let sent = clock.stamp();
         // NTP's format, because a stamp is returned exactly in it.
         let timestamp = Format::Ntp.encode(sent.wall);
-        let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::OWN);
-        let request = Request { sequence: self.next, timestamp, estimate, ssid: self.ssid };
+        let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::PEERNET_ENDS);
+        let request = Request { sequence: self.next_sequence, timestamp, estimate, ssid: self.ssid };
         let packet = self.packet.finish(key, &request);
-        (Departure { sequence: self.next, timestamp, sent, nonce, ahead, epoch }, packet)
+        (Departure { sequence: self.next_sequence, timestamp, sent, nonce, ahead, epoch }, packet)
     }
 
-    /// Notes that the request was sent. Returns the number of earlier ones that are given up for it.
-    pub fn sent(&mut self, departure: Departure) -> usize {
-        self.next = departure.sequence.wrapping_add(1);
-        let given_up = self.pending.len().saturating_sub(MAX_PENDING - 1);
-        let lost = self.forget(given_up);
-        self.pending.push_back(PendingProbe { departure, left: None, left_early: false, answer: None });
+    /// Records that the request was sent. Returns the number of earlier probes that are dropped for it and were not
+    /// answered.
+    pub fn record_sent(&mut self, departure: Departure) -> usize {
+        self.next_sequence = departure.sequence.wrapping_add(1);
+        let excess = self.pending.len().saturating_sub(MAX_PENDING - 1);
+        let lost = self.drop_oldest(excess);
+        self.pending.push_back(PendingProbe {
+            departure,
+            kernel_departure: None,
+            is_too_early: false,
+            answer: None,
+        });
         lost
     }
 
     /// Handles the kernel's stamp of a request's departure; `ahead` is the difference of the clocks that was read
     /// afterwards. A time outside the range from the program's stamp to the longest wait of a packet is ignored.
-    pub fn departed(&mut self, sequence: u32, left: WallTime, ahead: Interval) {
-        if self.distrusts_kernel {
+    pub fn record_departure(&mut self, sequence: u32, stamp: WallTime, ahead: Interval) {
+        if self.ignores_kernel_stamps {
             return;
         }
-        if let Some(pending) = find(&mut self.pending, sequence) {
+        if let Some(pending) = find_probe(&mut self.pending, sequence) {
             let Departure { sent, ahead: before, .. } = pending.departure;
-            let left = KernelStamp::between(left, before, ahead);
-            let after = left.earliest - sent.raw;
-            pending.left = (Span::ZERO..=LONGEST_DEPARTURE).contains(&after).then_some(left.earliest);
-            pending.left_early = left.is_steady && left.latest < sent.raw - ORDER_TOLERANCE;
+            let stamp = KernelStamp::from_comparisons(stamp, before, ahead);
+            let after = stamp.earliest - sent.raw;
+            pending.kernel_departure =
+                (Span::ZERO..=MAX_DEPARTURE_DELAY).contains(&after).then_some(stamp.earliest);
+            pending.is_too_early = stamp.is_steady && stamp.latest < sent.raw - ORDER_TOLERANCE;
         }
     }
 
-    /// Returns whether the kernel's stamps were found to be of another clock than the program's, for example if a tool
-    /// shows the program a false time. They are then ignored.
-    pub const fn distrusts_kernel(&self) -> bool {
-        self.distrusts_kernel
+    /// Returns whether the kernel's stamps are ignored, because they are of another clock than the program's. A tool such
+    /// as libfaketime causes this.
+    pub const fn ignores_kernel_stamps(&self) -> bool {
+        self.ignores_kernel_stamps
     }
 
     /// Ignores the kernel's stamps from now on.
-    pub fn distrust_kernel(&mut self) {
-        self.distrusts_kernel = true;
+    pub fn ignore_kernel_stamps(&mut self) {
+        self.ignores_kernel_stamps = true;
         for pending in &mut self.pending {
-            (pending.left, pending.left_early) = (None, false);
+            (pending.kernel_departure, pending.is_too_early) = (None, false);
         }
     }
 
-    /// Forgets probes that are older than the timeout. Returns how many of them are lost.
+    /// Drops probes that are older than the timeout. Returns how many of them were not answered.
     pub fn expire(&mut self, now: MonoTime) -> usize {
         let old = self.pending.iter().take_while(|pending| now - pending.departure.sent.mono >= self.timeout);
         let old = old.count();
-        self.forget(old)
+        self.drop_oldest(old)
     }
 
-    /// Forgets the `oldest` oldest probes. Returns how many of them are lost.
-    fn forget(&mut self, oldest: usize) -> usize {
-        let unanswered = self.pending.drain(..oldest).filter(|pending| pending.answer.is_none());
+    /// Drops the `count` oldest probes. Returns how many of them were not answered.
+    fn drop_oldest(&mut self, count: usize) -> usize {
+        let unanswered = self.pending.drain(..count).filter(|pending| pending.answer.is_none());
         let before = self.lost.len();
         self.lost.extend(unanswered.map(|pending| pending.departure));
         let lost = self.lost.len() - before;
@@ -233,7 +254,7 @@ impl SenderState {
 
     /// Returns the time at which the next probe will be lost if it is not answered.
     pub fn deadline(&self) -> Option<MonoTime> {
-        let waiting = self.pending.iter().find(|pending| pending.answer.is_none())?;
+        let waiting = self.pending.iter().find_probe(|pending| pending.answer.is_none())?;
         Some(waiting.departure.sent.mono + self.timeout)
     }
 
@@ -242,61 +263,68 @@ impl SenderState {
     /// # Errors
     /// The reason why it is not an answer.
     pub fn receive(&mut self, packet: &[u8], returned: &ReplyArrival) -> Result<ReplyResult, &'static str> {
-        let mode = Mode::of(self.key.as_ref());
+        let mode = Mode::for_key(self.key.as_ref());
         let reply = Reply::parse(mode, packet).ok_or("shorter than a reply")?;
-        if self.key.as_ref().is_some_and(|key| !packet::is_sealed(key, packet)) {
+        if self.key.as_ref().is_some_and(|key| !packet::is_authentic(key, packet)) {
             return Err("not authenticated by the key");
         }
         // A reflector that does not know session identifiers leaves zero (RFC 8972, section 3).
-        if reply.asked.ssid != self.ssid && reply.asked.ssid != 0 {
-            return Err("of another session");
+        if reply.request.ssid != self.ssid && reply.request.ssid != 0 {
+            return Err("an answer of another session");
         }
         let tlv_values = read_tlvs(self.key.as_ref(), reply.sequence, &packet[mode.base_bytes()..]);
         match (self.instance, tlv_values.origin) {
-            (Some(expected), Some(origin)) if origin.instance != expected => return Err(ANOTHER_PROCESS),
+            (Some(expected), Some(origin)) if origin.instance != expected => return Err(WRONG_PROCESS),
             (Some(_), None) => {
-                let found = if self.key.is_some() { UNNAMED } else { NOT_OURS };
-                return Err(tlv_values.altered.unwrap_or(found));
+                let found = if self.key.is_some() { NO_ORIGIN } else { NOT_PEERNET };
+                return Err(tlv_values.alteration.unwrap_or(found));
             }
             _ => {}
         }
         let reflector_times = self.reflector_times(&reply, &tlv_values, returned.read.wall)?;
-        let Some(pending) = find(&mut self.pending, reply.asked.sequence) else {
-            let late =
-                self.lost.iter().position(|lost| lost.sequence == reply.asked.sequence).ok_or(UNKNOWN)?;
-            is_answer_to(&self.lost[late], &reply, &tlv_values)?;
+        let Some(pending) = find_probe(&mut self.pending, reply.request.sequence) else {
+            let late = self
+                .lost
+                .iter()
+                .position(|lost| lost.sequence == reply.request.sequence)
+                .ok_or(NO_SUCH_PROBE)?;
+            check_answer(&self.lost[late], &reply, &tlv_values)?;
             self.lost.remove(late);
             return Err(LATE);
         };
-        is_answer_to(&pending.departure, &reply, &tlv_values)?;
-        // A reply may come to a probe that is answered; it must not replace the first answer.
+        check_answer(&pending.departure, &reply, &tlv_values)?;
+        // A second reply must not replace the first answer.
         if pending.answer.is_some() {
             return Err("a second answer to the same probe");
         }
-        // If the two epochs are equal, all stamps are of one clock.
+        // The edge's stamps can be compared only if its epoch did not change in between.
         let Departure { sent, ahead, epoch, .. } = pending.departure;
         if epoch != returned.epoch {
             pending.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: None });
             return Ok(ReplyResult { refined: None, answered: None });
         }
-        let kernel = returned.kernel.map(|stamp| KernelStamp::between(stamp, ahead, returned.ahead));
-        let is_impossible = |kernel: KernelStamp| {
+        let kernel = returned.kernel.map(|stamp| KernelStamp::from_comparisons(stamp, ahead, returned.ahead));
+        let is_of_another_clock = |kernel: KernelStamp| {
             kernel.is_steady
                 && (kernel.earliest > returned.read.raw + ORDER_TOLERANCE
                     || kernel.latest < sent.raw - ORDER_TOLERANCE)
         };
-        if pending.left_early || kernel.is_some_and(is_impossible) {
-            self.distrust_kernel();
+        if pending.is_too_early || kernel.is_some_and(is_of_another_clock) {
+            self.ignore_kernel_stamps();
         }
-        let kernel = kernel.filter(|_| !self.distrusts_kernel);
-        let pending = find(&mut self.pending, reply.asked.sequence).ok_or(UNKNOWN)?;
-        // The program's readings are the outer bounds, which the kernel's stamps may narrow.
+        let kernel = kernel.filter(|_| !self.ignores_kernel_stamps);
+        let pending = find_probe(&mut self.pending, reply.request.sequence).ok_or(NO_SUCH_PROBE)?;
+        // The program's readings always hold; the kernel's stamps may narrow the bounds.
         let exchange = Exchange {
-            sent: pending.left.map_or(sent.raw, |left| left.max(sent.raw)),
+            sent: pending.kernel_departure.map_or(sent.raw, |departure| departure.max(sent.raw)),
             received: reflector_times.received,
             replied: reflector_times.replied,
             returned: kernel.map_or(returned.read.raw, |kernel| kernel.latest.min(returned.read.raw)),
-            uncertainty: if tlv_values.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
+            uncertainty: if tlv_values.origin.is_some() {
+                uncertainty::PEERNET_ENDS
+            } else {
+                uncertainty::OTHER_IMPLEMENTATION
+            },
         };
         let answered = ExchangeObservation {
             exchange,
@@ -305,8 +333,14 @@ impl SenderState {
             cloud_epoch: reflector_times.epoch,
         };
         pending.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: Some(answered) });
-        let refined = reflector_times.previous.and_then(|(sequence, left)| {
-            refine(&mut self.pending, reply.asked.sequence, sequence, left, answered.cloud_epoch)
+        let refined = reflector_times.previous.and_then(|(sequence, departure)| {
+            refine_departure(
+                &mut self.pending,
+                reply.request.sequence,
+                sequence,
+                departure,
+                answered.cloud_epoch,
+            )
         });
         Ok(ReplyResult { refined, answered: Some(answered) })
     }
@@ -319,13 +353,13 @@ impl SenderState {
         near: WallTime,
     ) -> Result<ReflectorTimes, &'static str> {
         if self.clocks == RelatedClocks::Raw {
-            let RawStamps { epoch, received, replied, previous } = tlv_values.raw.ok_or(NOT_RAW)?;
+            let RawStamps { epoch, received, replied, previous } = tlv_values.raw.ok_or(NO_RAW_STAMPS)?;
             return Ok(ReflectorTimes { received, replied, epoch: Some(epoch), previous });
         }
         let format = reply.estimate.format();
-        let decode = |bits| if bits == 0 { None } else { format.decode(bits, near).map(RawTime::of_wall) };
+        let decode = |bits| if bits == 0 { None } else { format.decode(bits, near).map(RawTime::from_wall) };
         let stamps = decode(reply.received).zip(decode(reply.timestamp));
-        let (received, replied) = stamps.ok_or("without the reflector's stamps")?;
+        let (received, replied) = stamps.ok_or("an answer without the reflector's stamps")?;
         let previous = tlv_values
             .follow_up
             .and_then(|follow_up| Some((follow_up.sequence, decode(follow_up.timestamp)?)));
@@ -338,94 +372,95 @@ impl SenderState {
     }
 }
 
-/// Reason for a valid reply to a probe that is already lost. It is the only reason that says nothing against the reply.
+/// Reason for a valid reply to a probe that already counts as lost. All other reasons mean that the reply is invalid.
 pub const LATE: &str = "later than the timeout of the probe";
-/// Reason for a reply that no probe waits for.
-const UNKNOWN: &str = "to no probe of ours, or to one of long ago";
-/// Reason for a reply with the values of another reply.
-const NOT_BOUND: &str = "with what was told to another probe";
+/// Reason for a reply to none of the remembered probes.
+const NO_SUCH_PROBE: &str = "an answer to an unknown or forgotten probe";
+/// Reason for a reply whose TLVs were written for another request.
+const WRONG_NONCE: &str = "an answer with the random octets of another probe";
 /// Reason for a reply of another PEERNet reflector than the expected one.
-pub const ANOTHER_PROCESS: &str = "another process answers the probes than serves the data";
-/// Reason for a reply that is not of a PEERNet reflector although one was expected.
-pub const NOT_OURS: &str = "something else answers the probes than the agent that serves the data";
+pub const WRONG_PROCESS: &str =
+    "the probes are answered by another process than the one that serves the data";
+/// Reason for a reply of another implementation where a PEERNet reflector was expected.
+pub const NOT_PEERNET: &str =
+    "the probes are answered by another program than the agent that serves the data";
 
 /// Reason for an authentic reply with TLVs that do not match their code (RFC 8972, section 4.8).
-pub const ALTERED_ANSWER: &str = "an authentic reply with TLVs whose HMAC does not fit: they were altered on the way, or the reflector \
+pub const ALTERED_REPLY_TLVS: &str = "an authentic reply with TLVs whose HMAC does not fit: they were altered on the way, or the reflector \
                                   does not know them";
 /// Reason for an authentic reply with flag I: the code of the request's TLVs did not match at the reflector.
-pub const ALTERED_PROBE: &str = "an authentic reply whose TLVs say that the HMAC of the probe's TLVs does not fit: they were altered on the way";
+pub const ALTERED_PROBE_TLVS: &str = "an authentic reply whose TLVs say that the HMAC of the probe's TLVs does not fit: they were altered on the way";
 /// Reason for an authentic reply without the TLV that names its reflector.
-pub const UNNAMED: &str = "an authentic reply that does not say which process wrote it: its TLVs were cut off on the way, or the \
+pub const NO_ORIGIN: &str = "an authentic reply that does not say which process wrote it: its TLVs were cut off on the way, or the \
                            reflector is not of PEERNet";
 
 /// Reason for a reply of a PEERNet reflector without the requested stamps of its free-running clock.
-const NOT_RAW: &str = "without the stamps of the reflector's free-running clock";
+const NO_RAW_STAMPS: &str = "an answer without the stamps of the reflector's free-running clock";
 
 /// Checks that a reply returns the stamp and the octets of its request.
-fn is_answer_to(request: &Departure, reply: &Reply, tlv_values: &TlvValues) -> Result<(), &'static str> {
-    if request.timestamp != reply.asked.timestamp {
-        return Err("to another stamp than was sent");
+fn check_answer(request: &Departure, reply: &Reply, tlv_values: &TlvValues) -> Result<(), &'static str> {
+    if request.timestamp != reply.request.timestamp {
+        return Err("an answer with another stamp than that of its probe");
     }
     if request.nonce.is_some_and(|nonce| tlv_values.nonce != Some(nonce)) {
-        return Err(NOT_BOUND);
+        return Err(WRONG_NONCE);
     }
     Ok(())
 }
 
 /// Returns the probe with this number. The probes are in order and without gaps.
-fn find(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mut PendingProbe> {
+fn find_probe(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mut PendingProbe> {
     let first = pending.front()?.departure.sequence;
     pending.get_mut(sequence.wrapping_sub(first) as usize)
 }
 
-/// Corrects the departure of the reply with the number `sequence` to `left`, and returns the exchange. A later stamp of
-/// departure is a better one. The stamp was made after that reply's epoch was read and before this one's, so that both
-/// epochs must be equal.
-fn refine(
+/// Replaces the departure of the reply with the number `sequence` if `departure` is later, and returns the exchange.
+// A later stamp of a departure is closer to the true one. It was made between the readings of the two replies' epochs,
+// so that both epochs must be equal.
+fn refine_departure(
     pending: &mut VecDeque<PendingProbe>,
     now: u32,
     sequence: u32,
-    left: RawTime,
+    departure: RawTime,
     epoch: Option<u32>,
 ) -> Option<ExchangeObservation> {
     let earlier = pending.iter_mut().rev().filter(|pending| pending.departure.sequence != now);
     let answered = earlier
         .filter_map(|pending| pending.answer.as_mut())
-        .find(|answered| answered.sequence == sequence)?;
+        .find_probe(|answered| answered.sequence == sequence)?;
     let observation = answered.observation.as_mut()?;
-    let later = left - observation.exchange.replied;
-    if later <= Span::ZERO || later > LONGEST_DEPARTURE || observation.cloud_epoch != epoch {
+    let later = departure - observation.exchange.replied;
+    if later <= Span::ZERO || later > MAX_DEPARTURE_DELAY || observation.cloud_epoch != epoch {
         return None;
     }
-    observation.exchange.replied = left;
+    observation.exchange.replied = departure;
     Some(*observation)
 }
 
-/// Returns the values of the TLVs that may be believed (RFC 8972, section 4).
+/// Returns the values of the intact TLVs (RFC 8972, section 4).
 fn read_tlvs(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> TlvValues {
     let mut tlv_values = TlvValues::default();
-    // A reflector that sets this flag returns the TLVs unchanged, so that their code does not match. The flag is
-    // therefore checked first.
-    if tlv::places(tlvs).any(|place| place.flags & tlv::NOT_INTACT != 0) {
-        return TlvValues { altered: Some(ALTERED_PROBE), ..tlv_values };
+    // Checked first: a reflector that sets this flag returns the TLVs unchanged, so that their code does not match.
+    if tlv::headers(tlvs).any(|header| header.flags & tlv::NOT_INTACT != 0) {
+        return TlvValues { alteration: Some(ALTERED_PROBE_TLVS), ..tlv_values };
     }
     if !tlv::are_intact(key, sequence, tlvs) {
-        return TlvValues { altered: Some(ALTERED_ANSWER), ..tlv_values };
+        return TlvValues { alteration: Some(ALTERED_REPLY_TLVS), ..tlv_values };
     }
-    for place in tlv::places(tlvs) {
+    for header in tlv::headers(tlvs) {
         // The TLVs after it are not authenticated.
-        if place.overruns || place.flags & tlv::MALFORMED != 0 || place.kind == tlv::HMAC {
+        if header.overruns || header.flags & tlv::MALFORMED != 0 || header.kind == tlv::HMAC {
             break;
         }
-        if place.flags & tlv::UNRECOGNISED == 0 {
-            match place.kind {
+        if header.flags & tlv::UNRECOGNISED == 0 {
+            match header.kind {
                 tlv::EXTRA_PADDING => {
-                    tlv_values.nonce = tlv_values.nonce.or(tlvs[place.value].try_into().ok());
+                    tlv_values.nonce = tlv_values.nonce.or(tlvs[header.value].try_into().ok());
                 }
-                tlv::FOLLOW_UP => tlv_values.follow_up = FollowUp::from_value(&tlvs[place.value]),
-                tlv::ORIGIN => tlv_values.origin = Origin::from_value(&tlvs[place.value]),
+                tlv::FOLLOW_UP => tlv_values.follow_up = FollowUp::from_value(&tlvs[header.value]),
+                tlv::ORIGIN => tlv_values.origin = Origin::from_value(&tlvs[header.value]),
                 tlv::RAW_STAMPS => {
-                    tlv_values.raw = RawStamps::from_value(&tlvs[place.value]).filter(RawStamps::is_filled);
+                    tlv_values.raw = RawStamps::from_value(&tlvs[header.value]).filter(RawStamps::is_filled);
                 }
                 _ => {}
             }

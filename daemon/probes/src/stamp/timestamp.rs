@@ -45,8 +45,8 @@ impl Format {
         };
         let near = near.unix_seconds();
         // The difference modulo 2³², read as signed, is the shorter way to the stamp in either direction.
-        let way = ((bits >> 32) as u32).wrapping_sub((near + origin) as u32).cast_signed();
-        let seconds = near + i64::from(way);
+        let distance = ((bits >> 32) as u32).wrapping_sub((near + origin) as u32).cast_signed();
+        let seconds = near + i64::from(distance);
         Some(WallTime::from_unix_nanos(seconds.saturating_mul(NANOS).saturating_add(nanos)))
     }
 }

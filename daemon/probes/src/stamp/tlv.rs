@@ -30,11 +30,11 @@ pub const HEADER_BYTES: usize = 4;
 const ORIGIN_MARK: [u8; 4] = *b"PEER";
 const RAW_MARK: [u8; 4] = *b"PRAW";
 
-/// Position of a TLV among the bytes of all TLVs.
+/// Header of a TLV, and its position among the bytes of all TLVs.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct TlvHeader {
     /// Offset of its first byte, the flags.
-    pub at: usize,
+    pub offset: usize,
     /// Flags.
     pub flags: u8,
     /// Type.
@@ -45,28 +45,28 @@ pub struct Place {
     pub overruns: bool,
 }
 
-impl Place {
-    /// Returns the offset at which the next TLV would begin.
+impl TlvHeader {
+    /// Returns the offset at which the next TLV would start.
     pub const fn end(&self) -> usize {
         self.value.end
     }
 }
 
-/// Returns the TLV that begins at `at`. `None` if no TLV can begin there: fewer than four bytes remain, the previous
+/// Returns the TLV that starts at `at`. `None` if no TLV can start there: fewer than four bytes remain, the previous
 /// one overran, or the type is the reserved type 0, which is the padding of TWAMP-light (RFC 8762, section 4.6).
-pub fn place_at(tlvs: &[u8], at: usize) -> Option<Place> {
+pub fn header_at(tlvs: &[u8], at: usize) -> Option<TlvHeader> {
     let [flags, kind, high, low] = *tlvs.get(at..)?.first_chunk::<HEADER_BYTES>()?;
     if kind == 0 {
         return None;
     }
-    let begin = at + HEADER_BYTES;
-    let end = begin + usize::from(u16::from_be_bytes([high, low]));
-    Some(Place { at, flags, kind, value: begin..end.min(tlvs.len()), overruns: end > tlvs.len() })
+    let start = at + HEADER_BYTES;
+    let end = start + usize::from(u16::from_be_bytes([high, low]));
+    Some(TlvHeader { offset: at, flags, kind, value: start..end.min(tlvs.len()), overruns: end > tlvs.len() })
 }
 
 /// Returns the TLVs after a base packet, in order.
-pub fn places(tlvs: &[u8]) -> impl Iterator<Item = Place> + '_ {
-    std::iter::successors(place_at(tlvs, 0), |last| place_at(tlvs, last.end()))
+pub fn headers(tlvs: &[u8]) -> impl Iterator<Item = TlvHeader> + '_ {
+    std::iter::successors(header_at(tlvs, 0), |last| header_at(tlvs, last.end()))
 }
 
 /// Appends a TLV with the flags of a sender.
@@ -195,36 +195,36 @@ impl RawStamps {
     }
 }
 
-/// Returns whether TLVs may be believed (RFC 8972, section 4.8). With a key, these are TLVs before an [`HMAC`] that
-/// authenticates them and the packet's sequence number. Without a key, these are TLVs without an [`HMAC`]. Only padding
-/// may follow an [`HMAC`], and padding alone needs none.
+/// Returns whether TLVs are intact (RFC 8972, section 4.8). With a key, an [`HMAC`] must follow and authenticate them and
+/// the packet's sequence number. Without a key, there must be no [`HMAC`]. Only padding may follow an [`HMAC`], and
+/// padding alone needs none.
 pub fn are_intact(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> bool {
     let mut code = None;
-    let mut bare = false;
-    for place in places(tlvs) {
-        match place.kind {
+    let mut needs_code = false;
+    for header in headers(tlvs) {
+        match header.kind {
             // A second code, or another TLV behind the code, would not be covered by it.
             HMAC if code.is_some() => return false,
-            HMAC => code = Some(place),
+            HMAC => code = Some(header),
             EXTRA_PADDING => {}
             _ if code.is_some() => return false,
-            _ => bare = true,
+            _ => needs_code = true,
         }
     }
     match (key, code) {
         (None, code) => code.is_none(),
-        (Some(_), None) => !bare,
-        (Some(key), Some(place)) => {
-            key.verifies(&[&sequence.to_be_bytes(), &tlvs[..place.at]], &tlvs[place.value])
+        (Some(_), None) => !needs_code,
+        (Some(key), Some(header)) => {
+            key.verifies(&[&sequence.to_be_bytes(), &tlvs[..header.offset]], &tlvs[header.value])
         }
     }
 }
 
 /// Writes the code into the TLV [`HMAC`], if there is one.
-pub fn seal(key: &Key, sequence: u32, tlvs: &mut [u8]) {
-    let place = places(tlvs).find(|place| place.kind == HMAC && place.value.len() == CODE_BYTES);
-    if let Some(place) = place {
-        let code = key.code(&[&sequence.to_be_bytes(), &tlvs[..place.at]]);
-        tlvs[place.value].copy_from_slice(&code);
+pub fn authenticate(key: &Key, sequence: u32, tlvs: &mut [u8]) {
+    let header = headers(tlvs).find(|header| header.kind == HMAC && header.value.len() == CODE_BYTES);
+    if let Some(header) = header {
+        let code = key.code(&[&sequence.to_be_bytes(), &tlvs[..header.offset]]);
+        tlvs[header.value].copy_from_slice(&code);
     }
 }

@@ -61,10 +61,10 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
     let mut sender = SenderState::new(SenderConfig {
         key: key.clone(),
         instance: Some(INSTANCE),
-        bound: mode.bound,
+        with_nonce: mode.with_nonce,
         clocks: mode.clocks,
         ssid: 0xBEEF,
-        first: 0x0102_0304,
+        first_sequence: 0x0102_0304,
         padding_bytes: 24,
         timeout: Span::from_seconds(1),
     });
@@ -75,7 +75,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
     for number in 0..2 {
         let (departure, request) = sender.request_with(&edge, [0xA5; 16]);
         conversation.requests[number] = request.to_vec();
-        sender.sent(departure);
+        sender.record_sent(departure);
         edge.advance(ONE_WAY_DELAY);
 
         // The reflector's free-running clock shows the same time as the edge's.
@@ -89,9 +89,9 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
         let answer = reflector.prepare(&mut packet, &arrival).expect("the request is answered");
         cloud.advance(REFLECTOR_DELAY);
         let stamp = reflector.complete(&answer, &mut packet, &cloud);
-        reflector.sent(&answer, stamp);
+        reflector.record_sent(&answer, stamp);
         let left = stamp + Span::from_micros(5);
-        reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
+        reflector.record_departure(&answer.session(), answer.sequence(), left.wall, left.raw);
         conversation.replies[number] = packet;
 
         edge.advance(REFLECTOR_DELAY + ONE_WAY_DELAY);
@@ -110,12 +110,12 @@ struct Mode {
     with_key: bool,
     clocks: RelatedClocks,
     /// `true` if octets tie an answer to its request. They are random in other code, and fixed here.
-    bound: bool,
+    with_nonce: bool,
 }
 
 impl Mode {
     const fn new(name: &'static str, with_key: bool, clocks: RelatedClocks) -> Self {
-        Self { name, with_key, clocks, bound: false }
+        Self { name, with_key, clocks, with_nonce: false }
     }
 }
 
@@ -125,7 +125,7 @@ const MODES: [Mode; 5] = [
     Mode::new("authenticated", true, RelatedClocks::RawToWall),
     Mode::new("open-raw", false, RelatedClocks::Raw),
     Mode::new("authenticated-raw", true, RelatedClocks::Raw),
-    Mode { bound: true, ..Mode::new("bound-raw", true, RelatedClocks::Raw) },
+    Mode { with_nonce: true, ..Mode::new("bound-raw", true, RelatedClocks::Raw) },
 ];
 
 #[test]

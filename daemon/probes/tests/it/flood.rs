@@ -12,7 +12,7 @@ use crate::support::{
 
 /// Returns the number of probes that the reflector has read from its socket.
 fn probes_read(running: &RunningReflector) -> u64 {
-    let counts = running.figures.read();
+    let counts = running.counters.read();
     counts.answered + counts.refused.iter().map(|(_, count)| count).sum::<u64>()
 }
 
@@ -28,7 +28,7 @@ async fn peers_are_answered_while_forged_sources_flood() {
         sockets.push(UdpSocket::bind((source, 0)).await.expect("loopback has this address"));
     }
     let clock = system_clock("edge");
-    let begun = clock.mono();
+    let started_at = clock.mono();
     let mut config = prober_config(running.address);
     config.timeout = Duration::from_secs(2);
     let mut probing = RunningProber::start(config, 20.0, system_clock("edge"));
@@ -52,8 +52,8 @@ async fn peers_are_answered_while_forged_sources_flood() {
             answered += u32::from(matches!(result, ProbeResult::Answered(_)));
         }
     }
-    let seconds = (clock.mono() - begun).seconds();
-    let counts = running.figures.read();
+    let seconds = (clock.mono() - started_at).seconds();
+    let counts = running.counters.read();
     let most = 200.0 * (1.0 + seconds) + f64::from(answered) + 1.0;
     assert!((counts.answered as f64) <= most, "{} in {seconds} s: {counts:?}", counts.answered);
     assert!(counts.refused(Refusal::TooMany) > 0, "{counts:?}");

@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 
 use peernet_clock::{ExchangeObservation, RelatedClocks, Span};
 use peernet_probes::stamp::uncertainty;
-use peernet_probes::{Key, ProbeResult, ReflectorConfig, Stamps};
+use peernet_probes::{Key, ProbeResult, ReflectorConfig, StampSource};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -70,7 +70,7 @@ fn number(summary: &Value, pointer: &str) -> f64 {
 
 async fn run_foreign_sender(
     key: Option<&SharedKey>,
-    stamps: Stamps,
+    stamps: StampSource,
     clock_format: &str,
     more: &[&str],
 ) -> Value {
@@ -90,7 +90,7 @@ async fn run_foreign_sender(
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}");
-    let counts = running.figures.read();
+    let counts = running.counters.read();
     assert_eq!(counts.answered, 20, "{counts:?}: {errors}");
     running.stop().await;
     let summary =
@@ -119,7 +119,7 @@ fn assert_accepted(summary: &Value) {
 
 #[tokio::test]
 async fn foreign_sender_accepts_our_replies() {
-    for (stamps, format) in [(Stamps::Kernel, "NTP"), (Stamps::Program, "PTP")] {
+    for (stamps, format) in [(StampSource::Kernel, "NTP"), (StampSource::Program, "PTP")] {
         assert_accepted(&run_foreign_sender(None, stamps, format, &[]).await);
     }
 }
@@ -127,7 +127,8 @@ async fn foreign_sender_accepts_our_replies() {
 #[tokio::test]
 async fn foreign_authenticated_sender_accepts_our_replies() {
     let key = SharedKey::new();
-    let summary = run_foreign_sender(Some(&key), Stamps::Kernel, "NTP", &["--extra-padding", "64"]).await;
+    let summary =
+        run_foreign_sender(Some(&key), StampSource::Kernel, "NTP", &["--extra-padding", "64"]).await;
     assert_accepted(&summary);
     assert_eq!(number(&summary, "/measurements/tlv_validation/hmac/verified"), 20.0, "{summary}");
 }
@@ -135,7 +136,7 @@ async fn foreign_authenticated_sender_accepts_our_replies() {
 #[tokio::test]
 async fn foreign_sender_sees_unrecognized_tlvs_flagged() {
     let more = ["--direct-measurement", "--location", "--extra-padding", "200"];
-    let summary = run_foreign_sender(None, Stamps::Kernel, "NTP", &more).await;
+    let summary = run_foreign_sender(None, StampSource::Kernel, "NTP", &more).await;
     assert_accepted(&summary);
     assert_eq!(number(&summary, "/measurements/tlv_validation/flags/unrecognized"), 40.0, "{summary}");
 }
@@ -172,7 +173,10 @@ async fn probe_foreign_reflector(address: &str, key: Option<&SharedKey>, more: &
 fn assert_one_clock(observation: &ExchangeObservation) {
     let offset = wall_ahead_of_this_host(Span::ZERO);
     assert!(observation.exchange.bounds().intersection(offset).is_some(), "{observation:?} {offset:?}");
-    assert_eq!((observation.cloud_epoch, observation.exchange.uncertainty), (None, uncertainty::FOREIGN));
+    assert_eq!(
+        (observation.cloud_epoch, observation.exchange.uncertainty),
+        (None, uncertainty::OTHER_IMPLEMENTATION)
+    );
 }
 
 /// Checks that nothing is refused or lost. Their follow-up may repeat the program's stamp; then nothing is refined.

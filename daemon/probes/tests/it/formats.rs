@@ -78,12 +78,12 @@ proptest! {
 
     #[test]
     fn encoded_packets_decode_to_same_values(sequence: u32, timestamp: u64, bits: u16, ssid: u16, received: u64, number: u32, left: u64, own: u16, ttl: u8) {
-        for mode in [Mode::Open, Mode::Authenticated] {
-            let asked = Request { sequence, timestamp, estimate: ErrorEstimate::from_bits(bits), ssid };
+        for mode in [Mode::Unauthenticated, Mode::Authenticated] {
+            let request = Request { sequence, timestamp, estimate: ErrorEstimate::from_bits(bits), ssid };
             let mut packet = vec![0xAA; mode.base_bytes()];
-            asked.write(mode, &mut packet);
-            prop_assert_eq!(Request::parse(mode, &packet), Some(asked));
-            let reply = Reply { sequence: number, timestamp: left, estimate: ErrorEstimate::from_bits(own), received, asked, ttl };
+            request.write(mode, &mut packet);
+            prop_assert_eq!(Request::parse(mode, &packet), Some(request));
+            let reply = Reply { sequence: number, timestamp: left, estimate: ErrorEstimate::from_bits(own), received, request, ttl };
             reply.write(mode, &mut packet);
             prop_assert_eq!(Reply::parse(mode, &packet), Some(reply));
             prop_assert_eq!(Reply::parse(mode, &packet[..mode.base_bytes() - 1]), None);
@@ -93,7 +93,7 @@ proptest! {
 
 #[test]
 fn fields_have_the_layout_of_the_rfcs() {
-    let asked = Request {
+    let request = Request {
         sequence: 0x0102_0304,
         timestamp: 0x1112_1314_1516_1718,
         estimate: ErrorEstimate::from_bits(0x2122),
@@ -104,11 +104,11 @@ fn fields_have_the_layout_of_the_rfcs() {
         timestamp: 0x5152_5354_5556_5758,
         estimate: ErrorEstimate::from_bits(0x6162),
         received: 0x7172_7374_7576_7778,
-        asked,
+        request,
         ttl: 0x81,
     };
     let mut open = [0xEE; 44];
-    reply.write(Mode::Open, &mut open);
+    reply.write(Mode::Unauthenticated, &mut open);
     #[rustfmt::skip]
     let expected = [
         0x41, 0x42, 0x43, 0x44,
@@ -138,7 +138,7 @@ fn fields_have_the_layout_of_the_rfcs() {
 }
 
 #[test]
-fn the_code_is_hmac_sha_256_cut_to_16_bytes() {
+fn code_is_hmac_sha_256_cut_to_16_bytes() {
     // Test case 1 of RFC 4231.
     let key = Key::from_bytes(&[0x0b; 20]);
     let code =
@@ -152,21 +152,21 @@ fn the_code_is_hmac_sha_256_cut_to_16_bytes() {
 #[test]
 fn altered_base_packet_is_refused() {
     let mut packet = [3; 112];
-    packet::seal(&key(7), &mut packet);
-    assert!(packet::is_sealed(&key(7), &packet));
-    assert!(!packet::is_sealed(&key(8), &packet));
+    packet::authenticate(&key(7), &mut packet);
+    assert!(packet::is_authentic(&key(7), &packet));
+    assert!(!packet::is_authentic(&key(8), &packet));
     for at in 0..packet.len() {
         packet[at] ^= 0x10;
-        assert!(!packet::is_sealed(&key(7), &packet), "byte {at}");
+        assert!(!packet::is_authentic(&key(7), &packet), "byte {at}");
         packet[at] ^= 0x10;
     }
-    assert!(!packet::is_sealed(&key(7), &packet[..111]));
+    assert!(!packet::is_authentic(&key(7), &packet[..111]));
 }
 
 #[test]
 fn tlv_iteration_ends_where_no_tlv_can_begin() {
     let kinds =
-        |bytes: &[u8]| tlv::places(bytes).map(|place| (place.kind, place.overruns)).collect::<Vec<_>>();
+        |bytes: &[u8]| tlv::headers(bytes).map(|header| (header.kind, header.overruns)).collect::<Vec<_>>();
     assert_eq!(kinds(&[]), []);
     assert_eq!(kinds(&[0x80, 1, 0, 1, 9, 0x80, 7, 0, 0, 0x80, 7]), [(1, false), (7, false)]);
     assert_eq!(kinds(&[0x80, 1, 0, 9, 9, 0x80, 7, 0, 0]), [(1, true)]);

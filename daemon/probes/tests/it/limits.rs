@@ -15,8 +15,8 @@ fn forged(number: u32) -> IpAddr {
     Ipv4Addr::from(0x0B00_0000 + number).into()
 }
 
-fn admitted(limiter: &mut Limiter, address: IpAddr, now: MonoTime, asked: usize) -> usize {
-    (0..asked).filter(|_| limiter.admit(address, now).is_ok()).count()
+fn admitted(limiter: &mut Limiter, address: IpAddr, now: MonoTime, requests: usize) -> usize {
+    (0..requests).filter(|_| limiter.admit(address, now).is_ok()).count()
 }
 
 #[test]

@@ -6,7 +6,7 @@ use peernet_clock::{
     Clock, ClockFaultStep, ClockFaults, ClockIdentity, ExchangeObservation, FaultyClock, Interval, MonoTime,
     RawTime, RelatedClocks, SharedClock, Span, SystemClock, WallTime,
 };
-use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, Stamps};
+use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, StampSource};
 use tokio::net::UdpSocket;
 use tokio_util::sync::CancellationToken;
 
@@ -29,7 +29,11 @@ fn contains_zero(observation: &ExchangeObservation) -> bool {
     lo <= Span::ZERO && Span::ZERO <= hi
 }
 
-async fn collect_results(reflector: ReflectorConfig, stamps: Stamps, with_key: bool) -> Vec<ProbeResult> {
+async fn collect_results(
+    reflector: ReflectorConfig,
+    stamps: StampSource,
+    with_key: bool,
+) -> Vec<ProbeResult> {
     let running = RunningReflector::start(reflector, system_clock("cloud"));
     let mut config = prober_config(running.address);
     config.stamps = stamps;
@@ -41,8 +45,8 @@ async fn collect_results(reflector: ReflectorConfig, stamps: Stamps, with_key: b
     }
     results.extend(probing.stop().await);
     let answers = results.iter().filter_map(answered).count() as u64;
-    assert!(running.figures.read().answered >= answers);
-    assert_eq!(running.figures.read().refused.iter().map(|(_, count)| count).sum::<u64>(), 0);
+    assert!(running.counters.read().answered >= answers);
+    assert_eq!(running.counters.read().refused.iter().map(|(_, count)| count).sum::<u64>(), 0);
     running.stop().await;
     results
 }
@@ -50,10 +54,10 @@ async fn collect_results(reflector: ReflectorConfig, stamps: Stamps, with_key: b
 #[tokio::test]
 async fn exchanges_on_one_clock_contain_zero_offset() {
     for (stamps, with_key, stateful) in [
-        (Stamps::Kernel, false, true),
-        (Stamps::Kernel, true, true),
-        (Stamps::Program, false, false),
-        (Stamps::Program, true, true),
+        (StampSource::Kernel, false, true),
+        (StampSource::Kernel, true, true),
+        (StampSource::Program, false, false),
+        (StampSource::Program, true, true),
     ] {
         let config =
             ReflectorConfig { stamps, stateful, key: with_key.then(|| key(7)), ..reflector_config() };
@@ -78,12 +82,12 @@ async fn exchanges_on_one_clock_contain_zero_offset() {
 async fn kernel_stamps_are_used_and_refine_replies() {
     let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let prober = Prober::open(prober_config(running.address), system_clock("edge")).expect("a socket");
-    assert_eq!(prober.stamps_in_words(), "kernel, send and receive");
+    assert_eq!(prober.stamp_source_name(), "kernel, send and receive");
     drop(prober);
     for (stateful, words) in [(true, "kernel, send and receive"), (false, "kernel, receive only")] {
         let config = ReflectorConfig { stateful, ..reflector_config() };
         let reflector = Reflector::bind(config, system_clock("cloud")).expect("a free port");
-        assert_eq!(reflector.stamps_in_words(), words);
+        assert_eq!(reflector.stamp_source_name(), words);
     }
     let mut probing = RunningProber::start(prober_config(running.address), 200.0, system_clock("edge"));
     let mut known = Vec::new();
@@ -110,9 +114,9 @@ async fn kernel_stamps_are_used_and_refine_replies() {
 async fn reflector_without_sessions_or_kernel_stamps_refines_nothing() {
     for config in [
         ReflectorConfig { stateful: false, ..reflector_config() },
-        ReflectorConfig { stamps: Stamps::Program, ..reflector_config() },
+        ReflectorConfig { stamps: StampSource::Program, ..reflector_config() },
     ] {
-        let results = collect_results(config, Stamps::Kernel, false).await;
+        let results = collect_results(config, StampSource::Kernel, false).await;
         assert_eq!(results.iter().filter_map(refined).count(), 0);
     }
 }
@@ -143,7 +147,7 @@ async fn bounds_contain_offset_of_shifted_clock() {
 fn repeatedly_set_clock(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
     let truth = system_clock(name);
     let at = |number: i64| Span::from_nanos(every.nanos() * number);
-    let steps = (1..=1000).map(|number| ClockFaultStep::of_wall(at(number), by[number as usize % 2]));
+    let steps = (1..=1000).map(|number| ClockFaultStep::wall_step(at(number), by[number as usize % 2]));
     let description =
         ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: steps.collect(), since: truth.wall() };
     std::sync::Arc::new(FaultyClock::new(truth, ClockIdentity::new("test", name), description))
@@ -211,7 +215,7 @@ async fn prober_without_the_key_gets_no_reply() {
         assert!(before.iter().all(|result| *result == ProbeResult::Sent), "{before:?}");
         probing.stop().await;
     }
-    let counts = running.figures.read();
+    let counts = running.counters.read();
     assert_eq!(counts.answered, 0);
     assert!(counts.refused(Refusal::Unauthenticated) > 0 && counts.refused(Refusal::Short) > 0, "{counts:?}");
     running.stop().await;
@@ -225,14 +229,14 @@ async fn source_above_its_rate_is_answered_at_limit() {
     let request = [0; 44];
     // Far more than the requests of five seconds, in far less time; otherwise the limit would allow more.
     let clock = system_clock("edge");
-    let begun = clock.mono();
+    let started_at = clock.mono();
     for _ in 0..200 {
         socket.send_to(&request, running.address).await.expect("sent");
     }
-    let figures = running.figures.clone();
+    let counters = running.counters.clone();
     let all = async {
         loop {
-            let counts = figures.read();
+            let counts = counters.read();
             if counts.answered + counts.refused(Refusal::TooOften) == 200 {
                 return counts;
             }
@@ -240,7 +244,7 @@ async fn source_above_its_rate_is_answered_at_limit() {
         }
     };
     let counts = tokio::time::timeout(crate::support::PATIENCE, all).await.expect("all are looked at");
-    let most = 5.0 + 5.0 * (clock.mono() - begun).seconds();
+    let most = 5.0 + 5.0 * (clock.mono() - started_at).seconds();
     assert!(counts.answered >= 5 && counts.answered as f64 <= most + 1.0, "{counts:?}, most {most}");
     running.stop().await;
 }
@@ -363,7 +367,7 @@ async fn stamp_source_is_known_before_first_probe() {
     for (ahead, words) in [(Span::ZERO, "kernel, send and receive"), (Span::from_millis(50), "program")] {
         let mut prober = Prober::open(prober_config(target), shown_clock(ahead)).expect("a socket");
         prober.check_stamps().await;
-        assert_eq!(prober.stamps_in_words(), words, "{ahead}");
+        assert_eq!(prober.stamp_source_name(), words, "{ahead}");
     }
 }
 
@@ -375,7 +379,7 @@ async fn reply_of_unexpected_process_is_refused() {
     let refusal =
         |result: &ProbeResult| if let ProbeResult::Refused(why) = result { Some(*why) } else { None };
     let (why, before) = probing.until(refusal).await;
-    assert_eq!(why, "another process answers the probes than serves the data");
+    assert_eq!(why, "the probes are answered by another process than the one that serves the data");
     assert!(before.iter().all(|result| *result == ProbeResult::Sent), "{before:?}");
     probing.stop().await;
     running.stop().await;

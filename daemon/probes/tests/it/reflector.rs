@@ -6,7 +6,7 @@ use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
 use peernet_probes::Refusal;
 use peernet_probes::stamp::auth::Key;
 use peernet_probes::stamp::packet::{self, Mode, Reply, Request};
-use peernet_probes::stamp::reflector::{Answer, Arrival, ReflectorState};
+use peernet_probes::stamp::reflector::{Arrival, PreparedReply, ReflectorState};
 use peernet_probes::stamp::timestamp::{ErrorEstimate, Format};
 use peernet_probes::stamp::tlv::{self, FollowUp, Origin, RawStamps};
 
@@ -28,7 +28,7 @@ fn arrival(clock: &ManualClock) -> Arrival {
 
 /// Returns a request with these TLVs (type, value).
 fn request(key: Option<&Key>, sequence: u32, ssid: u16, tlvs: &[(u8, &[u8])]) -> Vec<u8> {
-    let mode = Mode::of(key);
+    let mode = Mode::for_key(key);
     let mut packet = vec![0; mode.base_bytes()];
     let timestamp = Format::Ntp.encode(NOW - Span::from_seconds(100));
     let estimate = ErrorEstimate::new(Format::Ntp, Span::ZERO);
@@ -37,22 +37,26 @@ fn request(key: Option<&Key>, sequence: u32, ssid: u16, tlvs: &[(u8, &[u8])]) ->
         tlv::push(&mut packet, *kind, value);
     }
     if let Some(key) = key {
-        tlv::seal(key, sequence, &mut packet[112..]);
-        packet::seal(key, &mut packet);
+        tlv::authenticate(key, sequence, &mut packet[112..]);
+        packet::authenticate(key, &mut packet);
     }
     packet
 }
 
-fn answer(reflector: &mut ReflectorState, clock: &ManualClock, packet: &mut [u8]) -> Result<Answer, Refusal> {
+fn answer(
+    reflector: &mut ReflectorState,
+    clock: &ManualClock,
+    packet: &mut [u8],
+) -> Result<PreparedReply, Refusal> {
     let answer = reflector.prepare(packet, &arrival(clock))?;
     let stamp = reflector.complete(&answer, packet, clock);
-    reflector.sent(&answer, stamp);
+    reflector.record_sent(&answer, stamp);
     Ok(answer)
 }
 
 fn tlvs_of(packet: &[u8], base: usize) -> Vec<(u8, u8, Vec<u8>)> {
     let tlvs = &packet[base..];
-    tlv::places(tlvs).map(|place| (place.kind, place.flags, tlvs[place.value].to_vec())).collect()
+    tlv::headers(tlvs).map(|header| (header.kind, header.flags, tlvs[header.value].to_vec())).collect()
 }
 
 #[test]
@@ -67,12 +71,12 @@ fn reply_contains_both_stamps_and_the_request() {
             ssid: 513,
         };
         let mut packet = vec![0; 44];
-        asked.write(Mode::Open, &mut packet);
+        asked.write(Mode::Unauthenticated, &mut packet);
         let prepared = reflector.prepare(&mut packet, &arrival(&clock)).expect("answered");
         clock.advance(Span::from_micros(30));
         reflector.complete(&prepared, &mut packet, &clock);
-        let reply = Reply::parse(Mode::Open, &packet).expect("long enough");
-        assert_eq!((reply.asked, reply.sequence, packet.len()), (asked, 77, 44));
+        let reply = Reply::parse(Mode::Unauthenticated, &packet).expect("long enough");
+        assert_eq!((reply.request, reply.sequence, packet.len()), (asked, 77, 44));
         assert_eq!(reply.estimate.format(), format, "in the format that was asked in");
         assert_eq!(format.decode(reply.received, NOW), Some(NOW));
         assert_eq!(format.decode(reply.timestamp, NOW), Some(NOW + Span::from_micros(30)));
@@ -111,7 +115,7 @@ fn follow_up_contains_departure_of_previous_reply() {
     // Ignored: a stamp before the program's, one that is absurdly late, and one of another reply.
     let (session, left) = (answered.session(), NOW + Span::from_micros(17));
     let mut departed = |sequence, after| {
-        reflector.departed(&session, sequence, NOW + after, ManualClock::FIRST_RAW + after);
+        reflector.record_departure(&session, sequence, NOW + after, ManualClock::FIRST_RAW + after);
     };
     departed(answered.sequence(), Span::from_micros(17));
     departed(answered.sequence(), -Span::from_nanos(1));
@@ -188,7 +192,7 @@ fn unauthenticated_tlvs_are_returned_without_effect() {
             *packet.last_mut().expect("not empty") ^= 1;
         }
         answer(&mut reflector, &clock, &mut packet).expect("the base packet is authentic");
-        assert!(packet::is_sealed(&key, &packet), "the answer is authenticated");
+        assert!(packet::is_authentic(&key, &packet), "the answer is authenticated");
         let sequence = Reply::parse(Mode::Authenticated, &packet).expect("long").sequence;
         let flags: Vec<u8> = tlvs_of(&packet, 112).iter().map(|(_, flags, _)| *flags).collect();
         (flags, tlv::are_intact(Some(&key), sequence, &packet[112..]))
@@ -240,7 +244,7 @@ fn session_key_applies_to_authenticated_requests_only() {
     let asked = sealed_by(ours);
     let mut packet = asked.clone();
     answer(&mut reflector, &clock, &mut packet).expect("a peer with a session");
-    assert!(packet::is_sealed(ours, &packet) && tlv::are_intact(Some(ours), 0, &packet[112..]));
+    assert!(packet::is_authentic(ours, &packet) && tlv::are_intact(Some(ours), 0, &packet[112..]));
     assert_eq!(packet.len(), asked.len());
     // Neither this reflector nor that of another process answers the answer.
     let mut other = ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
@@ -282,7 +286,7 @@ fn reflectors_do_not_answer_each_other() {
     let clock = clock();
     for format in [Format::Ntp, Format::Ptp] {
         for key in [None, Some(key(7))] {
-            let mode = Mode::of(key.as_ref());
+            let mode = Mode::for_key(key.as_ref());
             let mut one = ReflectorState::new(key.clone(), INSTANCE, 100, true);
             let mut other = ReflectorState::new(key.clone(), INSTANCE, 100, false);
             let mut packet = request(key.as_ref(), 1, 1, &[]);
@@ -290,7 +294,7 @@ fn reflectors_do_not_answer_each_other() {
             asked.estimate = ErrorEstimate::new(format, Span::ZERO);
             asked.write(mode, &mut packet);
             if let Some(key) = &key {
-                packet::seal(key, &mut packet);
+                packet::authenticate(key, &mut packet);
             }
             answer(&mut one, &clock, &mut packet).expect("a request");
             // The other host's clock is years away, and its packet took long to arrive.
@@ -316,8 +320,8 @@ fn twamp_light_senders_with_any_padding_are_answered() {
         packet[12..14].copy_from_slice(&1u16.to_be_bytes());
         answer(&mut reflector, &clock, &mut packet).expect("answered");
         assert_eq!(packet.len(), length);
-        let reply = Reply::parse(Mode::Open, &packet).expect("long enough");
-        assert_eq!((reply.asked.sequence, Format::Ntp.decode(reply.received, NOW)), (9, Some(NOW)));
+        let reply = Reply::parse(Mode::Unauthenticated, &packet).expect("long enough");
+        assert_eq!((reply.request.sequence, Format::Ntp.decode(reply.received, NOW)), (9, Some(NOW)));
     }
     let refused = answer(&mut reflector, &clock, &mut [0; 43]);
     assert_eq!(refused.expect_err("too short"), Refusal::Short);

@@ -21,10 +21,10 @@ fn config() -> SenderConfig {
     SenderConfig {
         key: None,
         instance: None,
-        bound: false,
+        with_nonce: false,
         clocks: RelatedClocks::RawToWall,
         ssid: 1,
-        first: 0,
+        first_sequence: 0,
         padding_bytes: 0,
         timeout: TIMEOUT,
     }
@@ -40,12 +40,12 @@ struct Pair {
 }
 
 impl Pair {
-    fn new(first: u32, with_key: bool) -> Self {
+    fn new(first_sequence: u32, with_key: bool) -> Self {
         let key = with_key.then(|| key(7));
         let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
         Self {
             clock: Arc::new(ManualClock::new(start, ClockIdentity::new("b", "c"))),
-            sender: SenderState::new(SenderConfig { key: key.clone(), ssid: 99, first, ..config() }),
+            sender: SenderState::new(SenderConfig { key: key.clone(), ssid: 99, first_sequence, ..config() }),
             reflector: ReflectorState::new(key, INSTANCE, 1_000_000, true),
             ahead: Span::from_seconds(1),
         }
@@ -77,7 +77,7 @@ impl Pair {
     fn send(&mut self) -> (Departure, Vec<u8>) {
         let (departure, packet) = self.sender.request(&*self.clock);
         let packet = packet.to_vec();
-        assert_eq!(self.sender.sent(departure), 0);
+        assert_eq!(self.sender.record_sent(departure), 0);
         (departure, packet)
     }
 
@@ -90,9 +90,14 @@ impl Pair {
         let answer = self.reflector.prepare(&mut packet, &arrival).expect("answered");
         reflector_clocks.advance(Span::from_micros(50));
         let stamp = self.reflector.complete(&answer, &mut packet, &reflector_clocks);
-        self.reflector.sent(&answer, stamp);
-        let left = stamp + Span::from_micros(5);
-        self.reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
+        self.reflector.record_sent(&answer, stamp);
+        let departed_at = stamp + Span::from_micros(5);
+        self.reflector.record_departure(
+            &answer.session(),
+            answer.sequence(),
+            departed_at.wall,
+            departed_at.raw,
+        );
         self.clock.advance(Span::from_micros(55) + ONE_WAY_DELAY);
         packet
     }
@@ -111,7 +116,7 @@ impl Pair {
     /// Returns the next answer. The kernel stamped its arrival when the program's clock showed `kernel`.
     fn stamped(&mut self, kernel: WallTime) -> ExchangeObservation {
         let (departure, packet) = self.send();
-        self.sender.departed(departure.sequence(), self.clock.wall(), self.clock.wall_ahead());
+        self.sender.record_departure(departure.sequence(), self.clock.wall(), self.clock.wall_ahead());
         let reply = self.reflect(packet);
         let returned = self.returned(Some(kernel));
         answered(&self.sender.receive(&reply, &returned).expect("an answer"))
@@ -126,10 +131,11 @@ impl Pair {
     /// Returns the reply with another origin.
     fn with_origin(reply: &[u8], change: impl Fn(&mut Origin)) -> Vec<u8> {
         let mut reply = reply.to_vec();
-        let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::ORIGIN).expect("we ask for it");
-        let mut origin = Origin::from_value(&reply[44..][place.value.clone()]).expect("ours");
+        let header =
+            tlv::headers(&reply[44..]).find(|header| header.kind == tlv::ORIGIN).expect("we ask for it");
+        let mut origin = Origin::from_value(&reply[44..][header.value.clone()]).expect("ours");
         change(&mut origin);
-        reply[44..][place.value].copy_from_slice(&origin.to_value());
+        reply[44..][header.value].copy_from_slice(&origin.to_value());
         reply
     }
 }
@@ -138,15 +144,15 @@ impl Pair {
 fn next_reply_refines_departure_of_previous_one() {
     for with_key in [false, true] {
         let mut pair = Pair::new(0, with_key);
-        let begun = pair.clock.stamp();
+        let started_at = pair.clock.stamp();
         let first = pair.exchange();
         let ExchangeObservation { exchange, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
-        assert_eq!(exchange.sent, begun.raw);
-        assert_eq!(exchange.received, RawTime::of_wall(begun.wall + ONE_WAY_DELAY + pair.ahead));
+        assert_eq!(exchange.sent, started_at.raw);
+        assert_eq!(exchange.received, RawTime::from_wall(started_at.wall + ONE_WAY_DELAY + pair.ahead));
         assert_eq!(exchange.replied, exchange.received + Span::from_micros(50));
         assert_eq!(exchange.returned, pair.clock.raw());
-        assert_eq!(exchange.uncertainty, uncertainty::OWN);
+        assert_eq!(exchange.uncertainty, uncertainty::PEERNET_ENDS);
         assert_eq!((cloud_elapsed, edge_epoch, cloud_epoch), (None, 0, Some(0)));
 
         let second = pair.exchange();
@@ -167,12 +173,12 @@ fn plausible_kernel_departure_stamp_is_used() {
         [(Span::from_micros(9), true), (-Span::from_nanos(1), false), (Span::from_seconds(2), false)]
     {
         let mut pair = Pair::new(0, false);
-        let begun = pair.clock.stamp();
+        let started_at = pair.clock.stamp();
         let (departure, packet) = pair.send();
-        pair.sender.departed(departure.sequence(), begun.wall + late, pair.clock.wall_ahead());
+        pair.sender.record_departure(departure.sequence(), started_at.wall + late, pair.clock.wall_ahead());
         let reply = pair.reflect(packet);
         let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
-        assert_eq!(answered.exchange.sent, if taken { begun.raw + late } else { begun.raw });
+        assert_eq!(answered.exchange.sent, if taken { started_at.raw + late } else { started_at.raw });
     }
 }
 
@@ -208,12 +214,12 @@ fn late_replies_are_lost_and_duplicates_count_once() {
     assert_eq!(pair.sender.deadline(), None);
     let reply = pair.reflect(slow);
     let mut forged = reply.clone();
-    let mut fields = Reply::parse(Mode::Open, &forged).expect("a reply");
-    fields.asked.timestamp += 1;
-    fields.write(Mode::Open, &mut forged);
-    assert_eq!(pair.receive_reply(&forged), Err("to another stamp than was sent"));
+    let mut fields = Reply::parse(Mode::Unauthenticated, &forged).expect("a reply");
+    fields.request.timestamp += 1;
+    fields.write(Mode::Unauthenticated, &mut forged);
+    assert_eq!(pair.receive_reply(&forged), Err("an answer with another stamp than that of its probe"));
     assert_eq!(pair.receive_reply(&reply), Err(LATE));
-    assert_eq!(pair.receive_reply(&reply), Err("to no probe of ours, or to one of long ago"), "late once");
+    assert_eq!(pair.receive_reply(&reply), Err("an answer to an unknown or forgotten probe"), "late once");
 }
 
 #[test]
@@ -223,16 +229,19 @@ fn reply_with_wrong_request_fields_is_refused() {
     let reply = pair.reflect(packet);
     let mut forge = |change: fn(&mut Reply)| {
         let mut forged = reply.clone();
-        let mut fields = Reply::parse(Mode::Open, &forged).expect("a reply");
+        let mut fields = Reply::parse(Mode::Unauthenticated, &forged).expect("a reply");
         change(&mut fields);
-        fields.write(Mode::Open, &mut forged);
+        fields.write(Mode::Unauthenticated, &mut forged);
         pair.receive_reply(&forged)
     };
-    assert_eq!(forge(|reply| reply.asked.ssid = 98), Err("of another session"));
-    assert_eq!(forge(|reply| reply.asked.sequence += 1), Err("to no probe of ours, or to one of long ago"));
-    assert_eq!(forge(|reply| reply.asked.timestamp ^= 1), Err("to another stamp than was sent"));
-    assert_eq!(forge(|reply| reply.received = 0), Err("without the reflector's stamps"));
-    assert!(forge(|reply| reply.asked.ssid = 0).is_ok(), "as reflectors do that know of no identifiers");
+    assert_eq!(forge(|reply| reply.request.ssid = 98), Err("an answer of another session"));
+    assert_eq!(forge(|reply| reply.request.sequence += 1), Err("an answer to an unknown or forgotten probe"));
+    assert_eq!(
+        forge(|reply| reply.request.timestamp ^= 1),
+        Err("an answer with another stamp than that of its probe")
+    );
+    assert_eq!(forge(|reply| reply.received = 0), Err("an answer without the reflector's stamps"));
+    assert!(forge(|reply| reply.request.ssid = 0).is_ok(), "as reflectors do that know of no identifiers");
 }
 
 #[test]
@@ -250,7 +259,7 @@ fn altered_reply_is_refused_and_altered_tlvs_ignored() {
     *touched.last_mut().expect("not empty") ^= 1;
     let reply_result = pair.receive_reply(&touched).expect("its base packet is authentic");
     assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, None));
-    assert_eq!(answered(&reply_result).exchange.uncertainty, uncertainty::FOREIGN);
+    assert_eq!(answered(&reply_result).exchange.uncertainty, uncertainty::OTHER_IMPLEMENTATION);
 }
 
 #[test]
@@ -259,24 +268,25 @@ fn tlvs_of_another_probe_are_refused() {
         let mut pair = Pair::raw(true);
         let clocks = RelatedClocks::Raw;
         let (key, instance) = (Some(key(7)), Some(INSTANCE));
-        pair.sender = SenderState::new(SenderConfig { key, instance, bound: true, ssid, clocks, ..config() });
+        pair.sender =
+            SenderState::new(SenderConfig { key, instance, with_nonce: true, ssid, clocks, ..config() });
         pair
     };
     let mut earlier = bound(1);
     let (_, packet) = earlier.send();
-    let told = earlier.reflect(packet);
+    let result = earlier.reflect(packet);
     let mut pair = bound(2);
     pair.clock.advance(Span::from_seconds(9));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
     // Both halves are authentic, each by itself.
-    let spliced = [&reply[..112], &told[112..]].concat();
-    assert_eq!(pair.receive_reply(&spliced), Err("with what was told to another probe"));
+    let spliced = [&reply[..112], &result[112..]].concat();
+    assert_eq!(pair.receive_reply(&spliced), Err("an answer with the random octets of another probe"));
     // The octets are right, but in a place that is not authenticated.
-    let octets = tlv::places(&reply[112..]).find(|place| place.kind == tlv::EXTRA_PADDING).expect("bound");
+    let octets = tlv::headers(&reply[112..]).find(|header| header.kind == tlv::EXTRA_PADDING).expect("bound");
     let mut appended = spliced;
     tlv::push(&mut appended, tlv::EXTRA_PADDING, &reply[112..][octets.value]);
-    assert_eq!(pair.receive_reply(&appended), Err("with what was told to another probe"));
+    assert_eq!(pair.receive_reply(&appended), Err("an answer with the random octets of another probe"));
     let exchange = answered(&pair.receive_reply(&reply).expect("the real one")).exchange;
     assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY);
 }
@@ -294,7 +304,10 @@ fn reply_of_reflector_without_tlvs_is_accepted() {
             reply[44..].copy_from_slice(&packet[44..]);
         }
         let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
-        assert_eq!((answered.cloud_epoch, answered.exchange.uncertainty), (None, uncertainty::FOREIGN));
+        assert_eq!(
+            (answered.cloud_epoch, answered.exchange.uncertainty),
+            (None, uncertainty::OTHER_IMPLEMENTATION)
+        );
     }
 }
 
@@ -316,7 +329,7 @@ fn remembered_probes_are_bounded() {
     let mut given_up = 0;
     for _ in 0..5000 {
         let (departure, _) = pair.sender.request(&*pair.clock);
-        given_up += pair.sender.sent(departure);
+        given_up += pair.sender.record_sent(departure);
     }
     let lost = pair.sender.expire(MonoTime::from_nanos(i64::MAX));
     assert_eq!(given_up + lost, 5000, "each is lost once");
@@ -326,11 +339,15 @@ fn remembered_probes_are_bounded() {
 #[test]
 fn requests_are_authentic_and_padded_as_configured() {
     let clock = ManualClock::new(WallTime::from_unix_nanos(1), ClockIdentity::new("b", "c"));
-    let mut sender =
-        SenderState::new(SenderConfig { key: Some(key(7)), first: 5, padding_bytes: 100, ..config() });
+    let mut sender = SenderState::new(SenderConfig {
+        key: Some(key(7)),
+        first_sequence: 5,
+        padding_bytes: 100,
+        ..config()
+    });
     let (departure, packet) = sender.request(&clock);
     assert_eq!(departure.sequence(), 5);
-    assert!(packet::is_sealed(&key(7), packet));
+    assert!(packet::is_authentic(&key(7), packet));
     assert!(tlv::are_intact(Some(&key(7)), 5, &packet[112..]));
     assert_eq!(packet.len(), 112 + 20 + 20 + 20 + 104);
     let mut sender = SenderState::new(config());
@@ -366,10 +383,13 @@ fn reply_of_another_process_is_refused() {
         pair.sender = SenderState::new(SenderConfig { instance: expected, ..config() });
         let (_, packet) = pair.send();
         let reply = pair.reflect(packet);
-        let told = pair.receive_reply(&reply);
-        assert_eq!(told.is_ok(), believed, "{expected:?}: {told:?}");
+        let result = pair.receive_reply(&reply);
+        assert_eq!(result.is_ok(), believed, "{expected:?}: {result:?}");
         if !believed {
-            assert_eq!(told, Err("another process answers the probes than serves the data"));
+            assert_eq!(
+                result,
+                Err("the probes are answered by another process than the one that serves the data")
+            );
             let real = Pair::with_origin(&reply, |origin| origin.instance = INSTANCE + 1);
             assert!(pair.receive_reply(&real).is_ok(), "the right one may still answer");
         }
@@ -384,8 +404,11 @@ fn reply_without_expected_origin_is_refused() {
     let reply = pair.reflect(packet.clone());
     let foreign = [&reply[..44], &packet[44..]].concat();
     for reply in [&reply[..44], &foreign] {
-        let told = pair.receive_reply(reply);
-        assert_eq!(told, Err("something else answers the probes than the agent that serves the data"));
+        let result = pair.receive_reply(reply);
+        assert_eq!(
+            result,
+            Err("the probes are answered by another program than the agent that serves the data")
+        );
     }
     assert!(pair.receive_reply(&reply).is_ok());
 }
@@ -394,26 +417,26 @@ fn reply_without_expected_origin_is_refused() {
 fn reply_with_damaged_tlvs_is_refused_with_reason() {
     let mut pair = Pair::raw(true);
     let (key, instance, clocks) = (Some(key(7)), Some(INSTANCE), RelatedClocks::Raw);
-    pair.sender = SenderState::new(SenderConfig { key, instance, bound: true, clocks, ..config() });
+    pair.sender = SenderState::new(SenderConfig { key, instance, with_nonce: true, clocks, ..config() });
     let (_, packet) = pair.send();
     let mut altered_request = packet.clone();
     altered_request[112 + tlv::HEADER_BYTES] ^= 1;
     let reply = pair.reflect(altered_request);
-    let said = pair.receive_reply(&reply).expect_err("the probe was altered");
-    assert!(said.contains("HMAC of the probe's TLVs does not fit"), "{said}");
+    let error = pair.receive_reply(&reply).expect_err("the probe was altered");
+    assert!(error.contains("HMAC of the probe's TLVs does not fit"), "{error}");
     let reply = pair.reflect(packet);
-    let code = tlv::places(&reply[112..]).find(|place| place.kind == tlv::HMAC).expect("authenticated");
-    for at in 112..112 + code.at {
+    let code = tlv::headers(&reply[112..]).find(|header| header.kind == tlv::HMAC).expect("authenticated");
+    for at in 112..112 + code.offset {
         let mut altered = reply.clone();
         altered[at] ^= 1;
-        let said = pair.receive_reply(&altered).expect_err("the reply was altered");
-        assert!(!said.contains("something else answers"), "octet {at}: {said}");
+        let error = pair.receive_reply(&altered).expect_err("the reply was altered");
+        assert!(!error.contains("another program"), "octet {at}: {error}");
     }
     let mut altered = reply.clone();
     *altered.last_mut().expect("not empty") ^= 1;
     assert!(pair.receive_reply(&altered).expect_err("altered").contains("TLVs whose HMAC does not fit"));
-    let said = pair.receive_reply(&reply[..112]).expect_err("cut off");
-    assert!(said.contains("does not say which process wrote it"), "{said}");
+    let error = pair.receive_reply(&reply[..112]).expect_err("cut off");
+    assert!(error.contains("does not say which process wrote it"), "{error}");
     assert!(pair.receive_reply(&reply).is_ok());
 }
 
@@ -428,11 +451,11 @@ fn kernel_stamps_of_another_clock_are_distrusted() {
         // Whatever the kernel's stamp is, the packet had arrived when the program read its clock.
         let earlier = early.max(Span::ZERO);
         assert_eq!(got, if sound { back.raw - earlier } else { back.raw }, "{early}");
-        assert_eq!(pair.sender.distrusts_kernel(), !sound, "{early}");
-        let (begun, back) = (pair.clock.raw(), pair.clock.stamp() + there_and_back);
+        assert_eq!(pair.sender.ignores_kernel_stamps(), !sound, "{early}");
+        let (started_at, back) = (pair.clock.raw(), pair.clock.stamp() + there_and_back);
         let next = pair.stamped(back.wall - little);
         assert_eq!(next.exchange.returned, if sound { back.raw - little } else { back.raw }, "{early}");
-        assert_eq!(next.exchange.sent, begun, "{early}");
+        assert_eq!(next.exchange.sent, started_at, "{early}");
     }
 }
 
@@ -441,33 +464,36 @@ fn kernel_departure_before_ours_is_distrusted() {
     let mut pair = Pair::new(0, false);
     let (departure, packet) = pair.send();
     let early = pair.clock.wall() - Span::from_micros(300);
-    pair.sender.departed(departure.sequence(), early, pair.clock.wall_ahead());
+    pair.sender.record_departure(departure.sequence(), early, pair.clock.wall_ahead());
     let reply = pair.reflect(packet);
     pair.receive_reply(&reply).expect("an answer");
-    assert!(pair.sender.distrusts_kernel());
+    assert!(pair.sender.ignores_kernel_stamps());
 }
 
 #[test]
 fn setting_wall_clock_causes_no_distrust_of_kernel() {
     for by in [Span::from_seconds(3), -Span::from_seconds(3)] {
         let mut pair = Pair::raw(false);
-        let begun = pair.clock.raw();
+        let started_at = pair.clock.raw();
         let (departure, packet) = pair.send();
         // It really leaves slightly later; then the clock is set, and only then is the kernel's stamp read.
-        let left = pair.clock.wall() + Span::from_micros(9);
+        let departed_at = pair.clock.wall() + Span::from_micros(9);
         let reply = pair.reflect(packet);
         let kernel = pair.clock.wall();
         let arrived = pair.clock.raw();
         pair.clock.step_wall(by);
-        pair.sender.departed(departure.sequence(), left, pair.clock.wall_ahead());
+        pair.sender.record_departure(departure.sequence(), departed_at, pair.clock.wall_ahead());
         pair.clock.advance(Span::from_micros(20));
         let returned = pair.returned(Some(kernel));
         let reply_result = pair.sender.receive(&reply, &returned).expect("an answer");
         let exchange = answered(&reply_result).exchange;
-        assert!(begun <= exchange.sent && exchange.sent <= begun + Span::from_micros(9), "{exchange:?}");
+        assert!(
+            started_at <= exchange.sent && exchange.sent <= started_at + Span::from_micros(9),
+            "{exchange:?}"
+        );
         assert!(arrived <= exchange.returned && exchange.returned <= pair.clock.raw(), "{exchange:?}");
         assert!(exchange.bounds().contains(Span::ZERO), "{exchange:?}");
-        assert!(!pair.sender.distrusts_kernel());
+        assert!(!pair.sender.ignores_kernel_stamps());
     }
 }
 
@@ -475,11 +501,11 @@ fn setting_wall_clock_causes_no_distrust_of_kernel() {
 fn raw_exchange_is_of_both_free_running_clocks() {
     for with_key in [false, true] {
         let mut pair = Pair::raw(with_key);
-        let begun = pair.clock.raw();
+        let started_at = pair.clock.raw();
         let first = answered(&pair.exchange());
-        assert_eq!((first.exchange.sent, first.exchange.returned), (begun, pair.clock.raw()));
-        assert_eq!(first.exchange.received, begun + ONE_WAY_DELAY, "the same by both");
-        assert_eq!(first.exchange.replied, begun + ONE_WAY_DELAY + Span::from_micros(50));
+        assert_eq!((first.exchange.sent, first.exchange.returned), (started_at, pair.clock.raw()));
+        assert_eq!(first.exchange.received, started_at + ONE_WAY_DELAY, "the same by both");
+        assert_eq!(first.exchange.replied, started_at + ONE_WAY_DELAY + Span::from_micros(50));
         assert_eq!(first.cloud_epoch, Some(0));
         // Steps of wall clocks have no effect.
         pair.clock.step_wall(Span::from_seconds(60));
@@ -500,12 +526,13 @@ fn reply_without_raw_stamps_is_refused_where_they_are_asked_for() {
     let mut pair = Pair::raw(false);
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet.clone());
-    let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::RAW_STAMPS).expect("we ask for it");
+    let header =
+        tlv::headers(&reply[44..]).find(|header| header.kind == tlv::RAW_STAMPS).expect("we ask for it");
     // Answers of a release that does not know the type, and of one that leaves it empty.
     let mut unknown = reply.clone();
-    unknown[44 + place.at] = tlv::UNRECOGNISED;
+    unknown[44 + header.offset] = tlv::UNRECOGNISED;
     let mut empty = reply.clone();
-    empty[44..][place.value].copy_from_slice(&RawStamps::default().to_value());
+    empty[44..][header.value].copy_from_slice(&RawStamps::default().to_value());
     for touched in [unknown, empty, reply[..44].to_vec()] {
         assert_eq!(
             pair.receive_reply(&touched),

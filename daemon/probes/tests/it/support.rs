@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use peernet_clock::{ClockIdentity, Interval, RelatedClocks, SharedClock, Span, SystemClock};
 use peernet_probes::{
-    Key, ProbeResult, Prober, ProberConfig, ReceiveError, Reflector, ReflectorConfig, ReflectorFigures,
-    Stamps,
+    Key, ProbeResult, Prober, ProberConfig, ReceiveError, Reflector, ReflectorConfig, ReflectorCounters,
+    StampSource,
 };
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -46,7 +46,7 @@ pub(crate) fn reflector_config() -> ReflectorConfig {
         session_key: None,
         instance: INSTANCE,
         max_per_source_hz: 10_000,
-        stamps: Stamps::Kernel,
+        stamps: StampSource::Kernel,
         stateful: true,
     }
 }
@@ -58,7 +58,7 @@ pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
         instance: None,
         clocks: RelatedClocks::Raw,
         padding_bytes: 0,
-        stamps: Stamps::Kernel,
+        stamps: StampSource::Kernel,
         timeout: Duration::from_secs(20),
     }
 }
@@ -66,7 +66,7 @@ pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
 /// A running reflector.
 pub(crate) struct RunningReflector {
     pub(crate) address: SocketAddr,
-    pub(crate) figures: ReflectorFigures,
+    pub(crate) counters: ReflectorCounters,
     pub(crate) peers: watch::Sender<Vec<IpAddr>>,
     stop: CancellationToken,
     task: JoinHandle<Result<(), ReceiveError>>,
@@ -75,11 +75,11 @@ pub(crate) struct RunningReflector {
 impl RunningReflector {
     pub(crate) fn start(config: ReflectorConfig, clock: SharedClock) -> Self {
         let reflector = Reflector::bind(config, clock).expect("loopback has free ports");
-        let (address, figures) = (reflector.address(), reflector.figures());
+        let (address, counters) = (reflector.address(), reflector.counters());
         let peers = reflector.peers();
         let stop = CancellationToken::new();
         let task = tokio::spawn(reflector.run(stop.clone()));
-        Self { address, figures, peers, stop, task }
+        Self { address, counters, peers, stop, task }
     }
 
     pub(crate) async fn stop(self) {

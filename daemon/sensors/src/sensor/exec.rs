@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, SharedClock};
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
-    CommandLine, ExchangeError, FingerprintKey, Notes, Program, ReplyOutcome, Request, Role,
+    CommandLine, ExchangeError, FingerprintKey, Program, ReplyNotes, ReplyOutcome, Request, Role,
 };
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
@@ -18,7 +18,7 @@ struct Exec {
     facts: Vec<(String, String)>,
     program: Program,
     /// Sequence number of the last sample, if the program numbers its samples.
-    last: Option<u64>,
+    last_sequence: Option<u64>,
 }
 
 impl SensorKind for ExecConfig {
@@ -27,21 +27,22 @@ impl SensorKind for ExecConfig {
         let facts = self.facts(Role::Sensor);
         let program = Program::start(self, Role::Sensor, &format!("sensor {command}"), clock)
             .map_err(|error| SensorError::Program { command: command.clone(), error })?;
-        Ok(Box::new(Exec { command, facts, program, last: None }))
+        Ok(Box::new(Exec { command, facts, program, last_sequence: None }))
     }
 
     fn check(&self, _clock: &SharedClock) -> Result<(), SensorError> {
         // This check does not run the program.
-        Self::check(self)
-            .map_err(|reason| SensorError::Config(format!("the program of an exec sensor: {reason}")))
+        Self::check(self).map_err(|reason| {
+            SensorError::Config(format!("cannot run the program of an exec sensor: {reason}"))
+        })
     }
 
     fn is_program(&self) -> bool {
         true
     }
 
-    fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
-        Self::arguments(self, Role::Sensor, key)
+    fn arguments_fact(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        Self::arguments_fact(self, Role::Sensor, key)
     }
 
     fn hide_secrets(&mut self) {
@@ -52,7 +53,7 @@ impl SensorKind for ExecConfig {
 impl SensorConfig {
     /// Returns the configuration of a program, given as a line for the shell.
     pub fn program(command: &str) -> Self {
-        ExecConfig::of(CommandLine::Shell(command.to_owned())).into()
+        ExecConfig::new(CommandLine::Shell(command.to_owned())).into()
     }
 }
 
@@ -62,9 +63,9 @@ impl Exec {
     }
 
     /// Records the stages, values and dropped samples that the program reported with its sample.
-    fn record_notes(&mut self, notes: &Notes, log: &mut Recorder, began: MonoTime) {
+    fn record_notes(&mut self, notes: &ReplyNotes, log: &mut Recorder, started_at: MonoTime) {
         for (name, span) in &notes.stages {
-            log.timed(Name::from(name.as_str()), began, began + *span);
+            log.record_timer(Name::from(name.as_str()), started_at, started_at + *span);
         }
         for (name, value, unit) in &notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
@@ -72,24 +73,24 @@ impl Exec {
         if let Some(sequence) = notes.sequence {
             // Samples that the program captured and did not pass on leave gaps in its numbers. A smaller number than
             // expected means that the program was restarted; then the number of missed samples is unknown.
-            let next = self.last.and_then(|last| last.checked_add(1));
+            let next = self.last_sequence.and_then(|last| last.checked_add(1));
             let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
             log.value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
-            self.last = Some(sequence);
+            self.last_sequence = Some(sequence);
         }
     }
 }
 
 impl Sensor for Exec {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
-        let exchange = self.program.ask(Request::Next).map_err(|error| self.failed(error))?;
-        let restart = exchange.restart();
+        let exchange = self.program.call(Request::Next).map_err(|error| self.failed(error))?;
+        let restart = exchange.restart_interval();
         let ReplyOutcome::Parts(parts) = exchange.outcome else { return Ok(None) };
         if let Some((from, to)) = restart {
-            log.timed(stage::CAPTURE_RESTART, from, to);
+            log.record_timer(stage::CAPTURE_RESTART, from, to);
         }
-        self.record_notes(&exchange.notes, log, exchange.began);
-        let Notes { source, label, .. } = exchange.notes;
+        self.record_notes(&exchange.notes, log, exchange.started_at);
+        let ReplyNotes { source, label, .. } = exchange.notes;
         Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))
     }
 

@@ -36,24 +36,24 @@ impl SensorKind for PythonConfig {
 impl SensorConfig {
     /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
     pub fn python_object(object: &str, pickle: bool) -> Self {
-        PythonConfig { pickle, ..PythonConfig::of(object) }.into()
+        PythonConfig { pickle, ..PythonConfig::new(object) }.into()
     }
 }
 
 impl Sensor for Python {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let called = self.object.call(&[]);
-        let begun = called.times.begun;
-        if let Some(from) = called.times.restarted {
-            log.timed(stage::CAPTURE_RESTART, from, begun);
+        let started_at = called.times.started_at;
+        if let Some(from) = called.times.restarted_at {
+            log.record_timer(stage::CAPTURE_RESTART, from, started_at);
         }
         // Summaries group nodes by name, so that this stage must not have the name of the model's `ipc`.
-        log.timed(stage::CAPTURE_IPC, begun, begun + called.times.overhead());
+        log.record_timer(stage::CAPTURE_IPC, started_at, started_at + called.times.overhead());
         let Some(parts) = called.result? else { return Ok(None) };
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        self.object.about().facts("Sensor")
+        self.object.description().facts("Sensor")
     }
 }

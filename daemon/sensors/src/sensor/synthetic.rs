@@ -32,19 +32,20 @@ pub struct SyntheticConfig {
 
 impl SensorKind for SyntheticConfig {
     fn open(&self, _clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
-        let wrong = |reason: &str| Err(SensorError::Config(format!("a synthetic sensor {reason}")));
+        let config_error = |reason: &str| Err(SensorError::Config(format!("a synthetic sensor {reason}")));
         let sizes = match self.size_bytes {
             Some(_) if !self.sizes_bytes.is_empty() => {
-                return wrong("takes size_bytes or sizes_bytes, not both");
+                return config_error("takes size_bytes or sizes_bytes, not both");
             }
             Some(ref size) => std::slice::from_ref(size),
             None => &self.sizes_bytes,
         };
         let largest = match sizes.iter().max() {
             Some(&largest) if largest <= MAX_BYTES => largest,
-            Some(_) => return wrong("gives at most 1073741824 bytes a sample: lower its size"),
-            None => return wrong("needs size_bytes or sizes_bytes"),
+            Some(_) => return config_error("produces at most 1073741824 bytes per sample; lower its size"),
+            None => return config_error("needs size_bytes or sizes_bytes"),
         };
+        // All payloads are slices of one buffer, so that many sizes take no more memory than the largest.
         let mut buffer = vec![0; largest];
         StdRng::seed_from_u64(self.seed).fill_bytes(&mut buffer);
         let buffer = Bytes::from(buffer);
@@ -65,7 +66,7 @@ impl SensorConfig {
     }
 }
 
-/// Payloads of given sizes in turn; each is the beginning of one random buffer.
+/// Payloads of the given sizes, one after the other. Each is the first part of one random buffer.
 struct Synthetic {
     payloads: Vec<Bytes>,
     next: usize,
@@ -75,7 +76,7 @@ impl Sensor for Synthetic {
     fn sample(&mut self, _log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let payload = self.payloads[self.next].clone();
         self.next = (self.next + 1) % self.payloads.len();
-        Ok(Some(Sample::of(Description::bytes(), payload)))
+        Ok(Some(Sample::from_part(Description::bytes(), payload)))
     }
 
     fn blocks(&self) -> bool {

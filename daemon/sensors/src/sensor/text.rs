@@ -31,7 +31,7 @@ impl SensorKind for TextConfig {
     fn open(&self, _clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         if self.length > MAX_LENGTH {
             return Err(SensorError::Config(format!(
-                "a text sensor gives at most {MAX_LENGTH} characters a sample: lower its length"
+                "a text sensor produces at most {MAX_LENGTH} characters per sample; lower its length"
             )));
         }
         Ok(Box::new(Text { length: self.length, random: StdRng::seed_from_u64(self.seed) }))
@@ -54,7 +54,7 @@ struct Text {
 impl Sensor for Text {
     fn sample(&mut self, _log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let text = Alphanumeric.sample_string(&mut self.random, self.length);
-        Ok(Some(Sample::of(Description::unshaped(MediaType::Text), text.into())))
+        Ok(Some(Sample::from_part(Description::unshaped(MediaType::Text), text.into())))
     }
 
     /// Generating a long text takes longer than waking a thread.

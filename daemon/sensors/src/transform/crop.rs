@@ -5,7 +5,7 @@ use peernet_logger::Recorder;
 use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
 
-use super::{TransformKind, change, channels, check_size};
+use super::{TransformKind, check_size, transform_pictures, working_format};
 use crate::{SensorError, Transform};
 
 /// Configuration of the transform: `{ kind = "crop", … }`.
@@ -40,8 +40,8 @@ struct CropTransform {
 impl Transform for CropTransform {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
         let Self { crop: rectangle, picture } = self;
-        change(sample, "crop", |part| {
-            read_part(part, channels(part), picture)?;
+        transform_pictures(sample, "crop", |part| {
+            read_part(part, working_format(part), picture)?;
             let mut cropped = Picture::default();
             crop(picture, *rectangle, &mut cropped)?;
             Ok(cropped.into_part())

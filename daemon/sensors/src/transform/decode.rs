@@ -5,7 +5,7 @@ use peernet_logger::Recorder;
 use peernet_sample::{MediaType, Sample};
 use serde::{Deserialize, Serialize};
 
-use super::{TransformConfig, TransformKind, change, channels};
+use super::{TransformConfig, TransformKind, transform_pictures, working_format};
 use crate::{SensorError, Transform};
 
 /// Configuration of the transform: `{ kind = "decode" }`.
@@ -30,12 +30,12 @@ struct Decode;
 
 impl Transform for Decode {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
-        change(sample, "decode", |part| {
+        transform_pictures(sample, "decode", |part| {
             if let MediaType::Pixels(_) = part.description.media {
                 return Ok(part.clone());
             }
             let mut picture = Picture::default();
-            read_part(part, channels(part), &mut picture)?;
+            read_part(part, working_format(part), &mut picture)?;
             Ok(picture.into_part())
         })
     }

@@ -5,7 +5,7 @@ use peernet_logger::Recorder;
 use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
 
-use super::{TransformConfig, TransformKind, change, channels};
+use super::{TransformConfig, TransformKind, transform_pictures, working_format};
 use crate::{SensorError, Transform};
 
 /// Configuration of the transform: `{ kind = "encode", … }`.
@@ -58,8 +58,8 @@ struct Encode {
 impl Transform for Encode {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
         let Self { encoding, picture } = self;
-        change(sample, "encode", |part| {
-            read_part(part, channels(part), picture)?;
+        transform_pictures(sample, "encode", |part| {
+            read_part(part, working_format(part), picture)?;
             encode(picture, *encoding)
         })
     }

@@ -51,21 +51,22 @@ fn check_size(width: u32, height: u32, what: &str) -> Result<(), SensorError> {
 }
 
 /// Changes every picture of a sample and leaves its other parts unchanged. A sample without a picture is an error.
-fn change(
+fn transform_pictures(
     mut sample: Sample,
     action: &'static str,
-    mut change: impl FnMut(&Part) -> Result<Part, ImageError>,
+    mut transform_pictures: impl FnMut(&Part) -> Result<Part, ImageError>,
 ) -> Result<Sample, SensorError> {
     let mut changed = false;
     for part in &mut sample.parts {
         if matches!(part.description.media, MediaType::Jpeg | MediaType::Png | MediaType::Pixels(_)) {
-            match change(part) {
+            match transform_pictures(part) {
                 Ok(new) => *part = new,
                 Err(error) => return Err(SensorError::Picture { action, sample: sample.source, error }),
             }
             changed = true;
         }
     }
+    // A transform without a picture to work on shows a mistake in the configuration.
     if !changed {
         let media = sample.parts.first().map_or(MediaType::Bytes, |part| part.description.media.clone());
         let error = ImageError::NotAPicture(media);
@@ -75,7 +76,7 @@ fn change(
 }
 
 /// Returns the order of channels for the work on a part: its own for pixels, colour for files.
-fn channels(part: &Part) -> PixelFormat {
+fn working_format(part: &Part) -> PixelFormat {
     match part.description.media {
         MediaType::Pixels(format) => format,
         _ => PixelFormat::Rgb8,

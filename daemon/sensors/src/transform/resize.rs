@@ -5,7 +5,7 @@ use peernet_logger::Recorder;
 use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
 
-use super::{TransformKind, change, channels, check_size};
+use super::{TransformKind, check_size, transform_pictures, working_format};
 use crate::{SensorError, Transform};
 
 /// Configuration of the transform: `{ kind = "resize", … }`.
@@ -37,8 +37,8 @@ struct Resize {
 impl Transform for Resize {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
         let Self { to: ResizeConfig { width, height, filter }, resizer, picture } = self;
-        change(sample, "resize", |part| {
-            read_part(part, channels(part), picture)?;
+        transform_pictures(sample, "resize", |part| {
+            read_part(part, working_format(part), picture)?;
             let mut small = Picture::default();
             resizer.resize(picture, *width, *height, *filter, &mut small)?;
             Ok(small.into_part())

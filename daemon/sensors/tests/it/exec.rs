@@ -4,7 +4,7 @@ use peernet_sensors::{SensorConfig, SensorKind};
 use super::{real_clock, recorder};
 
 fn config(command: &str) -> SensorConfig {
-    SensorConfig::Exec(ExecConfig::of(CommandLine::Shell(command.to_owned())))
+    SensorConfig::Exec(ExecConfig::new(CommandLine::Shell(command.to_owned())))
 }
 
 #[test]
@@ -45,12 +45,12 @@ fn failure_names_program_and_next_sample_retries() {
 }
 
 #[test]
-fn a_check_runs_nothing() {
+fn check_runs_nothing() {
     let folder = tempfile::tempdir().expect("can be made");
     let mark = folder.path().join("mark");
     config(&format!("touch {}", mark.display())).check(&real_clock()).expect("is well formed");
     assert!(!mark.exists());
-    let missing = ExecConfig::of(CommandLine::Words(vec!["./no-such-program".to_owned()]));
+    let missing = ExecConfig::new(CommandLine::Words(vec!["./no-such-program".to_owned()]));
     let error = SensorConfig::Exec(missing).check(&real_clock()).expect_err("is not there").to_string();
     assert!(error.contains("./no-such-program"), "{error}");
 }

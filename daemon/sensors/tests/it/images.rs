@@ -43,12 +43,12 @@ fn files_are_sent_unchanged_in_order_of_names() {
     let facts = again.facts();
     assert!(facts[0].1.starts_with("2 images of "), "{facts:?}");
     // sha256sum a.PNG b.jpg | sha256sum
-    let known = "826c0a54f7c2d8bb84fc726a774bca6b068d982bc07be25b818b44d7bb260970";
-    assert_eq!(facts[1], ("Data set".to_owned(), format!("2 files, 20 bytes, SHA-256 {known}")));
+    let expected_hash = "826c0a54f7c2d8bb84fc726a774bca6b068d982bc07be25b818b44d7bb260970";
+    assert_eq!(facts[1], ("Data set".to_owned(), format!("2 files, 20 bytes, SHA-256 {expected_hash}")));
     let single = images(&folder.path().join("b.jpg"), Order::Name, 1, true).expect("opens");
     // sha256sum b.jpg | sha256sum
-    let known = "ae243e0b7ccc10a32b9e0ae51687ae87648850a914e05656bd142517f528bfe9";
-    assert_eq!(single.facts()[1].1, format!("1 file, 10 bytes, SHA-256 {known}"));
+    let expected_hash = "ae243e0b7ccc10a32b9e0ae51687ae87648850a914e05656bd142517f528bfe9";
+    assert_eq!(single.facts()[1].1, format!("1 file, 10 bytes, SHA-256 {expected_hash}"));
 }
 
 #[test]
@@ -76,8 +76,8 @@ fn labels_come_from_file_or_folders() {
     let expected = [("c.jpg", None), ("dented/b.jpg", Some("dented")), ("good/a.jpg", Some("good"))];
     assert_eq!(found, expected.map(|(source, label)| (source.to_owned(), label.map(str::to_owned))));
 
-    let told = ("Labels".to_owned(), "2 of 3: dented, good".to_owned());
-    assert!(sensor.facts().contains(&told), "{:?}", sensor.facts());
+    let fact = ("Labels".to_owned(), "2 of 3: dented, good".to_owned());
+    assert!(sensor.facts().contains(&fact), "{:?}", sensor.facts());
     assert!(sensor.facts().iter().all(|(name, _)| name != "Labels file"), "{:?}", sensor.facts());
 
     let mut single = images(&listed.path().join("a.jpg"), Order::Name, 1, false).expect("opens");
@@ -85,8 +85,8 @@ fn labels_come_from_file_or_folders() {
     let file = listed.path().join("labels.csv");
     let bytes = std::fs::read(&file).expect("is there");
     let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
-    let told = ("Labels file".to_owned(), format!("{} SHA-256 {hash}", file.display()));
-    assert!(single.facts().contains(&told), "{:?}", single.facts());
+    let fact = ("Labels file".to_owned(), format!("{} SHA-256 {hash}", file.display()));
+    assert!(single.facts().contains(&fact), "{:?}", single.facts());
 }
 
 #[test]
@@ -111,16 +111,16 @@ fn seed_determines_new_order_of_each_round() {
 #[test]
 fn errors_name_the_wrong_file_or_label() {
     let empty = folder(&[("readme.txt", "")]);
-    assert!(refused(empty.path()).contains("holds no picture"));
+    assert!(refused(empty.path()).contains("contains no picture"));
     assert!(refused(&empty.path().join("missing")).contains("missing"));
     assert!(refused(&empty.path().join("readme.txt")).contains("neither a folder nor"));
     for (labels, named) in [
         ("file,label\nb.jpg,good\n", "b.jpg"),
         ("name,class\na.jpg,good\n", "file,label"),
         ("file,label\na.jpg,good\na.jpg,dented\n", "both good and dented"),
-        ("", "holds no label"),
-        ("file,label\n", "holds no label"),
-        ("file,label\na.jpg,\n", "holds no label"),
+        ("", "contains no label"),
+        ("file,label\n", "contains no label"),
+        ("file,label\na.jpg,\n", "contains no label"),
     ] {
         let folder = folder(&[("a.jpg", ""), ("labels.csv", labels)]);
         let error = refused(folder.path());
@@ -140,7 +140,7 @@ fn only_files_and_links_to_files_are_pictures() {
 }
 
 #[test]
-fn a_picture_that_vanished_fails_alone() {
+fn picture_that_vanished_fails_alone() {
     let folder = folder(&[("a.jpg", ""), ("b.jpg", ""), ("c.jpg", "")]);
     let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
     fs::remove_file(folder.path().join("b.jpg")).expect("is there");

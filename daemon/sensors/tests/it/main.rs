@@ -24,7 +24,7 @@ fn real_clock() -> SharedClock {
 }
 
 fn recorder() -> Recorder {
-    Recorder::begin(clock(), HostId::random())
+    Recorder::new(clock(), HostId::random())
 }
 
 fn next(sensor: &mut dyn Sensor) -> Result<Option<Sample>, SensorError> {

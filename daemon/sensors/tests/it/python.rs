@@ -21,7 +21,7 @@ fn samples_come_from_the_object_until_it_stops() {
     fs::write(folder.path().join("own.py"), SENSOR).expect("can be written");
     let of = |object: &str| {
         let folder = Some(folder.path().to_owned());
-        SensorConfig::Python(PythonConfig { folder, ..PythonConfig::of(object) })
+        SensorConfig::Python(PythonConfig { folder, ..PythonConfig::new(object) })
     };
     of("own::Own").check(&real_clock()).expect("is there");
     let missing = of("nowhere::Own").check(&real_clock()).expect_err("is not there").to_string();
@@ -54,7 +54,7 @@ class Own:
     let folder = tempfile::tempdir().expect("can be made");
     fs::write(folder.path().join("own.py"), source).expect("can be written");
     let folder = Some(folder.path().to_owned());
-    let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::of("own::Own") });
+    let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::new("own::Own") });
     let mut sensor = config.open(&real_clock()).expect("is there");
     // Each process gives two samples and dies.
     for (restarted, gives) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {

@@ -36,7 +36,7 @@ fn bytes_follow_from_seed_and_are_incompressible() {
 }
 
 #[test]
-fn a_size_must_be_given_once() {
+fn size_must_be_given_once() {
     let refused = |size, sizes: &[usize]| synthetic(size, sizes, 1).err().expect("is refused").to_string();
     assert!(refused(None, &[]).contains("needs size_bytes"));
     assert!(refused(Some(1), &[1]).contains("not both"));

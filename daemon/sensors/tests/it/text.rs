@@ -28,7 +28,7 @@ fn texts_and_lengths_follow_from_the_seed() {
 }
 
 #[test]
-fn the_length_is_bounded() {
+fn length_is_bounded() {
     assert_eq!(sample(text(0, 1).expect("opens").as_mut()), "");
     assert!(text(usize::MAX, 1).err().expect("is refused").to_string().contains("at most"));
 }

@@ -69,7 +69,7 @@ fn every_picture_is_changed_and_nothing_else() {
 
 #[test]
 fn non_picture_fails_one_sample() {
-    let error = apply(Sample::of(Description::bytes(), "abc".into()), &[RESIZE]).expect_err("is none");
+    let error = apply(Sample::from_part(Description::bytes(), "abc".into()), &[RESIZE]).expect_err("is none");
     assert!(error.to_string().contains("plain bytes, not a picture"), "{error}");
     let mut broken = photograph(64, 48);
     broken.parts[0].bytes.truncate(700);

@@ -1,7 +1,7 @@
 //! Numbers whose bounds follow from clocks, in ms. They have as many digits as the bound supports, but none below a
 //! microsecond, because no clock of another host is known more precisely.
 
-use super::milliseconds::own_decimals;
+use super::milliseconds::default_decimals;
 use super::{EXACT, SPACE, between, decimals, fixed, measured, milliseconds, signed};
 
 /// Number of decimals for a resolution of a microsecond.
@@ -13,7 +13,7 @@ fn decimals_within(seconds: f64, half_width: f64) -> usize {
     if half_width > 0.0 {
         decimals(half_width * 1e3, 2).min(MAX_DECIMALS)
     } else {
-        own_decimals(seconds * 1e3)
+        default_decimals(seconds * 1e3)
     }
 }
 

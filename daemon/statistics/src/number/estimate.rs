@@ -1,6 +1,6 @@
 //! Estimates from samples with their intervals, in ms.
 
-use super::milliseconds::own_decimals;
+use super::milliseconds::default_decimals;
 use super::{between, decimals, fixed, has_digit, plus};
 
 /// Largest number of decimals of an estimate: a picosecond.
@@ -21,8 +21,11 @@ impl Estimate {
     pub fn new(seconds: f64, (lo, hi): (f64, f64)) -> Self {
         let [value, lo, hi] = [seconds, lo, hi].map(|seconds| seconds * 1e3);
         let half_width = (hi - lo) / 2.0;
-        let decimals =
-            if half_width > 0.0 { decimals(half_width, 2).min(MAX_DECIMALS) } else { own_decimals(value) };
+        let decimals = if half_width > 0.0 {
+            decimals(half_width, 2).min(MAX_DECIMALS)
+        } else {
+            default_decimals(value)
+        };
         Self { value, interval: (lo, hi), decimals }
     }
 
@@ -39,7 +42,7 @@ impl Estimate {
 
     /// Formats the value without its unit: `0.0183`, `−0.00070`.
     pub fn value(&self) -> String {
-        self.shown(self.value)
+        self.format(self.value)
     }
 
     /// Formats the value with its sign.
@@ -58,14 +61,14 @@ impl Estimate {
     }
 
     fn ends(&self) -> [String; 2] {
-        [self.interval.0, self.interval.1].map(|end| self.shown(end))
+        [self.interval.0, self.interval.1].map(|end| self.format(end))
     }
 
     /// Formats a number. If the interval excludes zero, a number other than zero keeps at least one digit, so that it
     /// is not shown as zero.
-    fn shown(&self, value: f64) -> String {
-        let is_apart = self.interval.0 > 0.0 || self.interval.1 < 0.0;
-        let first = if is_apart && value != 0.0 { -value.abs().log10().floor() } else { 0.0 };
+    fn format(&self, value: f64) -> String {
+        let excludes_zero = self.interval.0 > 0.0 || self.interval.1 < 0.0;
+        let first = if excludes_zero && value != 0.0 { -value.abs().log10().floor() } else { 0.0 };
         let text = fixed(value, self.decimals);
         if first > 0.0 && !has_digit(&text) { fixed(value, first as usize) } else { text }
     }
@@ -77,32 +80,32 @@ mod tests {
 
     use super::*;
 
-    fn of(value: f64, lo: f64, hi: f64) -> Estimate {
+    fn estimate(value: f64, lo: f64, hi: f64) -> Estimate {
         Estimate::new(value / 1e3, (lo / 1e3, hi / 1e3))
     }
 
     #[test]
     fn digits_follow_the_interval_however_narrow() {
-        let told = |it: Estimate| format!("{} ({})", it.value(), it.between());
-        assert_eq!(told(of(0.002_013, 0.001_98, 0.002_05)), "0.002013 (0.001980 – 0.002050)");
-        assert_eq!(told(of(0.018_31, 0.017_9, 0.018_7)), "0.01831 (0.01790 – 0.01870)");
-        assert_eq!(told(of(6.304, 5.66, 6.93)), "6.30 (5.66 – 6.93)");
-        assert_eq!(told(of(270.4, 250.0, 290.0)), "270 (250 – 290)");
-        assert_eq!(told(of(270.4, 250.0, 290.0).with_decimals(1)), "270.4 (250.0 – 290.0)");
-        assert_eq!(told(of(0.000_3, 0.000_3, 0.000_3)), "0.000300 (0.000300)");
-        assert_eq!(told(of(0.0, 0.0, 0.0)), "0.00 (0.00)");
+        let text = |it: Estimate| format!("{} ({})", it.value(), it.between());
+        assert_eq!(text(estimate(0.002_013, 0.001_98, 0.002_05)), "0.002013 (0.001980 – 0.002050)");
+        assert_eq!(text(estimate(0.018_31, 0.017_9, 0.018_7)), "0.01831 (0.01790 – 0.01870)");
+        assert_eq!(text(estimate(6.304, 5.66, 6.93)), "6.30 (5.66 – 6.93)");
+        assert_eq!(text(estimate(270.4, 250.0, 290.0)), "270 (250 – 290)");
+        assert_eq!(text(estimate(270.4, 250.0, 290.0).with_decimals(1)), "270.4 (250.0 – 290.0)");
+        assert_eq!(text(estimate(0.000_3, 0.000_3, 0.000_3)), "0.000300 (0.000300)");
+        assert_eq!(text(estimate(0.0, 0.0, 0.0)), "0.00 (0.00)");
     }
 
     #[test]
     fn significant_difference_excludes_zero() {
-        let told = |it: Estimate| format!("{}, {}", it.signed(), it.shift());
+        let text = |it: Estimate| format!("{}, {}", it.signed(), it.shift());
         assert_eq!(
-            told(of(-0.000_7, -0.001_2, -0.000_2)),
+            text(estimate(-0.000_7, -0.001_2, -0.000_2)),
             "\u{2212}0.00070, \u{2212}0.00120 to \u{2212}0.00020"
         );
-        assert_eq!(told(of(0.25, 0.000_000_21, 0.5)), "+0.25, +0.0000002 to +0.50");
-        assert_eq!(told(of(0.25, -0.000_000_21, 0.5)), "+0.25, 0.00 to +0.50", "that is chance");
-        assert_eq!(told(of(-1.4, -1.54, -1.35)), "\u{2212}1.400, \u{2212}1.540 to \u{2212}1.350");
+        assert_eq!(text(estimate(0.25, 0.000_000_21, 0.5)), "+0.25, +0.0000002 to +0.50");
+        assert_eq!(text(estimate(0.25, -0.000_000_21, 0.5)), "+0.25, 0.00 to +0.50", "that is chance");
+        assert_eq!(text(estimate(-1.4, -1.54, -1.35)), "\u{2212}1.400, \u{2212}1.540 to \u{2212}1.350");
     }
 
     proptest! {
@@ -113,7 +116,7 @@ mod tests {
             let lo = 10f64.powf(lo);
             let hi = lo * (1.0 + 10f64.powf(width));
             let (lo, hi) = if is_negative { (-hi, -lo) } else { (lo, hi) };
-            let found = of(f64::midpoint(lo, hi), lo, hi);
+            let found = estimate(f64::midpoint(lo, hi), lo, hi);
             let [from, to] = found.ends();
             prop_assert!(has_digit(&from) && has_digit(&to) && has_digit(&found.value()), "{found:?}");
             prop_assert!(from != to || hi - lo < 1e-8, "{from} {to}");

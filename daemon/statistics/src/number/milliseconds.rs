@@ -6,11 +6,11 @@ use super::{Quantity, between, decimals, figure, fixed, measured, signed};
 const MAX_DECIMALS: usize = 6;
 /// Number of decimals for a resolution of a tenth of a microsecond.
 const TENTH_OF_MICROSECOND: usize = 4;
-/// Durations below this number of ms are shorter than a clock can distinguish from zero.
-const NOTHING: f64 = 1e-6;
+/// Shortest duration that a clock distinguishes from zero.
+const MIN_DISTINGUISHABLE_MS: f64 = 1e-6;
 
-/// Durations below this number of ms would have one significant digit with two decimals.
-const SHORT: f64 = 0.099_95;
+/// Duration below which two decimals of a millisecond would show only one significant digit.
+const SHORT_DURATION_MS: f64 = 0.099_95;
 
 /// Smallest number of decimals in a column of values with a bound or deviation.
 const MIN_COLUMN_DECIMALS: usize = 2;
@@ -18,13 +18,13 @@ const MIN_COLUMN_DECIMALS: usize = 2;
 const MAX_COLUMN_DECIMALS: usize = 3;
 
 /// Returns the number of decimals of a value in ms without an interval: three significant digits, to the nanosecond.
-pub(super) fn own_decimals(ms: f64) -> usize {
-    if ms.abs() < NOTHING { 2 } else { decimals(ms, 3).min(MAX_DECIMALS) }
+pub(super) fn default_decimals(ms: f64) -> usize {
+    if ms.abs() < MIN_DISTINGUISHABLE_MS { 2 } else { decimals(ms, 3).min(MAX_DECIMALS) }
 }
 
 /// Formats seconds in ms with three significant digits: `0.126`, `6.31`, `16.1`, `141`.
 pub fn milliseconds(seconds: f64) -> String {
-    fixed(seconds * 1e3, own_decimals(seconds * 1e3))
+    fixed(seconds * 1e3, default_decimals(seconds * 1e3))
 }
 
 /// Formats a duration for a sentence or as a figure: in ms, from 1,000 ms on in s.
@@ -36,7 +36,7 @@ pub fn duration(seconds: f64) -> Quantity {
 /// leave one: `0.0183 ms`.
 pub fn short_duration(seconds: f64) -> Quantity {
     let ms = seconds * 1e3;
-    let text = if ms.abs() < SHORT { milliseconds(seconds) } else { figure(ms) };
+    let text = if ms.abs() < SHORT_DURATION_MS { milliseconds(seconds) } else { figure(ms) };
     Quantity::new(text, "ms")
 }
 
@@ -63,9 +63,9 @@ pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
     let decimals = match std {
         Some(std) if std > 0.0 => {
-            decimals(std * 1e3, 2).min(own_decimals(mean * 1e3).max(TENTH_OF_MICROSECOND))
+            decimals(std * 1e3, 2).min(default_decimals(mean * 1e3).max(TENTH_OF_MICROSECOND))
         }
-        _ => own_decimals(mean * 1e3),
+        _ => default_decimals(mean * 1e3),
     };
     (fixed(mean * 1e3, decimals), std.map(|std| fixed(std * 1e3, decimals)))
 }

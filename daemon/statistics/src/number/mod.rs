@@ -24,7 +24,7 @@ pub use quantity::{
     Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with, times,
 };
 
-/// Text for a number that does not exist or is not known.
+/// Text for a number that is absent or unknown.
 pub const NONE: &str = "—";
 /// Narrow no-break space between a number and its unit on a page.
 pub const SPACE: &str = "\u{202f}";
@@ -33,10 +33,11 @@ pub const EXACT: &str = "exact";
 
 const MINUS: &str = "\u{2212}";
 
-/// From this magnitude on a number is written with its power of ten, because its digits mean nothing any more.
-const HUGE: f64 = 1e12;
-/// Below this magnitude a number is written with its power of ten, if it has enough decimals to differ from zero.
-const TINY: f64 = 1e-12;
+/// Magnitude from which on a number is written with its power of ten.
+// Nobody reads that many digits.
+const EXPONENT_FROM: f64 = 1e12;
+/// Magnitude below which a number is written with its power of ten, if it has enough decimals to differ from zero.
+const EXPONENT_BELOW: f64 = 1e-12;
 /// Largest number of decimals that is meaningful.
 const MAX_DIGITS: usize = 17;
 
@@ -51,13 +52,14 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     }
     let decimals = decimals.min(MAX_DIGITS);
     let size = value.abs();
-    let is_tiny = value != 0.0 && size < TINY && decimals == MAX_DIGITS;
-    if size >= HUGE || is_tiny {
+    let is_tiny = value != 0.0 && size < EXPONENT_BELOW && decimals == MAX_DIGITS;
+    if size >= EXPONENT_FROM || is_tiny {
         let sign = if value < 0.0 { MINUS } else { "" };
         return format!("{sign}{size:.3e}");
     }
     let digits = format!("{size:.decimals$}");
     let (whole, fraction) = digits.split_once('.').unwrap_or((&digits, ""));
+    // A number that is rounded to zero has no sign.
     let sign = if value < 0.0 && has_digit(&digits) { MINUS } else { "" };
     let point = if fraction.is_empty() { "" } else { "." };
     format!("{sign}{}{point}{fraction}", group(whole))

@@ -3,15 +3,15 @@
 use super::Sketch;
 
 /// Largest number of bins; the lowest ones share a bin if there would be more.
-pub(super) const MAX: usize = 2048;
+pub(super) const MAX_BINS_PER_SIGN: usize = 2048;
 
 const GAMMA: f64 = (1.0 + Sketch::RELATIVE_ERROR) / (1.0 - Sketch::RELATIVE_ERROR);
 /// ln(γ) = 2 artanh(1 %), as a literal because logarithms cannot be computed in constants.
 const LN_GAMMA: f64 = 0.020_000_666_706_669_524;
 const PER_LN_GAMMA: f64 = 1.0 / LN_GAMMA;
 
-/// Keys of all numbers between [`Sketch::SMALLEST`] and the largest finite one, with room for rounding.
-pub(super) const KEYS: std::ops::RangeInclusive<i32> = -1_200..=35_600;
+/// Keys of all numbers between [`Sketch::MIN_MAGNITUDE`] and the largest finite one, with a margin for rounding.
+pub(super) const VALID_KEYS: std::ops::RangeInclusive<i32> = -1_200..=35_600;
 
 /// Returns the key of the bin of a finite magnitude.
 #[inline]
@@ -45,14 +45,14 @@ impl Bins {
         let index = i64::from(key) - i64::from(self.first);
         match usize::try_from(index).ok().and_then(|index| self.counts.get_mut(index)) {
             Some(bin) => *bin += count,
-            None => self.add_outside(key, count),
+            None => self.add_uncovered(key, count),
         }
         self.total += count;
     }
 
-    /// Adds a count in the rare case that the store must grow, or that the key is below the lowest possible one.
+    /// Adds a count for a key outside of the stored range.
     #[cold]
-    fn add_outside(&mut self, key: i32, count: u64) {
+    fn add_uncovered(&mut self, key: i32, count: u64) {
         self.cover(key, key);
         let index = (key.max(self.first) - self.first) as usize;
         self.counts[index] += count;
@@ -62,10 +62,10 @@ impl Bins {
         let Some(highest) = other.highest() else { return };
         self.cover(other.first, highest);
         let below = usize::try_from(self.first - other.first).unwrap_or(0).min(other.counts.len());
-        let (shared, own) = other.counts.split_at(below);
-        self.counts[0] += shared.iter().sum::<u64>();
+        let (collapsed, rest) = other.counts.split_at(below);
+        self.counts[0] += collapsed.iter().sum::<u64>();
         let at = usize::try_from(other.first - self.first).unwrap_or(0);
-        for (bin, count) in self.counts[at..].iter_mut().zip(own) {
+        for (bin, count) in self.counts[at..].iter_mut().zip(rest) {
             *bin += count;
         }
         self.total += other.total;
@@ -85,21 +85,22 @@ impl Bins {
         Some(self.first + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
     }
 
-    /// Makes room for the keys `low..=high`, as far down as [`MAX`] bins reach from the highest key.
+    /// Extends the stored range to the keys `low..=high`, as far down as [`MAX_BINS_PER_SIGN`] bins reach from the highest key.
     fn cover(&mut self, low: i32, high: i32) {
         let (lowest, highest) = match self.highest() {
             None => (low, high),
             Some(highest) => (self.first.min(low), highest.max(high)),
         };
-        let lowest = lowest.max(highest - (MAX as i32 - 1));
+        let lowest = lowest.max(highest - (MAX_BINS_PER_SIGN as i32 - 1));
         if self.counts.is_empty() {
             self.first = lowest;
         } else if lowest > self.first {
-            let leaving = ((lowest - self.first) as usize).min(self.counts.len());
-            let shared: u64 = self.counts.drain(..leaving).sum();
+            // The lowest bins are merged, because the error of the largest quantiles must stay bounded.
+            let collapsed = ((lowest - self.first) as usize).min(self.counts.len());
+            let sum: u64 = self.counts.drain(..collapsed).sum();
             self.first = lowest;
             self.counts.resize(self.counts.len().max(1), 0);
-            self.counts[0] += shared;
+            self.counts[0] += sum;
         } else if lowest < self.first {
             let more = (self.first - lowest) as usize;
             self.counts.splice(..0, std::iter::repeat_n(0, more));
@@ -109,7 +110,7 @@ impl Bins {
     }
 }
 
-/// Compares the counts, without regard to the allocated room.
+/// Compares the counts. The allocated range is ignored.
 impl PartialEq for Bins {
     fn eq(&self, other: &Self) -> bool {
         self.total == other.total && self.iter().eq(other.iter())

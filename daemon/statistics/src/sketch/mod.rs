@@ -38,16 +38,17 @@ impl Sketch {
     /// Largest relative error of a quantile.
     pub const RELATIVE_ERROR: f64 = 0.01;
     /// Largest number of bins per sign.
-    pub const MAX_BINS: usize = bins::MAX;
+    pub const MAX_BINS: usize = bins::MAX_BINS_PER_SIGN;
 
     /// Numbers of smaller magnitude count as zero: a tenth of a nanosecond, in seconds.
-    const SMALLEST: f64 = 1e-10;
+    const MIN_MAGNITUDE: f64 = 1e-10;
 
     /// Adds a number. A number that is not finite is ignored.
     #[inline]
     pub fn record(&mut self, value: f64) {
         let magnitude = value.abs();
-        if magnitude < Self::SMALLEST {
+        // Zero has no logarithm, so that it has a count of its own.
+        if magnitude < Self::MIN_MAGNITUDE {
             self.zero += 1;
         } else if magnitude.is_finite() {
             let bins = if value > 0.0 { &mut self.positive } else { &mut self.negative };
@@ -132,7 +133,7 @@ impl Sketch {
     /// Reads the packed form.
     ///
     /// # Errors
-    /// If the bytes are not a sketch. They may come from anyone.
+    /// If the bytes are not a valid sketch. They may come from an untrusted source.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PackedError> {
         packed::unpack(bytes)
     }

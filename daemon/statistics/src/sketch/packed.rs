@@ -4,22 +4,22 @@
 //! key.
 
 use super::Sketch;
-use super::bins::{Bins, KEYS, MAX};
+use super::bins::{Bins, MAX_BINS_PER_SIGN, VALID_KEYS};
 
-/// Reason that bytes are not a sketch.
+/// Reason why bytes are not a valid sketch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PackedError {
     /// The bytes end too early, or a number is longer than 64 bits.
-    #[error("the sketch is cut off or damaged at byte {0}")]
+    #[error("the sketch is truncated or damaged at byte {0}")]
     Damaged(usize),
     /// The sketch has more bins than permitted.
-    #[error("the sketch has {0} bins, the limit is {max}", max = MAX)]
+    #[error("the sketch has {0} bins, the limit is {max}", max = MAX_BINS_PER_SIGN)]
     TooManyBins(u64),
     /// A bin is outside of the range of finite numbers, occurs twice, is empty, or is too far from the first one.
-    #[error("the sketch has a bin that cannot be")]
-    ImpossibleBin,
-    /// The counts add up to more than 2⁵³. No sketch counts that much, and sums of such counts could overflow.
-    #[error("the sketch counts more numbers than can be counted")]
+    #[error("the sketch has an invalid bin")]
+    InvalidBin,
+    /// The counts add up to more than 2⁵³. Sums of such counts could overflow.
+    #[error("the counts of the sketch add up to more than the limit")]
     Overflow,
     /// Bytes follow the sketch.
     #[error("{0} bytes follow the sketch")]
@@ -94,28 +94,29 @@ impl Reader<'_> {
 
     fn take_bins(&mut self) -> Result<Bins, PackedError> {
         let length = self.take()?;
-        if length > MAX as u64 {
+        if length > MAX_BINS_PER_SIGN as u64 {
             return Err(PackedError::TooManyBins(length));
         }
         let mut bins = Bins::default();
         let mut first = None;
         let mut key = 0_i64;
         for _ in 0..length {
-            let number = i64::try_from(self.take()?).map_err(|_| PackedError::ImpossibleBin)?;
+            let number = i64::try_from(self.take()?).map_err(|_| PackedError::InvalidBin)?;
             key = match first {
                 None => (number >> 1) ^ -(number & 1),
-                Some(_) if number == 0 => return Err(PackedError::ImpossibleBin),
-                Some(_) => key.checked_add(number).ok_or(PackedError::ImpossibleBin)?,
+                Some(_) if number == 0 => return Err(PackedError::InvalidBin),
+                Some(_) => key.checked_add(number).ok_or(PackedError::InvalidBin)?,
             };
             let first = *first.get_or_insert(key);
-            let small = i32::try_from(key).ok().filter(|key| KEYS.contains(key));
-            let small = small.filter(|_| key - first < MAX as i64).ok_or(PackedError::ImpossibleBin)?;
+            let valid = i32::try_from(key).ok().filter(|key| VALID_KEYS.contains(key));
+            let valid =
+                valid.filter(|_| key - first < MAX_BINS_PER_SIGN as i64).ok_or(PackedError::InvalidBin)?;
             let count = self.take()?;
             if count == 0 {
-                return Err(PackedError::ImpossibleBin);
+                return Err(PackedError::InvalidBin);
             }
             bins.count().checked_add(count).ok_or(PackedError::Overflow)?;
-            bins.add(small, count);
+            bins.add(valid, count);
         }
         Ok(bins)
     }

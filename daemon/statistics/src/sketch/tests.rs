@@ -22,7 +22,7 @@ fn exact(values: &[f64], q: f64) -> (f64, f64) {
 /// they span less than the factor of 6 × 10¹⁷ that a sketch distinguishes.
 fn numbers() -> impl Strategy<Value = Vec<f64>> {
     let uniform = 1e-6..1e7_f64;
-    let signed = (-1e3..1e3_f64).prop_filter("counts as zero", |value| value.abs() >= Sketch::SMALLEST);
+    let signed = (-1e3..1e3_f64).prop_filter("counts as zero", |value| value.abs() >= Sketch::MIN_MAGNITUDE);
     let pareto = (1e-6..1.0_f64).prop_map(|u| 1e-3 * u.powf(-1.5));
     let log_normal = (-5.0..6.0_f64).prop_map(|z| (3.0 * z).exp() * 1e-3);
     let one = prop_oneof![uniform, signed, pareto, log_normal, Just(0.0), Just(0.02)];
@@ -116,7 +116,7 @@ fn quantiles_of_few_numbers_equal_numpy() {
 }
 
 #[test]
-fn an_empty_sketch_has_no_quantile() {
+fn empty_sketch_has_no_quantile() {
     let sketch = Sketch::default();
     assert_eq!((sketch.count(), sketch.quantile(0.5), sketch.fraction_below(1.0)), (0, None, None));
     assert_eq!(sketch.to_bytes().len(), 3);
@@ -143,13 +143,13 @@ fn typical_stage_is_stored_in_few_bytes() {
 }
 
 #[test]
-fn a_sketch_of_impossible_content_is_refused() {
+fn sketch_of_impossible_content_is_refused() {
     for (bytes, error) in [
         (vec![0, 0, 0, 0], PackedError::Trailing(1)),
         (vec![0, 0x81, 0x10, 0], PackedError::TooManyBins(2049)),
-        (vec![0, 1, 2, 0, 0], PackedError::ImpossibleBin),
-        (vec![0, 2, 2, 1, 0, 1, 0], PackedError::ImpossibleBin),
-        (vec![0, 1, 0xff, 0xff, 0x7f, 1, 0], PackedError::ImpossibleBin),
+        (vec![0, 1, 2, 0, 0], PackedError::InvalidBin),
+        (vec![0, 2, 2, 1, 0, 1, 0], PackedError::InvalidBin),
+        (vec![0, 1, 0xff, 0xff, 0x7f, 1, 0], PackedError::InvalidBin),
     ] {
         assert_eq!(Sketch::from_bytes(&bytes), Err(error), "{bytes:?}");
     }

@@ -265,7 +265,7 @@ async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
     wild.at = WallTime::from_unix_nanos(i64::MAX);
     for exchange in [&mut wild.upper, &mut wild.lower].into_iter().flatten() {
         (exchange.sent, exchange.replied, exchange.uncertainty) =
-            (RawTime::of_wall(extreme), RawTime::of_wall(extreme), Span::from_nanos(i64::MIN));
+            (RawTime::from_wall(extreme), RawTime::from_wall(extreme), Span::from_nanos(i64::MIN));
     }
     wild.exchanges.taken = u64::MAX;
     let samples = [

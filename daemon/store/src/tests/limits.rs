@@ -15,7 +15,7 @@ use crate::readers::Readers;
 const ENDLESS: &str = "WITH RECURSIVE endless (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM endless) SELECT count(*) FROM endless";
 
 fn impatient(path: &Path) -> Readers {
-    let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+    let identity = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Readers::open(
         path,
         1,

@@ -163,7 +163,7 @@ fn hello(host: HostDescription, process: u64) -> Work {
 
 /// Makes readers with a time limit that no query of a test reaches.
 fn readers(path: &std::path::Path) -> Readers {
-    let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+    let identity = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Readers::open(
         path,
         2,

@@ -88,7 +88,7 @@ impl Simulation {
     /// Sets the claim of both hosts' time daemons about the offset.
     pub(super) fn claim(&mut self, claim: Option<Discipline>) {
         let exact = claim.map(|claim| Discipline { error: Interval::exactly(Span::ZERO), ..claim });
-        self.relation.set_disciplines(exact, claim);
+        self.relation.set_claims(exact, claim);
     }
 
     /// Simulates a second with ten probes and, if there is a run, ten iterations. Returns them with the sample at its end.
@@ -162,7 +162,7 @@ impl Simulation {
     /// Returns the reading of the edge's related clock.
     fn edge_stamp(&self, truth: Span) -> RawTime {
         match self.clocks {
-            RelatedClocks::Wall => RawTime::of_wall(self.edge(truth)),
+            RelatedClocks::Wall => RawTime::from_wall(self.edge(truth)),
             RelatedClocks::Raw | RelatedClocks::RawToWall => {
                 RawTime::from_nanos((truth - self.raw_zeros.0).nanos())
             }
@@ -172,7 +172,7 @@ impl Simulation {
     /// Returns the reading of the cloud's related clock. Its free-running clock drifts as its wall clock does.
     fn cloud_stamp(&self, truth: Span) -> RawTime {
         match self.clocks {
-            RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::of_wall(self.cloud(truth)),
+            RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::from_wall(self.cloud(truth)),
             RelatedClocks::Raw => RawTime::from_nanos(
                 (truth - self.raw_zeros.1 + Span::from_nanos(truth.nanos() / 50_000)).nanos(),
             ),

@@ -73,7 +73,7 @@ fn host_clock() -> HostClock {
         rehearsal: Some(ClockFaults {
             offset: Span::from_seconds(1),
             drift_ppm: -50.0,
-            steps: vec![ClockFaultStep::of_wall(Span::from_seconds(9), Span::from_seconds(-3))],
+            steps: vec![ClockFaultStep::wall_step(Span::from_seconds(9), Span::from_seconds(-3))],
             since: WallTime::from_unix_nanos(5),
         }),
         clocksource: None,

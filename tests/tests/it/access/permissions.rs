@@ -86,11 +86,11 @@ fn files_of_earlier_versions_are_restricted_at_start() {
         (set("edge/spool.sqlite", 0o664), 0o660),
     ];
     let (aggregator, edge, _api) = start(&deployment);
-    edge.wait_for("their permissions were taken away");
+    edge.wait_for("removed the permissions of other users");
     for (path, expected) in changed {
         assert_eq!(mode(&path), expected, "{}", path.display());
     }
     for log in [edge.stop().log, aggregator.stop().log] {
-        assert_eq!(log.matches("their permissions were taken away").count(), 1, "{log}");
+        assert_eq!(log.matches("removed the permissions of other users").count(), 1, "{log}");
     }
 }

@@ -23,8 +23,9 @@ impl Slew {
         let period = Span::from_seconds_f64(1.0 / Self::HZ);
         let by = Span::from_seconds_f64(self.ppm * 1e-6 / Self::HZ);
         let (begin, count) = (Span::from_seconds_f64(self.at_s), (self.for_s * Self::HZ) as i64);
-        (0..count)
-            .map(move |number| ClockFaultStep::of_wall(begin + Span::from_nanos(period.nanos() * number), by))
+        (0..count).map(move |number| {
+            ClockFaultStep::wall_step(begin + Span::from_nanos(period.nanos() * number), by)
+        })
     }
 }
 

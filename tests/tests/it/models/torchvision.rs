@@ -52,7 +52,7 @@ fn card_mistakes_exceed_the_answer_tolerance() {
 
 #[test]
 fn card_matches_exported_weights() {
-    let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
+    let found = ModelFolders::new([exported().models.clone()]).find(NAME).expect("was exported");
     let hash = found.hash().expect("is read");
     let card = found.card.expect("is right");
     assert_eq!((card.labels.len(), card.labels[0].as_str()), (1000, "tench"));
@@ -74,7 +74,7 @@ fn best(logits: &[f64]) -> Vec<usize> {
 /// Loads the exported model with a card that lists all numbers of the output unchanged, and in which these keys are
 /// replaced.
 fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
-    let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
+    let found = ModelFolders::new([exported().models.clone()]).find(NAME).expect("was exported");
     let models = tempfile::tempdir().expect("a folder");
     let folder = models.path().join(NAME);
     std::fs::create_dir(&folder).expect("made");
@@ -95,7 +95,7 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
     }
     std::fs::write(folder.join("model.toml"), card.to_string()).expect("written");
     std::os::unix::fs::symlink(found.folder.join("model.onnx"), folder.join("model.onnx")).expect("linked");
-    let model = ModelFolders::of([models.path().to_owned()]).find(NAME).expect("is complete");
+    let model = ModelFolders::new([models.path().to_owned()]).find(NAME).expect("is complete");
     let bank = Bank::new(vec![model.configuration("cpu")], OnnxRuntimeConfig::default(), clock());
     bank.load(&model.name, None).unwrap_or_else(|error| panic!("{error}"))
 }
@@ -104,7 +104,7 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
 fn logits(pool: &Pool, sample: Sample) -> Vec<f64> {
     let (sender, receiver) = sync_channel(1);
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
-    let log = Recorder::begin(clock(), HostId::random());
+    let log = Recorder::new(clock(), HostId::random());
     let received = log.clock().mono();
     pool.submit(Job { sample, log, received, reply }).expect("the queue has room");
     let answer = receiver.recv().expect("is answered").result.unwrap_or_else(|error| panic!("{error}"));
@@ -121,12 +121,12 @@ fn logits(pool: &Pool, sample: Sample) -> Vec<f64> {
 
 fn jpeg(reference: &Reference) -> Sample {
     let bytes = std::fs::read(&reference.file).expect("is committed");
-    Sample::of(Description::unshaped(MediaType::Jpeg), bytes.into())
+    Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes.into())
 }
 
 fn pixels(reference: &Reference) -> Sample {
     let bytes = std::fs::read(&reference.pixels).expect("the script wrote them");
-    Sample::of(Description::pixels(PixelFormat::Rgb8, reference.width, reference.height), bytes.into())
+    Sample::from_part(Description::pixels(PixelFormat::Rgb8, reference.width, reference.height), bytes.into())
 }
 
 /// Returns the largest difference of two answers, as a share of the largest number of the first one.

@@ -46,7 +46,7 @@ fn incident(run: RunId, peer: HostId) -> Event {
 
 fn iteration(run: RunId, number: u64, host: HostId) -> Event {
     let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")));
-    let tree = Recorder::begin(clock, host).finish();
+    let tree = Recorder::new(clock, host).finish();
     Event::Iteration(Iteration {
         run,
         number,

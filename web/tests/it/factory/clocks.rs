@@ -115,10 +115,10 @@ pub(super) fn sample(
         let received = at + truth + way;
         let replied = received + Span::from_micros(30);
         Exchange {
-            sent: RawTime::of_wall(at),
-            received: RawTime::of_wall(received),
-            replied: RawTime::of_wall(replied),
-            returned: RawTime::of_wall(at + way + way + Span::from_micros(30)),
+            sent: RawTime::from_wall(at),
+            received: RawTime::from_wall(received),
+            replied: RawTime::from_wall(replied),
+            returned: RawTime::from_wall(at + way + way + Span::from_micros(30)),
             uncertainty: Span::from_nanos(300),
         }
     });

@@ -24,7 +24,7 @@ async fn step_is_published_with_its_rehearsal() {
     let clock = rehearsed(&rehearsal);
     let (mut published, _running) = watched(ClockConfig::default(), Some(rehearsal), &clock);
     let first = published.wait_for(|known| known.rehearsal.is_some()).await.expect("the task runs").clone();
-    assert_eq!(first.rehearsal.as_ref(), clock.rehearsal());
+    assert_eq!(first.rehearsal.as_ref(), clock.injected_faults());
     let epoch = first.epoch;
     let after = published.wait_for(|known| known.epoch > epoch).await.expect("the task runs").clone();
     assert_eq!(after.discipline, None);
@@ -41,11 +41,11 @@ async fn rehearsed_host_claims_nothing_or_exact_error() {
 
     let exact = RehearsalConfig { drift_ppm: -50.0, discipline: RehearsedDiscipline::Exact, ..silent };
     let clock = rehearsed(&exact);
-    let description = clock.rehearsal().expect("it is rehearsed").clone();
+    let description = clock.injected_faults().expect("it is rehearsed").clone();
     let (mut published, _running) = watched(ClockConfig::default(), Some(exact), &clock);
     let known = published.wait_for(|known| known.discipline.is_some()).await.expect("the task runs").clone();
     let error = known.discipline.expect("it was waited for").error;
-    let now = description.error_at(description.true_of(clock.wall()));
+    let now = description.wall_error_at(description.true_wall(clock.wall()));
     assert!(error.lo <= now && now <= error.hi, "{now} is not in {error:?}");
     assert!(error.width() < Span::from_millis(1), "{error:?}");
 }

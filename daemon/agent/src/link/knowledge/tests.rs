@@ -15,7 +15,7 @@ fn at(millis: i64) -> WallTime {
 
 /// Returns the stamp of the edge's clocks at that time.
 fn now(millis: i64) -> Stamp {
-    Stamp { wall: at(millis), raw: RawTime::of_wall(at(millis)), ..Stamp::default() }
+    Stamp { wall: at(millis), raw: RawTime::from_wall(at(millis)), ..Stamp::default() }
 }
 
 /// Returns a host's announcement in this epoch of its free-running clock, which agrees with its wall clock.
@@ -28,10 +28,10 @@ fn announcement(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
 /// Returns an exchange with a cloud that is `ahead`: 1 ms in each direction, 2 ms in between.
 fn exchange(sent: i64, ahead: i64) -> ExchangeObservation {
     let exchange = Exchange {
-        sent: RawTime::of_wall(at(sent)),
-        received: RawTime::of_wall(at(sent + 1 + ahead)),
-        replied: RawTime::of_wall(at(sent + 3 + ahead)),
-        returned: RawTime::of_wall(at(sent + 4)),
+        sent: RawTime::from_wall(at(sent)),
+        received: RawTime::from_wall(at(sent + 1 + ahead)),
+        replied: RawTime::from_wall(at(sent + 3 + ahead)),
+        returned: RawTime::from_wall(at(sent + 4)),
         uncertainty: Span::ZERO,
     };
     ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
@@ -354,12 +354,12 @@ fn sample_has_basis_of_bounds_and_end_of_second() {
 fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
     let here = |millis| HostStamp {
         wall: at(sent + millis),
-        raw: RawTime::of_wall(at(sent + millis)),
+        raw: RawTime::from_wall(at(sent + millis)),
         epoch: Some(edge),
     };
     let there = |millis| HostStamp {
         wall: at(sent + 5000 + millis),
-        raw: RawTime::of_wall(at(sent + 5000 + millis)),
+        raw: RawTime::from_wall(at(sent + 5000 + millis)),
         epoch: Some(cloud),
     };
     let up = Crossing { sender: here(0), receiver: there(30) };

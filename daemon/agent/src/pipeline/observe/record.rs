@@ -89,8 +89,8 @@ pub(super) fn answered(
     uncounted: Uncounted,
 ) -> (Tree, Stamp) {
     let (begun, ended) = ends(input, output);
-    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
-    log.timed(stage::INFERENCE, begun.mono, ended.mono);
+    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, begun);
+    log.record_timer(stage::INFERENCE, begun.mono, ended.mono);
     add_topics(log.tree_mut(), input, output, ended.mono - begun.mono, uncounted);
     (iteration::close(log, &pending(input.position, begun), ended.mono, true, None), ended)
 }
@@ -120,7 +120,7 @@ pub(super) fn unanswered(
     ended: Stamp,
 ) -> Tree {
     let begun = input.message.received;
-    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
+    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, begun);
     add(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
     iteration::close(log, &pending(position, begun), ended.mono, true, None)
 }

@@ -174,7 +174,7 @@ async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let start = Start { intended: clock.mono(), skipped: 0 };
     let (log, began_at) = iteration::begin(&clock, context.host.id, start.intended);
     let (tell, sample) = oneshot::channel();
-    let came = Sample::of(Description::bytes(), "x".into());
+    let came = Sample::from_part(Description::bytes(), "x".into());
     assert!(tell.send(SensorOutput { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
     resources.sensing = Some(PendingSample { run: requesting_run(run.id()), start, began_at, sample });
     drop(PipelineLoop::new(&mut resources, &mut run, &context));

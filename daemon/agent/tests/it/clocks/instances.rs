@@ -3,7 +3,7 @@
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_logger::HostId;
 use peernet_networks::{Incoming, Listener, OpenRequest, PeerClock, SessionAccepted, SessionSettings};
-use peernet_probes::{Reflector, ReflectorConfig, Stamps};
+use peernet_probes::{Reflector, ReflectorConfig, StampSource};
 use peernet_stream::{EstimateBasis, Hardware, Probing};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -80,11 +80,11 @@ async fn probes_at_another_process_are_refused_and_reported() {
         session_key: None,
         instance: 2,
         max_per_source_hz: 1000,
-        stamps: Stamps::Kernel,
+        stamps: StampSource::Kernel,
         stateful: true,
     };
     let reflector = Reflector::bind(elsewhere, clock("elsewhere")).expect("a free port");
-    let (port, answers) = (reflector.address().port(), reflector.figures());
+    let (port, answers) = (reflector.address().port(), reflector.counters());
     let stop = CancellationToken::new();
     let reflecting = tokio::spawn(reflector.run(stop.clone()));
 

@@ -58,7 +58,7 @@ fn wrong(offset: Span, drift_ppm: f64) -> ClockFaults {
 /// Returns the true time at which a wrong clock showed `shown`, to about a nanosecond.
 fn truth(wrong: &ClockFaults, shown: WallTime) -> WallTime {
     // The error changes little within the time of the error itself: three rounds are enough.
-    (0..3).fold(shown, |truth, _| shown - wrong.error_at(truth))
+    (0..3).fold(shown, |truth, _| shown - wrong.wall_error_at(truth))
 }
 
 /// Tolerance of [`assert_holds`]: delays are judged by stamps of the free-running clocks, while the truth is computed

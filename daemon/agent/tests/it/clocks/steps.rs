@@ -14,7 +14,7 @@ use crate::harness::{
 const LOAD: &str = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8";
 
 fn stepping(by: Span) -> ClockFaults {
-    let step = ClockFaultStep::of_wall(Span::from_millis(300), by);
+    let step = ClockFaultStep::wall_step(Span::from_millis(300), by);
     ClockFaults { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
 }
 
@@ -23,7 +23,7 @@ fn stepping(by: Span) -> ClockFaults {
 fn right(wrong: Option<&ClockFaults>, shown: WallTime, near: WallTime) -> WallTime {
     let Some(wrong) = wrong else { return shown };
     let moment = Span::from_millis(400);
-    let candidates = [near - moment, near + moment].map(|at| shown - wrong.error_at(at));
+    let candidates = [near - moment, near + moment].map(|at| shown - wrong.wall_error_at(at));
     candidates.into_iter().min_by_key(|at| (*at - near).abs()).expect("two")
 }
 

@@ -25,7 +25,7 @@ pub(crate) type State = Arc<TempDir>;
 
 /// Returns this machine's clock under a name.
 pub(crate) fn clock(name: &str) -> SharedClock {
-    Arc::new(SystemClock::new(ClockIdentity::of_this_machine(name).expect("linux has a boot id")))
+    Arc::new(SystemClock::new(ClockIdentity::from_system(name).expect("linux has a boot id")))
 }
 
 /// Returns this machine's clock under another name, with injected faults.

@@ -74,11 +74,11 @@ impl Clock for SwitchableClock {
         self.now().last_step()
     }
 
-    fn adopt(&self, system: WallTime) -> WallTime {
-        self.now().adopt(system)
+    fn apply_faults(&self, system: WallTime) -> WallTime {
+        self.now().apply_faults(system)
     }
 
-    fn rehearsal(&self) -> Option<&ClockFaults> {
-        self.now().rehearsal()
+    fn injected_faults(&self) -> Option<&ClockFaults> {
+        self.now().injected_faults()
     }
 }

@@ -132,7 +132,7 @@ fn excess_links_and_texts_are_cut_and_counted() {
     let mut links: Vec<LinkLive> =
         (0..1_000).map(|n| link(HostId::random(), &format!("c{n}"), 1.0, 0)).collect();
     let long = "ä".repeat(100_000);
-    let steps = vec![ClockFaultStep::of_wall(Span::ZERO, Span::ZERO); 1_000];
+    let steps = vec![ClockFaultStep::wall_step(Span::ZERO, Span::ZERO); 1_000];
     let clock = HostClock {
         text: long.clone(),
         rehearsal: Some(ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),

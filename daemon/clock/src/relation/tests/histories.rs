@@ -30,8 +30,9 @@ fn settings() -> RelationSettings {
 
 /// Returns a path of 0.03 to 300 ms in each direction, with jitter and loss.
 fn path(random: &mut RandomSource) -> Path {
-    let mut way = |shortest: f64, longest: f64| (random.between(shortest.ln(), longest.ln())).exp();
-    let (up, down, jitter, burst) = (way(3e4, 300e6), way(3e4, 300e6), way(1e3, 20e6), way(1e5, 200e6));
+    let mut log_uniform = |shortest: f64, longest: f64| (random.between(shortest.ln(), longest.ln())).exp();
+    let (up, down, jitter, burst) =
+        (log_uniform(3e4, 300e6), log_uniform(3e4, 300e6), log_uniform(1e3, 20e6), log_uniform(1e5, 200e6));
     Path { up, down, jitter, loss: if random.chance(0.5) { random.between(0.0, 0.4) } else { 0.0 }, burst }
 }
 
@@ -88,8 +89,8 @@ impl History {
                 || trip.ended < restart
                 || trip.ended - (trip.up + trip.down).nanos() as f64 - 1e9 > restart
         });
-        let told = trips.into_iter().map(|trip| (trip, u32::from(restarted && trip.ended > restart)));
-        let mut trips: Vec<(Trip, u32)> = told.collect();
+        let with_epochs = trips.into_iter().map(|trip| (trip, u32::from(restarted && trip.ended > restart)));
+        let mut trips: Vec<(Trip, u32)> = with_epochs.collect();
         for (trip, _) in &mut trips {
             trip.ended += if random.chance(0.05) { random.exponential(5e8) } else { 0.0 };
         }

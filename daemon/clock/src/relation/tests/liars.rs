@@ -7,8 +7,8 @@ proptest! {
     #[test]
     fn arbitrary_stamps_of_a_peer_change_nothing(stamps: Vec<(i64, i64, u32)>) {
         let host_clocks = host_clocks(Span::from_millis(3));
-        let mut relation = acquainted(&host_clocks);
-        let before = picture(&relation);
+        let mut relation = relation_with_history(&host_clocks);
+        let before = all_intervals(&relation);
         for (n, (received, replied, epoch)) in stamps.into_iter().enumerate() {
             let mut lie = host_clocks.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).observation();
             lie.exchange.received = RawTime::from_nanos(received);
@@ -18,7 +18,7 @@ proptest! {
             prop_assert!(matches!(judged.learned, LearnResult::Refused(_)));
             prop_assert_eq!((judged.up.value, judged.down.value), (None, None));
         }
-        prop_assert_eq!(picture(&relation), before);
+        prop_assert_eq!(all_intervals(&relation), before);
         prop_assert_eq!(relation.window(), 0);
     }
 
@@ -55,7 +55,7 @@ proptest! {
     #[test]
     fn isolated_outliers_change_nothing(seed: u64, by in prop_oneof![-1e9..-1e5f64, 1e5..1e9f64]) {
         let host_clocks = host_clocks(Span::from_millis(3));
-        let (mut honest, mut lied_to) = (acquainted(&host_clocks), acquainted(&host_clocks));
+        let (mut honest, mut lied_to) = (relation_with_history(&host_clocks), relation_with_history(&host_clocks));
         let mut random = RandomSource::new(seed);
         let calm = Path { burst: 0.0, ..Path::VETH };
         let mut lies = 0;
@@ -71,7 +71,7 @@ proptest! {
                 lies += 1;
             }
         }
-        prop_assert_eq!(picture(&honest), picture(&lied_to));
+        prop_assert_eq!(all_intervals(&honest), all_intervals(&lied_to));
         prop_assert_eq!(lied_to.counts().outliers, lies);
         prop_assert_eq!(lied_to.window(), 0);
     }
@@ -79,23 +79,24 @@ proptest! {
 
 #[test]
 fn repeated_wrong_exchange_counts_once() {
-    let mut relation = acquainted(&host_clocks(Span::ZERO));
-    let before = picture(&relation);
+    let mut relation = relation_with_history(&host_clocks(Span::ZERO));
+    let before = all_intervals(&relation);
     let lie = host_clocks(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).observation();
     for _ in 0..20 {
         assert_eq!(relation.learn(&lie), LearnResult::Refused(Refusal::Outlier));
     }
-    assert_eq!(picture(&relation), before);
+    assert_eq!(all_intervals(&relation), before);
 }
 
 #[test]
 fn wide_exchange_does_not_end_suspicion() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
-    let mut relation = acquainted(&before);
+    let mut relation = relation_with_history(&before);
     let learned: Vec<LearnResult> = (0..8)
         .map(|n| {
-            let way = if n % 2 == 0 { 3e4 } else { 5e6 };
-            let judged = relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, way, 1e5, way).observation());
+            let one_way = if n % 2 == 0 { 3e4 } else { 5e6 };
+            let judged =
+                relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, one_way, 1e5, one_way).observation());
             let trusted = matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
             assert!(!trusted || n >= 6, "{n} {judged:?}");
             judged.learned
@@ -107,7 +108,7 @@ fn wide_exchange_does_not_end_suspicion() {
 #[test]
 fn impossible_exchanges_are_recognised() {
     let host_clocks = host_clocks(Span::ZERO);
-    let mut relation = acquainted(&host_clocks);
+    let mut relation = relation_with_history(&host_clocks);
     let refused = |edit: fn(&mut Exchange)| {
         let mut observation = host_clocks.trip(10e9, 3e4, 1e5, 3e4).observation();
         edit(&mut observation.exchange);
@@ -130,19 +131,19 @@ fn impossible_exchanges_are_recognised() {
 #[test]
 fn consistently_wrong_stamps_contradict_time_daemons_only() {
     let (honest, lying) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(40)));
-    let mut relation = acquainted(&honest);
+    let mut relation = relation_with_history(&honest);
     let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut RandomSource::new(3));
     for trip in &trips {
         relation.learn(&trip.observation());
     }
-    let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
+    let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
     assert_eq!((offset.verdict, relation.window()), (Verdict::Ok, 1));
     assert!((offset.estimate - Span::from_millis(40)).abs() < Span::from_millis(1));
 
     let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
     let claim = Discipline { source: DelaySource::Chrony, error: within };
-    relation.set_disciplines(Some(claim), Some(claim));
-    let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
+    relation.set_claims(Some(claim), Some(claim));
+    let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
     assert_eq!(offset.verdict, Verdict::Inconsistent);
     let trip = lying.trip(20e9, 3e4, 1e5, 3e4);
     let judged = relation.judge(&trip.observation());
@@ -163,7 +164,7 @@ fn excess_drift_is_doubted_soon() {
     for trip in early {
         relation.judge(&trip.observation());
     }
-    assert!(relation.in_doubt(), "{:?}", relation.counts());
+    assert!(relation.violates_limit(), "{:?}", relation.counts());
     for trip in late {
         let judged = relation.judge(&trip.observation());
         assert_eq!((judged.up.value, judged.down.value), (None, None));
@@ -180,7 +181,7 @@ fn rare_unannounced_steps_cast_no_doubt() {
     let mut relation = relation();
     for trip in Path::VETH.trips(&host_clocks, (10.0, 130.0), 20.0, &mut RandomSource::new(6)) {
         relation.judge(&trip.observation());
-        assert!(!relation.in_doubt());
+        assert!(!relation.violates_limit());
     }
     assert_eq!(relation.window(), 2);
 }
@@ -188,7 +189,7 @@ fn rare_unannounced_steps_cast_no_doubt() {
 #[test]
 fn suspicion_ends_with_window_if_nothing_refutes_it() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
-    let mut relation = acquainted(&before);
+    let mut relation = relation_with_history(&before);
     let lie = after.trip(10e9, 3e4, 1e5, 3e4).observation();
     assert_eq!(relation.learn(&lie), LearnResult::Refused(Refusal::Outlier));
     let is_trusted = |judged: &JudgedExchange| matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
@@ -205,7 +206,7 @@ fn suspicion_ends_with_window_if_nothing_refutes_it() {
 #[test]
 fn suspicion_lasts_while_rare_exchanges_from_before_it_count() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
-    let mut relation = acquainted(&before);
+    let mut relation = relation_with_history(&before);
     assert_eq!(
         relation.learn(&after.trip(10e9, 3e4, 1e5, 3e4).observation()),
         LearnResult::Refused(Refusal::Outlier)

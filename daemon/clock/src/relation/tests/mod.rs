@@ -1,9 +1,9 @@
-mod company;
 mod histories;
 mod liars;
 mod sources;
 mod stepped;
 mod truth;
+mod verdicts;
 mod violations;
 mod widths;
 
@@ -28,11 +28,11 @@ fn host_clocks(offset: Span) -> HostClocks {
     }
 }
 
-/// Creates a relation with ten seconds of probes, ten per second; the last at the tenth second.
-fn acquainted(host_clocks: &HostClocks) -> Relation {
+/// Creates a relation that has learnt ten probes per second until the tenth second.
+fn relation_with_history(host_clocks: &HostClocks) -> Relation {
     let mut relation = relation();
     for trip in Path::VETH.trips(host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
-        assert_eq!(relation.learn(&trip.observation()), LearnResult::Taken);
+        assert_eq!(relation.learn(&trip.observation()), LearnResult::Accepted);
     }
     relation
 }
@@ -46,6 +46,6 @@ fn contains(delay: &OneWayDelay, truth: Span) -> bool {
 }
 
 /// Returns the intervals of the band at all seconds of a test.
-fn picture(relation: &Relation) -> Vec<Option<Interval>> {
+fn all_intervals(relation: &Relation) -> Vec<Option<Interval>> {
     (0..40).map(|second| relation.windows.interval(at(second)).map(|known| known.interval)).collect()
 }

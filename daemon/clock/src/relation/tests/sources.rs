@@ -39,12 +39,12 @@ fn answer(relation: &Relation) -> (DelaySource, (i64, i64), i64, Verdict) {
 #[test]
 fn two_claims_alone_relate_two_clocks() {
     let mut relation = relation();
-    relation.set_disciplines(claim(DelaySource::Kernel, -1, 2), claim(DelaySource::Kernel, 3, 8));
+    relation.set_claims(claim(DelaySource::Kernel, -1, 2), claim(DelaySource::Kernel, 3, 8));
     assert_eq!(answer(&relation), (DelaySource::Kernel, (1, 9), 5, Verdict::Ok));
     assert_eq!(relation.offset(at(0), WallTime::default()).and_then(|offset| offset.age), None);
     let delay = relation.delay(Direction::Up, at(1), at(1) + Span::from_millis(105));
     assert_eq!((delay.value, delay.verdict), (Some(Span::from_millis(100)), Verdict::Ok));
-    relation.set_disciplines(claim(DelaySource::Kernel, -1, 2), None);
+    relation.set_claims(claim(DelaySource::Kernel, -1, 2), None);
     assert_eq!(relation.offset(at(10), WallTime::default()), None);
 }
 
@@ -54,15 +54,15 @@ fn claims_that_are_not_trusted_change_nothing() {
     let settings = RelationSettings::default();
     let mut relation = Relation::new(settings);
     let wrong = [claim(DelaySource::Chrony, 9, 10), claim(DelaySource::Chrony, 0, 1)];
-    relation.set_disciplines(wrong[0], wrong[1]);
+    relation.set_claims(wrong[0], wrong[1]);
     assert_eq!(relation.offset(at(10), WallTime::default()), None);
     for trip in Path::VETH.trips(&host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
         relation.learn(&trip.observation());
     }
-    let known = relation.offset(at(10), WallTime::default()).expect("exchanges");
-    assert_eq!((known.source, known.verdict, known.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));
+    let actual = relation.offset(at(10), WallTime::default()).expect("exchanges");
+    assert_eq!((actual.source, actual.verdict, actual.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));
     // The drift is 10 ppm for ten seconds.
-    assert!(known.bounds.contains(Span::from_micros(5_100)));
+    assert!(actual.bounds.contains(Span::from_micros(5_100)));
 }
 
 #[test]
@@ -70,16 +70,16 @@ fn source_of_offset_is_claim_band_or_intersection() {
     let mut relation = asymmetric();
     assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
     let exact = claim(DelaySource::Kernel, 0, 0);
-    relation.set_disciplines(exact, claim(DelaySource::Chrony, 4, 6));
+    relation.set_claims(exact, claim(DelaySource::Chrony, 4, 6));
     // The claim reveals an asymmetry by which the estimate is wrong.
     assert_eq!(answer(&relation), (DelaySource::Chrony, (4, 6), 5, Verdict::Ok));
-    relation.set_disciplines(exact, claim(DelaySource::Kernel, 4, 12));
+    relation.set_claims(exact, claim(DelaySource::Kernel, 4, 12));
     assert_eq!(answer(&relation), (DelaySource::Kernel, (4, 12), 10, Verdict::Ok));
-    relation.set_disciplines(exact, claim(DelaySource::Kernel, -100, 100));
+    relation.set_claims(exact, claim(DelaySource::Kernel, -100, 100));
     assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
-    relation.set_disciplines(exact, claim(DelaySource::Kernel, 0, 100));
+    relation.set_claims(exact, claim(DelaySource::Kernel, 0, 100));
     assert_eq!(answer(&relation), (DelaySource::Intersection, (0, 35), 10, Verdict::Ok));
-    relation.set_disciplines(exact, claim(DelaySource::Kernel, 50, 100));
+    relation.set_claims(exact, claim(DelaySource::Kernel, 50, 100));
     assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 100), 10, Verdict::Inconsistent));
     let sources = relation.offset(at(10), WallTime::default()).expect("known").sources;
     assert_eq!(sources[1], (DelaySource::Kernel, millis(50, 100)));
@@ -89,9 +89,9 @@ fn source_of_offset_is_claim_band_or_intersection() {
 #[test]
 fn claim_holds_without_exchanges_until_step() {
     let mut relation = asymmetric();
-    relation.set_disciplines(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
+    relation.set_claims(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
     let late = relation.offset(at(300), WallTime::default()).expect("known");
     assert_eq!((late.source, late.verdict), (DelaySource::Chrony, Verdict::Ok));
-    relation.edge_stepped(1);
+    relation.restart_after_edge_step(1);
     assert_eq!(relation.offset(at(300), WallTime::default()), None);
 }

@@ -22,7 +22,7 @@ fn survive(
     host_clocks: &HostClocks,
     witness: impl Fn(&Trip) -> ExchangeObservation,
 ) -> (Option<f64>, Relation) {
-    let mut relation = acquainted(host_clocks);
+    let mut relation = relation_with_history(host_clocks);
     let mut recovered = None;
     for trip in Path::VETH.trips(host_clocks, (9.95, 13.0), 100.0, &mut RandomSource::new(6)) {
         let JudgedExchange { up, down, .. } = relation.judge(&witness(&trip));
@@ -71,24 +71,24 @@ fn unannounced_step_is_accepted_after_agreement() {
 #[test]
 fn first_exchange_after_step_states_its_size() {
     let host_clocks = cloud_set(STEP);
-    let mut relation = acquainted(&host_clocks);
-    let mut told = Vec::new();
+    let mut relation = relation_with_history(&host_clocks);
+    let mut reported = Vec::new();
     for trip in Path::VETH.trips(&host_clocks, (10.0, 11.0), 50.0, &mut RandomSource::new(6)) {
         if let LearnResult::Restarted(by) =
             relation.learn(&ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() })
         {
-            told.push(by.expect("it was known before"));
+            reported.push(by.expect("it was known before"));
         }
     }
-    assert_eq!(told.len(), 1);
-    assert!((told[0] - STEP).abs() < Span::from_millis(1), "{}", told[0]);
+    assert_eq!(reported.len(), 1);
+    assert!((reported[0] - STEP).abs() < Span::from_millis(1), "{}", reported[0]);
 }
 
 #[test]
 fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
     let host_clocks = host_clocks(Span::ZERO);
-    let mut relation = acquainted(&host_clocks);
-    let before = picture(&relation);
+    let mut relation = relation_with_history(&host_clocks);
+    let before = all_intervals(&relation);
     let trip = host_clocks.trip(10e9, 300e3, 1e6, 300e3);
     let spans = |by: i64| ExchangeObservation {
         cloud_elapsed: Some(trip.exchange.replied - trip.exchange.received + Span::from_micros(by)),
@@ -97,14 +97,14 @@ fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
     for by in [60, -60] {
         assert_eq!(relation.learn(&spans(by)), LearnResult::Refused(Refusal::Stepped));
     }
-    assert_eq!(picture(&relation), before);
-    assert_eq!(relation.learn(&spans(40)), LearnResult::Taken);
+    assert_eq!(all_intervals(&relation), before);
+    assert_eq!(relation.learn(&spans(40)), LearnResult::Accepted);
     // A clock with an injected drift of 100 ppm, for ten seconds.
     let long = host_clocks.trip(11e9, 300e3, 10e9, 300e3);
     let elapsed = long.exchange.replied - long.exchange.received;
     let drifted =
         ExchangeObservation { cloud_elapsed: Some(elapsed + Span::from_millis(1)), ..long.observation() };
-    assert_eq!(relation.learn(&drifted), LearnResult::Taken);
+    assert_eq!(relation.learn(&drifted), LearnResult::Accepted);
 }
 
 /// The step is too small for the comparison with the monotonic clock, and the epoch was read after the stamps.
@@ -113,18 +113,18 @@ fn exchange_sent_before_step_notice_is_refused() {
     for (host_clocks, edge_epoch, cloud_epoch) in
         [(cloud_set(Span::from_micros(-40)), 0, 1), (edge_set(Span::from_micros(40)), 1, 0)]
     {
-        let told = |trip: Trip| ExchangeObservation {
+        let reported = |trip: Trip| ExchangeObservation {
             edge_epoch,
             cloud_epoch: Some(cloud_epoch),
             ..trip.observation()
         };
-        let mut relation = acquainted(&host_clocks);
+        let mut relation = relation_with_history(&host_clocks);
         let (news, spanning) =
             (host_clocks.trip(10.0001e9, 3e4, 1e4, 3e4), host_clocks.trip(9.9999e9, 5e4, 2e5, 5e4));
-        assert_eq!(relation.learn(&told(news)), LearnResult::Refused(Refusal::Stepped));
+        assert_eq!(relation.learn(&reported(news)), LearnResult::Refused(Refusal::Stepped));
         assert_eq!(relation.window(), 1);
-        assert_eq!(relation.learn(&told(spanning)), LearnResult::Refused(Refusal::Stepped));
-        let after = relation.learn(&told(host_clocks.trip(10.001e9, 3e4, 1e4, 3e4)));
+        assert_eq!(relation.learn(&reported(spanning)), LearnResult::Refused(Refusal::Stepped));
+        let after = relation.learn(&reported(host_clocks.trip(10.001e9, 3e4, 1e4, 3e4)));
         assert!(matches!(after, LearnResult::Restarted(Some(_))), "{after:?}");
     }
 }
@@ -132,13 +132,13 @@ fn exchange_sent_before_step_notice_is_refused() {
 #[test]
 fn step_notice_ends_window_once() {
     let host_clocks = cloud_set(STEP);
-    let mut relation = acquainted(&host_clocks);
-    relation.cloud_stepped(1);
+    let mut relation = relation_with_history(&host_clocks);
+    relation.restart_after_cloud_step(1);
     assert_eq!((relation.window(), relation.offset(at(10), WallTime::default())), (1, None));
-    relation.cloud_stepped(1);
-    let told = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
+    relation.restart_after_cloud_step(1);
+    let reported = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
     // The first exchange may have been in flight during the step.
-    let first = relation.judge(&told(host_clocks.trip(10.1e9, 3e4, 1e5, 3e4)));
+    let first = relation.judge(&reported(host_clocks.trip(10.1e9, 3e4, 1e5, 3e4)));
     assert_eq!(first.learned, LearnResult::Refused(Refusal::Stepped));
     for delay in [first.up, first.down] {
         assert_eq!(
@@ -147,12 +147,12 @@ fn step_notice_ends_window_once() {
             "though nothing is known any more"
         );
     }
-    let second = relation.learn(&told(host_clocks.trip(10.2e9, 3e4, 1e5, 3e4)));
+    let second = relation.learn(&reported(host_clocks.trip(10.2e9, 3e4, 1e5, 3e4)));
     assert!(matches!(second, LearnResult::Restarted(Some(_))), "{second:?}");
-    relation.cloud_stepped(1);
-    relation.edge_stepped(0);
+    relation.restart_after_cloud_step(1);
+    relation.restart_after_edge_step(0);
     assert_eq!((relation.window(), relation.counts().restarts), (1, 1));
-    relation.edge_stepped(1);
+    relation.restart_after_edge_step(1);
     assert_eq!(relation.window(), 2);
 }
 
@@ -160,20 +160,20 @@ fn step_notice_ends_window_once() {
 fn older_epoch_is_refused_and_restarted_counter_accepted() {
     let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation();
-    let told = |n: u32, epoch| ExchangeObservation {
+    let reported = |n: u32, epoch| ExchangeObservation {
         cloud_epoch: Some(epoch),
         ..host_clocks.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).observation()
     };
-    (0..5).for_each(|n| assert_eq!(relation.learn(&told(n, 7)), LearnResult::Taken));
+    (0..5).for_each(|n| assert_eq!(relation.learn(&reported(n, 7)), LearnResult::Accepted));
     for n in 5..20 {
         let epoch = if n % 3 == 0 { 7 } else { 6 };
-        let learned = relation.learn(&told(n, epoch));
-        assert_eq!(learned == LearnResult::Taken, epoch == 7);
+        let learned = relation.learn(&reported(n, epoch));
+        assert_eq!(learned == LearnResult::Accepted, epoch == 7);
     }
     assert_eq!(relation.window(), 0);
     // The agent of the cloud was restarted.
-    let learned: Vec<LearnResult> = (20..40).map(|n| relation.learn(&told(n, 0))).collect();
+    let learned: Vec<LearnResult> = (20..40).map(|n| relation.learn(&reported(n, 0))).collect();
     assert_eq!(relation.window(), 1);
     assert!(matches!(learned[8], LearnResult::Restarted(_)), "{learned:?}");
-    assert!(learned[9..].iter().all(|learned| *learned == LearnResult::Taken));
+    assert!(learned[9..].iter().all(|learned| *learned == LearnResult::Accepted));
 }

@@ -6,7 +6,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
     #[test]
-    fn a_judged_delay_always_contains_the_truth(
+    fn judged_delay_always_contains_the_truth(
         seed: u64,
         up in 1e3..100e6f64,
         down in 1e3..100e6f64,
@@ -29,7 +29,7 @@ proptest! {
         for (count, trip) in trips.iter().enumerate() {
             let judged = relation.judge(&trip.observation());
             // Jitter alone looks like a jump now and then, which makes no delay wrong.
-            prop_assert!(matches!(judged.learned, LearnResult::Taken | LearnResult::Jumped(_)), "{:?}", judged.learned);
+            prop_assert!(matches!(judged.learned, LearnResult::Accepted | LearnResult::Jumped(_)), "{:?}", judged.learned);
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 prop_assert!(contains(&delay, truth), "{delay:?} {truth}");
                 let (value, bounds) = (delay.value.expect("has a value"), delay.bounds.expect("has bounds"));
@@ -39,13 +39,13 @@ proptest! {
             }
             // The exchange itself bounds both delays, as long as the clocks do not drift apart while the cloud serves.
             let sum = judged.up.value.expect("a value") + judged.down.value.expect("a value");
-            let slack = Span::from_nanos(relation.windows.limit().over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
+            let slack = Span::from_nanos(relation.windows.limit().max_change_over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
             prop_assert!((sum - (trip.up + trip.down)).abs() <= slack + slack + slack, "{sum} {} {}", trip.up, trip.down);
         }
     }
 
     #[test]
-    fn a_delay_that_is_judged_again_contains_the_truth(seed: u64, wander in 0.0..50.0f64) {
+    fn delay_that_is_judged_again_contains_the_truth(seed: u64, wander in 0.0..50.0f64) {
         let mut random = RandomSource::new(seed);
         let length = Span::from_seconds(60);
         let host_clocks = HostClocks {
@@ -82,13 +82,13 @@ proptest! {
             let exchange = &trip.exchange;
             let up = (exchange.sent + late, exchange.received);
             let down = (exchange.replied, exchange.returned + late);
-            let both = relation.differences(up, down);
+            let both = relation.reception_differences(up, down);
             let counts = relation.counts();
             for (difference, truth) in both.iter().zip([trip.up - late, trip.down + late]) {
                 prop_assert_eq!(difference.verdict == Verdict::Unsynchronised, count == 0);
                 prop_assert!(count == 0 || contains(difference, truth), "{difference:?} {truth}");
             }
-            let alone = relation.difference(Direction::Up, up.0, up.1);
+            let alone = relation.reception_difference(Direction::Up, up.0, up.1);
             prop_assert_eq!(alone.bounds, both[0].bounds);
             prop_assert_eq!(relation.counts(), counts, "nothing is learnt");
             relation.learn(&trip.observation());
@@ -128,14 +128,14 @@ fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
         // Ten seconds of service: the cloud's clock gains 500 µs meanwhile, and both directions together take 60 µs.
         let trip = host_clocks.trip(f64::from(n) * 1e9, 30e3, 10e9, 30e3);
         let judged = relation.judge(&trip.observation());
-        assert_eq!(judged.learned, LearnResult::Taken);
+        assert_eq!(judged.learned, LearnResult::Accepted);
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
     }
 }
 
 /// A second of one clock is not a second of the other. The interval contains the delay by either clock.
 #[test]
-fn a_long_delay_is_inside_by_whichever_clock_it_is_counted() {
+fn long_delay_is_inside_by_whichever_clock_it_is_counted() {
     let host_clocks = HostClocks {
         edge: SimulatedClock::drifting(Span::ZERO, 0.0),
         cloud: SimulatedClock::drifting(Span::ZERO, 50.0),
@@ -146,7 +146,7 @@ fn a_long_delay_is_inside_by_whichever_clock_it_is_counted() {
     }
     let judged = relation.judge(&host_clocks.trip(10e9, 5e9, 1e3, 5e9).observation());
     for delay in [judged.up, judged.down] {
-        let bounds = delay.bounds.expect("acquainted");
+        let bounds = delay.bounds.expect("the clocks are related");
         assert!(bounds.contains(Span::from_seconds(5)), "{delay:?}");
         assert!(bounds.contains(Span::from_seconds(5) + Span::from_micros(250)), "{delay:?}");
     }

@@ -14,12 +14,12 @@ struct ViolationEffect {
     last_wrong: f64,
     /// Seconds from the violation to the last `stale` delay.
     last_stale: f64,
-    /// Seconds from the violation to the first doubt, and that doubt.
-    doubted: Option<(f64, Doubt)>,
+    /// Seconds from the violation to the first violated limit, and that limit.
+    violated: Option<(f64, ViolatedLimit)>,
     /// Seconds from the violation to the first suspected jump.
     jumped: Option<f64>,
-    /// `true` if the relation was in doubt at the end.
-    doubted_at_end: bool,
+    /// `true` if a limit was violated at the end.
+    violated_at_end: bool,
     jumps: u32,
 }
 
@@ -58,15 +58,15 @@ fn observe_violation_at(
                 effect.last_wrong = after;
             }
         }
-        if let Some(doubt) = relation.doubt() {
-            effect.doubted.get_or_insert((after, doubt));
+        if let Some(limit) = relation.violated_limit() {
+            effect.violated.get_or_insert((after, limit));
         }
         if matches!(judged.learned, LearnResult::Jumped(_)) {
             effect.jumps += 1;
             effect.jumped.get_or_insert(after);
         }
     }
-    effect.doubted_at_end = relation.in_doubt();
+    effect.violated_at_end = relation.violates_limit();
     effect
 }
 
@@ -95,9 +95,13 @@ fn excess_drift_on_long_path_is_proven() {
         let effect =
             observe_violation(&drifting(ppm), path(5.0, 40.0, 1.0), free_running(50.0), (0.0, 1_100.0));
         assert_eq!(effect.wrong, 0, "{ppm}: {effect:?}");
-        let doubted = effect.doubted.filter(|(_, doubt)| *doubt == Doubt::Drift).map(|(after, _)| after);
-        assert_eq!(doubted.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
-        assert!(doubted <= proven_after && effect.doubted_at_end == doubted.is_some(), "{ppm}: {effect:?}");
+        let violated =
+            effect.violated.filter(|(_, limit)| *limit == ViolatedLimit::Drift).map(|(after, _)| after);
+        assert_eq!(violated.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
+        assert!(
+            violated <= proven_after && effect.violated_at_end == violated.is_some(),
+            "{ppm}: {effect:?}"
+        );
     }
 }
 
@@ -105,8 +109,11 @@ fn excess_drift_on_long_path_is_proven() {
 fn excess_drift_on_short_path_is_noticed_within_window() {
     for ppm in [75.0, 100.0, 150.0] {
         let effect = observe_violation(&drifting(ppm), Path::VETH, free_running(50.0), (0.0, 300.0));
-        assert!(effect.last_wrong < WINDOW && effect.doubted_at_end, "{ppm}: {effect:?}");
-        assert!(matches!(effect.doubted, Some((after, Doubt::Drift)) if after < WINDOW), "{ppm}: {effect:?}");
+        assert!(effect.last_wrong < WINDOW && effect.violated_at_end, "{ppm}: {effect:?}");
+        assert!(
+            matches!(effect.violated, Some((after, ViolatedLimit::Drift)) if after < WINDOW),
+            "{ppm}: {effect:?}"
+        );
     }
 }
 
@@ -114,7 +121,7 @@ fn excess_drift_on_short_path_is_noticed_within_window() {
 /// contradicts the others.
 #[test]
 fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
-    for (way, jitter) in [((20.0, 20.0), 1.0), ((20.0, 20.0), 5.0), ((5.0, 40.0), 1.0)] {
+    for (delays, jitter) in [((20.0, 20.0), 1.0), ((20.0, 20.0), 5.0), ((5.0, 40.0), 1.0)] {
         for millis in [-39, -10, 10, 39] {
             let jump = Span::from_millis(millis);
             let host_clocks = drifting(20.0);
@@ -122,17 +129,17 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
                 HostClocks { cloud: host_clocks.cloud.stepped(Span::from_seconds(30), jump), ..host_clocks };
             let effect = observe_violation(
                 &host_clocks,
-                path(way.0, way.1, jitter),
+                path(delays.0, delays.1, jitter),
                 free_running(200.0),
                 (30.0, 90.0),
             );
             // 39 ms move the middle of every exchange with a short wait by more than waiting explains, 10 ms only that
             // of exchanges without a wait.
             let soon = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
-            assert!(effect.jumped.is_some_and(|after| after < soon), "{way:?} {jump}: {effect:?}");
+            assert!(effect.jumped.is_some_and(|after| after < soon), "{delays:?} {jump}: {effect:?}");
             assert!(
-                effect.last_wrong < 0.5 && effect.jumps == 1 && effect.doubted.is_none(),
-                "{way:?} {jump}: {effect:?}"
+                effect.last_wrong < 0.5 && effect.jumps == 1 && effect.violated.is_none(),
+                "{delays:?} {jump}: {effect:?}"
             );
         }
     }
@@ -141,7 +148,8 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
 /// A jump of the edge's clock while exchanges are in flight. After a jump back they seem shorter than the path.
 #[test]
 fn edge_jump_is_suspected_with_exchanges_in_flight() {
-    for (way, jitter) in [((20.0, 20.0), 0.2), ((20.0, 20.0), 1.0), ((5.0, 40.0), 1.0), ((0.5, 0.5), 0.02)] {
+    for (delays, jitter) in [((20.0, 20.0), 0.2), ((20.0, 20.0), 1.0), ((5.0, 40.0), 1.0), ((0.5, 0.5), 0.02)]
+    {
         for millis in [-39, -15, -3, 3, 15, 39] {
             let jump = Span::from_millis(millis);
             let host_clocks = drifting(20.0);
@@ -150,18 +158,18 @@ fn edge_jump_is_suspected_with_exchanges_in_flight() {
             let effect = observe_violation_at(
                 60.0,
                 &host_clocks,
-                path(way.0, way.1, jitter),
+                path(delays.0, delays.1, jitter),
                 free_running(200.0),
                 (30.0, 90.0),
             );
             // 3 ms are within the jitter. A jump larger than the round trip contradicts the band and is a step.
-            let is_suspected = way.0 > 1.0 && millis.abs() >= 15;
+            let is_suspected = delays.0 > 1.0 && millis.abs() >= 15;
             let in_time = |after: f64| after < 0.1;
             assert!(
                 !is_suspected || effect.jumped.is_some_and(in_time),
-                "{way:?} {jitter} {jump}: {effect:?}"
+                "{delays:?} {jitter} {jump}: {effect:?}"
             );
-            assert!(in_time(effect.last_wrong), "{way:?} {jitter} {jump}: {effect:?}");
+            assert!(in_time(effect.last_wrong), "{delays:?} {jitter} {jump}: {effect:?}");
         }
     }
 }
@@ -175,7 +183,7 @@ fn path_that_becomes_shorter_is_no_jump() {
     for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
         for trip in route.trips(&host_clocks, seconds, 20.0, &mut random) {
             let judged = relation.judge(&trip.observation());
-            assert_eq!(judged.learned, LearnResult::Taken);
+            assert_eq!(judged.learned, LearnResult::Accepted);
             assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down), "{judged:?}");
             widths.push((trip.ended, judged.up.bounds.expect("bounds").width()));
         }
@@ -226,8 +234,8 @@ fn suspicion_after_change_of_rate_ends_with_window() {
         let mut random = RandomSource::new(seed);
         for n in 0..2_400 {
             let begin = 15e9 + f64::from(n) * 20e6;
-            let mut way = || 5e4 + random.between(0.0, 2e6) + random.between(0.0, 2e6);
-            let (up, down) = (way(), way());
+            let mut delay = || 5e4 + random.between(0.0, 2e6) + random.between(0.0, 2e6);
+            let (up, down) = (delay(), delay());
             let judged =
                 relation.judge(&host_clocks.trip(begin, up.floor(), 1e5, down.floor()).observation());
             let after = begin / 1e9 - 30.0;
@@ -263,7 +271,7 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
     let (median, widest) = (widths[widths.len() / 2], widths[widths.len() - 1]);
     assert!(median < Span::from_millis(42) && widest < Span::from_millis(80), "{median} {widest}");
     assert!((10..24).contains(&jumps), "{jumps}");
-    assert!(!relation.in_doubt());
+    assert!(!relation.violates_limit());
 }
 
 /// A delay from before a suspected jump is not judged by the exchanges after it; a delay between the two is judged by
@@ -289,8 +297,8 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
         ] {
             assert!(spans_the_jump || contains(&delay, truth), "{delay:?} {truth} at {}", trip.ended);
             hulls += u32::from(delay.bounds.is_some_and(|bounds| bounds.width() > Span::from_millis(60)));
-            let is_unsettled = (30.3e9..39.5e9).contains(&trip.ended);
-            assert!(!is_unsettled || delay.verdict == Verdict::Limited, "{delay:?}");
+            let is_near_suspected_jump = (30.3e9..39.5e9).contains(&trip.ended);
+            assert!(!is_near_suspected_jump || delay.verdict == Verdict::Limited, "{delay:?}");
         }
     }
     assert!((2..30).contains(&hulls), "{hulls}");
@@ -308,7 +316,7 @@ fn exchange_hiding_jump_bounds_no_earlier_delay() {
     let near = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
     (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).observation()));
     let waited = host_clocks.trip(30.02e9, 60e6, 1e5, 20e6);
-    assert_eq!(relation.learn(&waited.observation()), LearnResult::Taken);
+    assert_eq!(relation.learn(&waited.observation()), LearnResult::Accepted);
     assert!(matches!(relation.learn(&near(30.1).observation()), LearnResult::Jumped(_)));
     let before = near(29.8);
     let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);

@@ -16,7 +16,7 @@ fn clock() -> SharedClock {
 
 fn start(role: Role, script: &str, timeout_ms: u64) -> Program {
     let timeout_ms = NonZeroU64::new(timeout_ms).expect("above 0");
-    let config = ExecConfig { timeout_ms, ..ExecConfig::of(CommandLine::Shell(script.to_owned())) };
+    let config = ExecConfig { timeout_ms, ..ExecConfig::new(CommandLine::Shell(script.to_owned())) };
     Program::start(&config, role, "the program of a test", &clock()).expect("sh is there")
 }
 
@@ -24,29 +24,29 @@ fn start(role: Role, script: &str, timeout_ms: u64) -> Program {
 const PATIENT: u64 = 60_000;
 
 fn echo() -> Sample {
-    Sample::of(Description::bytes(), Bytes::from_static(b"payload\nwith a line"))
+    Sample::from_part(Description::bytes(), Bytes::from_static(b"payload\nwith a line"))
 }
 
 const ECHO: &str = "while read -r word bytes media shape source; do \
     stage='stage inference 0'; echo \"$stage\"; echo \"answer $bytes $media $shape\"; head -c \"$bytes\"; done";
 
 #[test]
-fn a_shell_echoes_samples() {
+fn shell_echoes_samples() {
     let mut program = start(Role::Model, ECHO, PATIENT);
     for _ in 0..3 {
-        let exchange = program.ask(Request::Sample(&echo())).expect("replies");
+        let exchange = program.call(Request::Sample(&echo())).expect("replies");
         assert_eq!(exchange.outcome, ReplyOutcome::Parts(echo().parts));
         assert_eq!(exchange.notes.stages[0].0, "inference");
-        assert!(exchange.ended > exchange.began);
+        assert!(exchange.ended_at > exchange.started_at);
     }
 }
 
 #[test]
 fn sample_larger_than_pipe_passes_both_ways() {
     let mut program = start(Role::Model, ECHO, PATIENT);
-    let large = Sample::of(Description::bytes(), vec![7; 5 << 20].into());
+    let large = Sample::from_part(Description::bytes(), vec![7; 5 << 20].into());
     assert_eq!(
-        program.ask(Request::Sample(&large)).expect("replies").outcome,
+        program.call(Request::Sample(&large)).expect("replies").outcome,
         ReplyOutcome::Parts(large.parts)
     );
 }
@@ -55,11 +55,11 @@ fn sample_larger_than_pipe_passes_both_ways() {
 fn program_receives_role_and_framing_version() {
     let script = "read -r word; echo \"source $PEERNET_ROLE $PEERNET_EXEC $word\"; echo answer 0; read -r word; echo end";
     let mut program = start(Role::Sensor, script, PATIENT);
-    let first = program.ask(Request::Next).expect("replies");
+    let first = program.call(Request::Next).expect("replies");
     assert_eq!(first.notes.source.as_deref(), Some("sensor 1 next"));
     for _ in 0..3 {
         assert_eq!(
-            program.ask(Request::Next).expect("has ended").outcome,
+            program.call(Request::Next).expect("has ended").outcome,
             ReplyOutcome::End,
             "and is not asked again"
         );
@@ -73,9 +73,9 @@ fn error_reply_is_returned_and_program_continues() {
         "n=0; while read -r line; do n=$((n+1)); echo \"error number $n\"; done",
         PATIENT,
     );
-    let empty = Sample::of(Description::bytes(), Bytes::new());
+    let empty = Sample::from_part(Description::bytes(), Bytes::new());
     for number in 1..3 {
-        let error = program.ask(Request::Answer { answer: &empty, source: "x" }).expect_err("an error");
+        let error = program.call(Request::Answer { answer: &empty, source: "x" }).expect_err("an error");
         assert_eq!(error.to_string(), format!("the program says: number {number}"), "the same process");
     }
 }
@@ -89,12 +89,12 @@ fn ended_program_is_restarted() {
         mark.display()
     );
     let mut program = start(Role::Sensor, &script, PATIENT);
-    let error = program.ask(Request::Next).expect_err("it ended").to_string();
+    let error = program.call(Request::Next).expect_err("it ended").to_string();
     assert!(
         error.contains("exit status 3") && error.contains("so long") && error.contains("anew"),
         "{error}"
     );
-    assert!(program.ask(Request::Next).is_ok(), "the second one knows what to do");
+    assert!(program.call(Request::Next).is_ok(), "the second one knows what to do");
 }
 
 /// Returns a program and a request for each role.
@@ -111,7 +111,7 @@ fn of_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T)
 /// Returns the error of the first request in each role.
 fn failures(script: &str) -> [String; 3] {
     of_each_role(script, |mut program, request| {
-        program.ask(request).expect_err("nothing can come").to_string()
+        program.call(request).expect_err("nothing can come").to_string()
     })
 }
 
@@ -119,7 +119,9 @@ fn failures(script: &str) -> [String; 3] {
 fn closed_output_is_reported() {
     for error in failures("read -r line; echo enough >&2; exec >&-; sleep 600") {
         assert!(
-            error.contains("closed its standard output and was killed; its last words: enough"),
+            error.contains(
+                "closed its standard output and was killed; last lines of its standard error: enough"
+            ),
             "{error}"
         );
         assert!(!error.contains("SIG"), "{error}");
@@ -161,21 +163,24 @@ fn slow_program_error_contains_its_last_lines() {
     let script = "echo 'out of paper' >&2; read -r line; \
                   case $PEERNET_ROLE in actuator) echo done;; *) echo answer 0;; esac; sleep 600";
     let errors = of_each_role(script, |mut program, request| {
-        program.ask(request).expect("the first is answered");
+        program.call(request).expect("the first is answered");
         program.timeout = Span::from_millis(100);
-        program.ask(request).expect_err("it sleeps").to_string()
+        program.call(request).expect_err("it sleeps").to_string()
     });
     for error in errors {
-        assert!(error.contains("no whole reply within 100ms; its last words: out of paper"), "{error}");
+        assert!(
+            error.contains("no complete reply within 100ms; last lines of its standard error: out of paper"),
+            "{error}"
+        );
     }
 }
 
 #[test]
 fn prompt_without_line_end_is_shown_immediately() {
     let mut program = start(Role::Sensor, "read -r line; printf 'answer 0\\nReady> '; sleep 600", PATIENT);
-    program.ask(Request::Next).expect("replies");
-    let error = program.ask(Request::Next).expect_err("it was not asked").to_string();
-    assert!(error.contains("it wrote \"Ready> \" before it was asked"), "{error}");
+    program.call(Request::Next).expect("replies");
+    let error = program.call(Request::Next).expect_err("it was not asked").to_string();
+    assert!(error.contains("it wrote \"Ready> \" without a request"), "{error}");
 }
 
 #[test]
@@ -184,7 +189,7 @@ fn control_characters_of_program_are_replaced() {
         "read -r line; printf 'error \\033[31mred\\n'; read -r line; printf '\\033[31mred\\n' >&2; exit 3";
     let mut program = start(Role::Sensor, script, PATIENT);
     for what in ["says", "ended"] {
-        let error = program.ask(Request::Next).expect_err("an error").to_string();
+        let error = program.call(Request::Next).expect_err("an error").to_string();
         assert!(error.contains(what) && error.contains(" [31mred") && !error.contains('\x1b'), "{error:?}");
     }
 }
@@ -192,44 +197,44 @@ fn control_characters_of_program_are_replaced() {
 #[test]
 fn garbage_is_quoted_and_ends_it() {
     let mut program = start(Role::Model, "read -r line; echo Loading model...; cat", PATIENT);
-    let error = program.ask(Request::Sample(&echo())).expect_err("garbage").to_string();
+    let error = program.call(Request::Sample(&echo())).expect_err("garbage").to_string();
     assert!(error.contains("Loading model...") && error.contains("standard error"), "{error}");
     let mut program = start(Role::Model, "head -c 100000 /dev/zero | tr '\\0' x; cat", PATIENT);
-    let error = program.ask(Request::Sample(&echo())).expect_err("an endless line");
+    let error = program.call(Request::Sample(&echo())).expect_err("an endless line");
     let text = error.to_string();
-    assert!(text.contains("bytes") || text.contains("before it was asked"), "{text}");
+    assert!(text.contains("bytes") || text.contains("without a request"), "{text}");
 }
 
 #[test]
 fn extra_reply_does_not_shift_later_ones() {
     let mut program =
         start(Role::Sensor, "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done", PATIENT);
-    assert!(program.ask(Request::Next).is_ok());
-    let error = program.ask(Request::Next).expect_err("one too many");
+    assert!(program.call(Request::Next).is_ok());
+    let error = program.call(Request::Next).expect_err("one too many");
     assert!(matches!(error, ExchangeError::UnsolicitedOutput(_)), "{error}");
 }
 
 #[test]
 fn huge_length_is_refused_before_allocation() {
     let mut program = start(Role::Sensor, "read -r line; echo answer 99999999999999; cat", PATIENT);
-    let error = program.ask(Request::Next).expect_err("too large").to_string();
+    let error = program.call(Request::Next).expect_err("too large").to_string();
     assert!(error.contains("99999999999999") && error.contains("at most"), "{error}");
 }
 
 #[test]
 fn hanging_program_is_killed_and_restarts_are_delayed() {
     let mut program = start(Role::Sensor, "sleep 600", 50);
-    let error = program.ask(Request::Next).expect_err("it hangs");
+    let error = program.call(Request::Next).expect_err("it hangs");
     assert!(matches!(error, ExchangeError::TooSlow { .. }), "{error}");
-    let mut errors = (0..6).map(|_| program.ask(Request::Next).expect_err("it hangs"));
+    let mut errors = (0..6).map(|_| program.call(Request::Next).expect_err("it hangs"));
     let pausing =
         errors.find(|error| matches!(error, ExchangeError::RestartDelayed { .. })).expect("it is left alone");
-    assert!(pausing.to_string().contains("no whole reply within 50ms"), "{pausing}");
+    assert!(pausing.to_string().contains("no complete reply within 50ms"), "{pausing}");
 }
 
 #[test]
 fn missing_command_is_reported_at_start() {
-    let config = ExecConfig::of(CommandLine::Words(vec!["/no/such/program".to_owned()]));
+    let config = ExecConfig::new(CommandLine::Words(vec!["/no/such/program".to_owned()]));
     let error = Program::start(&config, Role::Model, "m", &clock()).expect_err("is not there");
     assert!(error.to_string().contains("/no/such/program"), "{error}");
 }

@@ -4,32 +4,32 @@ use peernet_sample::{Description, ElementType, Sample};
 use proptest::prelude::*;
 
 use super::*;
-use crate::exec::{MAX_LINE, Request};
+use crate::exec::{MAX_LINE_BYTES, Request};
 
 /// Feeds the whole output of a program; returns `None` if the output ends before the reply is complete.
 fn feed(role: Role, written: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
     let mut from = Cursor::new(written);
     let mut assembler = ReplyAssembler::new(role);
-    let mut next = Next::Line;
+    let mut next = ReplyInput::Line;
     loop {
         next = match next {
-            Next::Line => {
+            ReplyInput::Line => {
                 let mut line = Vec::new();
                 from.read_until(b'\n', &mut line).expect("memory can be read");
                 if line.pop() != Some(b'\n') {
                     return Ok(None);
                 }
-                assembler.line(&line)?
+                assembler.push_line(&line)?
             }
-            Next::Bytes(count) => {
+            ReplyInput::Bytes(count) => {
                 let mut bytes = Vec::new();
                 from.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
                 if bytes.len() as u64 != count {
                     return Ok(None);
                 }
-                assembler.bytes(bytes.into())
+                assembler.push_bytes(bytes.into())
             }
-            Next::Reply(reply) => return Ok(Some((reply, from.position() as usize))),
+            ReplyInput::Reply(reply) => return Ok(Some((reply, from.position() as usize))),
         }
     }
 }
@@ -45,7 +45,7 @@ fn error(role: Role, written: &str) -> String {
 }
 
 #[test]
-fn an_answer_is_one_line_and_its_bytes() {
+fn answer_is_one_line_and_its_bytes() {
     let answer = reply(Role::Model, "answer 13 application/json\n{\"label\":\"a\"}");
     let ReplyOutcome::Parts(parts) = answer.outcome else { panic!("is an answer") };
     assert_eq!(
@@ -73,7 +73,7 @@ fn parts_and_shapes() {
 fn notes_come_before_the_reply() {
     let written = "version 1\nsequence 7\nlabel golden retriever\nsource a b.jpg\nstage warm-up 0.25\nvalue exposure 1e-3 s\nanswer 0\n";
     let notes = reply(Role::Sensor, written).notes;
-    let expected = Notes {
+    let expected = ReplyNotes {
         stages: vec![("warm-up".to_owned(), Span::from_millis(250))],
         values: vec![("exposure".to_owned(), 0.001, "s".to_owned())],
         sequence: Some(7),
@@ -109,9 +109,9 @@ fn errors_show_the_expected_form() {
         ("stage inference -1\n", "stage NAME SECONDS"),
         ("stage inference NaN\n", "stage NAME SECONDS"),
         ("stage Upper 1\n", "stage NAME SECONDS"),
-        ("stage upload 1\n", "not its to measure"),
-        ("value inference 3 bar\n", "not its to measure"),
-        ("value skipped-starts 1\n", "not its to measure"),
+        ("stage upload 1\n", "a reserved name"),
+        ("value inference 3 bar\n", "a reserved name"),
+        ("value skipped-starts 1\n", "a reserved name"),
         ("value x inf\n", "value NAME NUMBER"),
         ("version 2\n", "version 2"),
         ("version x\n", "version NUMBER"),
@@ -130,17 +130,20 @@ fn lines_and_parts_are_bounded() {
         Err(FramingError::TooManyParts)
     );
     let long = format!("answer {MAX_BYTES}\n");
-    assert_eq!(ReplyAssembler::new(Role::Model).line(long.trim_end().as_bytes()), Ok(Next::Bytes(MAX_BYTES)));
+    assert_eq!(
+        ReplyAssembler::new(Role::Model).push_line(long.trim_end().as_bytes()),
+        Ok(ReplyInput::Bytes(MAX_BYTES))
+    );
     let mut assembler = ReplyAssembler::new(Role::Model);
-    assembler.line(b"part 1").expect("is small");
-    assembler.bytes(Bytes::from_static(b"x"));
-    assert_eq!(assembler.line(long.trim_end().as_bytes()), Err(FramingError::TooLarge(MAX_BYTES + 1)));
+    assembler.push_line(b"part 1").expect("is small");
+    assembler.push_bytes(Bytes::from_static(b"x"));
+    assert_eq!(assembler.push_line(long.trim_end().as_bytes()), Err(FramingError::TooLarge(MAX_BYTES + 1)));
 }
 
 proptest! {
     /// Any output leads to a reply, an error, or a request for more input.
     #[test]
-    fn garbage_never_panics(written in prop::collection::vec(any::<u8>(), 0..MAX_LINE), role in 0..3) {
+    fn garbage_never_panics(written in prop::collection::vec(any::<u8>(), 0..MAX_LINE_BYTES), role in 0..3) {
         let role = [Role::Sensor, Role::Model, Role::Actuator][role as usize];
         let _ = feed(role, &written);
     }
@@ -187,10 +190,11 @@ fn feed_without_source(written: &[u8]) -> (Vec<Part>, usize) {
         let mut line = Vec::new();
         from.read_until(b'\n', &mut line).expect("memory can be read");
         let line = line.strip_suffix(b" -\n").expect("the source is empty");
-        let Ok(Next::Bytes(count)) = assembler.line(line) else { panic!("announces bytes") };
+        let Ok(ReplyInput::Bytes(count)) = assembler.push_line(line) else { panic!("announces bytes") };
         let mut bytes = Vec::new();
         from.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
-        if let Next::Reply(Reply { outcome: ReplyOutcome::Parts(parts), .. }) = assembler.bytes(bytes.into())
+        if let ReplyInput::Reply(Reply { outcome: ReplyOutcome::Parts(parts), .. }) =
+            assembler.push_bytes(bytes.into())
         {
             return (parts, from.position() as usize);
         }

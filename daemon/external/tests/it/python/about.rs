@@ -8,26 +8,26 @@ use super::Module;
 /// Returns the files of a fact as paths below a folder, after checking their hashes.
 fn files(facts: &[(String, String)], folder: &Path) -> Vec<String> {
     let folder = folder.canonicalize().expect("is there");
-    let (_, told) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
-    let file = |told: &str| {
-        let (path, hash) = told.split_once(" SHA-256 ").expect("has one");
+    let (_, libraries_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let file = |libraries_fact: &str| {
+        let (path, hash) = libraries_fact.split_once(" SHA-256 ").expect("has one");
         let bytes = fs::read(path).expect("is there");
         assert_eq!(hash, peernet_external::sha256(bytes.as_slice()).expect("is read"));
         Path::new(path).strip_prefix(&folder).expect("is the user's own").display().to_string()
     };
-    told.split(", ").map(file).collect()
+    libraries_fact.split(", ").map(file).collect()
 }
 
 fn libraries(facts: &[(String, String)]) -> Vec<&str> {
-    let told = facts.iter().find(|(name, _)| name == "Model libraries");
-    told.map_or_else(Vec::new, |(_, told)| told.split(", ").collect())
+    let libraries_fact = facts.iter().find(|(name, _)| name == "Model libraries");
+    libraries_fact.map_or_else(Vec::new, |(_, libraries_fact)| libraries_fact.split(", ").collect())
 }
 
 #[test]
 fn description_contains_file_and_libraries() {
     let source = "import json, numpy\nclass Own:\n    def infer(self, x): return x\n";
     let module = Module::new(source, "own::Own");
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     let names: Vec<&str> = facts.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["Model", "Model interpreter", "Model files", "Model libraries"]);
     assert!(facts[0].1.starts_with("the Python class own::Own, Python 3."), "{facts:?}");
@@ -69,7 +69,7 @@ class Own:
         fs::create_dir_all(path.parent().expect("is below the folder")).expect("writable");
         fs::write(path, text).expect("writable");
     }
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     assert_eq!(
         files(&facts, folder),
         [
@@ -109,7 +109,7 @@ class Own:
     write("bought/__init__.py", "import bought.inside\n");
     write("bought/inside.py", "");
     write("Some_Name-2.5.dist-info/RECORD", "bought/__init__.py,sha256=x,20\nbought/inside.py,sha256=x,0\n");
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     let mut files = files(&facts, folder);
     files.sort_unstable();
     assert_eq!(files, ["driver.py", "gears.py", "own.py"]);
@@ -117,16 +117,16 @@ class Own:
 }
 
 #[test]
-fn a_sensor_that_imports_nothing_has_no_libraries() {
+fn sensor_that_imports_nothing_has_no_libraries() {
     let module = Module::new("class Own:\n    def sample(self): return b'1'\n", "own::Own");
-    let facts = module.sensor().about().facts("Sensor");
+    let facts = module.sensor().description().facts("Sensor");
     let names: Vec<&str> = facts.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["Sensor", "Sensor interpreter", "Sensor files"]);
     let source = "import PIL.Image\nclass Own:\n    def sample(self): return PIL.Image.new('L', (1, 1))\n";
     let module = Module::new(source, "own::Own");
-    let facts = module.sensor().about().facts("Sensor");
-    let (name, told) = facts.last().expect("there are some");
-    assert!(name == "Sensor libraries" && told.contains("PIL "), "{facts:?}");
+    let facts = module.sensor().description().facts("Sensor");
+    let (name, libraries_fact) = facts.last().expect("there are some");
+    assert!(name == "Sensor libraries" && libraries_fact.contains("PIL "), "{facts:?}");
 }
 
 #[test]
@@ -143,28 +143,28 @@ class Own:
     def infer(self, x): return x
 ";
     let module = Module::new(source, "own::Own");
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     let folder = module.folder.path().canonicalize().expect("is there");
     let bytes = fs::read(folder.join("gear.egg")).expect("was made");
     let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
-    let (_, told) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
-    let parts: Vec<&str> = told.split(", ").collect();
-    assert!(parts.len() == 2 && parts[0].contains("/own.py SHA-256 "), "{told}");
+    let (_, libraries_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let parts: Vec<&str> = libraries_fact.split(", ").collect();
+    assert!(parts.len() == 2 && parts[0].contains("/own.py SHA-256 "), "{libraries_fact}");
     assert_eq!(parts[1], format!("{}/gear.egg SHA-256 {hash}", folder.display()));
 }
 
 #[test]
-fn there_is_an_end_to_what_is_told() {
+fn reported_files_and_libraries_are_limited() {
     let imports: String = (0..80).map(|number| format!("import part_{number}\n")).collect();
     let module = Module::new(&format!("{imports}class Own:\n    def infer(self, x): return x\n"), "own::Own");
     for number in 0..80 {
         let path = module.folder.path().join(format!("part_{number}.py"));
         fs::write(path, format!("VALUE = {number}\n")).expect("writable");
     }
-    let facts = module.model().about().facts("Model");
+    let facts = module.model().description().facts("Model");
     assert_eq!(files(&facts, module.folder.path()).len(), 64);
-    let (name, told) = facts.last().expect("there are some");
-    assert!(name == "Model imports" && told.contains("more than is told"), "{facts:?}");
+    let (name, libraries_fact) = facts.last().expect("there are some");
+    assert!(name == "Model imports" && libraries_fact.contains("more than is told"), "{facts:?}");
 }
 
 #[test]
@@ -183,10 +183,12 @@ fn object_with_misleading_attributes_is_described() {
     ] {
         let source = format!("import sys, types\n{own}\nclass Own:\n    def infer(self, x): return x\n");
         let module = Module::new(&source, "own::Own");
-        let facts = module.model().about().facts("Model");
+        let facts = module.model().description().facts("Model");
         assert_eq!(facts[0].0, "Model");
         assert!(
-            facts.iter().all(|(_, told)| !told.contains('\x1b') && told.len() < 9000),
+            facts
+                .iter()
+                .all(|(_, libraries_fact)| !libraries_fact.contains('\x1b') && libraries_fact.len() < 9000),
             "{own}: {facts:?}"
         );
     }

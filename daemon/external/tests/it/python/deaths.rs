@@ -67,9 +67,9 @@ fn killed_process_is_reported_and_restarted() {
         fs::read(waits).expect("it opens it as well");
         kill(first);
     });
-    let said = failure(&mut model, &[bytes(b"wait")]);
+    let message = failure(&mut model, &[bytes(b"wait")]);
     killer.join().expect("it was there to be killed");
-    assert!(said.contains("signal 9 (SIGKILL") && said.contains("started anew"), "{said}");
+    assert!(message.contains("signal 9 (SIGKILL") && message.contains("it is restarted"), "{message}");
 
     // Two processes die at once, between calls.
     let numbers = [number(&mut model), number(&mut other)];
@@ -88,17 +88,17 @@ fn process_end_is_reported_others_fail_one_call() {
     for (input, parts) in [
         (&b"early"[..], ["exit status 1", "not with me"]),
         (b"interrupt", ["SIGINT", "KeyboardInterrupt"]),
-        (b"spoil", ["does not speak as agreed", "garbage"]),
+        (b"spoil", ["sent an invalid message", "garbage"]),
     ] {
         let before = number(&mut model);
-        let said = failure(&mut model, &[bytes(input)]);
-        assert!(parts.iter().all(|part| said.contains(part)), "{said}");
+        let message = failure(&mut model, &[bytes(input)]);
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
         assert_ne!(number(&mut model), before);
     }
     let before = number(&mut model);
     for (input, part) in [(&b"unusual"[..], "Unusual: but caught"), (b"half", r"half \udcff a character")] {
-        let said = failure(&mut model, &[bytes(input)]);
-        assert!(said.contains(part) && said.contains("in infer"), "{said}");
+        let message = failure(&mut model, &[bytes(input)]);
+        assert!(message.contains(part) && message.contains("in infer"), "{message}");
     }
     for input in [&b"child"[..], b"speak"] {
         assert_eq!(value(&mut model, &[bytes(input)])[0].bytes, before.to_string());
@@ -114,16 +114,16 @@ fn failed_start_reports_reason() {
         ("class Own:\n    def __init__(self): raise KeyboardInterrupt", "SIGINT"),
         ("class Own:\n    def __init__(self): raise BaseException('rare')", "BaseException: rare"),
     ] {
-        let said = Module::new(source, "own::Own").refusal(Role::Model);
-        assert!(said.contains("cannot start own::Own") && said.contains(part), "{said}");
+        let message = Module::new(source, "own::Own").refusal(Role::Model);
+        assert!(message.contains("cannot start own::Own") && message.contains(part), "{message}");
     }
     let source = "import sys, time\nprint('looking for the arm', file=sys.stderr)\ntime.sleep(600)";
     let mut module = Module::new(source, "own::Own");
     module.config.start_timeout_ms = NonZeroU64::new(1500).expect("above 0");
-    let said = module.refusal(Role::Model);
+    let message = module.refusal(Role::Model);
     for part in ["cannot start own::Own", "not ready within 1.5 s", "looking for the arm", "start_timeout_ms"]
     {
-        assert!(said.contains(part), "{said}");
+        assert!(message.contains(part), "{message}");
     }
 }
 
@@ -143,7 +143,7 @@ class Own:
     assert!(failure(&mut model, &[bytes(b"exit")]).contains("exit status 4"));
     assert!(failure(&mut model, &[bytes(b"on")]).contains("the camera is in use"));
     let resting = failure(&mut model, &[bytes(b"on")]);
-    assert!(resting.contains("keeps dying") && resting.contains("the camera is in use"), "{resting}");
+    assert!(resting.contains("failed repeatedly") && resting.contains("the camera is in use"), "{resting}");
 }
 
 #[test]
@@ -161,13 +161,13 @@ class Own:
 ";
     let mut model = Module::new(source, "own::Own").model();
     assert!(failure(&mut model, &[bytes(b"much")]).contains("MemoryError"));
-    let said = failure(&mut model, &[bytes(b"answer")]);
-    assert!(said.contains("no memory for a value of 100663296 bytes"), "{said}");
+    let message = failure(&mut model, &[bytes(b"answer")]);
+    assert!(message.contains("not enough memory for a value of 100663296 bytes"), "{message}");
     let more = Part { description: Description::bytes(), bytes: vec![7; 3 << 20].into() };
     assert_eq!(value(&mut model, &[more])[0].bytes, "3145728", "the same memory is used on");
     let much = Part { description: Description::bytes(), bytes: vec![7; 128 << 20].into() };
-    let said = failure(&mut model, &[much, bytes(b"and a part in the pipe")]);
-    assert!(!said.contains("process"), "it is alive: {said}");
+    let message = failure(&mut model, &[much, bytes(b"and a part in the pipe")]);
+    assert!(!message.contains("process"), "it is alive: {message}");
     assert_eq!(value(&mut model, &[bytes(b"four")])[0].bytes, "4");
 }
 
@@ -177,9 +177,9 @@ fn dead_processes_leave_no_children() {
     let test = "python::deaths::counts_what_is_left";
     let output = Command::new(this).args(["--exact", test, "--ignored", "--nocapture"]).output();
     let output = output.expect("it starts");
-    let said =
+    let message =
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("1 passed"), "{said}");
+    assert!(output.status.success() && message.contains("1 passed"), "{message}");
 }
 
 #[test]

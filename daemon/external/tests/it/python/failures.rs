@@ -40,10 +40,10 @@ fn exception_fails_one_call_with_user_traceback() {
     let mut model = module().model();
     let called = model.call(&[bytes(b"raise")]);
     assert_eq!(called.times.stages.iter().map(|stage| stage.0).collect::<Vec<_>>(), [Stage::Infer]);
-    let said = called.result.expect_err("it raised").to_string();
-    assert!(said.starts_with("ValueError: wrong: b'raise'\nTraceback"), "{said}");
-    assert!(said.contains("own.py\", line") && said.contains("in deeper"), "{said}");
-    assert!(!said.contains("<peernet>"), "our own frames help nobody: {said}");
+    let message = called.result.expect_err("it raised").to_string();
+    assert!(message.starts_with("ValueError: wrong: b'raise'\nTraceback"), "{message}");
+    assert!(message.contains("own.py\", line") && message.contains("in deeper"), "{message}");
+    assert!(!message.contains("<peernet>"), "our own frames help nobody: {message}");
     assert!(failure(&mut model, &[bytes(b"eof")]).starts_with("EOFError: of mine"));
     assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
 }
@@ -55,27 +55,27 @@ class Own:
     def infer(self, x):
         raise ValueError('\x1b[31mred\x9b4m\r\nand more')
 ";
-    let said = failure(&mut Module::new(source, "own::Own").model(), &[]);
-    assert!(said.starts_with("ValueError:  [31mred 4m \nand more\nTraceback"), "{said:?}");
-    assert!(!said.contains(|c: char| c.is_control() && c != '\n'), "{said:?}");
+    let message = failure(&mut Module::new(source, "own::Own").model(), &[]);
+    assert!(message.starts_with("ValueError:  [31mred 4m \nand more\nTraceback"), "{message:?}");
+    assert!(!message.contains(|c: char| c.is_control() && c != '\n'), "{message:?}");
 }
 
 #[test]
-fn a_long_traceback_is_bounded() {
+fn long_traceback_is_bounded() {
     let source = "
 class Own:
     def infer(self, x):
         raise ValueError('x' * 100000)
 ";
-    let said = failure(&mut Module::new(source, "own::Own").model(), &[]);
-    assert!(said.starts_with("ValueError: xxx") && said.len() < 5000, "{} bytes", said.len());
+    let message = failure(&mut Module::new(source, "own::Own").model(), &[]);
+    assert!(message.starts_with("ValueError: xxx") && message.len() < 5000, "{} bytes", message.len());
 }
 
 #[test]
 fn unsupported_value_fails_one_call() {
     let mut model = module().model();
-    let said = failure(&mut model, &[bytes(b"object")]);
-    assert!(said.contains("_thread.lock does not cross"), "{said}");
+    let message = failure(&mut model, &[bytes(b"object")]);
+    assert!(message.contains("_thread.lock cannot be transferred"), "{message}");
     assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
 }
 
@@ -87,8 +87,8 @@ class Own:
     def infer(self, x): return numpy.ma.masked_array([1, 2], [x == b'masked', False])
 ";
     let mut model = Module::new(source, "own::Own").model();
-    let said = failure(&mut model, &[bytes(b"masked")]);
-    assert!(said.contains("masked array does not cross"), "{said}");
+    let message = failure(&mut model, &[bytes(b"masked")]);
+    assert!(message.contains("masked array cannot be transferred"), "{message}");
     assert_eq!(value(&mut model, &[bytes(b"plain")])[0].description.shape, [2]);
 }
 
@@ -118,11 +118,14 @@ fn printed_output_does_not_affect_calls() {
 fn dead_process_is_reported_and_restarted() {
     let module = module();
     let mut model = module.model();
-    let said = failure(&mut model, &[bytes(b"exit")]);
-    assert!(said.contains("exit status 3") && said.contains("no more") && said.contains("anew"), "{said}");
+    let message = failure(&mut model, &[bytes(b"exit")]);
+    assert!(
+        message.contains("exit status 3") && message.contains("no more") && message.contains("anew"),
+        "{message}"
+    );
     assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
-    let said = failure(&mut model, &[bytes(b"crash")]);
-    assert!(said.contains("SIGSEGV"), "{said}");
+    let message = failure(&mut model, &[bytes(b"crash")]);
+    assert!(message.contains("SIGSEGV"), "{message}");
     assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
 }
 
@@ -149,8 +152,8 @@ fn hanging_call_ends_at_timeout() {
     let mut module = module();
     module.config.timeout_ms = NonZeroU64::new(500).expect("above 0");
     let mut model = module.model();
-    let said = failure(&mut model, &[bytes(b"hang")]);
-    assert!(said.contains("within 0.5 s") && said.contains("timeout_ms"), "{said}");
+    let message = failure(&mut model, &[bytes(b"hang")]);
+    assert!(message.contains("within 0.5 s") && message.contains("timeout_ms"), "{message}");
     model.call(&[bytes(b"on")]);
 }
 
@@ -163,6 +166,6 @@ class Own:
         multiprocessing.get_context('fork').Process(target=time.sleep, args=(600,)).start()
         os._exit(7)
 ";
-    let said = failure(&mut Module::new(source, "own::Own").model(), &[]);
-    assert!(said.contains("exit status 7"), "{said}");
+    let message = failure(&mut Module::new(source, "own::Own").model(), &[]);
+    assert!(message.contains("exit status 7"), "{message}");
 }

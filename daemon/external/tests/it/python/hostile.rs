@@ -37,9 +37,9 @@ fn invalid_parts_fail_one_call() {
     pixels.shape = vec![1];
     all.push(Part { description: pixels, bytes: b"12"[..].into() });
     for hostile in all {
-        let said = failure(&mut model, &[hostile.clone(), bytes(b"and more")]);
-        assert!(!said.contains("process"), "it is alive: {hostile:?}: {said}");
-        assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on", "after {hostile:?}: {said}");
+        let message = failure(&mut model, &[hostile.clone(), bytes(b"and more")]);
+        assert!(!message.contains("process"), "it is alive: {hostile:?}: {message}");
+        assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on", "after {hostile:?}: {message}");
     }
     assert!(!module.folder.path().join("hacked").exists());
     // An array without a type is returned as its bytes.

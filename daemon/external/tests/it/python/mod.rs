@@ -50,7 +50,7 @@ impl Module {
     fn new(source: &str, object: &str) -> Self {
         let folder = tempfile::tempdir().expect("there is room for a folder");
         fs::write(folder.path().join("own.py"), source).expect("it can be written");
-        let mut config = PythonConfig::of(object);
+        let mut config = PythonConfig::new(object);
         config.folder = Some(folder.path().to_owned());
         config.python = Some(python());
         Self { folder, config }

@@ -19,7 +19,7 @@ def detect(x): return x
 instance = Model()
 ";
 
-fn said(object: &str, role: Role) -> String {
+fn message(object: &str, role: Role) -> String {
     Module::new(SOURCE, object).refusal(role)
 }
 
@@ -36,9 +36,9 @@ fn start_error_names_what_was_tried() {
         ("own.py::Model", Role::Model, &["cannot start own.py::Model", "No module named 'own.py'"]),
         ("./own::Model", Role::Model, &["module::object"]),
     ] {
-        let said = said(object, role);
+        let message = message(object, role);
         for part in parts {
-            assert!(said.contains(part), "{object}: {said}");
+            assert!(message.contains(part), "{object}: {message}");
         }
     }
 }
@@ -47,21 +47,21 @@ fn start_error_names_what_was_tried() {
 fn classes_instances_and_modules_are_used() {
     for object in ["own::Model", "own::instance"] {
         let found = Module::new(SOURCE, object).model();
-        assert!(found.about().what.ends_with(object), "{}", found.about().what);
-        assert!(found.about().python.starts_with("3."));
+        assert!(found.description().object.ends_with(object), "{}", found.description().object);
+        assert!(found.description().python.starts_with("3."));
     }
     let found = Module::new("def infer(x): return x", "own").model();
-    assert_eq!(found.about().what, "module own");
+    assert_eq!(found.description().object, "module own");
 }
 
 #[test]
 fn failed_import_reports_reason() {
-    let said = Module::new("import nothing_of_this_name", "own::A").refusal(Role::Model);
-    assert!(said.contains("ModuleNotFoundError: No module named 'nothing_of_this_name'"), "{said}");
-    let said = Module::new("def broken(:", "own::A").refusal(Role::Model);
-    assert!(said.contains("SyntaxError"), "{said}");
-    let said = Module::new("import sys; sys.exit('not on this robot')", "own::A").refusal(Role::Model);
-    assert!(said.contains("exit status 1") && said.contains("not on this robot"), "{said}");
+    let message = Module::new("import nothing_of_this_name", "own::A").refusal(Role::Model);
+    assert!(message.contains("ModuleNotFoundError: No module named 'nothing_of_this_name'"), "{message}");
+    let message = Module::new("def broken(:", "own::A").refusal(Role::Model);
+    assert!(message.contains("SyntaxError"), "{message}");
+    let message = Module::new("import sys; sys.exit('not on this robot')", "own::A").refusal(Role::Model);
+    assert!(message.contains("exit status 1") && message.contains("not on this robot"), "{message}");
 }
 
 #[test]
@@ -73,14 +73,14 @@ fn check_runs_no_user_code() {
     module.config.object = "json::JSONDecoder".to_owned();
     check(&module).expect("Python has it");
     module.config.object = "nowhere::Model".to_owned();
-    assert!(check(&module).is_err_and(|said| said.contains("no Python module nowhere")));
+    assert!(check(&module).is_err_and(|message| message.contains("no Python module nowhere")));
     module.config.folder = Some("/nowhere".into());
-    assert!(check(&module).is_err_and(|said| said.contains("/nowhere is not a folder")));
+    assert!(check(&module).is_err_and(|message| message.contains("/nowhere is not a folder")));
     module.config.folder = None;
     module.config.python = Some(PathBuf::from("/nowhere/python3"));
-    assert!(check(&module).is_err_and(|said| said.contains("no Python at /nowhere/python3")));
+    assert!(check(&module).is_err_and(|message| message.contains("no Python at /nowhere/python3")));
     let broken = module.folder.path().join("python");
     fs::write(&broken, "not a program").expect("it can be written");
     module.config.python = Some(broken);
-    assert!(check(&module).is_err_and(|said| said.contains("cannot start")));
+    assert!(check(&module).is_err_and(|message| message.contains("cannot start")));
 }

@@ -69,15 +69,18 @@ class Own:
 
 #[test]
 fn stages_lie_within_call_and_remainder_is_overhead() {
-    let CallTimes { begun, ended, stages, restarted } =
+    let CallTimes { started_at, ended_at, stages, restarted_at } =
         Module::new(ECHO, "own::Own").model().call(&[bytes(b"x")]).times;
     assert_eq!(
         stages.iter().map(|one| one.0).collect::<Vec<_>>(),
         [Stage::Preprocess, Stage::Infer, Stage::Postprocess]
     );
-    assert_eq!(restarted, None);
-    let moments: Vec<_> =
-        [begun].into_iter().chain(stages.iter().flat_map(|one| [one.1, one.2])).chain([ended]).collect();
+    assert_eq!(restarted_at, None);
+    let moments: Vec<_> = [started_at]
+        .into_iter()
+        .chain(stages.iter().flat_map(|one| [one.1, one.2]))
+        .chain([ended_at])
+        .collect();
     assert!(moments.is_sorted(), "the clock of the worker is ours: {moments:?}");
 }
 
@@ -106,7 +109,7 @@ class Named:
 }
 
 #[test]
-fn the_process_ends_with_its_object() {
+fn process_ends_with_its_object() {
     let mut sensor = Module::new(ECHO, "own::Number").sensor();
     let number = String::from_utf8(value(&mut sensor, &[])[0].bytes.to_vec()).expect("a number");
     let there = || Path::new("/proc").join(&number).exists();

@@ -121,7 +121,7 @@ class Model:
 }
 
 #[test]
-fn a_model_gets_values_as_it_was_configured() {
+fn model_gets_values_as_it_was_configured() {
     let kind = "
 class Own:
     def infer(self, x): return '%s.%s' % (type(x).__module__, type(x).__qualname__) + str(getattr(x, 'size', ''))

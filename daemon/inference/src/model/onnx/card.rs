@@ -8,7 +8,7 @@ use std::path::Path;
 use peernet_imaging::Filter;
 use serde::Deserialize;
 
-use super::regular;
+use super::regular_file;
 use crate::LoadError;
 
 /// Largest size of a card, bytes. A thousand labels take some ten kilobytes.
@@ -43,7 +43,7 @@ pub(super) enum Task {
 pub(super) struct Input {
     /// Name of the model's input.
     pub(super) name: String,
-    dtype: Dtype,
+    dtype: DataType,
     pub(super) layout: Layout,
     /// Four lengths in the order of the layout; the first one, the batch, is 1.
     pub(super) shape: [usize; 4],
@@ -52,7 +52,7 @@ pub(super) struct Input {
 
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Dtype {
+enum DataType {
     Float32,
 }
 
@@ -83,7 +83,7 @@ pub(super) struct Preprocessing {
     pub(super) resize: Option<Resize>,
     /// Rectangle that is cut out of the centre.
     #[serde(default)]
-    pub(super) crop: Option<Centre>,
+    pub(super) crop: Option<CentreCrop>,
     pub(super) scale: f64,
     /// One number per channel, in the order of `colour`.
     pub(super) mean: Vec<f64>,
@@ -117,7 +117,7 @@ pub(super) enum Resize {
 
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Centre {
+pub(super) struct CentreCrop {
     pub(super) width: u32,
     pub(super) height: u32,
     /// Position of the rectangle if the margins cannot be equal.
@@ -180,7 +180,7 @@ pub(super) enum CardError {
     #[error("{}", .0.to_string().trim_end())]
     Toml(#[from] toml::de::Error),
     /// The batch is larger than 1.
-    #[error("input.shape begins with a batch of {0}, only 1 is possible")]
+    #[error("input.shape has a batch of {0}; the batch must be 1")]
     Batch(usize),
     /// The number of channels contradicts the colours.
     #[error("input.shape has {channels} channels, {colour:?} has {expected}")]
@@ -195,7 +195,7 @@ pub(super) enum CardError {
     #[error("preprocessing.resize to the shortest side needs a crop after it")]
     NoCrop,
     /// The size after preprocessing differs from that of the input; each is width and height, pixels.
-    #[error("preprocessing makes {} × {} pixels, input.shape wants {} × {}", .made.0, .made.1, .wanted.0, .wanted.1)]
+    #[error("preprocessing makes {} × {} pixels, input.shape requires {} × {}", .made.0, .made.1, .wanted.0, .wanted.1)]
     Size { made: (u32, u32), wanted: (usize, usize) },
     /// There is no class to answer with.
     #[error("output needs at least one label and a top_k of at least 1")]
@@ -203,10 +203,10 @@ pub(super) enum CardError {
 }
 
 fn text(file: &Path) -> io::Result<String> {
-    let mut file = regular::open(file)?;
+    let mut file = regular_file::open(file)?;
     let length = file.metadata()?.len();
     if length > MAX_CARD_BYTES {
-        return Err(io::Error::other(format!("it has {length} bytes; a card has at most {MAX_CARD_BYTES}")));
+        return Err(io::Error::other(format!("it has {length} bytes, the limit is {MAX_CARD_BYTES}")));
     }
     let mut text = String::new();
     file.read_to_string(&mut text)?;
@@ -248,7 +248,7 @@ impl Card {
             return Err(CardError::NotFinite);
         }
         let result = match (preprocessing.resize, preprocessing.crop) {
-            (_, Some(Centre { width, height, .. })) => Some((height, width)),
+            (_, Some(CentreCrop { width, height, .. })) => Some((height, width)),
             (Some(Resize::Exact { width, height, .. }), None) => Some((height, width)),
             (Some(Resize::Shortest { .. }), None) => {
                 return Err(CardError::NoCrop);
@@ -335,7 +335,7 @@ labels = ["a", "b"]
     }
 
     #[test]
-    fn a_card_is_read_with_its_defaults() {
+    fn card_is_read_with_its_defaults() {
         let card = changed("", "").expect("is right");
         assert_eq!(card.output.top_k, 5);
         assert_eq!(

@@ -45,6 +45,7 @@ pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Ve
     activate(output.activation, numbers);
     let ranked = |(label, score): (&'a String, &f32)| Ranked { label, score: *score };
     let mut top: Vec<_> = output.labels.iter().zip(numbers.iter()).map(ranked).collect();
+    // A stable sort: classes with equal scores stay in the order of the labels.
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
     top.truncate(output.top_k);
     let best = top.first().ok_or(OutputError::NoClasses)?;

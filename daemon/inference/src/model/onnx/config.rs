@@ -57,7 +57,7 @@ impl ModelConfig {
     /// across operators.
     pub(crate) fn onnx(shared: SharedKeys, path: PathBuf, threads: [NonZeroUsize; 2]) -> Self {
         let [intra_threads, inter_threads] = threads;
-        ModelTable { shared, own: OnnxConfig { path, intra_threads, inter_threads } }.into()
+        ModelTable { shared, kind_keys: OnnxConfig { path, intra_threads, inter_threads } }.into()
     }
 }
 

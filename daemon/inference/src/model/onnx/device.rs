@@ -23,7 +23,7 @@ impl FromStr for Device {
     type Err = LoadError;
 
     fn from_str(text: &str) -> Result<Self, LoadError> {
-        let no_such = || LoadError::NoSuchDevice(text.to_owned());
+        let no_such = || LoadError::InvalidDevice(text.to_owned());
         let number = |text: &str| match text.parse() {
             Ok(number) if number >= 0 => Ok(number),
             _ => Err(no_such()),
@@ -107,7 +107,7 @@ mod tests {
         for text in
             ["", "CPU", "gpu", "cuda", "cuda:", "cuda:-1", "cuda:x", "tensorrt:", "openvino:", "openvino"]
         {
-            assert!(matches!(text.parse::<Device>(), Err(LoadError::NoSuchDevice(_))), "{text}");
+            assert!(matches!(text.parse::<Device>(), Err(LoadError::InvalidDevice(_))), "{text}");
         }
     }
 }

@@ -23,13 +23,14 @@ static LOADED: Mutex<Option<Arc<Runtime>>> = Mutex::new(None);
 impl Runtime {
     /// Returns the library that the search finds; loads it on the first call.
     pub(super) fn get(config: &OnnxRuntimeConfig) -> Result<Arc<Self>, LibraryError> {
-        let search_settings = SearchSettings::of_this_process(config.library.as_deref());
+        let search_settings = SearchSettings::from_environment(config.library.as_deref());
+        // The lock is held while the library loads, so that it is loaded once.
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         let (found, mut searched) = search_settings.search()?;
         if let Some(runtime) = loaded.as_ref() {
             return match found {
                 Some(Candidate { path: wanted, .. }) if wanted != runtime.library => {
-                    Err(LibraryError::AnotherLoaded { loaded: runtime.library.clone(), wanted })
+                    Err(LibraryError::OtherLibraryLoaded { loaded: runtime.library.clone(), wanted })
                 }
                 _ => Ok(Arc::clone(runtime)),
             };
@@ -65,7 +66,7 @@ impl Runtime {
     fn load_from_system(searched: &mut Vec<String>) -> Result<Self, LibraryError> {
         for name in ["libonnxruntime.so.1", "libonnxruntime.so"] {
             match ort::init_from(name) {
-                Ok(builder) => return Self::begin(builder, name.into(), "the system's library path"),
+                Ok(builder) => return Self::from_builder(builder, name.into(), "the system's library path"),
                 Err(LoadDynamicError::Dlopen { .. }) => {
                     searched.push(format!("{name} in the system's library path: none"));
                 }
@@ -89,10 +90,10 @@ impl Runtime {
             origin,
             reason: reason(&error),
         })?;
-        Self::begin(builder, path.clone(), origin)
+        Self::from_builder(builder, path.clone(), origin)
     }
 
-    fn begin(
+    fn from_builder(
         builder: ort::environment::EnvironmentBuilder,
         library: PathBuf,
         origin: &'static str,
@@ -127,7 +128,7 @@ fn reason(error: &LoadDynamicError) -> String {
             error.source().map_or(error.to_string(), ToString::to_string)
         }
         LoadDynamicError::MissingApi { .. } => "it is not ONNX Runtime".to_owned(),
-        LoadDynamicError::InvalidVersionString => "it does not tell its version".to_owned(),
+        LoadDynamicError::InvalidVersionString => "it does not report its version".to_owned(),
         LoadDynamicError::BadVersion { version_str, .. } => {
             format!("it is version {version_str}, at least 1.{} is needed", ort::MINOR_VERSION)
         }

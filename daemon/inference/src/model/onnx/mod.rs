@@ -10,10 +10,10 @@ mod config;
 mod device;
 mod library;
 mod preprocess;
-mod regular;
+mod regular_file;
 mod search;
 mod session;
-mod shared;
+mod shared_model;
 mod summary;
 mod worker;
 
@@ -26,14 +26,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use peernet_logger::{Name, Slug};
-use peernet_sample::{examples, plain_label};
+use peernet_sample::{list_examples, normalized_label};
 
 use super::{LoadContext, SharedKeys};
 use crate::{LoadError, Model, Worker};
 use card::Card;
 use device::Device;
 use library::Runtime;
-use shared::Shared;
+use shared_model::SharedModel;
 use worker::OnnxWorker;
 
 /// Name of the model's file in its folder.
@@ -69,7 +69,7 @@ struct Onnx {
     card_hash: String,
     runtime: Arc<Runtime>,
     /// Optimised model whose weights several workers share; `None` if there is only one worker.
-    shared: Option<Shared>,
+    shared: Option<SharedModel>,
 }
 
 /// Settings of a model that are known before a session is opened.
@@ -95,7 +95,7 @@ impl Onnx {
     fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
         let (hash, card_hash) = (hash(&config.path, MODEL)?, hash(&config.path, CARD)?);
-        let shared = Shared::prepare(&plan, &runtime, context.temp_dirs)?;
+        let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
         Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared })
     }
 
@@ -107,7 +107,7 @@ impl Onnx {
         let device: Device = shared.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
         let file = config.path.join(MODEL);
-        if let Err(error) = regular::open(&file) {
+        if let Err(error) = regular_file::open(&file) {
             return Err(LoadError::File { file, reason: error.to_string() });
         }
         let runtime = Runtime::get(runtime)?;
@@ -115,7 +115,7 @@ impl Onnx {
         let plan = Plan {
             name: shared.name.clone(),
             file,
-            classes: card.output.labels.iter().map(|label| plain_label(label)).collect(),
+            classes: card.output.labels.iter().map(|label| normalized_label(label)).collect(),
             card,
             device,
             workers: shared.workers.get(),
@@ -127,9 +127,9 @@ impl Onnx {
 }
 
 impl Model for Onnx {
-    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let session = session::open(&self.plan, &self.runtime, self.shared.as_ref())?;
-        Ok(Box::new(OnnxWorker::warm(Arc::clone(&self.plan), session)?))
+        Ok(Box::new(OnnxWorker::new_warmed_up(Arc::clone(&self.plan), session)?))
     }
 
     fn device(&self) -> String {
@@ -155,5 +155,5 @@ impl Model for Onnx {
 
 /// Returns the number of classes and the first of their names.
 fn classes(labels: &[String]) -> String {
-    format!("{}: {}", labels.len(), examples(labels.iter().map(String::as_str)))
+    format!("{}: {}", labels.len(), list_examples(labels.iter().map(String::as_str)))
 }

@@ -3,7 +3,7 @@
 use peernet_imaging::{Crop, ImageError, Picture, Resizer, Scaling, crop, read_part};
 use peernet_sample::{PixelFormat, Sample};
 
-use super::card::{Card, Centre, Colour, Layout, Preprocessing, Resize};
+use super::card::{Card, CentreCrop, Colour, Layout, Preprocessing, Resize};
 
 /// Reason that a sample cannot be converted to the model's input.
 #[derive(Debug, thiserror::Error)]
@@ -15,12 +15,12 @@ pub(super) enum InputError {
     #[error(transparent)]
     Picture(#[from] ImageError),
     /// The picture has another size than the input, and the card does not resize.
-    #[error("it has {} × {} pixels, the model wants {} × {} and its card has no resize", .has.0, .has.1, .wanted.0, .wanted.1)]
+    #[error("it has {} × {} pixels, the model requires {} × {} and its card has no resize", .actual.0, .actual.1, .expected.0, .expected.1)]
     Size {
         /// Width and height of the picture, pixels.
-        has: (u32, u32),
+        actual: (u32, u32),
         /// Width and height of the input, pixels.
-        wanted: (u32, u32),
+        expected: (u32, u32),
     },
 }
 
@@ -38,9 +38,9 @@ pub(super) struct Preprocessor {
 /// Changes of a picture's size.
 struct Geometry {
     resize: Option<Resize>,
-    crop: Option<Centre>,
+    crop: Option<CentreCrop>,
     /// Width and height of the model's input, pixels.
-    wanted: (u32, u32),
+    expected: (u32, u32),
 }
 
 /// Conversion of a picture's bytes to numbers.
@@ -63,7 +63,7 @@ impl Preprocessor {
         let (_, count, height, width) = card.input.dimensions();
         let Preprocessing { resize, crop, .. } = card.preprocessing;
         Self {
-            geometry: Geometry { resize, crop, wanted: (width as u32, height as u32) },
+            geometry: Geometry { resize, crop, expected: (width as u32, height as u32) },
             normalisation: Normalisation::new(card),
             resizer: Resizer::new(),
             decoded: Picture::default(),
@@ -79,9 +79,9 @@ impl Preprocessor {
     }
 
     /// Converts the picture in a sample's first part to the model's input.
-    pub(super) fn fill(&mut self, sample: &Sample) -> Result<(), InputError> {
+    pub(super) fn preprocess(&mut self, sample: &Sample) -> Result<(), InputError> {
         let part = sample.parts.first().ok_or(InputError::NoPayload)?;
-        let Geometry { resize, crop: centre, wanted } = self.geometry;
+        let Geometry { resize, crop: centre, expected } = self.geometry;
         read_part(part, self.normalisation.format, &mut self.decoded)?;
         let mut picture = &self.decoded;
         if let Some(resize) = resize {
@@ -95,9 +95,9 @@ impl Preprocessor {
             crop(picture, rectangle(centre, picture), &mut self.cropped)?;
             picture = &self.cropped;
         }
-        let has = (picture.width(), picture.height());
-        if has != wanted {
-            return Err(InputError::Size { has, wanted });
+        let actual = (picture.width(), picture.height());
+        if actual != expected {
+            return Err(InputError::Size { actual, expected });
         }
         self.normalisation.apply(picture.pixels(), &mut self.tensor);
         Ok(())
@@ -105,7 +105,7 @@ impl Preprocessor {
 }
 
 /// Returns the rectangle in the centre of a picture. A picture that is too small is refused by the cropping.
-fn rectangle(Centre { width, height, rounding }: Centre, picture: &Picture) -> Crop {
+fn rectangle(CentreCrop { width, height, rounding }: CentreCrop, picture: &Picture) -> Crop {
     let before = |whole: u32, part: u32| Some(rounding.before(whole.saturating_sub(part)));
     Crop { width, height, x: before(picture.width(), width), y: before(picture.height(), height) }
 }
@@ -173,13 +173,13 @@ mod tests {
     use super::*;
 
     fn pixels(format: PixelFormat, width: u32, height: u32, bytes: &'static [u8]) -> Sample {
-        Sample::of(Description::pixels(format, width, height), bytes.into())
+        Sample::from_part(Description::pixels(format, width, height), bytes.into())
     }
 
     #[test]
     fn numbers_are_scaled_and_normalised() {
         let mut preprocessor = Preprocessor::new(&changed("", "").expect("is right"));
-        preprocessor.fill(&pixels(PixelFormat::Grey8, 2, 1, &[10, 4])).expect("fits");
+        preprocessor.preprocess(&pixels(PixelFormat::Grey8, 2, 1, &[10, 4])).expect("fits");
         assert_eq!(preprocessor.tensor(), [(10.0 * 0.5 - 1.0) / 2.0, (4.0 * 0.5 - 1.0) / 2.0]);
     }
 
@@ -195,7 +195,7 @@ mod tests {
                 .replace("std = [2.0]", "std = [1.0, 1.0, 1.0]");
             let card = toml::from_str(&card).expect("is right");
             let mut preprocessor = Preprocessor::new(&card);
-            preprocessor.fill(&pixels(PixelFormat::Rgb8, 2, 1, &[1, 2, 3, 4, 5, 6])).expect("fits");
+            preprocessor.preprocess(&pixels(PixelFormat::Rgb8, 2, 1, &[1, 2, 3, 4, 5, 6])).expect("fits");
             preprocessor.tensor().to_vec()
         };
         assert_eq!(colour("nchw", "[1, 3, 1, 2]", "rgb"), [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
@@ -212,7 +212,7 @@ mod tests {
         );
         let mut preprocessor = Preprocessor::new(&card.expect("is right"));
         let wide = pixels(PixelFormat::Grey8, 8, 4, &[6; 32]);
-        preprocessor.fill(&wide).expect("fits");
+        preprocessor.preprocess(&wide).expect("fits");
         assert_eq!((preprocessor.resized.width(), preprocessor.resized.height()), (4, 2));
         assert_eq!(preprocessor.tensor(), [1.0, 1.0]);
     }
@@ -221,9 +221,11 @@ mod tests {
     fn wrong_size_without_resize_is_refused() {
         let card = changed("resize = { mode = \"exact\", width = 2, height = 1 }", "");
         let mut preprocessor = Preprocessor::new(&card.expect("is right"));
-        assert!(preprocessor.fill(&pixels(PixelFormat::Grey8, 2, 1, &[1, 2])).is_ok());
-        let error =
-            preprocessor.fill(&pixels(PixelFormat::Grey8, 1, 1, &[1])).expect_err("is too small").to_string();
+        assert!(preprocessor.preprocess(&pixels(PixelFormat::Grey8, 2, 1, &[1, 2])).is_ok());
+        let error = preprocessor
+            .preprocess(&pixels(PixelFormat::Grey8, 1, 1, &[1]))
+            .expect_err("is too small")
+            .to_string();
         assert!(error.contains("1 × 1") && error.contains("2 × 1"), "{error}");
     }
 
@@ -231,11 +233,11 @@ mod tests {
     fn payload_without_picture_is_refused() {
         let mut preprocessor = Preprocessor::new(&changed("", "").expect("is right"));
         let fill = |preprocessor: &mut Preprocessor, sample: &Sample| {
-            preprocessor.fill(sample).expect_err("wrong").to_string()
+            preprocessor.preprocess(sample).expect_err("wrong").to_string()
         };
         let nothing = Sample { parts: Vec::new(), source: String::new(), label: None };
         assert_eq!(fill(&mut preprocessor, &nothing), "it has no payload");
-        let plain = Sample::of(Description::bytes(), vec![0; 4].into());
+        let plain = Sample::from_part(Description::bytes(), vec![0; 4].into());
         assert_eq!(fill(&mut preprocessor, &plain), "it is plain bytes, not a picture");
     }
 }

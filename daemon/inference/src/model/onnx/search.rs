@@ -32,7 +32,7 @@ const INSTALLED: &str = "/usr/lib/peernet";
 const NAMES: [&str; 2] = ["libonnxruntime.so", "libonnxruntime.so.1"];
 
 impl SearchSettings {
-    pub(super) fn of_this_process(configured: Option<&Path>) -> Self {
+    pub(super) fn from_environment(configured: Option<&Path>) -> Self {
         Self {
             configured: configured.map(Path::to_owned),
             variable: std::env::var_os("ORT_DYLIB_PATH").filter(|value| !value.is_empty()),
@@ -56,21 +56,21 @@ impl SearchSettings {
                 continue;
             };
             let library = self.current.join(path);
-            return match file_at(&library) {
+            return match library_at(&library) {
                 Some(path) => Ok((Some(Candidate { path, origin }), searched)),
                 None if library.is_dir() => {
-                    let reason = format!("the folder holds no {}", NAMES.join(" or "));
+                    let reason = format!("the folder contains no {}", NAMES.join(" or "));
                     Err(LibraryError::Unusable { library, origin, reason })
                 }
                 None => Err(LibraryError::Unusable {
                     library,
                     origin,
-                    reason: "there is no such file".to_owned(),
+                    reason: "the file does not exist".to_owned(),
                 }),
             };
         }
         for folder in self.folders() {
-            if let Some(path) = file_at(&folder) {
+            if let Some(path) = library_at(&folder) {
                 return Ok((Some(Candidate { path, origin: "found in a folder" }), searched));
             }
             searched.push(format!("{}: none", folder.display()));
@@ -91,7 +91,7 @@ impl SearchSettings {
 }
 
 /// Returns the library at a path: the file itself, or the one in the folder.
-fn file_at(path: &Path) -> Option<PathBuf> {
+fn library_at(path: &Path) -> Option<PathBuf> {
     let resolved = |path: &Path| path.canonicalize().ok().filter(|path| path.is_file());
     resolved(path).or_else(|| NAMES.iter().find_map(|name| resolved(&path.join(name))))
 }
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_is_configuration_variable_folders() {
+    fn order_is_configuration_variable_folders() {
         let root = tempfile::tempdir().expect("can be made");
         let at = |path: &str| root.path().join(path);
         let mut search_settings = SearchSettings {
@@ -145,7 +145,7 @@ mod tests {
         assert!(error.contains("nowhere.so (ORT_DYLIB_PATH)") && error.contains("make setup"), "{error}");
         search_settings.configured = Some(root.path().to_owned());
         let error = search_settings.search().expect_err("is empty").to_string();
-        assert!(error.contains("holds no libonnxruntime.so"), "{error}");
+        assert!(error.contains("contains no libonnxruntime.so"), "{error}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! A session of ONNX Runtime, one per worker.
 //!
 //! `ort` runs a session by `&mut`, because parts of the library are not safe under concurrent runs. Each worker
-//! therefore has its own session, and [`Shared`] lets them share the weights.
+//! therefore has its own session, and [`SharedModel`] lets them share the weights.
 
 use ort::session::Session;
 use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
@@ -9,12 +9,16 @@ use ort::value::{Outlet, TensorElementType};
 
 use super::Plan;
 use super::library::Runtime;
-use super::shared::Shared;
+use super::shared_model::SharedModel;
 use crate::LoadError;
 
 /// Opens a session and checks that the model is the one that the card describes.
-pub(super) fn open(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> Result<Session, LoadError> {
-    let session = build(plan, runtime, shared).map_err(|error| refused(plan, &error))?;
+pub(super) fn open(
+    plan: &Plan,
+    runtime: &Runtime,
+    shared: Option<&SharedModel>,
+) -> Result<Session, LoadError> {
+    let session = build(plan, runtime, shared).map_err(|error| session_error(plan, &error))?;
     let input = &plan.card.input;
     let output = &plan.card.output;
     let classes = output.labels.len();
@@ -26,13 +30,13 @@ pub(super) fn open(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> R
     if let [_, more, ..] = session.inputs() {
         return Err(mismatch(
             plan,
-            format!("it has a second input, {:?}; only one is possible", more.name()),
+            format!("it has a second input, {:?}; models with one input are supported", more.name()),
         ));
     }
     Ok(session)
 }
 
-fn build(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> ort::Result<Session> {
+fn build(plan: &Plan, runtime: &Runtime, shared: Option<&SharedModel>) -> ort::Result<Session> {
     let builder = builder(plan, runtime)?;
     // Other programs may delete temporary folders; a worker that is rebuilt later works without the shared file.
     match shared.filter(|shared| shared.file().exists()) {
@@ -57,7 +61,7 @@ pub(super) fn builder(plan: &Plan, runtime: &Runtime) -> ort::Result<SessionBuil
     Ok(builder)
 }
 
-pub(super) fn refused(plan: &Plan, error: &ort::Error) -> LoadError {
+pub(super) fn session_error(plan: &Plan, error: &ort::Error) -> LoadError {
     LoadError::Session {
         file: plan.file.clone(),
         device: plan.device.to_string(),
@@ -70,12 +74,14 @@ pub(super) fn refused(plan: &Plan, error: &ort::Error) -> LoadError {
 fn reason(text: &str) -> String {
     // As in "…/info.cc:63 static … [ONNXRuntimeError] : 1 : FAIL : options.h:187 Parse Failed to parse …: Invalid
     // device ID: 7".
-    let said = text.rsplit_once("[ONNXRuntimeError] : ").map_or(text, |(_, said)| said);
-    let said =
-        said.split_once(" : ").filter(|(code, _)| code.parse::<u32>().is_ok()).map_or(said, |(_, it)| it);
-    let line = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    let message = text.rsplit_once("[ONNXRuntimeError] : ").map_or(text, |(_, message)| message);
+    let message = message
+        .split_once(" : ")
+        .filter(|(code, _)| code.parse::<u32>().is_ok())
+        .map_or(message, |(_, it)| it);
+    let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
     if line.contains("Failed to load library") {
-        format!("{line}; are the device's own libraries, such as CUDA's, in LD_LIBRARY_PATH?")
+        format!("{line}; check that the device's own libraries, such as CUDA's, are in LD_LIBRARY_PATH")
     } else {
         line
     }
@@ -86,16 +92,17 @@ fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize
         let names: Vec<_> = outlets.iter().map(|outlet| format!("{:?}", outlet.name())).collect();
         return Err(mismatch(
             plan,
-            format!("it has no {what} {name:?} as its card says, but {}", names.join(", ")),
+            format!("its card names the {what} {name:?}, but it has {}", names.join(", ")),
         ));
     };
-    let fits = |own: &[i64]| {
+    let fits = |actual: &[i64]| {
         // The model leaves a length of -1 open.
-        own.len() == shape.len() && own.iter().zip(shape).all(|(own, card)| *own < 0 || *own == *card as i64)
+        actual.len() == shape.len()
+            && actual.iter().zip(shape).all(|(actual, card)| *actual < 0 || *actual == *card as i64)
     };
     let dtype = outlet.dtype();
     if dtype.tensor_type() == Some(TensorElementType::Float32)
-        && dtype.tensor_shape().is_some_and(|own| fits(own))
+        && dtype.tensor_shape().is_some_and(|actual| fits(actual))
     {
         return Ok(());
     }
@@ -112,15 +119,15 @@ mod tests {
 
     #[test]
     fn refusal_is_one_line_without_source_location() {
-        let said = "/onnxruntime_src/cuda_execution_provider_info.cc:63 static onnxruntime::Info [ONNXRuntimeError] : 1 : FAIL : \
+        let message = "/onnxruntime_src/cuda_execution_provider_info.cc:63 static onnxruntime::Info [ONNXRuntimeError] : 1 : FAIL : \
                     options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
                     (inclusive) and 1 (exclusive).\n";
         let short = "FAIL : options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
                      (inclusive) and 1 (exclusive).";
-        assert_eq!(reason(said), short);
+        assert_eq!(reason(message), short);
         let library = "[ONNXRuntimeError] : 1 : FAIL : Failed to load library /opt/libcuda.so with error: file too short";
         assert!(reason(library).ends_with(
-            "file too short; are the device's own libraries, such as CUDA's, in LD_LIBRARY_PATH?"
+            "file too short; check that the device's own libraries, such as CUDA's, are in LD_LIBRARY_PATH"
         ));
         assert_eq!(reason("no such operator"), "no such operator");
     }

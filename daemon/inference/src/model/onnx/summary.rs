@@ -5,8 +5,8 @@ use std::path::Path;
 use peernet_external::sha256;
 use serde::Serialize;
 
-use super::card::{Activation, Card, Centre, Resize, Rounding};
-use super::{CARD, MODEL, regular};
+use super::card::{Activation, Card, CentreCrop, Resize, Rounding};
+use super::{CARD, MODEL, regular_file};
 use crate::LoadError;
 
 /// Card of a model as text.
@@ -39,7 +39,7 @@ pub struct CardSummary {
 pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
     let card = Card::read(&folder.join(CARD))?;
     let file = folder.join(MODEL);
-    match regular::open(&file) {
+    match regular_file::open(&file) {
         Ok(_) => Ok(card.summary()),
         Err(error) => Err(LoadError::File { file, reason: error.to_string() }),
     }
@@ -51,7 +51,7 @@ pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
 /// If the file cannot be read.
 pub(crate) fn hash(folder: &Path, file: &str) -> Result<String, LoadError> {
     let file = folder.join(file);
-    let hash = regular::open(&file).and_then(sha256);
+    let hash = regular_file::open(&file).and_then(sha256);
     hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
 }
 
@@ -62,8 +62,8 @@ impl Card {
         let shape: Vec<_> = input.shape.iter().map(usize::to_string).collect();
         let colour = format!("{:?}", input.colour).to_lowercase();
         let mut steps = vec![format!("colours {colour}")];
-        steps.extend(preprocessing.resize.map(resize));
-        steps.extend(preprocessing.crop.map(crop));
+        steps.extend(preprocessing.resize.map(describe_resize));
+        steps.extend(preprocessing.crop.map(describe_crop));
         let (scale, mean, std) = (preprocessing.scale, &preprocessing.mean, &preprocessing.std);
         steps.push(format!("(byte × {scale} − mean) / std, mean {mean:?}, std {std:?}"));
         let scores = match output.activation {
@@ -80,12 +80,12 @@ impl Card {
             preprocessing: steps,
             output: format!("{} classes, {scores}, best {} listed", output.labels.len(), output.top_k),
             labels: output.labels.clone(),
-            provenance: self.provenance.iter().map(|(key, value)| (key.clone(), plain(value))).collect(),
+            provenance: self.provenance.iter().map(|(key, value)| (key.clone(), plain_text(value))).collect(),
         }
     }
 }
 
-fn resize(resize: Resize) -> String {
+fn describe_resize(resize: Resize) -> String {
     let (what, filter, antialias) = match resize {
         Resize::Exact { width, height, filter, antialias } => {
             (format!("to {width} × {height}"), filter, antialias)
@@ -98,7 +98,7 @@ fn resize(resize: Resize) -> String {
     format!("resize {what}, {}, {how}", format!("{filter:?}").to_lowercase())
 }
 
-fn crop(Centre { width, height, rounding }: Centre) -> String {
+fn describe_crop(CentreCrop { width, height, rounding }: CentreCrop) -> String {
     let rounding = match rounding {
         Rounding::Down => "",
         Rounding::HalfEven => ", odd margins split half to even",
@@ -107,7 +107,7 @@ fn crop(Centre { width, height, rounding }: Centre) -> String {
 }
 
 /// Returns a value as text; a string without its quotes.
-fn plain(value: &toml::Value) -> String {
+fn plain_text(value: &toml::Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
@@ -155,11 +155,11 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_is_that_of_sha256sum() {
+    fn hash_is_that_of_sha256sum() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(MODEL), "abc").expect("written");
         // Example in FIPS 180-4.
-        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(hash(folder.path(), MODEL).expect("is read"), known);
+        let expected_hash = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(hash(folder.path(), MODEL).expect("is read"), expected_hash);
     }
 }

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use ort::session::Session;
 use ort::value::TensorRef;
 use peernet_logger::{Recorder, Unit, stage};
-use peernet_sample::{Description, MediaType, Sample, plain_label};
+use peernet_sample::{Description, MediaType, Sample, normalized_label};
 
 use super::card::Card;
 use super::classify::classify;
@@ -34,9 +34,9 @@ pub(super) struct OnnxWorker {
 }
 
 impl OnnxWorker {
-    /// Creates a worker and runs it once, on zeros: the first run of a session is slow, and a card that does not fit
-    /// the model is noticed before a sample arrives.
-    pub(super) fn warm(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
+    /// Creates a worker, and runs it once on zeros.
+    // The first run of a session is slow. It also shows whether the card fits the model before a sample arrives.
+    pub(super) fn new_warmed_up(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
         let preprocessor = Preprocessor::new(&plan.card);
         let mut worker = Self { session, preprocessor, numbers: Vec::new(), plan };
         worker.run().map_err(|error| LoadError::Session {
@@ -76,7 +76,7 @@ impl Worker for OnnxWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         {
             let _stage = log.time(stage::PREPROCESSING);
-            self.preprocessor.fill(sample).map_err(|error| InferenceError::Input {
+            self.preprocessor.preprocess(sample).map_err(|error| InferenceError::Input {
                 model: self.plan.name.to_string(),
                 sample: sample.source.clone(),
                 reason: error.to_string(),
@@ -92,9 +92,9 @@ impl Worker for OnnxWorker {
             classify(&self.plan.card.output, &mut self.numbers)
                 .map_err(|error| failed(&self.plan, error.to_string()))?
         };
-        if sample.label.as_ref().is_some_and(|label| !self.plan.classes.contains(&plain_label(label))) {
+        if sample.label.as_ref().is_some_and(|label| !self.plan.classes.contains(&normalized_label(label))) {
             log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         }
-        Ok(Sample::of(Description::unshaped(MediaType::Json), Bytes::from(json)))
+        Ok(Sample::from_part(Description::unshaped(MediaType::Json), Bytes::from(json)))
     }
 }

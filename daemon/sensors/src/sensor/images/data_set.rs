@@ -32,8 +32,9 @@ fn hash_files(files: &[(&OsStr, &Path)], largest: u64) -> io::Result<(u64, Strin
     let bytes = sizes.iter().sum();
     let (is_small, mut list) = (bytes <= largest, Vec::new());
     for ((name, file), size) in files.iter().zip(sizes) {
-        let about = if is_small { sha256(File::open(file)?.take(size))? } else { size.to_string() };
-        list.extend([about.as_bytes(), b"  ", name.as_encoded_bytes(), b"\n"].concat());
+        // No more than the size is read, so that a file that grows meanwhile does not delay the run.
+        let hash_or_size = if is_small { sha256(File::open(file)?.take(size))? } else { size.to_string() };
+        list.extend([hash_or_size.as_bytes(), b"  ", name.as_encoded_bytes(), b"\n"].concat());
     }
     let of = if is_small { "SHA-256" } else { "SHA-256 of sizes and names only" };
     Ok((bytes, format!("{of} {}", sha256(list.as_slice())?)))
@@ -61,12 +62,12 @@ mod tests {
     fn hash_equals_that_of_sha256sum() {
         let files = [("a b.jpg", "one"), ("c.png", "three")];
         // printf one > 'a b.jpg'; printf three > c.png; sha256sum * | sha256sum
-        let known = "80a1a4de32989a8bc607fd2b8ec1b0b01bb8b8e6c1c719e5ddcda90111e72296";
-        assert_eq!(hash_of(&files, 8).expect("is read"), (8, format!("SHA-256 {known}")));
+        let expected_hash = "80a1a4de32989a8bc607fd2b8ec1b0b01bb8b8e6c1c719e5ddcda90111e72296";
+        assert_eq!(hash_of(&files, 8).expect("is read"), (8, format!("SHA-256 {expected_hash}")));
         // stat -c '%s  %n' * | sha256sum
-        let known = "cd3d3ffc75f00c9c365b509f72c56ca99a188e525a7e9025ee2e7de46533cb4a";
-        let told = hash_of(&files, 7).expect("is read");
-        assert_eq!(told, (8, format!("SHA-256 of sizes and names only {known}")));
+        let expected_hash = "cd3d3ffc75f00c9c365b509f72c56ca99a188e525a7e9025ee2e7de46533cb4a";
+        let description = hash_of(&files, 7).expect("is read");
+        assert_eq!(description, (8, format!("SHA-256 of sizes and names only {expected_hash}")));
     }
 
     #[test]
@@ -77,17 +78,17 @@ mod tests {
         write("a", "one");
         write("b", "two");
         let (a, b) = (folder.path().join("a"), folder.path().join("b"));
-        let told = |files: &[(&str, &Path)]| {
+        let description = |files: &[(&str, &Path)]| {
             describe_files(files.iter().map(|(name, file)| (OsStr::new(*name), *file)))
         };
-        let first = told(&[("a", &a), ("b", &b)]);
+        let first = description(&[("a", &a), ("b", &b)]);
         assert!(first.starts_with("2 files, 6 bytes, SHA-256 "), "{first}");
-        assert_eq!(told(&[("b", &b), ("a", &a)]), first);
-        assert_ne!(told(&[("c", &a), ("b", &b)]), first);
+        assert_eq!(description(&[("b", &b), ("a", &a)]), first);
+        assert_ne!(description(&[("c", &a), ("b", &b)]), first);
         write("b", "twi");
-        assert_ne!(told(&[("a", &a), ("b", &b)]), first);
+        assert_ne!(description(&[("a", &a), ("b", &b)]), first);
         fs::remove_file(&b).expect("removed");
-        let gone = told(&[("b", &b)]);
+        let gone = description(&[("b", &b)]);
         assert!(gone.starts_with("1 file, no SHA-256: No such file"), "{gone}");
     }
 }

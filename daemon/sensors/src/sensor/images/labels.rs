@@ -10,7 +10,7 @@ use super::folder::is_file;
 use crate::SensorError;
 
 /// Name of the file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`.
-pub(super) const FILE: &str = "labels.csv";
+pub(super) const LABELS_FILE: &str = "labels.csv";
 
 /// Labels by the path of the picture below the folder.
 pub(super) type Labels = HashMap<String, String>;
@@ -27,7 +27,7 @@ struct Row {
 /// # Errors
 /// If the file cannot be used or contains no label, or if the given file does not exist.
 pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels, PathBuf)>, SensorError> {
-    let file = given.map_or_else(|| folder.join(FILE), Path::to_owned);
+    let file = given.map_or_else(|| folder.join(LABELS_FILE), Path::to_owned);
     if given.is_none() && file.exists() && !is_file(&file) {
         return Err(SensorError::Read { path: file, error: io::Error::other("it is not a regular file") });
     }
@@ -36,11 +36,11 @@ pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels
         Err(error) if given.is_none() && error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(SensorError::Read { path: file, error }),
     };
-    let wrong = |reason: String| SensorError::Labels { file: file.clone(), reason };
+    let invalid = |reason: String| SensorError::Labels { file: file.clone(), reason };
     let mut labels = Labels::new();
     for row in csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes()).deserialize() {
         let Row { file, label } = row.map_err(|error| {
-            wrong(format!("{error}; expected a first line `file,label` and one line per picture"))
+            invalid(format!("{error}; expected a first line `file,label` and one line per picture"))
         })?;
         if label.is_empty() {
             continue;
@@ -48,12 +48,12 @@ pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels
         if let Some(other) = labels.insert(file.clone(), label.clone())
             && other != label
         {
-            return Err(wrong(format!("{file} is labelled both {other} and {label}")));
+            return Err(invalid(format!("{file} is labelled both {other} and {label}")));
         }
     }
     if labels.is_empty() {
-        return Err(wrong(
-            "it holds no label, so that no answer could be scored: write a first line `file,label` and one line per picture, or remove it".to_owned(),
+        return Err(invalid(
+            "it contains no label, so that no answer can be scored; write a first line `file,label` and one line per picture, or remove the file".to_owned(),
         ));
     }
     Ok(Some((labels, file)))

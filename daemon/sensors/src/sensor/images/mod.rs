@@ -13,7 +13,7 @@ use bytes::Bytes;
 use peernet_clock::SharedClock;
 use peernet_external::describe_with_hash;
 use peernet_logger::Recorder;
-use peernet_sample::{Description, MediaType, Sample, examples};
+use peernet_sample::{Description, MediaType, Sample, list_examples};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -63,7 +63,7 @@ const fn yes() -> bool {
 
 impl ImagesConfig {
     /// Returns the configuration of pictures with all defaults.
-    fn of(path: PathBuf) -> Self {
+    fn new(path: PathBuf) -> Self {
         Self { path, order: Order::default(), seed: default_seed(), repeat: yes(), labels: None }
     }
 }
@@ -77,27 +77,29 @@ impl SensorKind for ImagesConfig {
 impl SensorConfig {
     /// Returns the configuration of a picture, or of a folder's pictures by name, repeated.
     pub fn pictures(path: PathBuf) -> Self {
-        ImagesConfig::of(path).into()
+        ImagesConfig::new(path).into()
     }
 
     /// Returns the configuration of a picture, or of a folder's pictures by name, each once.
     pub fn pictures_once(path: PathBuf) -> Self {
-        ImagesConfig { repeat: false, ..ImagesConfig::of(path) }.into()
+        ImagesConfig { repeat: false, ..ImagesConfig::new(path) }.into()
     }
 }
 
-/// List of pictures, each of which is read when its turn comes.
+/// List of pictures. Each picture is read when its sample is requested.
 struct Images {
     path: PathBuf,
     pictures: Vec<Picture>,
     /// File from which the labels were read.
     labels: Option<PathBuf>,
+    /// Index of the next picture.
     next: usize,
     /// Random numbers for shuffling before every round; `None` keeps the order of names.
     shuffle: Option<StdRng>,
     repeat: bool,
 }
 
+/// A picture file with its label.
 struct Picture {
     file: PathBuf,
     media: MediaType,
@@ -109,9 +111,10 @@ struct Picture {
 impl Images {
     fn open(config: &ImagesConfig) -> Result<Self, SensorError> {
         let (path, labels) = (config.path.as_path(), config.labels.as_deref());
-        let about = fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
+        let metadata =
+            fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
         let (pictures, labels) =
-            if about.is_dir() { read_folder(path, labels)? } else { read_single(path, labels)? };
+            if metadata.is_dir() { read_folder(path, labels)? } else { read_single(path, labels)? };
         let mut images = Self {
             path: path.to_owned(),
             pictures,
@@ -139,9 +142,9 @@ impl Images {
     /// Returns the number of pictures with a label, and some of the labels: `100 of 100: dented, good`.
     fn labels(&self) -> String {
         let all: Vec<&str> = self.pictures.iter().filter_map(|picture| picture.label.as_deref()).collect();
-        let of = format!("{} of {}", all.len(), self.pictures.len());
+        let count = format!("{} of {}", all.len(), self.pictures.len());
         let different: BTreeSet<&str> = all.into_iter().collect();
-        if different.is_empty() { of } else { format!("{of}: {}", examples(different)) }
+        if different.is_empty() { count } else { format!("{count}: {}", list_examples(different)) }
     }
 }
 
@@ -159,7 +162,7 @@ impl Sensor for Images {
         self.next += 1;
         let bytes = fs::read(&picture.file)
             .map_err(|error| SensorError::Read { path: picture.file.clone(), error })?;
-        let mut sample = Sample::of(Description::unshaped(picture.media.clone()), Bytes::from(bytes));
+        let mut sample = Sample::from_part(Description::unshaped(picture.media.clone()), Bytes::from(bytes));
         sample.source.clone_from(&picture.source);
         sample.label.clone_from(&picture.label);
         Ok(Some(sample))
@@ -196,6 +199,7 @@ fn read_folder(path: &Path, file: Option<&Path>) -> Result<LabelledPictures, Sen
             let media = folder::media(&file)?;
             let below = file.strip_prefix(path).unwrap_or(&file);
             let source = below.to_string_lossy().into_owned();
+            // Without a file of labels, a picture is labelled with the name of its folder.
             let label = match &mut labels {
                 Some(labels) => labels.remove(&source),
                 None => below.iter().rev().nth(1).map(|folder| folder.to_string_lossy().into_owned()),
@@ -204,16 +208,16 @@ fn read_folder(path: &Path, file: Option<&Path>) -> Result<LabelledPictures, Sen
         })
         .collect();
     let labelled = pictures.iter().any(|picture| picture.label.is_some());
-    match (labels.and_then(|left| left.into_keys().min()), file) {
+    match (labels.and_then(|unused| unused.into_keys().min()), file) {
         // A file that the user names may belong to a larger data set.
         (Some(missing), None) => Err(SensorError::Labels {
-            file: path.join(labels::FILE),
+            file: path.join(labels::LABELS_FILE),
             reason: format!("it labels {missing}, which is not among the pictures of the folder"),
         }),
         (Some(other), Some(file)) if !labelled => Err(SensorError::Labels {
             file: file.to_owned(),
             reason: format!(
-                "it labels no picture of {}, but {other}: write paths below that folder",
+                "it labels no picture of {}, but {other}; write paths below that folder",
                 path.display()
             ),
         }),

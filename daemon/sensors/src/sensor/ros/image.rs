@@ -9,11 +9,11 @@ use peernet_sample::{Description, ElementType, MediaType, Part, PixelFormat};
 pub(super) enum PictureError {
     /// The encoding is not known.
     #[error(
-        "the encoding {0:?} is not known; publish rgb8, bgr8, mono8, mono16 or an OpenCV type such as 32FC1"
+        "the encoding {0:?} is not supported; publish rgb8, bgr8, mono8, mono16 or an OpenCV type such as 32FC1"
     )]
     Encoding(String),
     /// The rows overlap, or are longer than the data.
-    #[error("{height} rows of {row_bytes} bytes, one every {step} bytes, are not in {available} bytes")]
+    #[error("{height} rows of {row_bytes} bytes, one every {step} bytes, do not fit into {available} bytes")]
     Rows { height: u32, row_bytes: u64, step: u32, available: usize },
 }
 
@@ -35,7 +35,7 @@ pub(super) struct Rows {
 
 impl Rows {
     /// Returns the rows without padding. Copies them only if there is padding.
-    pub(super) fn joined(self, data: &Bytes) -> Result<Bytes, PictureError> {
+    pub(super) fn without_padding(self, data: &Bytes) -> Result<Bytes, PictureError> {
         let Self { height, row_bytes, step } = self;
         let error = PictureError::Rows { height, row_bytes, step, available: data.len() };
         let (Ok(row), Ok(stride), Ok(count)) =
@@ -46,19 +46,19 @@ impl Rows {
         if count == 0 || row == 0 {
             return Ok(Bytes::new());
         }
-        // The last row needs no padding.
-        let needed = (count - 1).checked_mul(stride).and_then(|before| before.checked_add(row));
-        if (count > 1 && stride < row) || needed.is_none_or(|needed| needed > data.len()) {
+        // The sizes come from the publisher, so that their products may overflow. The last row needs no padding.
+        let required = (count - 1).checked_mul(stride).and_then(|before| before.checked_add(row));
+        if (count > 1 && stride < row) || required.is_none_or(|required| required > data.len()) {
             return Err(error);
         }
         if stride == row || count == 1 {
             return Ok(data.slice(..row * count));
         }
-        let mut joined = Vec::with_capacity(row * count);
+        let mut without_padding = Vec::with_capacity(row * count);
         for at in 0..count {
-            joined.extend_from_slice(&data[at * stride..at * stride + row]);
+            without_padding.extend_from_slice(&data[at * stride..at * stride + row]);
         }
-        Ok(joined.into())
+        Ok(without_padding.into())
     }
 }
 
@@ -79,24 +79,24 @@ pub(super) fn part(image: Image) -> Result<Part, PictureError> {
             Description::pixels(PixelFormat::Grey8, width, height),
         ),
         _ => {
-            let pixel = Pixel::of(&encoding).ok_or(PictureError::Encoding(encoding.clone()))?;
+            let pixel = Pixel::from_encoding(&encoding).ok_or(PictureError::Encoding(encoding.clone()))?;
             let (shape, element) = (vec![height, width, pixel.channels], Some(pixel.element));
             (pixel, Description { media: MediaType::Tensor, shape, element })
         }
     };
     let element_bytes = pixels.element.bytes();
     let row_bytes = u64::from(width).saturating_mul(u64::from(pixels.channels)).saturating_mul(element_bytes);
-    let mut bytes = Rows { height, row_bytes, step }.joined(&data)?;
+    let mut bytes = Rows { height, row_bytes, step }.without_padding(&data)?;
     if encoding == "bgr8" {
-        bytes = reversed(&bytes, 3);
+        bytes = reverse_groups(&bytes, 3);
     } else if is_bigendian != 0 && element_bytes > 1 {
-        bytes = reversed(&bytes, element_bytes as usize);
+        bytes = reverse_groups(&bytes, element_bytes as usize);
     }
     Ok(Part { description, bytes })
 }
 
 /// Reverses the order of bytes within groups of this size.
-fn reversed(bytes: &Bytes, size: usize) -> Bytes {
+fn reverse_groups(bytes: &Bytes, size: usize) -> Bytes {
     let mut copy = bytes.to_vec();
     copy.chunks_exact_mut(size).for_each(<[u8]>::reverse);
     copy.into()
@@ -104,16 +104,18 @@ fn reversed(bytes: &Bytes, size: usize) -> Bytes {
 
 impl Pixel {
     /// Parses the name of an encoding of `sensor_msgs/image_encodings.h`.
-    fn of(encoding: &str) -> Option<Self> {
-        let of = |channels, element| Some(Self { channels, element });
+    fn from_encoding(encoding: &str) -> Option<Self> {
+        let pixel = |channels, element| Some(Self { channels, element });
         match encoding {
-            "rgba8" | "bgra8" => return of(4, ElementType::U8),
-            "rgb16" | "bgr16" => return of(3, ElementType::U16),
-            "rgba16" | "bgra16" => return of(4, ElementType::U16),
-            "mono16" => return of(1, ElementType::U16),
-            "yuv422" | "yuv422_yuy2" | "uyvy" | "yuyv" => return of(2, ElementType::U8),
-            bayer if bayer.starts_with("bayer_") && bayer.ends_with("16") => return of(1, ElementType::U16),
-            bayer if bayer.starts_with("bayer_") && bayer.ends_with('8') => return of(1, ElementType::U8),
+            "rgba8" | "bgra8" => return pixel(4, ElementType::U8),
+            "rgb16" | "bgr16" => return pixel(3, ElementType::U16),
+            "rgba16" | "bgra16" => return pixel(4, ElementType::U16),
+            "mono16" => return pixel(1, ElementType::U16),
+            "yuv422" | "yuv422_yuy2" | "uyvy" | "yuyv" => return pixel(2, ElementType::U8),
+            bayer if bayer.starts_with("bayer_") && bayer.ends_with("16") => {
+                return pixel(1, ElementType::U16);
+            }
+            bayer if bayer.starts_with("bayer_") && bayer.ends_with('8') => return pixel(1, ElementType::U8),
             _ => {}
         }
         // OpenCV's types, such as 32FC1; the number of channels may be missing.
@@ -143,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn colour_comes_in_the_order_red_green_blue() {
+    fn colour_channels_are_in_rgb_order() {
         let rgb = part(image("rgb8", 1, 3, b"RGBrgb")).expect("fits");
         let bgr = part(image("bgr8", 1, 3, b"BGRbgr")).expect("fits");
         assert_eq!((&rgb.bytes, &rgb.description), (&bgr.bytes, &bgr.description));

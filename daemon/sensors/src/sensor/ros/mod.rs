@@ -73,34 +73,34 @@ fn five_seconds() -> NonZeroU64 {
 }
 
 impl RosSensorConfig {
-    fn checked(&self) -> Result<RosVersion, SensorError> {
+    fn validated_version(&self) -> Result<RosVersion, SensorError> {
         let version = check_topic(self.ros_version, &self.topic, self.message_type.as_ref())?;
-        let wrong = |reason: &str| Err(SensorError::Config(format!("a ros sensor {reason}")));
+        let config_error = |reason: &str| Err(SensorError::Config(format!("a ros sensor {reason}")));
         if self.queue.get() > QosProfile::MAX_DEPTH {
-            return wrong("keeps at most 8192 messages: lower its queue");
+            return config_error("queues at most 8192 messages; lower its queue");
         }
         if version == RosVersion::Ros1 && self.reliability.is_some() {
-            return wrong("of ROS 1 has no reliability, because TCP loses nothing: remove the key");
+            return config_error("of ROS 1 has no reliability, because TCP loses no message; remove the key");
         }
         Ok(version)
     }
 }
 
 impl SensorKind for RosSensorConfig {
-    /// Does not subscribe yet: the first sample does. So a master that starts later fails iterations, which are tried
-    /// again, and not the pipeline.
+    /// Opens the sensor. The first sample subscribes to the topic.
+    // A master that starts later then only fails iterations, and not the whole pipeline.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
-        let version = self.checked()?;
+        let version = self.validated_version()?;
         let options =
             ReaderOptions { queue: self.queue.get(), reliability: self.reliability.unwrap_or_default() };
         let (config, clock) = (self.clone(), SharedClock::clone(clock));
         Ok(Box::new(Ros { config, version, options, clock, reader: None }))
     }
 
-    // An agent that is started at boot, before the master, must not be refused. So these conditions, which may become right
-    // by themselves, are no errors.
+    // These conditions are not errors, because they may change without an action: an agent that is started at boot, before
+    // the master, must not be refused.
     fn remarks(&self) -> Vec<String> {
-        let Ok(version) = self.checked() else { return Vec::new() };
+        let Ok(version) = self.validated_version() else { return Vec::new() };
         match survey_topic(version, &self.topic, self.message_type.as_ref(), TopicUse::Read) {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],
@@ -135,6 +135,7 @@ impl Ros {
         if let Err(error) = &read
             && error.is_end()
         {
+            // The next sample starts another node and subscribes again.
             self.reader = None;
         }
         read
@@ -148,8 +149,8 @@ impl Ros {
             StampClock::Unknown => OneWayDelay::unsynchronised(raw),
         };
         let sent = Stamp { wall: stamp, mono: log.clock().mono(), ..Stamp::default() };
-        let node = log.depart(CAPTURE_DELAY, sent);
-        log.arrive(node, received);
+        let node = log.start_transit(CAPTURE_DELAY, sent);
+        log.end_transit(node, received);
         if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(node) {
             transit.delay = Some(delay);
         }

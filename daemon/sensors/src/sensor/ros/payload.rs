@@ -45,11 +45,11 @@ impl Payload {
         if of == PointCloud2::DEFINITION.name {
             let cloud: PointCloud2 = read(message)?;
             let stamp = stamp(cloud.header.stamp);
-            return Ok(Self { parts: points(&cloud)?, stamp });
+            return Ok(Self { parts: point_cloud_parts(&cloud)?, stamp });
         }
         if of == Imu::DEFINITION.name {
             let imu: Imu = read(message)?;
-            return Ok(Self { parts: vec![readings(&imu)], stamp: stamp(imu.header.stamp) });
+            return Ok(Self { parts: vec![imu_part(&imu)], stamp: stamp(imu.header.stamp) });
         }
         if of == StringMessage::DEFINITION.name {
             let text: StringMessage = read(message)?;
@@ -85,7 +85,7 @@ fn file(format: &str) -> MediaType {
 
 /// Returns the points, `height × width × point_step` bytes without padding, and a JSON document that describes the
 /// bytes.
-fn points(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
+fn point_cloud_parts(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
     let shape = vec![cloud.height, cloud.width, cloud.point_step];
     let rows = image::Rows {
         height: cloud.height,
@@ -96,7 +96,7 @@ fn points(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
     let about = json!({ "fields": fields, "big_endian": cloud.is_bigendian, "dense": cloud.is_dense });
     let description = Description { media: MediaType::Tensor, shape, element: Some(ElementType::U8) };
     Ok(vec![
-        Part { description, bytes: rows.joined(&cloud.data)? },
+        Part { description, bytes: rows.without_padding(&cloud.data)? },
         Part { description: Description::unshaped(MediaType::Json), bytes: about.to_string().into() },
     ])
 }
@@ -109,7 +109,7 @@ fn field(field: &PointField) -> serde_json::Value {
 
 /// Returns all 37 numbers in the order of the message: orientation (x, y, z, w) and its covariance, angular velocity
 /// and its covariance, linear acceleration and its covariance.
-fn readings(imu: &Imu) -> Part {
+fn imu_part(imu: &Imu) -> Part {
     let (q, v, a) = (imu.orientation, imu.angular_velocity, imu.linear_acceleration);
     let numbers = [q.x, q.y, q.z, q.w]
         .into_iter()

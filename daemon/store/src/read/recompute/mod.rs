@@ -175,7 +175,7 @@ async fn rejudge(
     };
     let Some(relation) = clouds.relation(cloud, time).await? else { return Ok(unchanged) };
     let now = match is_observed {
-        true => relation.difference(direction, stamps.sent, stamps.received),
+        true => relation.reception_difference(direction, stamps.sent, stamps.received),
         false => relation.delay(direction, stamps.sent, stamps.received),
     };
     Ok(RejudgedDelay { after: Some(combine(before, now)), clocks: Some(clocks), ..unchanged })
@@ -207,7 +207,7 @@ impl Row {
     /// Returns the stamps by which the delay is judged, and their clocks: the free-running ones if both ends stamped by them, otherwise
     /// the wall clocks. A cloud without raw stamps gave those of its wall clock instead.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
-        let by_wall = RawStamps { sent: RawTime::of_wall(sent), received: RawTime::of_wall(received) };
+        let by_wall = RawStamps { sent: RawTime::from_wall(sent), received: RawTime::from_wall(received) };
         let Some((sent, received)) = self.sent_raw_ns.zip(self.received_raw_ns) else {
             return (RelatedClocks::Wall, by_wall);
         };

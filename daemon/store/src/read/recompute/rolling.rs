@@ -103,7 +103,7 @@ impl RollingWindow {
                 claim.map(|(source, offset)| Discipline { source, error: error(offset) })
             };
             // The stored claim is about the offset: it is set as if the edge's clock were exact.
-            relation.set_disciplines(said(|_| Interval::exactly(Span::ZERO)), said(|offset| offset));
+            relation.set_claims(said(|_| Interval::exactly(Span::ZERO)), said(|offset| offset));
         }
         Ok(self.relation.as_ref())
     }

@@ -11,7 +11,7 @@ use super::*;
 use crate::telemetry;
 
 fn iteration(clock: &SharedClock, run: RunId, number: u64) -> Event {
-    let tree = Recorder::begin(SharedClock::clone(clock), host()).finish();
+    let tree = Recorder::new(SharedClock::clone(clock), host()).finish();
     Event::Iteration(Iteration {
         run,
         number,

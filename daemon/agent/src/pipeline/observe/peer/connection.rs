@@ -219,7 +219,7 @@ impl PeerConnection {
         let sample = request.to_sample().map_err(|error| refused(error.to_string()))?;
         // The recorder is not part of any iteration and is dropped. Only the answer counts, and the exchange that the
         // link learns from.
-        let log = Recorder::begin(Arc::clone(&self.clock), self.own);
+        let log = Recorder::new(Arc::clone(&self.clock), self.own);
         match self.placement.compute(log, &sample, self.timeout).await.result {
             Ok(answer) => {
                 let answer = answer.unwrap_or_else(empty);

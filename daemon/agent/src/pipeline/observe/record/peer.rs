@@ -33,14 +33,14 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     let (input, output) = (&pair.input, &pair.output);
     let (begun, ended) = ends(input, output);
     let total = ended.mono - begun.mono;
-    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
+    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, begun);
     let mut transport = None;
     if let Some(arrived) = seen.input() {
         let up = Crossing { sender: input.received.at, receiver: arrived };
         let down = |departed| Crossing { sender: departed, receiver: output.at };
         let way_back = seen.output().zip(seen.elapsed()).map(|(departed, elapsed)| (down(departed), elapsed));
         let [up_delay, down_delay] = judge(&up, way_back.as_ref().map(|(down, _)| down));
-        let upload = log.depart(stage::UPLOAD, begun);
+        let upload = log.start_transit(stage::UPLOAD, begun);
         let nodes = way_back.map(|(down, elapsed)| at_peer(&down, elapsed, down_delay));
         // The sum of both directions needs no clock relation: this host's waiting time minus the peer's elapsed time,
         // each by its own monotonic clock.
@@ -53,7 +53,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
             closed: (upload, arrived.wall),
             nodes: nodes.into_iter().flatten().collect(),
         };
-        match log.tree_mut().absorb(delta) {
+        match log.tree_mut().apply_delta(delta) {
             Ok(()) => {
                 if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(upload) {
                     **transit = up.transit(up_delay);
@@ -78,7 +78,7 @@ pub(in crate::pipeline::observe) fn answered_without_peer(
     pair: &Pair,
 ) -> (Tree, Stamp) {
     let (begun, ended) = ends(&pair.input, &pair.output);
-    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
+    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, begun);
     count(log.tree_mut(), PEER_UNANSWERED, ended.mono - begun.mono, 1);
     close(log, pair, ended, None)
 }

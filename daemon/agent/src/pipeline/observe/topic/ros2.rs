@@ -177,7 +177,7 @@ fn type_to_subscribe<'a>(publishers: &'a [FoundPublisher], current: Option<&str>
 fn observed(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
     let header = read_header(WireForm::Cdr, &sample.payload);
     TopicMessage {
-        received: stamp_of(clock.adopt(sample.received_time), clock.stamp()),
+        received: stamp_of(clock.apply_faults(sample.received_time), clock.stamp()),
         length: sample.payload.len(),
         stamp: header.map(|header| header.stamp.as_nanos()).filter(|stamp| *stamp != 0),
         sequence: None,

@@ -55,7 +55,7 @@ fn exchanges_check_proof_of_one_clock() {
 fn pair_is_measured_before_and_after_proof_of_one_clock() {
     let one = || SimulatedClock::drifting(Span::ZERO, 0.0);
     let host_clocks = HostClocks { edge: one(), cloud: one() };
-    let mut relation = acquainted(&host_clocks);
+    let mut relation = relation_with_history(&host_clocks);
     let mut sources = Vec::new();
     for (second, is_proven) in [(11.0, false), (12.0, true), (13.0, false)] {
         relation.set_same_clock(is_proven);
@@ -78,13 +78,13 @@ fn free_running_clock_and_wall_clock_are_never_one() {
 #[test]
 fn delay_without_fresh_exchange_is_stale() {
     let host_clocks = host_clocks(Span::from_millis(5));
-    let mut relation = acquainted(&host_clocks);
+    let mut relation = relation_with_history(&host_clocks);
     // An image whose transfer takes half a second, so that the width of the interval is no limit.
     let big = |t: f64| host_clocks.trip(t, 500e6, 100e3, 30e3);
     assert_eq!(relation.judge(&big(10.5e9).observation()).up.verdict, Verdict::Ok);
     let late = big(40e9);
     let judged = relation.judge(&late.observation());
-    assert_eq!((judged.learned, judged.up.verdict), (LearnResult::Taken, Verdict::Stale));
+    assert_eq!((judged.learned, judged.up.verdict), (LearnResult::Accepted, Verdict::Stale));
     assert!(contains(&judged.up, late.up) && judged.up.value.is_some());
     // Its own exchange makes the next delay recent, and itself when it is judged again.
     assert_eq!(relation.judge(&big(42e9).observation()).up.verdict, Verdict::Ok);
@@ -130,12 +130,12 @@ fn large_possible_asymmetry_yields_limited_verdict() {
 #[test]
 fn offset_states_age_and_number_of_exchanges() {
     let host_clocks = host_clocks(Span::from_millis(-7));
-    let relation = acquainted(&host_clocks);
-    let offset = relation.offset(at(12), WallTime::default()).expect("acquainted");
+    let relation = relation_with_history(&host_clocks);
+    let offset = relation.offset(at(12), WallTime::default()).expect("the clocks are related");
     assert_eq!((offset.source, offset.verdict), (DelaySource::InBand, Verdict::Ok));
     assert_eq!(offset.sources, [(DelaySource::InBand, offset.bounds)]);
     assert_eq!(offset.exchanges, relation.counts().taken);
-    let age = offset.age.expect("acquainted");
+    let age = offset.age.expect("the clocks are related");
     assert!(Span::from_seconds(2) <= age && age < Span::from_seconds(3), "{age}");
     assert!((offset.skew_ppm.expect("ten seconds") - 10.0).abs() < 5.0);
     assert!(offset.bounds.contains(offset.estimate));

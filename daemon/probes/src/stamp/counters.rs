@@ -12,7 +12,7 @@ pub enum Refusal {
     Unauthenticated,
     /// The packet is a reply. Answering it would let two reflectors form a loop.
     Reply,
-    /// The request comes from port 0, to which nothing can be sent.
+    /// The request comes from port 0, to which no answer can be sent.
     NoPort,
     /// The source exceeded its rate.
     TooOften,
@@ -35,7 +35,7 @@ impl Refusal {
     ];
 
     /// Returns the reason in a few words, for people and for labels of metrics.
-    pub const fn in_words(self) -> &'static str {
+    pub const fn description(self) -> &'static str {
         match self {
             Self::Short => "shorter than a request",
             Self::Unauthenticated => "not authenticated by the key",
@@ -50,7 +50,7 @@ impl Refusal {
 
 /// Handle to the counters of a reflector since it was bound. Clones show the same counters.
 #[derive(Clone, Debug, Default)]
-pub struct ReflectorFigures(Arc<Counters>);
+pub struct ReflectorCounters(Arc<Counters>);
 
 #[derive(Debug, Default)]
 struct Counters {
@@ -58,7 +58,7 @@ struct Counters {
     refused: [AtomicU64; Refusal::ALL.len()],
 }
 
-/// Values of [`ReflectorFigures`] at one time.
+/// Values of [`ReflectorCounters`] at one time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReflectorCounts {
     /// Number of answered requests.
@@ -67,7 +67,7 @@ pub struct ReflectorCounts {
     pub refused: [(Refusal, u64); Refusal::ALL.len()],
 }
 
-impl ReflectorFigures {
+impl ReflectorCounters {
     /// Returns the present values.
     pub fn read(&self) -> ReflectorCounts {
         let refused = |why: Refusal| (why, self.0.refused[why as usize].load(Ordering::Relaxed));

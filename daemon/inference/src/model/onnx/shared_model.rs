@@ -21,18 +21,18 @@ use crate::{LoadError, Scratch};
 const MIN_SHARED_BYTES: &str = "1024";
 
 /// Optimised model on disk; dropping it deletes the files.
-pub(super) struct Shared {
+pub(super) struct SharedModel {
     folder: Scratch,
     temp_dirs: TempDirs,
 }
 
-impl Drop for Shared {
+impl Drop for SharedModel {
     fn drop(&mut self) {
         self.temp_dirs.deregister(self.folder.path());
     }
 }
 
-impl Shared {
+impl SharedModel {
     /// Optimises the model for this machine. Returns `None` if nothing would be shared: with one worker, and on
     /// devices other than the CPU, whose memory holds a copy for each session anyway.
     pub(super) fn prepare(
@@ -51,7 +51,7 @@ impl Shared {
         })?;
         temp_dirs.register(folder.path());
         let shared = Self { folder, temp_dirs: temp_dirs.clone() };
-        shared.write(plan, runtime).map_err(|error| session::refused(plan, &error))?;
+        shared.write(plan, runtime).map_err(|error| session::session_error(plan, &error))?;
         Ok(Some(shared))
     }
 

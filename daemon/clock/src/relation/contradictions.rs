@@ -1,15 +1,17 @@
 //! Exchanges that contradict the band: they are wrong, or the first after a step that no host reported.
 
-use super::types::Doubt;
+use super::types::ViolatedLimit;
 use crate::band::{Band, Bounds, Contradiction};
 use crate::{RawTime, Span};
 
 /// Number of agreeing suspects that prove an unreported step.
-const SUSPECTS_FOR_STEP: u64 = 4;
+const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 
-/// Longest time between two unreported steps from which a violated assumption is concluded: the clock drifts faster
-/// than the limit, or the peer sends wrong stamps. The doubt lasts as long after the last of them.
-const DOUBT: Span = Span::from_seconds(60);
+/// Longest time between two unreported steps that together prove a violated limit, and time for which the
+/// limit counts as violated after the second of them.
+// Clocks are rarely set twice a minute. A clock that drifts faster than the limit, or a peer that sends wrong stamps,
+// contradicts the band again and again.
+const VIOLATION_DURATION: Span = Span::from_seconds(60);
 
 /// Exchanges that contradict the band now, and the steps that earlier ones proved.
 #[derive(Clone, Debug, Default)]
@@ -18,28 +20,30 @@ pub(super) struct Contradictions {
     pub(super) unannounced_steps: UnannouncedSteps,
 }
 
-/// Times of steps that no host reported, and the doubt that follows from several of them.
+/// Times of steps that no host reported, and the limit that several of them violate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UnannouncedSteps {
     last: Option<(RawTime, Contradiction)>,
-    doubt: Option<(RawTime, Doubt)>,
+    violated_limit: Option<(RawTime, ViolatedLimit)>,
 }
 
 impl UnannouncedSteps {
-    /// Records a step. A second one within [`DOUBT`] begins a doubt.
+    /// Records a step. A second one within [`VIOLATION_DURATION`] violates a limit.
     pub(super) fn record(&mut self, at: RawTime, contradiction: Contradiction) {
-        if let Some((_, before)) = self.last.filter(|(last, _)| (at - *last).abs() <= DOUBT) {
+        if let Some((_, before)) = self.last.filter(|(last, _)| (at - *last).abs() <= VIOLATION_DURATION) {
             let is_change = [before, contradiction].contains(&Contradiction::DriftChange);
-            let doubt = if is_change { Doubt::DriftChange } else { Doubt::Drift };
-            self.doubt = Some((at + DOUBT, doubt));
+            let limit = if is_change { ViolatedLimit::DriftChange } else { ViolatedLimit::Drift };
+            self.violated_limit = Some((at + VIOLATION_DURATION, limit));
         }
         self.last = Some((at, contradiction));
     }
 
-    /// Returns the assumption that is in doubt at a time because of the steps before it.
-    pub(super) fn doubt(&self, at: RawTime) -> Option<Doubt> {
-        // After the edge's clock is set back far, the end of the doubt lies far in the future. The doubt is over then.
-        self.doubt.filter(|(until, _)| at < *until && *until - at <= DOUBT + DOUBT).map(|(_, doubt)| doubt)
+    /// Returns the limit that the steps before a time violate.
+    pub(super) fn violated_limit(&self, at: RawTime) -> Option<ViolatedLimit> {
+        // After the edge's clock is set back far, the end of the violation lies far in the future. The violation is over then.
+        self.violated_limit
+            .filter(|(until, _)| at < *until && *until - at <= VIOLATION_DURATION + VIOLATION_DURATION)
+            .map(|(_, limit)| limit)
     }
 }
 
@@ -61,29 +65,28 @@ impl SuspectExchanges {
                 empty()
             }
         };
-        if !self.bounds.iter().any(|known| known.sent() == bounds.sent()) {
+        if !self.bounds.iter().any(|suspect| suspect.sent() == bounds.sent()) {
             self.bounds.push(*bounds);
             band.insert(bounds);
         }
-        if band.exchanges() >= SUSPECTS_FOR_STEP {
+        if band.exchanges() >= MIN_SUSPECTS_FOR_STEP {
             return Some(band);
         }
         self.band = Some(band);
         None
     }
 
-    /// Handles an exchange that fits the band, which contains it already. Removes the suspects if the exchange contradicts
-    /// them, or if they contradict nothing that bounds the offset any more, or are too old to bound it themselves.
-    ///
-    /// A wide exchange that fits both refutes nothing. Otherwise no step could be recognised under load. But either the
-    /// suspects are wrong, or the exchanges that they contradict are from before a change of the clocks; those leave the
-    /// window no later than a window after the change.
+    /// Compares the suspects with an accepted exchange, which the band contains already. Removes the suspects in three
+    /// cases: the exchange contradicts them, they contradict nothing that still bounds the offset, or they are too old to
+    /// bound it themselves.
+    // A wide exchange that fits both the band and the suspects keeps them; otherwise no step could be recognised under
+    // load. The suspicion still ends: if the clocks changed, the exchanges from before the change leave the window.
     // Suspects are rare, and `learn` is called for every message.
     #[cold]
     pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
-        let begin = current.bounds_from(exchange.sent());
-        let counting = current.since(begin);
-        let is_open = |suspect: &Bounds| suspect.sent() >= begin && counting.contradiction(suspect).is_some();
+        let start = current.window_start(exchange.sent());
+        let bounding = current.without_exchanges_before(start);
+        let is_open = |suspect: &Bounds| suspect.sent() >= start && bounding.contradiction(suspect).is_some();
         let is_contradicted = |band: &Band| band.contradiction(exchange).is_some();
         if self.band.as_ref().is_some_and(is_contradicted) || !self.bounds.iter().any(is_open) {
             self.band = None;
@@ -95,6 +98,7 @@ impl SuspectExchanges {
         self.band.is_none()
     }
 
+    /// Removes all suspects.
     pub(super) fn clear(&mut self) {
         self.band = None;
     }

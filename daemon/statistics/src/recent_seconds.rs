@@ -5,26 +5,27 @@ use crate::Merge;
 /// Ring of one-second cells. A new second overwrites the oldest one, and any number of the last seconds can be
 /// merged.
 ///
-/// Seconds are numbered by the caller, usually since the Unix epoch. If a second is further in the past than the ring
-/// reaches, the wall clock was set back. The ring is cleared then, because it would otherwise ignore everything until
-/// the clock has caught up.
+/// The caller numbers the seconds, usually since the Unix epoch. A second that is further in the past than the ring
+/// reaches clears the ring.
+// Such a second means that the wall clock was set back. Without clearing, the ring would ignore all updates until the
+// clock reaches the newest second again.
 ///
 /// ```
-/// # use peernet_statistics::{Summary, Windows};
-/// let mut windows = Windows::<Summary>::new(60);
-/// windows.record(100, |cell| cell.record(0.25));
-/// windows.record(101, |cell| cell.record(0.75));
-/// assert_eq!(windows.last(101, 1).count(), 1);
-/// assert_eq!(windows.last(101, 10).moments.mean, 0.5);
+/// # use peernet_statistics::{RecentSeconds, Summary};
+/// let mut seconds = RecentSeconds::<Summary>::new(60);
+/// seconds.record(100, |cell| cell.record(0.25));
+/// seconds.record(101, |cell| cell.record(0.75));
+/// assert_eq!(seconds.last(101, 1).count(), 1);
+/// assert_eq!(seconds.last(101, 10).moments.mean, 0.5);
 /// ```
 #[derive(Clone, Debug)]
-pub struct Windows<C> {
+pub struct RecentSeconds<C> {
     /// Cells with the second that each belongs to; the second modulo the length is the cell's index.
     cells: Box<[Option<(i64, C)>]>,
     newest: Option<i64>,
 }
 
-impl<C: Merge + Default> Windows<C> {
+impl<C: Merge + Default> RecentSeconds<C> {
     /// Creates a ring of `seconds` cells, at least one.
     pub fn new(seconds: usize) -> Self {
         Self { cells: (0..seconds.max(1)).map(|_| None).collect(), newest: None }
@@ -58,32 +59,33 @@ impl<C: Merge + Default> Windows<C> {
         }
         self.newest = Some(self.newest.map_or(second, |newest| newest.max(second)));
         let slot = &mut self.cells[second.rem_euclid(length) as usize];
-        let (held, cell) = slot.get_or_insert_with(|| (second, C::default()));
-        if *held != second {
-            (*held, *cell) = (second, C::default());
+        let (cell_second, cell) = slot.get_or_insert_with(|| (second, C::default()));
+        if *cell_second != second {
+            (*cell_second, *cell) = (second, C::default());
         }
         cell
     }
 
-    /// Removes the cells from `second` on: a clock that was set back will reach them again.
-    pub fn forget_from(&mut self, second: i64) {
+    /// Removes the cells from `second` on.
+    // A clock that was set back reaches these seconds again.
+    pub fn remove_from(&mut self, second: i64) {
         for slot in &mut self.cells {
-            slot.take_if(|(held, _)| *held >= second);
+            slot.take_if(|(cell_second, _)| *cell_second >= second);
         }
-        self.newest = self.cells.iter().flatten().map(|(held, _)| *held).max();
+        self.newest = self.cells.iter().flatten().map(|(cell_second, _)| *cell_second).max();
     }
 
     /// Returns the cell of a second.
     pub fn get(&self, second: i64) -> Option<&C> {
         let slot = self.cells[second.rem_euclid(self.cells.len() as i64) as usize].as_ref();
-        slot.filter(|(held, _)| *held == second).map(|(_, cell)| cell)
+        slot.filter(|(cell_second, _)| *cell_second == second).map(|(_, cell)| cell)
     }
 
     /// Iterates over the cells of the `seconds` seconds up to and including `now`, oldest first, without missing
     /// ones; at most as many as the ring has.
     pub fn iter(&self, now: i64, seconds: usize) -> impl Iterator<Item = (i64, &C)> {
-        let back = seconds.min(self.cells.len()) as i64;
-        (now.saturating_sub(back)..now)
+        let length = seconds.min(self.cells.len()) as i64;
+        (now.saturating_sub(length)..now)
             .filter_map(|second| self.get(second.saturating_add(1)).map(|cell| (second + 1, cell)))
     }
 
@@ -120,61 +122,64 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_window_holds_what_was_recorded_within_it(
+        fn merged_seconds_equal_recorded_ones(
             steps in prop::collection::vec((0_i64..4, 0_i64..5), 1..200), length in 5_usize..30, back in 1_usize..40,
         ) {
-            let mut windows = Windows::<Count>::new(length);
+            let mut recent_seconds = RecentSeconds::<Count>::new(length);
             let mut all = BTreeMap::<i64, u64>::new();
             let mut now = -20;
             for (forward, late) in steps {
                 now += forward;
-                windows.record(now - late, |cell| cell.0 += 1);
+                recent_seconds.record(now - late, |cell| cell.0 += 1);
                 *all.entry(now - late).or_default() += 1;
             }
-            let newest = windows.newest().expect("recorded");
+            let newest = recent_seconds.newest().expect("recorded");
             let expected: u64 = all.range(newest - back.min(length) as i64 + 1..).map(|(_, count)| count).sum();
-            prop_assert_eq!(windows.last(newest, back), Count(expected));
+            prop_assert_eq!(recent_seconds.last(newest, back), Count(expected));
         }
     }
 
     #[test]
-    fn news_of_a_second_replaces_what_was_known() {
-        let mut windows = Windows::new(3);
-        windows.replace(7, Count(1));
-        windows.replace(7, Count(5));
-        assert_eq!((windows.last(7, 3), windows.get(7), windows.get(4)), (Count(5), Some(&Count(5)), None));
+    fn replace_overwrites_cell() {
+        let mut recent_seconds = RecentSeconds::new(3);
+        recent_seconds.replace(7, Count(1));
+        recent_seconds.replace(7, Count(5));
+        assert_eq!(
+            (recent_seconds.last(7, 3), recent_seconds.get(7), recent_seconds.get(4)),
+            (Count(5), Some(&Count(5)), None)
+        );
     }
 
     #[test]
     fn wall_clock_set_back_clears_the_ring() {
-        let mut windows = Windows::new(60);
-        windows.replace(10_000, Count(1));
-        windows.replace(6_400, Count(2));
-        assert_eq!((windows.newest(), windows.last(6_400, 60)), (Some(6_400), Count(2)));
-        assert_eq!(windows.last(10_000, 60), Count(0));
+        let mut recent_seconds = RecentSeconds::new(60);
+        recent_seconds.replace(10_000, Count(1));
+        recent_seconds.replace(6_400, Count(2));
+        assert_eq!((recent_seconds.newest(), recent_seconds.last(6_400, 60)), (Some(6_400), Count(2)));
+        assert_eq!(recent_seconds.last(10_000, 60), Count(0));
     }
 
     #[test]
     fn any_distance_of_seconds_is_accepted() {
-        let mut windows = Windows::new(4);
+        let mut recent_seconds = RecentSeconds::new(4);
         for second in [i64::MIN, i64::MAX, 0] {
-            windows.replace(second, Count(1));
-            assert_eq!(windows.get(second), Some(&Count(1)));
-            assert!(windows.last(second, 4).0 <= 1);
+            recent_seconds.replace(second, Count(1));
+            assert_eq!(recent_seconds.get(second), Some(&Count(1)));
+            assert!(recent_seconds.last(second, 4).0 <= 1);
         }
     }
 
     #[test]
     fn discarding_a_second_discards_later_ones() {
-        let mut windows = Windows::<Count>::new(10);
+        let mut recent_seconds = RecentSeconds::<Count>::new(10);
         for second in 95..=104 {
-            windows.record(second, |cell| cell.0 += 1);
+            recent_seconds.record(second, |cell| cell.0 += 1);
         }
-        windows.forget_from(100);
-        assert_eq!((windows.newest(), windows.last(104, 10)), (Some(99), Count(5)));
-        windows.record(100, |cell| cell.0 += 1);
-        assert_eq!((windows.newest(), windows.last(100, 10)), (Some(100), Count(6)));
-        windows.forget_from(0);
-        assert_eq!(windows.newest(), None);
+        recent_seconds.remove_from(100);
+        assert_eq!((recent_seconds.newest(), recent_seconds.last(104, 10)), (Some(99), Count(5)));
+        recent_seconds.record(100, |cell| cell.0 += 1);
+        assert_eq!((recent_seconds.newest(), recent_seconds.last(100, 10)), (Some(100), Count(6)));
+        recent_seconds.remove_from(0);
+        assert_eq!(recent_seconds.newest(), None);
     }
 }

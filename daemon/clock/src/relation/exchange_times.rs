@@ -1,0 +1,87 @@
+//! Thinned times of exchanges, which show whether there are exchanges near a time.
+
+use std::collections::VecDeque;
+
+use crate::{RawTime, Span};
+
+/// Largest number of times kept per window.
+const MAX_TIMES: i64 = 1024;
+
+/// Times of exchanges in order, no two closer than `min_gap`, except for the newest.
+#[derive(Clone, Debug)]
+pub(super) struct ExchangeTimes {
+    times: VecDeque<RawTime>,
+    newest: Option<RawTime>,
+    min_gap: Span,
+    window: Span,
+}
+
+impl ExchangeTimes {
+    pub(super) fn new(fresh: Span, window: Span) -> Self {
+        // A fraction of `fresh`, so that thinning hardly changes whether an exchange counts as recent.
+        let min_gap = (fresh.nanos() / 8).max(window.nanos() / MAX_TIMES).max(1);
+        Self { times: VecDeque::new(), newest: None, min_gap: Span::from_nanos(min_gap), window }
+    }
+
+    /// Inserts the time of an exchange and removes those that are more than `window` before the newest.
+    pub(super) fn insert(&mut self, at: RawTime) {
+        self.newest = self.newest.max(Some(at));
+        let index = self.times.partition_point(|time| *time <= at);
+        let is_close = |time: Option<&RawTime>| time.is_some_and(|time| (*time - at).abs() < self.min_gap);
+        if is_close(self.times.get(index))
+            || is_close(index.checked_sub(1).and_then(|before| self.times.get(before)))
+        {
+            return;
+        }
+        self.times.insert(index, at);
+        let start = self.newest.unwrap_or(at) - self.window;
+        while self.times.front().is_some_and(|time| *time < start) {
+            self.times.pop_front();
+        }
+    }
+
+    /// Returns whether an exchange took place from `within` before `from` to `within` after `to`.
+    pub(super) fn has_exchange_near(&self, from: RawTime, to: RawTime, within: Span) -> bool {
+        let (from, to) = (from - within, to + within);
+        let index = self.times.partition_point(|time| *time < from);
+        // The newest exchange may not be among the thinned times.
+        [self.times.get(index).copied(), self.newest]
+            .into_iter()
+            .flatten()
+            .any(|time| from <= time && time <= to)
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.times.clear();
+        self.newest = None;
+    }
+
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.times.capacity() * size_of::<RawTime>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thinned_times_still_show_nearby_exchanges() {
+        let second = |seconds: f64| RawTime::from_nanos((seconds * 1e9) as i64);
+        let mut exchange_times = ExchangeTimes::new(Span::from_seconds(10), Span::from_seconds(600));
+        for n in 0..200_000 {
+            exchange_times.insert(second(f64::from(n * 7919 % 200_000) / 100.0));
+        }
+        assert!(exchange_times.times.len() as i64 <= MAX_TIMES, "{}", exchange_times.times.len());
+        assert!(exchange_times.times.iter().is_sorted());
+        for at in [1_400.0, 1_700.5, 2_005.0, 2_009.5] {
+            assert!(exchange_times.has_exchange_near(second(at), second(at), Span::from_seconds(10)), "{at}");
+        }
+        for at in [2_011.0, 3_000.0, -20.0] {
+            assert!(
+                !exchange_times.has_exchange_near(second(at), second(at), Span::from_seconds(10)),
+                "{at}"
+            );
+        }
+    }
+}
