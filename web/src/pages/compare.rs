@@ -119,8 +119,8 @@ async fn show(
     headers: HeaderMap,
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Page {
-    let (store, picture) = (app.store(), app.picture());
-    let shell = |title: &str| Shell::new(&app, &picture, "/compare", title);
+    let (store, snapshot) = (app.store(), app.live_state());
+    let shell = |title: &str| Shell::new(&app, &snapshot, "/compare", title);
     let (asked, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
     let asked = asked.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
     let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == BASELINE);

@@ -24,7 +24,7 @@ use crate::zone::ZonedTime;
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/hosts", get(show)),
     entry: Some(NavigationEntry { name: "Hosts", address: "/hosts", key: "h" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
 };
 
 /// Name of its topic of the live stream.
@@ -53,13 +53,13 @@ struct Hosts {
 
 /// `GET /hosts`.
 async fn show(State(app): State<App>) -> Page {
-    let stored = AppState::beside_live(app.store().hosts().await)?;
-    page(&hosts(&app, &app.picture(), &stored))
+    let stored = AppState::empty_while_closed(app.store().hosts().await)?;
+    page(&hosts(&app, &app.live_state(), &stored))
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-    let page = hosts(app, picture, &[]);
+pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    let page = hosts(app, snapshot, &[]);
     let parts = vec![
         ("title", page.as_title().render()?),
         ("list", page.as_list().render()?),
@@ -68,31 +68,31 @@ pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebE
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn hosts(app: &AppState, picture: &LiveState, stored: &[HostRow]) -> Hosts {
-    let connected = picture.hosts.iter().filter(|host| host.connected).count();
-    let title = match picture.hosts.len() {
-        0 if picture.absent > 0 => awaited::WAITING.to_owned(),
+fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
+    let connected = snapshot.hosts.iter().filter(|host| host.connected).count();
+    let title = match snapshot.hosts.len() {
+        0 if snapshot.absent > 0 => awaited::WAITING.to_owned(),
         0 => "No host has reported yet".to_owned(),
         1 => format!("1 host, {}connected", if connected == 1 { "" } else { "not " }),
         all if all == connected => format!("{all} hosts, all connected"),
         all => format!("{connected} of {all} hosts are connected"),
     };
-    let past_title = match picture.hosts.len() {
+    let past_title = match snapshot.hosts.len() {
         0 => "No host had reported".to_owned(),
         1 => format!("{connected} of 1 host was connected"),
         all => format!("{connected} of {all} hosts were connected"),
     };
-    let live: HashSet<_> = picture.hosts.iter().map(|host| host.id).collect();
+    let live: HashSet<_> = snapshot.hosts.iter().map(|host| host.id).collect();
     let past: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
     Hosts {
-        shell: Shell::new(app, picture, "/hosts", "Hosts").live(TOPIC),
+        shell: Shell::new(app, snapshot, "/hosts", "Hosts").live(TOPIC),
         title,
         past_title,
-        hosts: HostLine::first(cut::LIST, picture, app.clock.identity(), app.zone),
-        events: picture.hosts.iter().take(cut::LIST).map(|host| EventLine::new(host)).collect(),
-        cut: cut::words(cut::LIST, picture.hosts.len()),
-        known: awaited::known(picture),
-        refused: RefusedLine::all(picture, app.zone),
+        hosts: HostLine::first(cut::LIST, snapshot, app.clock.identity(), app.zone),
+        events: snapshot.hosts.iter().take(cut::LIST).map(|host| EventLine::new(host)).collect(),
+        cut: cut::words(cut::LIST, snapshot.hosts.len()),
+        known: awaited::known(snapshot),
+        refused: RefusedLine::all(snapshot, app.zone),
         past_cut: cut::words(cut::LIST, past.len()),
         past: past
             .iter()

@@ -59,8 +59,8 @@ impl PageTopic {
     }
 
     /// Renders the changed parts of the page.
-    pub(crate) async fn update(&self, app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-        (self.topic.update)(app, picture, &self.rest).await
+    pub(crate) async fn update(&self, app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+        (self.topic.update)(app, snapshot, &self.rest).await
     }
 }
 

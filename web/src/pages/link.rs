@@ -38,7 +38,7 @@ pub(super) const PAGE: PageKind = PageKind {
     entry: None,
     topic: Some(LiveTopic {
         form: "link/EDGE~CLOUD/RANGE/OFFSET",
-        update: |app, picture, rest| Box::pin(update(app, picture, rest)),
+        update: |app, snapshot, rest| Box::pin(update(app, snapshot, rest)),
     }),
 };
 
@@ -152,16 +152,17 @@ async fn show(
     Parameters(query): Parameters<Query>,
 ) -> Page {
     let wanted = canonical(path(link)?);
-    let picture = app.picture();
-    let incidents = AppState::beside_live(app.store().incidents(&IncidentFilter::newest(INCIDENTS)).await)?;
-    if let Some(link) = find(&picture, &wanted) {
+    let snapshot = app.live_state();
+    let incidents =
+        AppState::empty_while_closed(app.store().incidents(&IncidentFilter::newest(INCIDENTS)).await)?;
+    if let Some(link) = find(&snapshot, &wanted) {
         let subject = Subject::live(link);
         let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());
         let shown = match query.range {
             Range::Minutes => None,
             range => Some(stored(&app, &subject, range).await?),
         };
-        return page(&link_page(&app, &picture, &subject, &now, shown.as_ref(), query, &incidents));
+        return page(&link_page(&app, &snapshot, &subject, &now, shown.as_ref(), query, &incidents));
     }
     let rows = app.store().links().await?;
     let mut stored_links = rows.iter().map(Subject::past);
@@ -169,7 +170,7 @@ async fn show(
     let course = stored(&app, &subject, query.range).await?;
     let assumptions = app.store().link_assumptions(&subject.key).await?;
     let subject = subject.remembering(&course).assuming(assumptions);
-    page(&link_page(&app, &picture, &subject, &course, None, query, &incidents))
+    page(&link_page(&app, &snapshot, &subject, &course, None, query, &incidents))
 }
 
 async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<Course, WebError> {
@@ -179,7 +180,7 @@ async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<C
 }
 
 /// Renders the changed parts of the page.
-pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<Update, WebError> {
+pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(wanted), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
@@ -193,11 +194,11 @@ pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> R
             "topics: a link's range is 10min, 1h or 24h, its offset removed or measured".to_owned(),
         ));
     };
-    let link = find(picture, wanted).ok_or_else(|| no_link(wanted))?;
+    let link = find(snapshot, wanted).ok_or_else(|| no_link(wanted))?;
     let incidents = app.recent_incidents().await?;
     let subject = Subject::live(link);
     let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());
-    let page = link_page(app, picture, &subject, &now, None, Query { range, offset }, &incidents);
+    let page = link_page(app, snapshot, &subject, &now, None, Query { range, offset }, &incidents);
     let mut parts = vec![
         ("title", page.as_title().render()?),
         ("figures", page.as_figures().render()?),
@@ -241,12 +242,12 @@ fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> V
     placed
 }
 
-fn facts(subject: &Subject<'_>, picture: &LiveState) -> Vec<String> {
+fn facts(subject: &Subject<'_>, snapshot: &LiveState) -> Vec<String> {
     let mut facts = vec![subject.key.network.to_string()];
     if let Some(link) = subject.live {
         facts.push(panels::probing(&link.live.probing));
         if !link.connected {
-            let ago = peernet_statistics::number::length((picture.at - link.last_seen).seconds().max(0.0));
+            let ago = peernet_statistics::number::length((snapshot.at - link.last_seen).seconds().max(0.0));
             facts.push(format!("told of {ago} ago"));
         }
     }
@@ -257,7 +258,7 @@ fn facts(subject: &Subject<'_>, picture: &LiveState) -> Vec<String> {
 
 pub(super) fn link_page(
     app: &AppState,
-    picture: &LiveState,
+    snapshot: &LiveState,
     subject: &Subject<'_>,
     now: &Course,
     shown: Option<&Course>,
@@ -269,15 +270,15 @@ pub(super) fn link_page(
     let mine = concerning(subject, course, incidents);
     let address =
         |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.word(), offset.word());
-    let shell = Shell::new(app, picture, "/links", subject.route());
+    let shell = Shell::new(app, snapshot, "/links", subject.route());
     let topic = format!("{TOPIC}/{name}/{}/{}", query.range.word(), query.offset.word());
-    let rehearsed = Rehearsed::of(picture).concerns(&[&subject.edge, &subject.cloud]);
+    let rehearsed = Rehearsed::of(snapshot).concerns(&[&subject.edge, &subject.cloud]);
     Link {
         shell: if subject.live.is_some() { shell.live(topic) } else { shell },
         edge: subject.edge.clone(),
         route: subject.route(),
         title: title(subject, app.zone),
-        facts: facts(subject, picture),
+        facts: facts(subject, snapshot),
         pipelines: subject.pipelines(),
         rehearsal: rehearsed.then_some(rehearsal::CHIP),
         same_clock: subject.same_clock(),
@@ -297,7 +298,7 @@ pub(super) fn link_page(
         assumptions: basis::pairs(subject, now),
         probes: panels::probes(subject, now),
         reflector: panels::reflector(subject),
-        carried: CarriedRow::all(picture, subject),
+        carried: CarriedRow::all(snapshot, subject),
         directions: connections::rows(subject),
         connections: connections::routes(subject),
         hosts: panels::hosts(subject),

@@ -21,7 +21,7 @@ use crate::view::link::list::{LinkLine, PastLine, title};
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/links", get(show)),
     entry: Some(NavigationEntry { name: "Links", address: "/links", key: "l" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
 };
 
 /// Name of its topic of the live stream.
@@ -41,25 +41,25 @@ struct Links {
 
 /// `GET /links`.
 async fn show(State(app): State<App>) -> Page {
-    let stored = AppState::beside_live(app.store().links().await)?;
-    page(&links(&app, &app.picture(), &stored))
+    let stored = AppState::empty_while_closed(app.store().links().await)?;
+    page(&links(&app, &app.live_state(), &stored))
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-    let page = links(app, picture, &[]);
+pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    let page = links(app, snapshot, &[]);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn links(app: &AppState, picture: &LiveState, stored: &[LinkRow]) -> Links {
-    let mut past = PastLine::all(stored, picture, app.zone);
+fn links(app: &AppState, snapshot: &LiveState, stored: &[LinkRow]) -> Links {
+    let mut past = PastLine::all(stored, snapshot, app.zone);
     past.truncate(cut::LIST);
     Links {
-        shell: Shell::new(app, picture, "/links", "Links").live(TOPIC),
-        title: title(picture),
-        lines: LinkLine::first(cut::LIST, picture, app.zone),
-        cut: cut::words(cut::LIST, picture.links.len()),
+        shell: Shell::new(app, snapshot, "/links", "Links").live(TOPIC),
+        title: title(snapshot),
+        lines: LinkLine::first(cut::LIST, snapshot, app.zone),
+        cut: cut::words(cut::LIST, snapshot.links.len()),
         past,
     }
 }

@@ -42,7 +42,7 @@ pub(super) const PAGE: PageKind = PageKind {
     entry: None,
     topic: Some(LiveTopic {
         form: "pipeline/HOST/PIPELINE/SECONDS",
-        update: |app, picture, rest| Box::pin(ready(update(app, picture, rest))),
+        update: |app, snapshot, rest| Box::pin(ready(update(app, snapshot, rest))),
     }),
 };
 
@@ -102,24 +102,24 @@ async fn show(
     Parameters(query): Parameters<Query>,
 ) -> Page {
     let (host, name) = path(names)?;
-    let picture = app.picture();
-    let pipeline = find(&picture, &host, &name)?;
+    let snapshot = app.live_state();
+    let pipeline = find(&snapshot, &host, &name)?;
     let runs = runs(&app, pipeline).await?;
     let incidents = app.newest_incidents().await?;
     let marks = Mark::all(&incidents);
-    page(&pipeline_page(&app, &picture, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
+    page(&pipeline_page(&app, &snapshot, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(host), Some(name), Some(seconds)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
             "topics: a pipeline's topic is pipeline/HOST/PIPELINE/SECONDS".to_owned(),
         ));
     };
-    let pipeline = find(picture, host, name)?;
-    let page = pipeline_page(app, picture, pipeline, seconds.parse().unwrap_or(10), &[], &[])?;
+    let pipeline = find(snapshot, host, name)?;
+    let page = pipeline_page(app, snapshot, pipeline, seconds.parse().unwrap_or(10), &[], &[])?;
     let parts = vec![
         ("title", page.as_title().render()?),
         ("figures", page.as_figures().render()?),
@@ -129,9 +129,9 @@ pub(super) fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<
     Ok(Update { layout: page.layout, obstacles, ..Update::new(page.shell.title, parts) })
 }
 
-fn find<'a>(picture: &'a LiveState, host: &str, name: &str) -> Result<&'a PipelineSnapshot, WebError> {
+fn find<'a>(snapshot: &'a LiveState, host: &str, name: &str) -> Result<&'a PipelineSnapshot, WebError> {
     let matches = |one: &&PipelineSnapshot| one.host_name.as_str() == host && one.pipeline.as_str() == name;
-    picture.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
+    snapshot.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
         WebError::NotFound(format!(
             "no pipeline {name} of host {host} has reported; what was stored of it is among the runs"
         ))
@@ -145,7 +145,7 @@ async fn runs(app: &AppState, pipeline: &PipelineSnapshot) -> Result<Vec<RunSumm
         limit: RUNS,
         ..RunFilter::default()
     };
-    Ok(AppState::beside_live(app.store().runs(&filter).await)?)
+    Ok(AppState::empty_while_closed(app.store().runs(&filter).await)?)
 }
 
 /// Returns the title of the page: latency and longest stage.
@@ -224,7 +224,7 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
 
 fn pipeline_page(
     app: &AppState,
-    picture: &LiveState,
+    snapshot: &LiveState,
     pipeline: &PipelineSnapshot,
     seconds: u32,
     runs: &[RunSummary],
@@ -239,13 +239,13 @@ fn pipeline_page(
     let mut facts = vec![place::route(&host, placement)];
     facts.extend(placement.network.clone());
     facts.extend([place::model(placement), pipeline.load.clone()]);
-    facts.push(format!("heard of {} ago", length((picture.at - pipeline.last_seen).seconds().max(0.0))));
-    let charts = vec![ChartCard::new(pipeline, picture, app.zone)];
-    let link = link::of_placement(picture, &host, placement);
+    facts.push(format!("heard of {} ago", length((snapshot.at - pipeline.last_seen).seconds().max(0.0))));
+    let charts = vec![ChartCard::new(pipeline, snapshot, app.zone)];
+    let link = link::of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
-    let rehearsed = Rehearsed::of(picture).concerns(&[&host, cloud]);
+    let rehearsed = Rehearsed::of(snapshot).concerns(&[&host, cloud]);
     Ok(PipelinePage {
-        shell: Shell::new(app, picture, "/pipelines", format!("{} on {host}", pipeline.pipeline))
+        shell: Shell::new(app, snapshot, "/pipelines", format!("{} on {host}", pipeline.pipeline))
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),
@@ -262,7 +262,7 @@ fn pipeline_page(
         clock: ClockCell::of(placement.kind, &window.bounds),
         bar: stack.whole("big"),
         stages: StageRow::of_window(window),
-        runs: runs.iter().map(|run| RunLine::new(run, picture, app.zone)).collect(),
+        runs: runs.iter().map(|run| RunLine::new(run, snapshot, app.zone)).collect(),
         layout: format!("{host}/{}", pipeline.pipeline),
         name: pipeline.pipeline.to_string(),
         data: ChartCard::data(&charts, marks)?,

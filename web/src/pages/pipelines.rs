@@ -22,7 +22,7 @@ use crate::view::{awaited, cut};
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/pipelines", get(show)),
     entry: Some(NavigationEntry { name: "Pipelines", address: "/pipelines", key: "p" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
 };
 
 /// Name of its topic of the live stream.
@@ -62,21 +62,21 @@ fn state(pipeline: &PipelineSnapshot) -> String {
 
 /// `GET /pipelines`.
 async fn show(State(app): State<App>) -> Page {
-    page(&pipelines(&app, &app.picture()))
+    page(&pipelines(&app, &app.live_state()))
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-    let page = pipelines(app, picture);
+pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    let page = pipelines(app, snapshot);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn pipelines(app: &AppState, picture: &LiveState) -> Pipelines {
-    let all: Vec<&PipelineSnapshot> = picture.pipelines.iter().map(|one| &**one).collect();
+fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
+    let all: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|one| &**one).collect();
     let running = all.iter().filter(|one| one.state == PipelineState::Running).count();
     let title = match all.len() {
-        0 if awaited::starting(picture, app.since) => awaited::WAITING.to_owned(),
+        0 if awaited::starting(snapshot, app.started_at) => awaited::WAITING.to_owned(),
         0 => "No pipeline has reported yet".to_owned(),
         1 => format!("1 pipeline, {running} running"),
         many => format!("{many} pipelines, {running} running"),
@@ -97,7 +97,7 @@ fn pipelines(app: &AppState, picture: &LiveState) -> Pipelines {
         run: pipeline.run_number,
     });
     Pipelines {
-        shell: Shell::new(app, picture, "/pipelines", "Pipelines").live(TOPIC),
+        shell: Shell::new(app, snapshot, "/pipelines", "Pipelines").live(TOPIC),
         title,
         past,
         lines: lines.collect(),

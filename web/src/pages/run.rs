@@ -238,13 +238,13 @@ fn assemble(
     let quantile =
         |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |seconds| figure(seconds * 1e3));
     let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
-    let (zone, picture) = (app.zone, app.picture());
-    let link = link::of_placement(&picture, summary.host_name.as_str(), &summary.placement);
+    let (zone, snapshot) = (app.zone, app.live_state());
+    let link = link::of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
     let of_delays = Note::of_delays(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
     });
     Ok(Run {
-        shell: Shell::new(app, &picture, "/runs", place::run_name(summary)),
+        shell: Shell::new(app, &snapshot, "/runs", place::run_name(summary)),
         number: summary.number,
         pipeline: summary.pipeline.to_string(),
         facts: facts(run, zone),
@@ -255,7 +255,7 @@ fn assemble(
             .chain(runs::trimmed(summary, app.aggregator.retention()))
             .chain(of_delays)
             .collect(),
-        end: End::of(summary, &picture, zone),
+        end: End::of(summary, &snapshot, zone),
         lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
         stats: vec![
             ("Median", quantile(total.map(|total| total.p50)), "ms"),

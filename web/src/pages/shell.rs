@@ -45,7 +45,7 @@ impl Shell {
     /// Returns the shell of a page that live updates do not change.
     pub(crate) fn new(
         app: &AppState,
-        picture: &LiveState,
+        snapshot: &LiveState,
         section: &'static str,
         title: impl Into<String>,
     ) -> Self {
@@ -57,13 +57,13 @@ impl Shell {
         Self {
             section,
             title: title.into(),
-            statics: assets::folder(),
+            statics: assets::base_path(),
             zone: app.zone.name(now),
             offset: app.zone.offset_seconds(now),
-            aggregator: picture.aggregator.to_string(),
+            aggregator: snapshot.aggregator.to_string(),
             topic: None,
-            waiting: picture.hosts.is_empty(),
-            rehearsals: Rehearsed::of(picture).banner(),
+            waiting: snapshot.hosts.is_empty(),
+            rehearsals: Rehearsed::of(snapshot).banner(),
             not_storing: storing::notice(&app.aggregator.ready()),
         }
     }

@@ -142,7 +142,7 @@ fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
 }
 
 impl ChartCard {
-    pub(crate) fn new(pipeline: &PipelineSnapshot, picture: &LiveState, zone: Zone) -> Self {
+    pub(crate) fn new(pipeline: &PipelineSnapshot, snapshot: &LiveState, zone: Zone) -> Self {
         let host = pipeline.host_name.to_string();
         let name = pipeline.pipeline.to_string();
         let stack = pipeline.window(10).map(Stack::of_window).unwrap_or_default();
@@ -159,7 +159,7 @@ impl ChartCard {
             finding: format!("Stages of {name} over the last 10 minutes. {}", stack.finding((None, None))),
             minutes: minutes(&pipeline.series, &columns, zone),
             columns,
-            data: ChartData::new(pipeline, picture, host),
+            data: ChartData::new(pipeline, snapshot, host),
             name,
         }
     }
@@ -176,7 +176,7 @@ impl ChartCard {
 }
 
 impl ChartData {
-    fn new(pipeline: &PipelineSnapshot, picture: &LiveState, host: String) -> Self {
+    fn new(pipeline: &PipelineSnapshot, snapshot: &LiveState, host: String) -> Self {
         let series = &pipeline.series;
         let from = series.first().map_or(0, |second| second.at);
         let length = series.last().map_or(0, |second| (second.at - from + 1).clamp(0, 600)) as usize;
@@ -208,7 +208,7 @@ impl ChartData {
             }
         }
         if !data.remote
-            && let Some(host) = picture.hosts.iter().find(|host| host.id == pipeline.host)
+            && let Some(host) = snapshot.hosts.iter().find(|host| host.id == pipeline.host)
         {
             let points = |of: fn(&peernet_stream::HostMetrics) -> Option<f64>| {
                 let shown = host.history.iter().filter(|point| of(&point.metrics).is_some());

@@ -34,21 +34,21 @@ pub(crate) struct Health {
 
 impl Health {
     /// Returns the health that a picture of an aggregator shows that serves since then.
-    pub(crate) fn of(picture: &LiveState, zone: Zone, since: WallTime, warn: &WarnConfig) -> Self {
+    pub(crate) fn of(snapshot: &LiveState, zone: Zone, since: WallTime, warn: &WarnConfig) -> Self {
         let mut notes = Vec::new();
-        notes.extend(picture.refused.iter().map(|refused| Note {
+        notes.extend(snapshot.refused.iter().map(|refused| Note {
             chip: Chip::new(Tone::Bad, "unsynchronised", "refused"),
             subject: refused.name.to_string(),
             href: "/hosts".to_owned(),
             text: format!("was turned away at {}: {}", zone.moment(refused.at).clock(), refused.reason),
             link: None,
         }));
-        notes.extend(picture.hosts.iter().flat_map(|host| host_notes(host, picture.at, zone, warn)));
-        notes.extend(picture.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, picture, warn)));
+        notes.extend(snapshot.hosts.iter().flat_map(|host| host_notes(host, snapshot.at, zone, warn)));
+        notes.extend(snapshot.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, snapshot, warn)));
         // The worst first; the sort is stable, so that notes of one kind stay in order.
         notes.sort_by_key(|note| std::cmp::Reverse(note.chip.tone));
 
-        let running = picture.pipelines.iter().filter(|one| one.state == PipelineState::Running).count();
+        let running = snapshot.pipelines.iter().filter(|one| one.state == PipelineState::Running).count();
         let subject = match running {
             0 => "No pipeline".to_owned(),
             1 => "1 pipeline".to_owned(),
@@ -65,7 +65,7 @@ impl Health {
             0 => String::new(),
             many => format!(", {many} to look at"),
         };
-        let starting = awaited::starting(picture, since);
+        let starting = awaited::starting(snapshot, since);
         let more = notes.len().saturating_sub(NOTES);
         notes.truncate(NOTES);
         Self {
@@ -122,7 +122,7 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
     notes
 }
 
-fn pipeline_notes(pipeline: &PipelineSnapshot, picture: &LiveState, warn: &WarnConfig) -> Vec<Note> {
+fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &WarnConfig) -> Vec<Note> {
     let subject = pipeline.pipeline.to_string();
     let href = place::pipeline_href(pipeline.host_name.as_str(), &subject);
     let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text, link: None };
@@ -140,7 +140,7 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, picture: &LiveState, warn: &WarnC
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
     }
     notes.extend(warnings::of_pipeline(window, warn).into_iter().map(|(chip, text)| note(chip, text)));
-    let link = link::of_placement(picture, pipeline.host_name.as_str(), &pipeline.placement);
+    let link = link::of_placement(snapshot, pipeline.host_name.as_str(), &pipeline.placement);
     let value = |name: &Name| window.value(name).copied();
     notes.extend(Note::of_delays(&subject, &href, link.as_deref(), &window.bounds, value));
     if let Some(total) = window.value(&stage::UNATTRIBUTED)

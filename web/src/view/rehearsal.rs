@@ -45,13 +45,13 @@ pub(crate) struct Rehearsed(BTreeMap<String, String>);
 
 impl Rehearsed {
     /// Returns the clock faults of a picture.
-    pub(crate) fn of(picture: &LiveState) -> Self {
-        let connected = picture.hosts.iter().filter(|host| host.connected);
+    pub(crate) fn of(snapshot: &LiveState) -> Self {
+        let connected = snapshot.hosts.iter().filter(|host| host.connected);
         let told = connected.filter_map(|host| {
             Some((host.description.name.to_string(), words(host.clock.rehearsal.as_ref()?)))
         });
         // A cloud may report to another aggregator: its edges report its clock.
-        let links = picture.links.iter().filter(|link| link.connected);
+        let links = snapshot.links.iter().filter(|link| link.connected);
         let heard = links.filter_map(|link| {
             Some((link.live.peer_name.to_string(), words(link.live.cloud.as_ref()?.rehearsal.as_ref()?)))
         });

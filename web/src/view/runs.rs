@@ -28,12 +28,12 @@ pub(crate) enum End {
 }
 
 impl End {
-    pub(crate) fn of(run: &RunSummary, picture: &LiveState, zone: Zone) -> Self {
+    pub(crate) fn of(run: &RunSummary, snapshot: &LiveState, zone: Zone) -> Self {
         if run.ended.is_some() {
             return Self::Told(run.reason.as_ref().map_or_else(|| "ended".to_owned(), ToString::to_string));
         }
-        let connected = || picture.hosts.iter().any(|host| host.id == run.host && host.connected);
-        let current = picture.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));
+        let connected = || snapshot.hosts.iter().any(|host| host.id == run.host && host.connected);
+        let current = snapshot.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));
         if current && connected() {
             return Self::GoesOn;
         }
@@ -157,7 +157,7 @@ pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
 }
 
 impl RunLine {
-    pub(crate) fn new(run: &RunSummary, picture: &LiveState, zone: Zone) -> Self {
+    pub(crate) fn new(run: &RunSummary, snapshot: &LiveState, zone: Zone) -> Self {
         let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), milliseconds);
         let total = run.total.as_ref();
         Self {
@@ -167,7 +167,7 @@ impl RunLine {
             model: place::model(&run.placement),
             started: zone.moment(run.started),
             lasted: end(run).map_or_else(|| NONE.to_owned(), |end| length((end - run.started).seconds())),
-            end: End::of(run, picture, zone),
+            end: End::of(run, snapshot, zone),
             iterations: count(run.counts.total()),
             lost: lost_share(run).map_or_else(|| NONE.to_owned(), percent),
             p50: quantile(total.map(|total| total.p50)),

@@ -463,7 +463,7 @@ async fn links_and_clocks_are_served() {
 
     for (address, status, word) in [
         ("/api/v1/links/cam-3", 404, "EDGE~CLOUD"),
-        ("/api/v1/links/cam-3/rack-a", 404, "EDGE~CLOUD, cam-3~rack-a perhaps"),
+        ("/api/v1/links/cam-3/rack-a", 404, "EDGE~CLOUD, so try cam-3~rack-a"),
         ("/api/v1/links/cam-3~nobody/clock", 404, "nobody"),
         ("/api/v1/links/cam-3~rack-a/clock?from=yesterday", 400, "from"),
         ("/api/v1/links/cam-3~rack-a/clock?points=0", 400, "points"),

@@ -14,7 +14,7 @@ const HEADING: &str = "<h2 id=\"cr-h\">Response length against latency</h2>";
 
 async fn page_of(configurations: Vec<Configuration>) -> String {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+    let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let html = rendered(shell, &comparison(configurations), &RunMeans::new(), (None, None)).expect("renders");
     check(&html);
     html

@@ -24,11 +24,11 @@ pub(crate) struct CarriedRow {
 
 impl CarriedRow {
     /// Returns the pipelines that use the link, by name.
-    pub(crate) fn all(picture: &LiveState, subject: &Subject<'_>) -> Vec<Self> {
+    pub(crate) fn all(snapshot: &LiveState, subject: &Subject<'_>) -> Vec<Self> {
         let Some(link) = subject.live else { return Vec::new() };
         let uses =
             |one: &&PipelineSnapshot| one.host == link.edge && link.live.pipelines.contains(&one.pipeline);
-        picture.pipelines.iter().map(|one| &**one).filter(uses).filter_map(Self::new).collect()
+        snapshot.pipelines.iter().map(|one| &**one).filter(uses).filter_map(Self::new).collect()
     }
 
     fn new(pipeline: &PipelineSnapshot) -> Option<Self> {

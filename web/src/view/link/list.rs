@@ -48,9 +48,9 @@ fn cell(known: Option<String>, why: &str) -> Cell {
 
 impl LinkLine {
     /// Returns the first `most` links of a picture.
-    pub(crate) fn first(most: usize, picture: &LiveState, zone: Zone) -> Vec<Self> {
-        let rehearsed = Rehearsed::of(picture);
-        picture.links.iter().take(most).map(|link| Self::new(link, &rehearsed, zone)).collect()
+    pub(crate) fn first(most: usize, snapshot: &LiveState, zone: Zone) -> Vec<Self> {
+        let rehearsed = Rehearsed::of(snapshot);
+        snapshot.links.iter().take(most).map(|link| Self::new(link, &rehearsed, zone)).collect()
     }
 
     fn new(link: &LinkSnapshot, rehearsed: &Rehearsed, zone: Zone) -> Self {
@@ -118,8 +118,8 @@ pub(super) const TOO_YOUNG: &str =
 
 impl PastLine {
     /// Returns the stored links that are not in the live picture.
-    pub(crate) fn all(rows: &[LinkRow], picture: &LiveState, zone: Zone) -> Vec<Self> {
-        let past = rows.iter().filter(|row| !is_live(picture, row)).map(|row| {
+    pub(crate) fn all(rows: &[LinkRow], snapshot: &LiveState, zone: Zone) -> Vec<Self> {
+        let past = rows.iter().filter(|row| !is_live(snapshot, row)).map(|row| {
             let subject = Subject::past(row);
             Self { name: subject.route(), href: subject.href(), last: zone.moment(row.last) }
         });
@@ -128,8 +128,8 @@ impl PastLine {
 }
 
 /// Returns the answer to whether one-way delays can be trusted, in the title of the list.
-pub(crate) fn title(picture: &LiveState) -> String {
-    let links: Vec<Subject<'_>> = picture.links.iter().map(|link| Subject::live(link)).collect();
+pub(crate) fn title(snapshot: &LiveState) -> String {
+    let links: Vec<Subject<'_>> = snapshot.links.iter().map(|link| Subject::live(link)).collect();
     let verdicts: Vec<Verdict> = links.iter().filter_map(Subject::verdict).collect();
     let of = |wanted: fn(u8) -> bool| verdicts.iter().filter(|verdict| wanted(severity(**verdict))).count();
     let (well, limited) =

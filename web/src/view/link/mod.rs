@@ -65,29 +65,29 @@ pub(crate) fn href(edge: &str, cloud: &str, network: &NetworkName) -> String {
 }
 
 /// Returns the address of the page of the link that a placement uses, if the link is known.
-pub(crate) fn of_placement(picture: &LiveState, edge: &str, placement: &Placement) -> Option<String> {
+pub(crate) fn of_placement(snapshot: &LiveState, edge: &str, placement: &Placement) -> Option<String> {
     let cloud = placement.peer.as_ref().filter(|_| placement.kind == PlacementKind::Remote)?.as_str();
     let network = placement.network.as_ref().map(|network| network.parse::<NetworkName>());
     let network = network.transpose().ok()?;
     let network = network.unwrap_or_default();
-    find(picture, &name(edge, cloud, &network)).map(|_| href(edge, cloud, &network))
+    find(snapshot, &name(edge, cloud, &network)).map(|_| href(edge, cloud, &network))
 }
 
 /// Returns the link of that name in a picture.
-pub(crate) fn find<'a>(picture: &'a LiveState, wanted: &str) -> Option<&'a LinkSnapshot> {
+pub(crate) fn find<'a>(snapshot: &'a LiveState, wanted: &str) -> Option<&'a LinkSnapshot> {
     let (edge, cloud, network) = parts(wanted)?;
     let matches = |link: &&LinkSnapshot| {
         link.edge_name.as_str() == edge
             && link.live.peer_name.as_str() == cloud
             && *link.live.network() == network
     };
-    picture.links.iter().map(|link| &**link).find(matches)
+    snapshot.links.iter().map(|link| &**link).find(matches)
 }
 
 /// Returns whether a stored link is in a picture, too.
-pub(crate) fn is_live(picture: &LiveState, row: &LinkRow) -> bool {
+pub(crate) fn is_live(snapshot: &LiveState, row: &LinkRow) -> bool {
     let key = row.key();
-    picture.links.iter().any(|link| key_of(link) == key)
+    snapshot.links.iter().any(|link| key_of(link) == key)
 }
 
 fn key_of(link: &LinkSnapshot) -> LinkKey {
