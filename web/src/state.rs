@@ -82,8 +82,8 @@ impl AppState {
         Ok(recent.iter().take(Self::SHOWN_INCIDENTS).cloned().collect())
     }
 
-    /// Replaces the error of a closed database by an empty answer, for live pages: their live figures need no database, and a banner reports
-    /// that it is closed.
+    /// Replaces the error of a closed database by an empty answer, for live pages. Their live figures need no database, and a banner
+    /// reports that it is closed.
     pub(crate) fn empty_while_closed<T: Default>(answer: Result<T, StoreError>) -> Result<T, StoreError> {
         match answer {
             Err(StoreError::Closed { .. }) => Ok(T::default()),

@@ -1,4 +1,4 @@
-//! Page of one host: its description, its clock, the account of its events.
+//! Page of one host: its hardware, its clock, and the counts of its events.
 
 use std::future::ready;
 
@@ -22,7 +22,7 @@ use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::Subject;
 use crate::view::link::panels::{claims, discipline};
 use crate::view::now::{NowRow, NowTable};
-use crate::view::{cut, rehearsal};
+use crate::view::{list_limits, rehearsal};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
@@ -57,7 +57,7 @@ struct Host {
     pipelines: Vec<NowRow>,
 }
 
-/// A host that is stored but not in the live picture.
+/// A host that is stored but not in the live state.
 #[derive(Template)]
 #[template(path = "pages/host_past.html")]
 struct PastHost {
@@ -75,19 +75,21 @@ struct PastHost {
 async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Page {
     let name = path(name)?;
     let snapshot = app.live_state();
-    if let Some(host) = live(&snapshot, &name) {
+    if let Some(host) = find_live(&snapshot, &name) {
         return page(&host_page(&app, &snapshot, host));
     }
     let stored = app.store().hosts().await?;
     let row = stored.into_iter().find(|row| row.name.as_str() == name || row.id.to_string() == name);
-    let row = row.ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported here")))?;
+    let row = row
+        .ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported to this aggregator")))?;
     page(&past_page(&app, &snapshot, &row))
 }
 
 /// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState, name: &str) -> Result<Update, WebError> {
-    let host =
-        live(snapshot, name).ok_or_else(|| WebError::NotFound(format!("no host {name} reports here")))?;
+    let host = find_live(snapshot, name).ok_or_else(|| {
+        WebError::NotFound(format!("no host {name} is in the live state of this aggregator"))
+    })?;
     let page = host_page(app, snapshot, host);
     let parts = vec![
         ("title", page.as_title().render()?),
@@ -100,7 +102,7 @@ pub(super) fn update(app: &AppState, snapshot: &LiveState, name: &str) -> Result
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn live<'a>(snapshot: &'a LiveState, name: &str) -> Option<&'a HostSnapshot> {
+fn find_live<'a>(snapshot: &'a LiveState, name: &str) -> Option<&'a HostSnapshot> {
     let matches =
         |host: &&HostSnapshot| host.description.name.as_str() == name || host.id.to_string() == name;
     snapshot.hosts.iter().map(|host| &**host).find(matches)
@@ -129,8 +131,8 @@ fn agent(description: &HostDescription) -> Pairs {
     ]
 }
 
-/// Returns the number of clock steps found, in words.
-fn steps(clock: &HostClock) -> String {
+/// Returns the number of detected clock steps as text.
+fn step_count(clock: &HostClock) -> String {
     match clock.epoch {
         0 => "none since the agent started".to_owned(),
         1 => "1 since the agent started".to_owned(),
@@ -142,7 +144,7 @@ fn steps(clock: &HostClock) -> String {
 fn links(snapshot: &LiveState, name: &str) -> Vec<(String, String)> {
     let mine = snapshot.links.iter().map(|link| Subject::live(link));
     let mine = mine.filter(|link| link.edge == name || link.cloud == name);
-    mine.map(|link| (link.route(), link.href())).take(cut::LIST).collect()
+    mine.map(|link| (link.route(), link.href())).take(list_limits::MAX_IN_LIST).collect()
 }
 
 fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host {
@@ -188,7 +190,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Known from", hint),
             ("Synchronised by", discipline(&host.clock)),
             ("It claims to be", claims(&host.clock)),
-            ("Steps noticed", steps(&host.clock)),
+            ("Steps noticed", step_count(&host.clock)),
             ("Rehearsal", host.clock.rehearsal.as_ref().map_or_else(|| "none".to_owned(), rehearsal::words)),
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),

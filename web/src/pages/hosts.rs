@@ -17,7 +17,7 @@ use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::events::EventLine;
 use crate::view::hosts::{HostLine, RefusedLine};
-use crate::view::{awaited, cut};
+use crate::view::{list_limits, startup};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
@@ -39,16 +39,16 @@ struct Hosts {
     past_title: String,
     hosts: Vec<HostLine>,
     events: Vec<EventLine>,
-    /// Sentence shown where the list is cut.
-    cut: Option<String>,
+    /// Sentence shown if the list is truncated.
+    truncation_note: Option<String>,
     /// Sentence about hosts that connected before, shown while none reports.
     known: Option<String>,
     /// Hosts whose connections were refused recently.
     refused: Vec<RefusedLine>,
-    /// Hosts that are stored but not in the live picture: name and time of the last report.
+    /// Hosts that are stored but not in the live state: name and time of the last report.
     past: Vec<(String, ZonedTime)>,
-    /// Sentence shown where the list of past hosts is cut.
-    past_cut: Option<String>,
+    /// Sentence shown if the list of past hosts is truncated.
+    past_truncation_note: Option<String>,
 }
 
 /// `GET /hosts`.
@@ -71,7 +71,7 @@ pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, Web
 fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
     let connected = snapshot.hosts.iter().filter(|host| host.connected).count();
     let title = match snapshot.hosts.len() {
-        0 if snapshot.absent > 0 => awaited::WAITING.to_owned(),
+        0 if snapshot.absent > 0 => startup::WAITING.to_owned(),
         0 => "No host has reported yet".to_owned(),
         1 => format!("1 host, {}connected", if connected == 1 { "" } else { "not " }),
         all if all == connected => format!("{all} hosts, all connected"),
@@ -88,15 +88,20 @@ fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
         shell: Shell::new(app, snapshot, "/hosts", "Hosts").live(TOPIC),
         title,
         past_title,
-        hosts: HostLine::first(cut::LIST, snapshot, app.clock.identity(), app.zone),
-        events: snapshot.hosts.iter().take(cut::LIST).map(|host| EventLine::new(host)).collect(),
-        cut: cut::words(cut::LIST, snapshot.hosts.len()),
-        known: awaited::known(snapshot),
+        hosts: HostLine::first(list_limits::MAX_IN_LIST, snapshot, app.clock.identity(), app.zone),
+        events: snapshot
+            .hosts
+            .iter()
+            .take(list_limits::MAX_IN_LIST)
+            .map(|host| EventLine::new(host))
+            .collect(),
+        truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, snapshot.hosts.len()),
+        known: startup::absent_hosts_sentence(snapshot),
         refused: RefusedLine::all(snapshot, app.zone),
-        past_cut: cut::words(cut::LIST, past.len()),
+        past_truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, past.len()),
         past: past
             .iter()
-            .take(cut::LIST)
+            .take(list_limits::MAX_IN_LIST)
             .map(|row| (row.name.to_string(), app.zone.moment(row.last_seen)))
             .collect(),
     }

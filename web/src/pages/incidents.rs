@@ -1,4 +1,4 @@
-//! Page of incidents: events beside the measurements.
+//! Page of incidents: occurrences beside the measurements.
 
 use askama::Template;
 use axum::Router;

@@ -14,8 +14,8 @@ use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::cut;
 use crate::view::link::list::{LinkLine, PastLine, title};
+use crate::view::list_limits;
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -33,9 +33,9 @@ struct Links {
     shell: Shell,
     title: String,
     lines: Vec<LinkLine>,
-    /// Sentence shown where the list is cut.
-    cut: Option<String>,
-    /// Links that are stored but not in the live picture.
+    /// Sentence shown if the list is truncated.
+    truncation_note: Option<String>,
+    /// Links that are stored but not in the live state.
     past: Vec<PastLine>,
 }
 
@@ -54,12 +54,12 @@ pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, Web
 
 fn links(app: &AppState, snapshot: &LiveState, stored: &[LinkRow]) -> Links {
     let mut past = PastLine::all(stored, snapshot, app.zone);
-    past.truncate(cut::LIST);
+    past.truncate(list_limits::MAX_IN_LIST);
     Links {
         shell: Shell::new(app, snapshot, "/links", "Links").live(TOPIC),
         title: title(snapshot),
-        lines: LinkLine::first(cut::LIST, snapshot, app.zone),
-        cut: cut::words(cut::LIST, snapshot.links.len()),
+        lines: LinkLine::first(list_limits::MAX_IN_LIST, snapshot, app.zone),
+        truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, snapshot.links.len()),
         past,
     }
 }

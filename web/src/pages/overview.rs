@@ -13,14 +13,14 @@ use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::awaited;
 use crate::view::chart::{ChartCard, Mark};
-use crate::view::cut;
 use crate::view::data::JsonBlock;
 use crate::view::health::Health;
 use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::incidents::IncidentLine;
+use crate::view::list_limits;
 use crate::view::now::NowTable;
+use crate::view::startup;
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
@@ -42,8 +42,8 @@ pub(super) struct Overview {
     now: NowTable,
     charts: Vec<ChartCard>,
     hosts: Vec<HostLine>,
-    /// Sentences shown where the lists of pipelines and of hosts are cut.
-    cut: [Option<String>; 2],
+    /// Sentences shown if the lists of pipelines and of hosts are truncated.
+    truncation_note: [Option<String>; 2],
     /// `Err` holds the id under which the failure was logged.
     incidents: Result<Vec<IncidentLine>, String>,
     data: JsonBlock,
@@ -95,15 +95,15 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState) -> Result<Updat
 
 type Incidents = Result<Vec<IncidentRow>, String>;
 
-/// Returns the newest incidents. A store that fails breaks its panel and nothing else.
+/// Returns the newest incidents, or the id of the logged error: a failing store affects only its own panel.
 async fn incidents(app: &AppState) -> Incidents {
     let rows = app.newest_incidents().await;
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
 }
 
 pub(super) fn empty(app: &AppState, snapshot: &LiveState) -> Empty {
-    let known = awaited::known(snapshot);
-    let title = if known.is_some() { awaited::WAITING } else { "No host has reported yet" };
+    let known = startup::absent_hosts_sentence(snapshot);
+    let title = if known.is_some() { startup::WAITING } else { "No host has reported yet" };
     Empty {
         shell: Shell::new(app, snapshot, "/", title).live(TOPIC),
         title,
@@ -115,11 +115,11 @@ pub(super) fn empty(app: &AppState, snapshot: &LiveState) -> Empty {
     }
 }
 
-/// Pipelines that run, or did and are still remembered, come first; as many as are shown.
-fn ordered(snapshot: &LiveState) -> Vec<&PipelineSnapshot> {
+/// Returns the pipelines to show, running ones first.
+fn shown_pipelines(snapshot: &LiveState) -> Vec<&PipelineSnapshot> {
     let mut pipelines: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|one| &**one).collect();
     pipelines.sort_by_key(|one| one.state != PipelineState::Running);
-    pipelines.truncate(cut::OVERVIEW);
+    pipelines.truncate(list_limits::MAX_ON_OVERVIEW);
     pipelines
 }
 
@@ -129,7 +129,7 @@ pub(super) fn overview(
     incidents: Incidents,
 ) -> Result<Overview, WebError> {
     let health = Health::of(snapshot, app.zone, app.started_at, &app.warn);
-    let pipelines = ordered(snapshot);
+    let pipelines = shown_pipelines(snapshot);
     let charts: Vec<ChartCard> =
         pipelines.iter().map(|one| ChartCard::new(one, snapshot, app.zone)).collect();
     let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
@@ -137,8 +137,9 @@ pub(super) fn overview(
         shell: Shell::new(app, snapshot, "/", health.title.clone()).live(TOPIC),
         layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
         now: NowTable::new(&pipelines),
-        hosts: HostLine::first(cut::OVERVIEW, snapshot, app.clock.identity(), app.zone),
-        cut: [snapshot.pipelines.len(), snapshot.hosts.len()].map(|all| cut::words(cut::OVERVIEW, all)),
+        hosts: HostLine::first(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone),
+        truncation_note: [snapshot.pipelines.len(), snapshot.hosts.len()]
+            .map(|all| list_limits::truncation_note(list_limits::MAX_ON_OVERVIEW, all)),
         incidents: incidents.map(|rows| IncidentLine::all(&rows, app.zone)),
         data: ChartCard::data(&charts, &marks)?,
         charts,

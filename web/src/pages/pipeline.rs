@@ -55,7 +55,7 @@ const RUNS: u32 = 20;
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
-    /// Seconds over which figures are taken: 1, 10 or 60.
+    /// Length of the window of the statistics, seconds: 1, 10 or 60.
     window: Option<u32>,
 }
 
@@ -80,13 +80,13 @@ struct PipelinePage {
     bar: Bar,
     stages: Vec<StageRow>,
     name: String,
-    /// One: the page shares the template of charts with the overview.
+    /// Always one chart. It is a list because the page shares the template of charts with the overview.
     charts: Vec<ChartCard>,
     runs: Vec<RunLine>,
     data: JsonBlock,
 }
 
-/// A quiet name, a figure and its unit.
+/// A figure with its name and unit.
 struct Stat {
     name: &'static str,
     number: String,
@@ -115,7 +115,8 @@ pub(super) fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result
     let mut parts = rest.splitn(3, '/');
     let (Some(host), Some(name), Some(seconds)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
-            "topics: a pipeline's topic is pipeline/HOST/PIPELINE/SECONDS".to_owned(),
+            "query parameter topics: the topic of a pipeline has the form pipeline/HOST/PIPELINE/SECONDS"
+                .to_owned(),
         ));
     };
     let pipeline = find(snapshot, host, name)?;
@@ -133,7 +134,7 @@ fn find<'a>(snapshot: &'a LiveState, host: &str, name: &str) -> Result<&'a Pipel
     let matches = |one: &&PipelineSnapshot| one.host_name.as_str() == host && one.pipeline.as_str() == name;
     snapshot.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
         WebError::NotFound(format!(
-            "no pipeline {name} of host {host} has reported; what was stored of it is among the runs"
+            "host {host} has not reported a pipeline {name}; its stored runs are listed under /runs"
         ))
     })
 }
@@ -231,7 +232,7 @@ fn pipeline_page(
     marks: &[Mark],
 ) -> Result<PipelinePage, WebError> {
     let window = pipeline.window(seconds).ok_or_else(|| {
-        WebError::BadRequest(format!("window: figures are taken over 1, 10 or 60 seconds, not {seconds}"))
+        WebError::BadRequest(format!("query parameter window: {seconds} is not one of 1, 10 and 60"))
     })?;
     let stack = Stack::of_window(window);
     let host = pipeline.host_name.to_string();
@@ -250,7 +251,7 @@ fn pipeline_page(
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),
         rehearsal: rehearsed.then_some(rehearsal::CHIP),
-        notes: Note::of_delays(pipeline.pipeline.as_str(), "", link.as_deref(), &window.bounds, |name| {
+        notes: Note::delay_notes(pipeline.pipeline.as_str(), "", link.as_deref(), &window.bounds, |name| {
             window.value(name).copied()
         }),
         link,

@@ -16,7 +16,7 @@ use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::now::{NowRow, NowTable};
 use crate::view::place;
-use crate::view::{awaited, cut};
+use crate::view::{list_limits, startup};
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -36,8 +36,8 @@ struct Pipelines {
     /// The title in the past tense, for when the connection is lost.
     past: String,
     lines: Vec<Line>,
-    /// Sentence shown where the list is cut.
-    cut: Option<String>,
+    /// Sentence shown if the list is truncated.
+    truncation_note: Option<String>,
 }
 
 struct Line {
@@ -76,7 +76,7 @@ fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
     let all: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|one| &**one).collect();
     let running = all.iter().filter(|one| one.state == PipelineState::Running).count();
     let title = match all.len() {
-        0 if awaited::starting(snapshot, app.started_at) => awaited::WAITING.to_owned(),
+        0 if startup::is_waiting_for_agents(snapshot, app.started_at) => startup::WAITING.to_owned(),
         0 => "No pipeline has reported yet".to_owned(),
         1 => format!("1 pipeline, {running} running"),
         many => format!("{many} pipelines, {running} running"),
@@ -85,7 +85,7 @@ fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
         0 => "No pipeline had reported".to_owned(),
         many => format!("{running} of {many} pipelines ran"),
     };
-    let shown = &all[..all.len().min(cut::LIST)];
+    let shown = &all[..all.len().min(list_limits::MAX_IN_LIST)];
     let rows = NowTable::new(shown).rows;
     let lines = shown.iter().zip(rows).map(|(pipeline, figures)| Line {
         figures,
@@ -101,6 +101,6 @@ fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
         title,
         past,
         lines: lines.collect(),
-        cut: cut::words(cut::LIST, all.len()),
+        truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, all.len()),
     }
 }

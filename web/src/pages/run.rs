@@ -1,4 +1,4 @@
-//! Page of one run: the speed of its configuration, the certainty of that, and unusual iterations.
+//! Page of one run: latency by stage, its accuracy, and unusual iterations.
 
 use askama::Template;
 use axum::Router;
@@ -36,13 +36,13 @@ use crate::zone::Zone;
 pub(super) const PAGE: PageKind =
     PageKind { routes: || Router::new().route("/runs/{run}", get(show)), entry: None, topic: None };
 
-/// Bins of a distribution.
+/// Number of bins of a distribution.
 const BINS: usize = 48;
-/// Points of the line over time.
+/// Maximum number of points of the line over time.
 const POINTS: usize = 240;
-/// Slowest iterations, as points over time.
+/// Number of slowest iterations that are drawn over time.
 const OUTLIERS: u32 = 40;
-/// Rows of the table of iterations without an answer.
+/// Number of rows of the table of iterations without an answer.
 const UNANSWERED: u32 = 8;
 
 /// Reason why a run has no rate.
@@ -240,7 +240,7 @@ fn assemble(
     let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
     let (zone, snapshot) = (app.zone, app.live_state());
     let link = link::of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
-    let of_delays = Note::of_delays(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
+    let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
     });
     Ok(Run {
@@ -253,7 +253,7 @@ fn assemble(
         notes: runs::unrecorded(&run.gaps, zone)
             .into_iter()
             .chain(runs::trimmed(summary, app.aggregator.retention()))
-            .chain(of_delays)
+            .chain(delay_notes)
             .collect(),
         end: End::of(summary, &snapshot, zone),
         lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),

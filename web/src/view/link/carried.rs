@@ -7,7 +7,7 @@ use peernet_statistics::number::{NONE, bytes, rate};
 use super::super::now::Cell;
 use super::super::place;
 use super::super::speed::{self, NetworkDirection};
-use super::{LATELY, Subject};
+use super::{RECENT_SPAN, Subject};
 
 /// One pipeline that uses the link.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,7 +32,7 @@ impl CarriedRow {
     }
 
     fn new(pipeline: &PipelineSnapshot) -> Option<Self> {
-        let window = pipeline.window(LATELY.seconds() as u32)?;
+        let window = pipeline.window(RECENT_SPAN.seconds() as u32)?;
         let size =
             |name| window.value(name).map_or_else(|| NONE.to_owned(), |size| bytes(size.mean).to_string());
         let kind = pipeline.placement.kind;

@@ -111,7 +111,7 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
         last: NOW,
         network: NetworkName::default(),
     };
-    let past = Subject::past(&row).remembering(&course(&away));
+    let past = Subject::past(&row).with_last_offset(&course(&away));
     let stats = stats::all(&past, &course(&away));
     let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
     assert!(offset.line.contains("when last told"), "{offset:?}");
