@@ -34,7 +34,7 @@ fn experiments_in_the_documents_pass_the_check() {
         for (line, block) in document.fenced("toml").into_iter().filter(|(_, block)| is_experiment(block)) {
             let file = deployment.write("experiment.toml", &block);
             let arguments = [Path::new("run"), Path::new("--check"), &file];
-            let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+            let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
             assert_eq!(ended.code(), 0, "{}:{line}:\n{}", document.path.display(), ended.log);
             checked.push(document.path.clone());
         }
@@ -66,8 +66,8 @@ fn complete_examples_pass_check_and_excerpts_parse() {
             // The check binds this port, and a demo may be running.
             let block = block.replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}");
             deployment.write(name, &block);
-            let ended =
-                Process::start(&program("peernetd"), &["check", name], deployment.folder(), &[]).ended();
+            let ended = Process::start(&program("peernetd"), &["check", name], deployment.folder(), &[])
+                .wait_for_end();
             if ended.code() != 0 {
                 wrong.push(format!("{at}:\n{}", ended.log));
             }
@@ -168,13 +168,13 @@ type Check = fn(&LoopbackDeployment, &str) -> String;
 
 fn configuration(deployment: &LoopbackDeployment, file: &str) -> String {
     deployment.write("probe.toml", file);
-    deployment.peernetd(&["check", "probe.toml"]).ended().log
+    deployment.peernetd(&["check", "probe.toml"]).wait_for_end().log
 }
 
 fn experiment(deployment: &LoopbackDeployment, file: &str) -> String {
     deployment.write("probe.toml", file);
     let arguments = ["run", "--check", "probe.toml"];
-    Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended().log
+    Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end().log
 }
 
 /// Returns the names that a check offers instead of `zz`.

@@ -6,7 +6,7 @@ use peernet_clock::Span;
 use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::{HostClock, Iteration, compare};
 use peernet_tests::{
-    Api, LoopbackDeployment, Process, Ros1System, TwoHostTestbed, program, root, say, until,
+    Api, LoopbackDeployment, Process, Ros1System, TwoHostTestbed, print_line, program, root, wait_until,
 };
 use serde_json::Value;
 
@@ -28,7 +28,7 @@ fn model(input: &str, output: &str) -> String {
 
 /// Waits for a run of the robot's pipeline that has ended by itself; returns its number and details.
 fn finished(api: &Api) -> (i64, Value) {
-    let number = api.until("/api/v1/runs", |runs| {
+    let number = api.wait_until("/api/v1/runs", |runs| {
         let mut runs = runs["runs"].as_array()?.iter();
         let run = runs.find(|run| run["pipeline"] == "detector" && run["reason"] == "finished")?;
         run["number"].as_i64()
@@ -86,8 +86,8 @@ impl RosOverWire {
         let environment = [&borrowed(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
         let master = edge.start(Path::new("rosmaster"), &["--core", "-p", "11311"], root(), &environment);
         let address = edge.address;
-        until("the ROS master", || {
-            edge.inside(move || std::net::TcpStream::connect((address, 11311)).ok().map(drop))
+        wait_until("the ROS master", || {
+            edge.run_in_namespace(move || std::net::TcpStream::connect((address, 11311)).ok().map(drop))
         });
         let camera = node(edge, &on_edge, &["camera", "camera", "/camera", "20"]);
         let answering = node(cloud, &on_cloud, answering);
@@ -96,12 +96,12 @@ impl RosOverWire {
 
     /// Starts the agent on the cloud, with these tables.
     fn cloud(&self, tables: &str) -> Process {
-        self.testbed.cloud_with(tables, &borrowed(&self.variables[1]))
+        self.testbed.start_cloud_with(tables, &borrowed(&self.variables[1]))
     }
 
     /// Starts the agent on the edge, with these tables.
     fn edge(&self, tables: &str) -> Process {
-        self.testbed.edge(tables, &borrowed(&self.variables[0]))
+        self.testbed.start_edge(tables, &borrowed(&self.variables[0]))
     }
 
     /// Compares stored delays with the truth and with the delays of the wire, and the node's share with its own
@@ -115,7 +115,7 @@ impl RosOverWire {
     ) {
         let (up, down) = compare(iterations, clocks[0], clocks[1]);
         for (direction, comparison) in [("upload", &up), ("download", &down)] {
-            say(&format!("{what}, {direction}: {}", comparison.in_words()));
+            print_line(&format!("{what}, {direction}: {}", comparison.in_words()));
             assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
             assert!(comparison.compared >= 250, "{direction}: {}", comparison.in_words());
             // An asymmetric network cannot be distinguished from an offset: the estimate is wrong by half of the
@@ -211,19 +211,19 @@ fn equal_sequence_numbers_keep_delays_true() {
 #[test]
 fn messages_that_the_peer_missed_are_counted() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let _nodes = [
-        ros.node(&["relay", "copy", "/camera", "/copied", "0", "4"]),
-        ros.node(&["relay", "model", "/camera", "/result", "10", "0"]),
+        ros.start_node(&["relay", "copy", "/camera", "/copied", "0", "4"]),
+        ros.start_node(&["relay", "model", "/camera", "/result", "10", "0"]),
     ];
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\ncalibration = false\n";
-    let _rack = ros.agent(&deployment, "rack", &format!("{serve}{}", model("/copied", "/result")));
+    let _rack = ros.start_agent(&deployment, "rack", &format!("{serve}{}", model("/copied", "/result")));
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 60 }";
-    let agent = ros.agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", keys));
-    api.until("/api/v1/pipelines/robot/detector", |pipeline| {
+    let agent = ros.start_agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", keys));
+    api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| {
         pipeline.to_string().contains("no node publishes /camera").then_some(())
     });
-    let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
+    let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
     let (run, detail) = finished(&api);
     let ok = detail["counts"]["ok"].as_u64().expect("a count");
     let (missing, known) = (count(&api, run, "peer-input-missing"), count(&api, run, "inference"));
@@ -237,24 +237,27 @@ fn messages_that_the_peer_missed_are_counted() {
 #[test]
 fn missing_peer_or_pipeline_is_named() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let _nodes = [
-        ros.node(&["camera", "camera", "/camera", "20"]),
-        ros.node(&["relay", "model", "/camera", "/result", "5", "0"]),
+        ros.start_node(&["camera", "camera", "/camera", "20"]),
+        ros.start_node(&["relay", "model", "/camera", "/result", "5", "0"]),
     ];
     let state = |parts: &[&str]| {
-        api.until("/api/v1/pipelines/robot/detector", |pipeline| {
+        api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| {
             let text = pipeline.to_string();
             parts.iter().all(|part| text.contains(part)).then_some(())
         });
     };
-    let agent =
-        ros.agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"));
+    let agent = ros.start_agent(
+        &deployment,
+        "robot",
+        &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"),
+    );
     let address = format!("tcp://127.0.0.1:{}", deployment.data);
     state(&["cannot reach a cloud at", &address]);
 
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
-    let rack = |pipeline: &str| ros.agent(&deployment, "rack", &format!("{serve}{pipeline}"));
+    let rack = |pipeline: &str| ros.start_agent(&deployment, "rack", &format!("{serve}{pipeline}"));
     let blind = rack("");
     state(&["refused the session: host rack observes no topics", "kind = \\\"observe\\\""]);
     assert_eq!(blind.stop().code(), 0);
@@ -268,17 +271,17 @@ fn missing_peer_or_pipeline_is_named() {
     let right = model("/camera", "/result");
     let here = rack(&right);
     state(&["running"]);
-    let run = api.until("/api/v1/pipelines/robot/detector", |pipeline| pipeline["run"].as_i64());
-    until("iterations with the peer's stamps", || (count(&api, run, "inference") > 10).then_some(()));
+    let run = api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| pipeline["run"].as_i64());
+    wait_until("iterations with the peer's stamps", || (count(&api, run, "inference") > 10).then_some(()));
 
     // The run continues without the peer, and with it again.
     here.kill();
-    until("iterations without the peer's stamps", || {
+    wait_until("iterations without the peer's stamps", || {
         (count(&api, run, "peer-unanswered") > 10).then_some(())
     });
     let before = count(&api, run, "inference");
     let _again = rack(&right);
-    until("iterations with the peer's stamps again", || {
+    wait_until("iterations with the peer's stamps again", || {
         (count(&api, run, "inference") > before + 10).then_some(())
     });
     let incidents = api.json("/api/v1/incidents").to_string();
@@ -298,7 +301,7 @@ fn check_refuses_peer_without_message_key() {
     let check = |pipeline: &str| {
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
+        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
         (ended.code(), ended.log)
     };
     let with_peer = robot("tcp://rack:5551", "");

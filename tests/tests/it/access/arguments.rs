@@ -51,15 +51,15 @@ fn fact<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
 #[test]
 fn arguments_are_published_as_fingerprints() {
     let deployment = LoopbackDeployment::new();
-    let (aggregator, api) = deployment.aggregator();
-    let edge = deployment.agent("edge", &TABLES.replace("{secret}", SECRET));
-    let runs = api.until("/api/v1/runs", |runs| {
+    let (aggregator, api) = deployment.start_aggregator();
+    let edge = deployment.start_agent("edge", &TABLES.replace("{secret}", SECRET));
+    let runs = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
         ended.then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
     });
     // A run of this length may be stored before its pipeline has reported.
-    api.until("/api/v1/pipelines", |told| (told["pipelines"].as_array()?.len() == 4).then_some(()));
+    api.wait_until("/api/v1/pipelines", |told| (told["pipelines"].as_array()?.len() == 4).then_some(()));
     let details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
     let of = |pipeline: &str| details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
 
@@ -135,7 +135,7 @@ fn run_json_keeps_arguments_from_other_users() {
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
     let state = deployment.folder().display().to_string();
     let environment = [("XDG_STATE_HOME", state.as_str())];
-    let ended = Process::start(&program("peernet"), &arguments, root(), &environment).ended();
+    let ended = Process::start(&program("peernet"), &arguments, root(), &environment).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
 
     let run = &results.folders()[0];

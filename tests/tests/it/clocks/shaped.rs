@@ -5,7 +5,7 @@ use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Host, Network, Packet};
 use peernet_tests::truth::{Delay, HostClock};
 
-use super::{assert_contains_truth, rehearsal, say};
+use super::{assert_contains_truth, print_line, rehearsal};
 
 const ITERATIONS: usize = 15;
 
@@ -24,13 +24,13 @@ fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> 
 fn large_transfer_time_matches_capture() {
     let testbed = TwoHostTestbed::new(|_| Network::routed());
     let router = testbed.network.router();
-    router.limit("cloud", 20);
-    router.limit("edge", 100);
+    router.limit_rate("cloud", 20);
+    router.limit_rate("edge", 100);
     let capture = router.capture("tcp port 5551", testbed.folder());
-    let _cloud = testbed.cloud(&rehearsal(1_000.0, 30.0, ""));
+    let _cloud = testbed.start_cloud(&rehearsal(1_000.0, 30.0, ""));
     let limit = format!("limit = {{ iterations = {ITERATIONS} }}\nwarm_up = {{ iterations = 2 }}");
     let pipeline = testbed.pipeline("images", 1_200_000, &limit);
-    let _edge = testbed.edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
+    let _edge = testbed.start_edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
     let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
     testbed.wait_for_runs(1);
     let packets = capture.finish();
@@ -75,7 +75,7 @@ fn against<'a>(
     ratios.sort_by(f64::total_cmp);
     let median = ratios[ratios.len() / 2];
     let (reported, in_the_middle) = (mean(|pair| pair.0), mean(|pair| pair.1));
-    say(&format!(
+    print_line(&format!(
         "{what}: mean reported {reported:.3} ms, seen in the middle {in_the_middle:.3} ms, ratio {:.4}, median {median:.4}",
         reported / in_the_middle
     ));

@@ -28,12 +28,12 @@ fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
         Wrong::Edge => (own.as_str(), ""),
         Wrong::Cloud => ("", own.as_str()),
     };
-    let _cloud = testbed.cloud(&format!("{clock}{cloud_own}"));
+    let _cloud = testbed.start_cloud(&format!("{clock}{cloud_own}"));
     let steady = format!("load = {{ mode = \"rate\", hz = 100.0 }}\nlimit = {{ iterations = {STEADY} }}");
     let quick = format!("limit = {{ iterations = {QUICK} }}");
     let pipelines =
         [testbed.pipeline("steady", 1000, &steady), testbed.pipeline("quick", 1000, &quick)].concat();
-    let _edge = testbed.edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
+    let _edge = testbed.start_edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
 
     let (edge, cloud) = match wrong {
         Wrong::Edge => (testbed.clock_of("edge"), HostClock::of_kernel()),

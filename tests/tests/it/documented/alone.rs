@@ -24,7 +24,7 @@ const SLIP: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsen
 fn readme_commands_without_aggregator_work() {
     let machines = DocumentedCommands::new(&COMMANDS);
     let typed = |command: &str, changes: &[(&str, &str)]| {
-        let ended = machines.on_edge(command, changes).ended();
+        let ended = machines.on_edge(command, changes).wait_for_end();
         (ended.code(), ended.log)
     };
     let named = |command: &str, more: &str| {
@@ -63,6 +63,6 @@ fn readme_commands_without_aggregator_work() {
     let file = ("/etc/bash_completion.d/peernet", "completion.bash");
     let (code, log) = typed("peernet completions bash > /etc/bash_completion.d/peernet", &[file]);
     assert_eq!(code, 0, "{log}");
-    assert_eq!(machines.run_on(machines.edge(), "bash -n completion.bash").ended().code(), 0);
+    assert_eq!(machines.run_on(machines.edge(), "bash -n completion.bash").wait_for_end().code(), 0);
     machines.finish();
 }

@@ -1,8 +1,8 @@
 //! The shipped configurations, started manually: on two machines, and all in one process.
 
 use peernet_tests::network::Host;
-use peernet_tests::truth::ask;
-use peernet_tests::{Api, Document, DocumentedCommands, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{Api, Document, DocumentedCommands, wait_until};
 
 pub(crate) const COMMANDS: [&str; 6] = [
     "target/demo/peernetd run configs/aggregator.toml",
@@ -15,8 +15,8 @@ pub(crate) const COMMANDS: [&str; 6] = [
 
 /// Waits until the dashboard on a host shows this number of answered iterations of a pipeline.
 fn answered(host: &Host, pipeline: &'static str, count: u64) {
-    host.inside(move || {
-        Api::at(8040).until("/api/v1/runs", |runs| {
+    host.run_in_namespace(move || {
+        Api::on_port(8040).wait_until("/api/v1/runs", |runs| {
             let runs = runs["runs"].as_array()?.iter();
             let of_it = runs.filter(|run| run["pipeline"] == pipeline);
             let sum: u64 = of_it.filter_map(|run| run["counts"]["ok"].as_u64()).sum();
@@ -40,8 +40,8 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     }
 
     aggregator.kill();
-    until("batches that wait", || {
-        let waits = machines.on_edge("peernetd doctor --config configs/edge.toml", &[]).ended();
+    wait_until("batches that wait", || {
+        let waits = machines.on_edge("peernetd doctor --config configs/edge.toml", &[]).wait_for_end();
         assert_eq!(waits.code(), 0, "{}", waits.log);
         waits.log.contains("waiting: batches").then_some(())
     });
@@ -57,7 +57,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     let database = machines.folder().join("data/aggregator/peernet.sqlite");
     let holes =
         "SELECT run, count(*), max(number) FROM iteration GROUP BY run HAVING count(*) <> max(number)";
-    assert_eq!(ask(&database, holes), "");
+    assert_eq!(query_database(&database, holes), "");
 
     // The remaining files are checked on one machine.
     for name in ["python.toml", "python/sweep.py", "python/nearest.py", "all-in-one.toml"] {

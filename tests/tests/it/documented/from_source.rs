@@ -28,8 +28,8 @@ fn assert_success(ended: &ProcessEnd) {
 
 /// Waits until a pipeline on the dashboard of a host has answers.
 fn answered(host: &Host, port: u16, pipeline: &'static str) {
-    host.inside(move || {
-        Api::at(port).until("/api/v1/runs", |runs| {
+    host.run_in_namespace(move || {
+        Api::on_port(port).wait_until("/api/v1/runs", |runs| {
             let mut runs = runs["runs"].as_array()?.iter();
             runs.any(|run| run["pipeline"] == pipeline && run["counts"]["ok"].as_u64() > Some(5))
                 .then_some(())
@@ -48,7 +48,7 @@ fn manual_installation_matches_paths_of_units() {
     // The library that the command would download exists already.
     let library = peernet_tests::onnxruntime();
     assert_success(
-        &machines.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).ended(),
+        &machines.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).wait_for_end(),
     );
 
     let programs = format!("{root}/usr/bin/");
@@ -57,7 +57,7 @@ fn manual_installation_matches_paths_of_units() {
         [("/usr/bin/", &programs), ("systemd-sysusers", &users), ("systemd-tmpfiles", &folders)];
     for command in &COMMANDS[..9] {
         let changes: Vec<_> = mine.into_iter().filter(|(from, _)| command.contains(from)).collect();
-        assert_success(&machines.on_edge(command, &changes).ended());
+        assert_success(&machines.on_edge(command, &changes).wait_for_end());
     }
     for role in ["agent", "aggregator"] {
         let unit = machine.join(format!("etc/systemd/system/peernet-{role}.service"));
@@ -75,7 +75,7 @@ fn manual_installation_matches_paths_of_units() {
         machines.install(edge, &file, &text, &[]);
         let installed = format!("{programs}peernetd");
         let check = format!("peernetd check {file}");
-        assert_success(&machines.on_edge(&check, &[("peernetd", &installed)]).ended());
+        assert_success(&machines.on_edge(&check, &[("peernetd", &installed)]).wait_for_end());
     }
     the_demo(&machines);
     machines.finish();

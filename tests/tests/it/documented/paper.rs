@@ -79,7 +79,7 @@ fn efficientnet(machines: &DocumentedCommands) {
     }
     let figure = results.folder.join("paired.png");
     std::fs::remove_file(&figure).expect("it is among the figures of the whole");
-    let ended = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).ended();
+    let ended = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(figure.is_file(), "{}", ended.log);
 }
@@ -98,7 +98,8 @@ fn teleoperation(machines: &DocumentedCommands) {
         "configs/experiments/teleoperation.toml",
         &[("episodes = 30", "episodes = 2"), ("episode_steps = 30", "episode_steps = 3")],
     );
-    let checked = machines.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).ended();
+    let checked =
+        machines.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).wait_for_end();
     assert_eq!(checked.code(), 0, "{}", checked.log);
     // The document shows this output.
     assert!(Document::read("docs/experiments.md").text.contains(checked.log.trim()), "{}", checked.log);
@@ -109,7 +110,7 @@ fn teleoperation(machines: &DocumentedCommands) {
     std::os::unix::fs::symlink(&results.folder, machines.folder().join("teleoperation")).expect("writable");
 
     let table = "peernet compare teleoperation --format latex --out table.tex";
-    assert_eq!(machines.on_edge(table, &[]).ended().code(), 0);
+    assert_eq!(machines.on_edge(table, &[]).wait_for_end().code(), 0);
     let table = std::fs::read_to_string(machines.folder().join("table.tex")).expect("it was written");
     assert!(table.contains("\\toprule") && table.matches("RTX 3090").count() >= 5, "{table}");
     // The experiment's own table is the same.
@@ -117,10 +118,10 @@ fn teleoperation(machines: &DocumentedCommands) {
     assert_eq!(table.trim_end(), own.trim_end());
     let first = format!("runs/{}", results.folders()[0]);
     let against = "peernet compare teleoperation --baseline teleoperation/run-1";
-    let ended = machines.on_edge(against, &[("run-1", &first)]).ended();
+    let ended = machines.on_edge(against, &[("run-1", &first)]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let figures = "peernet plot teleoperation --kind stacked --out figures";
-    let ended = machines.on_edge(figures, &[]).ended();
+    let ended = machines.on_edge(figures, &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(machines.folder().join("figures/stacked.svg").is_file(), "{}", ended.log);
 }

@@ -36,7 +36,7 @@ impl Lab {
         self.network
             .edge()
             .start(&program("peernet"), &arguments, self.deployment.folder(), &environment)
-            .ended()
+            .wait_for_end()
     }
 }
 

@@ -21,8 +21,8 @@ fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
 /// Returns the number of an experiment's runs that the aggregator on the cloud stores as finished.
 fn stored(machines: &DocumentedCommands, experiment: &str) -> usize {
     let experiment = experiment.to_owned();
-    machines.cloud().inside(move || {
-        Api::at(8040).until("/api/v1/runs?limit=100", |found| {
+    machines.cloud().run_in_namespace(move || {
+        Api::on_port(8040).wait_until("/api/v1/runs?limit=100", |found| {
             let runs = found["runs"].as_array()?;
             let of_it = runs.iter().filter(|run| run["experiment"]["id"] == *experiment);
             of_it.clone().all(|run| run["reason"] == "finished").then(|| of_it.count())

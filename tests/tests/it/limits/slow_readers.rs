@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 
-use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, PATIENCE, Process, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, TEST_TIMEOUT, program, wait_until};
 use socket2::{Domain, Socket, Type};
 
 /// Descriptors of the daemon; an eighth of them are for connections to the dashboard.
@@ -23,7 +23,7 @@ fn asked(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
         .expect("all of 127.0.0.0/8 is this machine");
     socket.connect(&SocketAddr::from(([127, 0, 0, 1], deployment.http)).into()).expect("the port is open");
     let mut stream = TcpStream::from(socket);
-    stream.set_read_timeout(Some(PATIENCE)).expect("a socket takes a timeout");
+    stream.set_read_timeout(Some(TEST_TIMEOUT)).expect("a socket takes a timeout");
     let request = format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
     // The connection may have been closed in favour of another host's.
     let _closed = stream.write_all(request.as_bytes());
@@ -37,8 +37,8 @@ fn slow_readers_do_not_block_dashboard() {
     let peernetd = program("peernetd").display().to_string();
     let arguments = [DESCRIPTORS, &peernetd, "run", "aggregator.toml"];
     let aggregator = Process::start(Path::new("prlimit"), &arguments, deployment.folder(), &[]);
-    let api = Api::at(deployment.http);
-    until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+    let api = Api::on_port(deployment.http);
+    wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
     for path in ["/api/v1/live?topics=picture", "/api/openapi.json"] {
         let hosts = 2..2 + SLOW_HOSTS;

@@ -42,7 +42,7 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
     let client = lab.client(&format!(
         "PEERNet --client --name jetson-orin {both} --sensor-object payloads::Sensor --result-loc results"
     ));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     let data = lab.data("results");
     let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));
     assert_eq!((answered + lost, data.rows.len()), (ITERATIONS, ITERATIONS), "{}", client.log);
@@ -80,7 +80,7 @@ fn iterations_over_bad_path_are_answered_or_lost() {
         "PEERNet --client --name jetson-orin {both} --sensor-type synthetic --text-size 5000 --result-loc results \
          --config edge.toml"
     ));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     let data = lab.data("results");
     let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));

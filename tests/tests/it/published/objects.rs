@@ -90,7 +90,7 @@ fn a_sensor_that_hangs_is_named() {
         client.wait_for("Ctrl-C again");
         // A second SIGINT within half a second would count as the same signal.
         client.signal(rustix::process::Signal::TERM);
-        let ended = client.ended();
+        let ended = client.wait_for_end();
         assert_eq!(ended.code(), 130, "{}", ended.log);
     }
 }
@@ -108,7 +108,7 @@ fn python_sensor_and_model_run_on_their_hosts() {
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type external \
          --sensor-object my_camera::Camera --iterations 20 --result-loc results",
     );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let data = lab.data("results");
     assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
@@ -128,7 +128,7 @@ fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd)
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations {iterations} --result-loc results"
     ));
-    (client.ended(), server.ended())
+    (client.wait_for_end(), server.wait_for_end())
 }
 
 #[test]
@@ -189,7 +189,7 @@ class {class}:
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations 16 --result-loc results",
     );
-    let client = client.ended();
+    let client = client.wait_for_end();
     assert_eq!(client.code(), 75, "{}", client.log);
     assert!(
         client.log.contains("The model's process was started anew in 1 iteration (number 9)"),
@@ -227,7 +227,7 @@ fn server_prints_number_of_error_answers() {
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 10 \
          --result-loc results",
     );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (75, 0), "{}\n{}", client.log, server.log);
     assert!(server.log.contains("10 answers, 5 of them errors"), "{}", server.log);
     assert_eq!(lab.data("results").outcomes("failed"), 5);
@@ -245,7 +245,7 @@ fn programs_run_on_their_hosts() {
          --iterations 20 --result-loc results",
         light.display()
     ));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let sent = lab.data("results").numbers("upload-bytes");
     assert!(sent.len() == 20 && sent.iter().all(|bytes| *bytes == 3072.0), "{sent:?}");
@@ -278,7 +278,7 @@ class Echo:
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations 8 --result-loc results --quiet",
     );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let printed = |log: &str, line: &str| log.lines().filter(|said| *said == line).count();
     assert!(printed(&client.log, "sensor my_camera::Camera: the lens is clean") >= 8, "{}", client.log);

@@ -8,7 +8,7 @@ use super::{Lab, picture};
 
 /// Runs a command that must end with this code and print all these texts.
 fn refused(lab: &Lab, command: &str, code: i32, said: &[&str]) {
-    let ended = lab.client(command).ended();
+    let ended = lab.client(command).wait_for_end();
     assert_eq!(ended.code(), code, "{command}\n{}", ended.log);
     for text in said {
         assert!(ended.log.contains(text), "{command} does not say {text:?}: {}", ended.log);
@@ -86,7 +86,7 @@ fn missing_files_are_named() {
     refused(&lab, &format!("{client} --sensor-object no_such::Camera"), 66, &module);
     refused(&lab, &format!("{server} --model-name no_such::Model"), 66, &module);
     std::fs::write(lab.folder().join("hollow.py"), "pass\n").expect("writable");
-    let hollow = lab.client(&format!("{server} --model-name hollow::Model")).ended();
+    let hollow = lab.client(&format!("{server} --model-name hollow::Model")).wait_for_end();
     assert_eq!(hollow.code(), 69, "{}", hollow.log);
     assert!(hollow.log.contains("Model") && !hollow.log.contains("answers"), "{}", hollow.log);
 

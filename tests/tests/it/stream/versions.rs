@@ -1,7 +1,7 @@
 //! Test of agents with other versions of the event stream at a real aggregator.
 
 use peernet_stream::{Hello, HelloExtension, Release, STREAM_VERSIONS, ToAgent, ToAggregator, codec};
-use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, until};
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, wait_until};
 
 use super::turn;
 
@@ -28,12 +28,12 @@ fn newer_agent_is_served_unknown_versions_refused() {
 
     let mut later = InventedHost::new("later", &mut rng);
     later.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     misbehaving_peer.send(&later_frame(&later.hello));
     let challenge = misbehaving_peer.receive();
     let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };
     assert_eq!(version.unwrap_or(later.hello.protocol), newest, "the highest that both speak");
-    misbehaving_peer.prove(&later.hello, &later.secret, &challenge);
+    misbehaving_peer.answer_challenge(&later.hello, &later.secret, &challenge);
     misbehaving_peer.receive_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
     misbehaving_peer.send(&later.batch(3));
     misbehaving_peer.wait_for_ack(1);
@@ -48,7 +48,7 @@ fn newer_agent_is_served_unknown_versions_refused() {
     let reason = too_old.expect_refusal(&misbehaving_peer);
     assert!(reason.contains("update the agent on too-old to at least PEERNet"), "{reason}");
 
-    until("both are shown with what to do", || {
+    wait_until("both are shown with what to do", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         let reasons: Vec<_> = hosts["refused"].as_array()?.iter().map(|one| one["reason"].as_str()).collect();
         let has =

@@ -24,22 +24,22 @@ fn check_case(
 /// Returns the preparation of a constant drift between the two hosts.
 fn steady(ppm: f64) -> impl FnOnce([&ClockShim; 2]) {
     move |[edge, cloud]| {
-        edge.change(Span::from_seconds(-5), ppm / 2.0, 0.0);
+        edge.schedule_change(Span::from_seconds(-5), ppm / 2.0, 0.0);
         // The rate of one clock by the other's time differs slightly from the difference of both rates by the true
         // time.
-        cloud.change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, 0.0);
+        cloud.schedule_change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, 0.0);
     }
 }
 
 /// Simulates a crystal that is warmed and cooled: its rate stays within `ppm` of nominal and changes by `ppm_per_s`.
 fn warm_and_cool(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
     let half = 2.0 * ppm / ppm_per_s;
-    let mut begin = shim.change(Span::from_seconds(1_234), -ppm, ppm_per_s);
+    let mut begin = shim.schedule_change(Span::from_seconds(1_234), -ppm, ppm_per_s);
     let turns = (for_s / half).ceil() as u32;
     for turn in 1..=turns {
         begin = begin + Span::from_seconds_f64(half);
         let sign = if turn % 2 == 0 { 1.0 } else { -1.0 };
-        shim.change_at(begin, Span::ZERO, -sign * ppm, sign * ppm_per_s);
+        shim.schedule_change_at(begin, Span::ZERO, -sign * ppm, sign * ppm_per_s);
     }
 }
 

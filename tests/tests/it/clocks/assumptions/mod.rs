@@ -15,7 +15,7 @@ use outcome::Outcome;
 use peernet_clock::{RawTime, Span};
 use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::HostClock;
-use peernet_tests::{ClockShim, Process, TwoHostTestbed, until, until_grown};
+use peernet_tests::{ClockShim, Process, TwoHostTestbed, wait_until, wait_until_grown};
 
 /// Length of the window by default. After a violation an interval may be wrong for this time.
 const WINDOW: Span = Span::from_seconds(10);
@@ -66,7 +66,7 @@ impl Scene {
         // Both hosts are on one machine: without an identity of its own the edge's clock would count as the cloud's.
         let pipeline = testbed.pipeline("misled", 1000, LOAD);
         let tables = format!("clock_identity = \"shown\"\n{CLOCK}{keys}\n{pipeline}");
-        let edge = testbed.edge(&tables, &edge.environment());
+        let edge = testbed.start_edge(&tables, &edge.environment());
         Self { what, edge, cloud: Some(cloud), shims, testbed }
     }
 
@@ -84,8 +84,8 @@ impl Scene {
     fn reboot_cloud(&mut self, step: Span, ppm: f64) {
         let [_, shim] = &self.shims;
         self.cloud.take().expect("it runs").kill();
-        let begin = shim.change(step, ppm, 0.0);
-        until("the cloud's clocks after its reboot", || (shim.now() > begin).then_some(()));
+        let begin = shim.schedule_change(step, ppm, 0.0);
+        wait_until("the cloud's clocks after its reboot", || (shim.now() > begin).then_some(()));
         self.cloud = Some(start_cloud(&self.testbed, shim));
     }
 
@@ -94,20 +94,20 @@ impl Scene {
         let sql = "SELECT t.received_raw_ns FROM transit AS t JOIN node USING (run, iteration, node) \
                    JOIN name ON name.id = node.name WHERE name.text = 'upload' AND t.received_raw_ns IS NOT NULL \
                    ORDER BY t.run DESC, t.iteration DESC LIMIT 1";
-        let shown = RawTime::from_nanos(self.testbed.ask(sql).trim().parse().ok()?);
+        let shown = RawTime::from_nanos(self.testbed.query_database(sql).trim().parse().ok()?);
         self.shims[1].errors().truths(shown).last().copied()
     }
 
     /// Waits until all uploads that arrived before a time are stored.
     fn reach(&self, time: RawTime) {
-        until_grown(self.what, time.nanos().unsigned_abs(), || {
+        wait_until_grown(self.what, time.nanos().unsigned_abs(), || {
             Some(self.stored_until()?.nanos().unsigned_abs())
         });
     }
 
     /// Waits until the window is full: eleven seconds are stored. Returns the time of that.
     fn settle(&self) -> RawTime {
-        let settled = until("the first upload", || self.stored_until()) + WINDOW + Span::from_seconds(1);
+        let settled = wait_until("the first upload", || self.stored_until()) + WINDOW + Span::from_seconds(1);
         self.reach(settled);
         settled
     }
@@ -115,7 +115,7 @@ impl Scene {
     /// Stops the edge and returns the stored delays.
     fn end(self) -> Outcome {
         assert_eq!(self.edge.stop().code(), 0);
-        self.testbed.api.until("/api/v1/runs", |runs| {
+        self.testbed.api.wait_until("/api/v1/runs", |runs| {
             let mut runs = runs["runs"].as_array()?.iter();
             runs.all(|run| run["reason"] == "stopped").then_some(())
         });
@@ -126,7 +126,7 @@ impl Scene {
 }
 
 fn start_cloud(testbed: &TwoHostTestbed, shim: &ClockShim) -> Process {
-    let cloud = testbed.cloud_with(CLOCK, &shim.environment());
+    let cloud = testbed.start_cloud_with(CLOCK, &shim.environment());
     cloud.wait_for("ready");
     cloud
 }

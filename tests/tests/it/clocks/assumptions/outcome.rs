@@ -1,7 +1,7 @@
 //! Comparison of a case's reported delays with the truth.
 
 use peernet_clock::{RawTime, Span};
-use peernet_tests::measured;
+use peernet_tests::record_figures;
 use peernet_tests::truth::{Delay, HostClock, Iteration, true_times};
 
 /// Error of the computed truth: the inverse of both clocks' drift is rounded, and so are stored values.
@@ -80,7 +80,7 @@ impl Outcome {
             ("the last of those after the violation", longest.to_string()),
             ("truth missed by at most", most.to_string()),
         ];
-        measured(self.what, &figures);
+        record_figures(self.what, &figures);
         for delay in wrong {
             let is_allowed = delay.received >= violated && since(delay) <= allowed;
             assert!(is_allowed, "{}: {} after the violation: {delay:?}", self.what, since(delay));

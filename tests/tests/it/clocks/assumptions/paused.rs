@@ -14,7 +14,7 @@ fn stop(
     and: impl FnOnce(&Scene),
 ) -> (Outcome, RawTime, RawTime) {
     let scene = Scene::new(what, wire(way(2, 0, 0), way(2, 0, 0)), "", |[edge, _]| {
-        edge.change(Span::from_seconds(77), 150.0, 0.0);
+        edge.schedule_change(Span::from_seconds(77), 150.0, 0.0);
     });
     scene.settle();
     of(&scene).signal(Signal::STOP);
@@ -43,7 +43,7 @@ fn stopped_process(what: &'static str, length: Span, of: fn(&Scene) -> &Process)
 fn paused_machine(what: &'static str, length: Span) {
     let (outcome, stopped, resumed) = stop(what, length, edge, |scene| {
         let begin = scene.shim().now() + Span::from_millis(200);
-        scene.shim().change_at(begin, -length, 150.0, 0.0);
+        scene.shim().schedule_change_at(begin, -length, 150.0, 0.0);
     });
     outcome.assert_wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
     outcome.assert_good_at_the_end();
@@ -80,8 +80,8 @@ fn long_vm_pause_affects_one_window_at_most() {
 fn intervals_are_right_after_cloud_reboot() {
     let what = "the cloud is rebooted, 2/6 ms";
     let mut scene = Scene::new(what, wire(way(2, 0, 0), way(6, 0, 0)), "", |[edge, cloud]| {
-        edge.change(Span::from_seconds(3), -50.0, 0.0);
-        cloud.change(Span::from_seconds(7_200), 100.0, 0.0);
+        edge.schedule_change(Span::from_seconds(3), -50.0, 0.0);
+        cloud.schedule_change(Span::from_seconds(7_200), 100.0, 0.0);
     });
     scene.settle();
     scene.reboot_cloud(Span::from_seconds(-7_000), -100.0);

@@ -17,7 +17,7 @@ fn drift_on_a_long_path(
 ) -> Outcome {
     let limit = format!("max_drift_ppm = {limit:?}");
     let scene = Scene::new(what, wire(up, down), &limit, |[edge, _]| {
-        edge.change(Span::ZERO, drift, 0.0);
+        edge.schedule_change(Span::ZERO, drift, 0.0);
     });
     let settled = scene.settle();
     scene.reach(settled + Span::from_seconds(for_s));
@@ -53,7 +53,7 @@ fn change(
 ) -> Outcome {
     let scene = Scene::new(what, network, "", |_| ());
     scene.settle();
-    let violated = scene.shim().change(Span::from_millis(step_ms), ppm, 0.0);
+    let violated = scene.shim().schedule_change(Span::from_millis(step_ms), ppm, 0.0);
     scene.reach(violated + Span::from_seconds(for_s));
     let outcome = scene.end();
     outcome.assert_wrong_for_at_most(WINDOW, violated);
@@ -90,8 +90,8 @@ fn expired_exchange_bounds_no_delay() {
     let what = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";
     let scene = Scene::new(what, wire(way(1, 0, 0), way(1, 0, 0)), "", |_| ());
     scene.settle();
-    scene.testbed.network.delay(way(40, 0, 0), way(40, 0, 0));
-    let violated = scene.shim().change(Span::ZERO, 1_000.0, 0.0);
+    scene.testbed.network.set_delays(way(40, 0, 0), way(40, 0, 0));
+    let violated = scene.shim().schedule_change(Span::ZERO, 1_000.0, 0.0);
     scene.reach(violated + WINDOW + Span::from_seconds(8));
     let outcome = scene.end();
     outcome.assert_wrong_for_at_most(WINDOW, violated);
