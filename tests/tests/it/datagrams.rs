@@ -11,7 +11,7 @@ const LINK: &str = "/api/v1/links/edge~cloud~zmq-udp";
 const LOAD: &str = "load = { mode = \"rate\", hz = 20.0 }";
 
 /// Returns the number of answered iterations of the only run.
-fn answered(testbed: &TwoHostTestbed) -> u64 {
+fn answered_iterations(testbed: &TwoHostTestbed) -> u64 {
     let runs = testbed.api.json("/api/v1/runs");
     let ok = runs["runs"].get(0).and_then(|run| run["counts"]["ok"].as_u64());
     ok.unwrap_or_default()
@@ -19,8 +19,8 @@ fn answered(testbed: &TwoHostTestbed) -> u64 {
 
 /// Waits until this many more iterations are answered.
 fn wait_until_answered(testbed: &TwoHostTestbed, more: u64) {
-    let enough = answered(testbed) + more;
-    wait_until("answers", || (answered(testbed) >= enough).then_some(()));
+    let enough = answered_iterations(testbed) + more;
+    wait_until("answers", || (answered_iterations(testbed) >= enough).then_some(()));
 }
 
 /// Waits until one end of the only connection is at an address.
@@ -32,7 +32,7 @@ fn wait_until_address_is(testbed: &TwoHostTestbed, end: &str, address: Ipv4Addr)
 }
 
 /// Waits until the page of the link contains a text.
-fn shows(testbed: &TwoHostTestbed, text: &str) {
+fn wait_until_page_contains(testbed: &TwoHostTestbed, text: &str) {
     wait_until(text, || {
         let (_, page) = testbed.api.get("/links/edge~cloud~zmq-udp")?;
         page.contains(text).then_some(())
@@ -51,7 +51,7 @@ fn session_survives_small_mtu_and_moved_hosts() {
     let capped = "the system caps the buffers of UDP sockets at ";
     let said = edge.wait_for(capped);
     assert!(said.contains("sysctl -w net.core.rmem_max=1073741824"), "{said}");
-    shows(&testbed, capped);
+    wait_until_page_contains(&testbed, capped);
     let (here, there) = (testbed.network.edge(), testbed.network.cloud());
     for host in [here, there] {
         host.set_mtu(DATA_INTERFACE, 1_280);
@@ -122,5 +122,5 @@ fn reduced_path_mtu_is_reported_and_session_continues() {
     edge.wait_for("going on with 1200 bytes");
     edge.wait_for_nth("connected to cloud", 2);
     wait_until_answered(&testbed, 20);
-    shows(&testbed, "long datagrams do not arrive any more");
+    wait_until_page_contains(&testbed, "long datagrams do not arrive any more");
 }

@@ -178,7 +178,7 @@ fn experiment(deployment: &LoopbackDeployment, file: &str) -> String {
 }
 
 /// Returns the names that a check offers instead of `zz`.
-fn known(said: &str) -> Vec<String> {
+fn offered_names(said: &str) -> Vec<String> {
     let told = ["unknown field `zz`, ", "unknown variant `zz`, "];
     let known = told.iter().find_map(|told| said.split_once(told));
     let (_, known) = known.unwrap_or_else(|| panic!("nothing is said about zz but\n{said}"));
@@ -186,7 +186,7 @@ fn known(said: &str) -> Vec<String> {
 }
 
 /// Returns the words that are missing in a section.
-fn lacking(document: &Document, section: &str, words: &[String]) -> Vec<String> {
+fn undocumented_words(document: &Document, section: &str, words: &[String]) -> Vec<String> {
     let text = document.section(section);
     let described = |word: &str| {
         ["`WORD`", "\"WORD\"", "[WORD]"].iter().any(|form| text.contains(&form.replace("WORD", word)))
@@ -202,17 +202,17 @@ fn the_reference_describes_every_key_and_kind() {
     let mut look = |document: &str, said: Check, probes: &[(&str, &str)]| {
         let document = Document::read(document);
         for (section, file) in probes {
-            missing.extend(lacking(&document, section, &known(&said(&deployment, file))));
+            missing.extend(undocumented_words(&document, section, &offered_names(&said(&deployment, file))));
         }
     };
     look(REFERENCE, configuration, &PROBES);
     look("docs/experiments.md", experiment, &EXPERIMENTS);
     let reference = Document::read(REFERENCE);
     for (section, file) in KINDS {
-        let of = |kind: &str| known(&configuration(&deployment, &file.replace("KIND", kind)));
+        let of = |kind: &str| offered_names(&configuration(&deployment, &file.replace("KIND", kind)));
         let kinds = of("zz");
-        missing.extend(lacking(&reference, section, &kinds));
-        missing.extend(kinds.iter().flat_map(|kind| lacking(&reference, section, &of(kind))));
+        missing.extend(undocumented_words(&reference, section, &kinds));
+        missing.extend(kinds.iter().flat_map(|kind| undocumented_words(&reference, section, &of(kind))));
     }
     assert!(missing.is_empty(), "these are not described:\n{}", missing.join("\n"));
 }

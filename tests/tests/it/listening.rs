@@ -20,7 +20,7 @@ fn edge(port: &str) -> String {
 }
 
 #[test]
-fn two_addresses_are_served_at_the_same_time() {
+fn two_addresses_are_served_concurrently() {
     let (deployment, second) = (LoopbackDeployment::new(), free_port().to_string());
     let (_aggregator, api) = deployment.start_aggregator();
     let cloud = deployment.start_agent("cloud", &CLOUD.replace("SECOND", &second));

@@ -12,7 +12,7 @@ fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
 }
 
 /// Waits until all runs have ended by themselves; returns their numbers with their pipelines' names.
-fn finished(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
+fn wait_for_finished_runs(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
     api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let done = runs.iter().filter(|run| run["reason"] == "finished");
@@ -44,14 +44,14 @@ fn latency(api: &Api, pipeline: &str) -> Option<f64> {
 }
 
 /// Returns the latest median of a relay's own delay, seconds.
-fn taken(relay: &Process) -> Option<f64> {
+fn relay_delay(relay: &Process) -> Option<f64> {
     let log = relay.log();
     let line = log.lines().rfind(|line| line.starts_with("median"))?;
     Some(line.split(' ').nth(1)?.parse::<f64>().ok()? * 1e-6)
 }
 
 /// Returns the number of stored and answered iterations of a pipeline's only run.
-fn answered(api: &Api, pipeline: &str) -> u64 {
+fn answered_iterations(api: &Api, pipeline: &str) -> u64 {
     let runs: Value = api.json("/api/v1/runs");
     let mut runs = runs["runs"].as_array().expect("a list").iter();
     let run = runs.find(|run| run["pipeline"] == pipeline);
@@ -77,14 +77,14 @@ fn chain_latencies_are_right_within_a_millisecond() {
     let mut sum = 0.0;
     for ((delay, ..), relay) in hops.iter().zip(&relays) {
         let seconds = wait_until(&format!("a median within a millisecond of {delay} ms"), || {
-            let (reported, taken) = (latency(&api, &format!("hop{delay}"))?, taken(relay)?);
+            let (reported, taken) = (latency(&api, &format!("hop{delay}"))?, relay_delay(relay)?);
             ((reported - taken).abs() < 1e-3).then_some(taken)
         });
         let least: f64 = delay.parse().expect("a number");
         assert!(seconds >= least * 1e-3, "{seconds}");
         sum += least * 1e-3;
     }
-    let (_, whole) = finished(&api, 1).remove(0);
+    let (_, whole) = wait_for_finished_runs(&api, 1).remove(0);
     // A median of the API is within 1 % of the true one.
     assert!(median(&api, whole, "total") >= sum * 0.99);
     api.assert_stages_sum_to_total(whole, &["inference"]);
@@ -114,7 +114,7 @@ fn unanswered_input_messages_are_lost_iterations() {
     let _relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "4"]);
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 40 }";
     let _agent = ros.start_agent(&deployment, "robot", &observer("lossy", "/camera", "/out", keys));
-    let (_, run) = finished(&api, 1).remove(0);
+    let (_, run) = wait_for_finished_runs(&api, 1).remove(0);
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     let count = |outcome: &str| detail["counts"][outcome].as_u64().expect("a count");
     assert_eq!(count("ok") + count("lost"), 40, "{detail}");
@@ -141,7 +141,7 @@ fn observation_continues_after_ros_restart() {
     let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
     state("no node publishes /out");
     let relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "0"]);
-    let ok = || answered(&api, "chain");
+    let ok = || answered_iterations(&api, "chain");
     wait_until("iterations", || (ok() > 5).then_some(()));
     let run = api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| pipeline["run"].as_i64());
 
@@ -178,7 +178,7 @@ fn topic_without_header_is_refused_with_advice() {
         let text = pipeline.to_string();
         (text.contains("has the type std_msgs/String") && text.contains("pair_by")).then_some(())
     });
-    wait_until("iterations", || (answered(&api, "ordered") > 5).then_some(()));
+    wait_until("iterations", || (answered_iterations(&api, "ordered") > 5).then_some(()));
 }
 
 #[test]

@@ -27,7 +27,7 @@ fn model(input: &str, output: &str) -> String {
 }
 
 /// Waits for a run of the robot's pipeline that has ended by itself; returns its number and details.
-fn finished(api: &Api) -> (i64, Value) {
+fn wait_for_finished_run(api: &Api) -> (i64, Value) {
     let number = api.wait_until("/api/v1/runs", |runs| {
         let mut runs = runs["runs"].as_array()?.iter();
         let run = runs.find(|run| run["pipeline"] == "detector" && run["reason"] == "finished")?;
@@ -48,17 +48,17 @@ fn count(api: &Api, run: i64, name: &str) -> u64 {
 }
 
 /// Returns the environment variables of ROS on a host.
-fn ros(master: &Host, own: &Host) -> [(&'static str, String); 2] {
+fn ros_environment(master: &Host, own: &Host) -> [(&'static str, String); 2] {
     let uri = format!("http://{}:11311", master.address);
     [("ROS_MASTER_URI", uri), ("ROS_IP", own.address.to_string())]
 }
 
-fn borrowed<'a>(variables: &'a [(&'static str, String); 2]) -> [(&'a str, &'a str); 2] {
+fn as_str_pairs<'a>(variables: &'a [(&'static str, String); 2]) -> [(&'a str, &'a str); 2] {
     [(variables[0].0, &variables[0].1), (variables[1].0, &variables[1].1)]
 }
 
 fn node(host: &Host, variables: &[(&'static str, String); 2], arguments: &[&str]) -> Process {
-    let node = host.start(&program("ros1-node"), arguments, root(), &borrowed(variables));
+    let node = host.start(&program("ros1-node"), arguments, root(), &as_str_pairs(variables));
     node.wait_for("ready");
     node
 }
@@ -81,9 +81,9 @@ impl RosOverWire {
         let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
         let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way(30), way(5)));
         let (edge, cloud) = (testbed.network.edge(), testbed.network.cloud());
-        let (on_edge, on_cloud) = (ros(edge, edge), ros(edge, cloud));
+        let (on_edge, on_cloud) = (ros_environment(edge, edge), ros_environment(edge, cloud));
         let home = std::env::temp_dir().display().to_string();
-        let environment = [&borrowed(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
+        let environment = [&as_str_pairs(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
         let master = edge.start(Path::new("rosmaster"), &["--core", "-p", "11311"], root(), &environment);
         let address = edge.address;
         wait_until("the ROS master", || {
@@ -96,12 +96,12 @@ impl RosOverWire {
 
     /// Starts the agent on the cloud, with these tables.
     fn cloud(&self, tables: &str) -> Process {
-        self.testbed.start_cloud_with(tables, &borrowed(&self.variables[1]))
+        self.testbed.start_cloud_with(tables, &as_str_pairs(&self.variables[1]))
     }
 
     /// Starts the agent on the edge, with these tables.
     fn edge(&self, tables: &str) -> Process {
-        self.testbed.start_edge(tables, &borrowed(&self.variables[0]))
+        self.testbed.start_edge(tables, &as_str_pairs(&self.variables[0]))
     }
 
     /// Compares stored delays with the truth and with the delays of the wire, and the node's share with its own
@@ -152,7 +152,7 @@ fn observed_delays_contain_truth_despite_clock_errors() {
     let _cloud = scene.cloud(&(stepped + &model("/camera", "/result")));
     let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&testbed.peer(), KEYS)));
     let clocks = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
-    let (run, detail) = finished(&testbed.api);
+    let (run, detail) = wait_for_finished_run(&testbed.api);
     scene.assert_delays_contain_truth(
         "observed together",
         run,
@@ -190,7 +190,7 @@ fn equal_sequence_numbers_keep_delays_true() {
     let _cloud = scene.cloud(&(ahead.to_owned() + &by_sequence(model("/camera", "/result"))));
     let agent = scene.edge(&by_sequence(robot(&testbed.peer(), KEYS)));
     let cloud = testbed.clock_of("cloud");
-    let (run, detail) = finished(&testbed.api);
+    let (run, detail) = wait_for_finished_run(&testbed.api);
     scene.assert_delays_contain_truth(
         "observed together by sequence",
         run,
@@ -224,7 +224,7 @@ fn messages_that_the_peer_missed_are_counted() {
         pipeline.to_string().contains("no node publishes /camera").then_some(())
     });
     let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
-    let (run, detail) = finished(&api);
+    let (run, detail) = wait_for_finished_run(&api);
     let ok = detail["counts"]["ok"].as_u64().expect("a count");
     let (missing, known) = (count(&api, run, "peer-input-missing"), count(&api, run, "inference"));
     // The rack's run may begin some messages after the robot's.

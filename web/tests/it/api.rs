@@ -40,7 +40,7 @@ const ROUTES: &[(&str, &str)] = &[
 const CHANGES: [&str; 1] = ["/api/v1/runs/{run}/pin"];
 
 #[tokio::test]
-async fn the_document_describes_every_route_and_every_route_answers() {
+async fn openapi_describes_every_route() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let document = bed.get("/api/openapi.json").await.json();
     let paths = document["paths"].as_object().expect("paths");
@@ -137,7 +137,7 @@ async fn live_and_stored_figures_are_served() {
 }
 
 #[tokio::test]
-async fn percentiles_over_time_are_of_buckets_that_hold_sixty_iterations() {
+async fn percentile_buckets_hold_sixty_iterations() {
     let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
     let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     let over_time = &one["total_over_time"];
@@ -161,7 +161,7 @@ async fn percentiles_over_time_are_of_buckets_that_hold_sixty_iterations() {
 }
 
 #[tokio::test]
-async fn speed_while_sending_is_bytes_over_transfer_times() {
+async fn speed_is_bytes_over_transfer_times() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     let minute = &one["windows"][2];
@@ -186,7 +186,7 @@ async fn speed_while_sending_is_bytes_over_transfer_times() {
 }
 
 #[tokio::test]
-async fn a_controller_asks_for_one_window_and_a_few_stages() {
+async fn pipeline_query_selects_window_and_stages() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let all = bed.get("/api/v1/pipelines").await;
     let few = bed.get("/api/v1/pipelines?window=10&stage=total,upload").await;
@@ -251,7 +251,7 @@ async fn lists_are_paged_without_loss_or_repetition() {
 }
 
 #[tokio::test]
-async fn a_run_is_exported_as_one_row_per_iteration() {
+async fn export_has_one_row_per_iteration() {
     let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
     let answer = bed.get("/api/v1/runs/1/export?format=csv").await;
     assert!(answer.header("content-type").starts_with("text/csv"));
@@ -294,7 +294,7 @@ async fn a_run_is_exported_as_one_row_per_iteration() {
 }
 
 #[tokio::test]
-async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
+async fn direction_without_value_is_in_the_sum() {
     let (bed, _factory) = TestDashboard::with(vec![Line::unrelated()]).await;
     let iteration = bed.get("/api/v1/runs/1/iterations/100").await.json();
     let number = |value: &Value| value.as_f64().expect("a number");
@@ -319,7 +319,7 @@ async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
 }
 
 #[tokio::test]
-async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
+async fn runs_with_clock_fault_are_marked_in_lists() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::rehearsed()]).await;
     let runs = bed.get("/api/v1/runs").await.json();
     let marks: Vec<&Value> =
@@ -337,7 +337,7 @@ async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
 }
 
 #[tokio::test]
-async fn problems_have_the_standard_form_and_name_the_parameter() {
+async fn problem_details_name_the_parameter() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local()]).await;
     for (address, status, word) in [
         ("/api/v1/runs?limit=0", 400, "limit"),

@@ -8,7 +8,7 @@ use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 #[tokio::test]
-async fn a_run_says_whether_it_can_be_published_and_why_not() {
+async fn run_page_states_trust_and_reasons() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let trust = bed.get("/api/v1/runs/1/trust").await.json();
     let about = |subject: &str| {
@@ -37,7 +37,7 @@ async fn a_run_says_whether_it_can_be_published_and_why_not() {
 }
 
 #[tokio::test]
-async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhere() {
+async fn skipped_starts_before_unanswered_iterations_are_shown() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     // Twenty are of the warm-up, ten of the others had no answer.
     factory.store_skipping(0, 120, 7).await;
@@ -143,7 +143,7 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
 }
 
 #[tokio::test]
-async fn many_users_are_one_configuration_and_many_configurations_one_page() {
+async fn many_users_count_as_one_configuration() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::resized()]).await;
     factory.store_users(100, &[1, 3]).await;
     let listed = bed.get("/api/v1/experiments").await.json();
@@ -166,7 +166,7 @@ async fn many_users_are_one_configuration_and_many_configurations_one_page() {
 }
 
 #[tokio::test]
-async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
+async fn difference_of_two_runs_states_its_significance() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let compared = bed.get("/api/v1/compare?runs=1,2").await.json();
     let total = &compared["differences"][0];
@@ -211,7 +211,7 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
 /// the file single iterations, so their batches begin at different times: the width of an interval from 30 batches varies by 13 %
 /// (standard deviation), and ends differ by less than half of it.
 #[tokio::test]
-async fn files_of_runs_and_store_give_the_same_comparison() {
+async fn run_files_and_store_give_same_comparison() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut runs = Vec::new();
@@ -256,7 +256,7 @@ async fn files_of_runs_and_store_give_the_same_comparison() {
 }
 
 #[tokio::test]
-async fn a_run_that_was_interrupted_and_done_again_counts_once() {
+async fn repeated_run_after_interruption_counts_once() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     factory.store_attempts(100, &["stopped", "finished"]).await;
     let listed = bed.get("/api/v1/experiments").await.json();

@@ -20,7 +20,7 @@ print(decide(ask()))
 "#;
 
 #[tokio::test]
-async fn the_example_of_the_documents_decides_by_what_is_known() {
+async fn documented_controller_decides_by_known_values() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let mut answer = bed.get("/api/v1/pipelines?window=10&stage=total").await.json();
     for pipeline in answer["pipelines"].as_array_mut().expect("pipelines") {

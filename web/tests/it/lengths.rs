@@ -18,7 +18,7 @@ fn exported(csv: &str) -> Vec<(String, String)> {
 }
 
 #[tokio::test]
-async fn answers_of_different_length_are_drawn_as_they_stand_in_the_run_s_file() {
+async fn lengths_of_answers_match_data_file() {
     let (bed, _factory) = TestDashboard::with(vec![Line::talking(), Line::full()]).await;
     let rows = exported(bed.get("/api/v1/runs/1/export").await.text());
     assert!(rows.len() > 300 && rows.len() < 400, "{}", rows.len());
@@ -37,7 +37,7 @@ async fn answers_of_different_length_are_drawn_as_they_stand_in_the_run_s_file()
 }
 
 #[tokio::test]
-async fn of_a_long_run_a_sample_is_drawn() {
+async fn long_run_is_drawn_as_sample() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::talking()]).await;
     factory.store_experiment(900, 2).await;
     let listed = bed.get("/api/v1/experiments").await.json();

@@ -97,7 +97,7 @@ fn read(text: &str) -> BTreeMap<String, Family> {
 }
 
 #[tokio::test]
-async fn every_line_is_valid_and_counters_only_grow() {
+async fn metric_lines_are_valid_and_counters_grow() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::unrelated()]).await;
     let answer = bed.get("/metrics").await;
     assert_eq!(answer.header("content-type"), "application/openmetrics-text; version=1.0.0; charset=utf-8");
@@ -168,7 +168,7 @@ async fn every_line_is_valid_and_counters_only_grow() {
 }
 
 #[tokio::test]
-async fn the_document_lists_what_is_served_and_nothing_else() {
+async fn documented_metrics_are_the_served_ones() {
     let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
     let served = read(bed.get("/metrics").await.text());
     let document = include_str!("../../../docs/metrics.md");
@@ -195,7 +195,7 @@ async fn the_document_lists_what_is_served_and_nothing_else() {
 }
 
 #[tokio::test]
-async fn an_aggregator_without_hosts_has_metrics_too() {
+async fn aggregator_without_hosts_has_metrics() {
     let bed = TestDashboard::empty().await;
     let families = read(bed.get("/metrics").await.text());
     assert_eq!(families["peernet_aggregator_known_hosts"].samples["peernet_aggregator_known_hosts"], 0.0);

@@ -10,7 +10,7 @@ fn path<'a>(html: &'a str, class: &str) -> &'a str {
 }
 
 #[tokio::test]
-async fn runs_with_episodes_stand_side_by_side_over_time() {
+async fn runs_with_episodes_are_drawn_over_time() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     factory.store_episodes(400, 100).await;
     let listed = bed.get("/api/v1/experiments").await.json();
@@ -38,7 +38,7 @@ async fn runs_with_episodes_stand_side_by_side_over_time() {
 }
 
 #[tokio::test]
-async fn runs_without_episodes_have_no_words_of_them() {
+async fn run_without_episodes_mentions_none() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let page = bed.get("/compare?runs=1,2").await;
     let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");

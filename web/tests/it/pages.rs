@@ -6,7 +6,7 @@ use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 #[tokio::test]
-async fn every_page_is_there_and_complete_without_a_script() {
+async fn every_page_is_complete_without_script() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::resized()]).await;
     let slowest = bed.get("/api/v1/runs/3/iterations?order=slowest&limit=1").await.json();
     let slowest = format!("/runs/3/iterations/{}", slowest["iterations"][0]["number"]);
@@ -71,7 +71,7 @@ async fn an_empty_aggregator_says_how_to_fill_it() {
 }
 
 #[tokio::test]
-async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
+async fn unrelated_clocks_show_dashes_and_exact_sum() {
     let (bed, _factory) = TestDashboard::with(vec![Line::unrelated()]).await;
     let run = bed.get("/runs/1").await;
     assert!(run.text().contains("unsynchronised"), "{}", run.text());
@@ -85,7 +85,7 @@ async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
 }
 
 #[tokio::test]
-async fn what_is_not_there_is_said_on_a_page() {
+async fn missing_page_is_an_error_page() {
     let bed = TestDashboard::empty().await;
     for path in [
         "/nothing",
@@ -108,7 +108,7 @@ async fn what_is_not_there_is_said_on_a_page() {
 }
 
 #[tokio::test]
-async fn what_of_a_run_was_not_recorded_is_said_with_its_reason() {
+async fn unrecorded_events_are_shown_with_reason() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     assert!(!bed.get("/runs/1").await.text().contains("of this run were not recorded"));
     factory.store_gaps(0, 3).await;
@@ -118,7 +118,7 @@ async fn what_of_a_run_was_not_recorded_is_said_with_its_reason() {
 }
 
 #[tokio::test]
-async fn a_run_goes_on_only_as_long_as_its_host_says_so() {
+async fn run_is_running_while_its_host_reports_it() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     factory.store_runs(30, false).await;
     for current in [Some(2), None] {

@@ -17,7 +17,7 @@ async fn let_days_pass(database: &mut SqliteConnection) {
 }
 
 #[tokio::test]
-async fn what_was_deleted_is_said_and_what_remains_is_shown() {
+async fn deleted_data_is_named_and_remaining_data_shown() {
     let bed = TestDashboard::empty().await;
     let mut factory = Factory::new(&bed.listening, bed.clock.clone(), vec![Line::local()]).await;
     factory.store_runs(200, true).await;

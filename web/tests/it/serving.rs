@@ -134,7 +134,7 @@ async fn a_port_in_use_is_named() {
 }
 
 #[tokio::test]
-async fn foreign_names_are_refused_also_where_everybody_may_ask() {
+async fn foreign_host_names_are_refused_without_authentication() {
     let bed = TestDashboard::empty().await;
     let server_names = vec!["dash.example.org".to_owned()];
     let open = WebConfig { allow_unauthenticated: true, server_names, ..bed.config.clone() };
@@ -166,7 +166,7 @@ async fn foreign_names_are_refused_also_where_everybody_may_ask() {
 }
 
 #[tokio::test]
-async fn static_files_are_kept_for_ever_under_the_hash_of_their_contents() {
+async fn static_files_are_cached_under_content_hash() {
     let bed = TestDashboard::empty().await;
     let home = bed.get("/").await;
     let start = home.text().find("/static/").expect("an address");

@@ -17,7 +17,7 @@ async fn until(bed: &TestDashboard, ready: bool) {
 }
 
 #[tokio::test]
-async fn a_database_that_is_gone_is_told_everywhere_until_it_is_back() {
+async fn missing_database_is_reported_until_it_returns() {
     let bed = TestDashboard::empty().await;
     assert_eq!(
         (bed.get("/readyz").await.status, bed.get("/readyz").await.text()),
@@ -57,7 +57,7 @@ async fn a_database_that_is_gone_is_told_everywhere_until_it_is_back() {
 }
 
 #[tokio::test]
-async fn answers_from_a_damaged_database_say_what_readiness_says() {
+async fn damaged_database_errors_match_readiness() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local()]).await;
     let options = SqliteConnectOptions::new().filename(bed.database());
     let mut connection = options.connect().await.expect("opens");
@@ -156,7 +156,7 @@ async fn pinned_run_is_marked_until_it_is_unpinned() {
 }
 
 #[tokio::test]
-async fn nothing_is_changed_for_other_sites_nor_by_looking() {
+async fn other_sites_and_reads_change_nothing() {
     let (bed, _factory) = TestDashboard::with(vec![Line::local()]).await;
     for site in ["cross-site", "same-site"] {
         let answer = pin(&bed, Method::PUT, "1", Some(site)).await;

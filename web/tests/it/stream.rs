@@ -79,7 +79,7 @@ async fn figures_arrive_as_they_are_reported() {
 }
 
 #[tokio::test]
-async fn a_slow_listener_gets_the_newest_picture_and_none_of_those_between() {
+async fn slow_listener_gets_newest_snapshot_only() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     let mut events = Events::of(&bed, "picture").await;
     let first = events.until("picture").await;
@@ -104,7 +104,7 @@ async fn a_slow_listener_gets_the_newest_picture_and_none_of_those_between() {
 }
 
 #[tokio::test]
-async fn pages_of_one_pipeline_and_one_host_are_kept_live() {
+async fn pipeline_and_host_pages_are_updated_live() {
     let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
     for (topic, part) in [
         ("pipeline/cam-2/offload-full/10", "title"),
@@ -120,7 +120,7 @@ async fn pages_of_one_pipeline_and_one_host_are_kept_live() {
 }
 
 #[tokio::test]
-async fn a_part_that_did_not_change_is_not_sent_again() {
+async fn unchanged_part_is_not_sent_again() {
     let (bed, mut factory) = TestDashboard::with(vec![Line::full()]).await;
     let mut events = Events::of(&bed, "link/cam-2~rack-a/10min/removed").await;
     let ids = |page: &Value| -> Vec<String> {
@@ -141,7 +141,7 @@ async fn a_part_that_did_not_change_is_not_sent_again() {
 }
 
 #[tokio::test]
-async fn a_listener_without_topics_still_hears_that_the_aggregator_is_there() {
+async fn listener_without_topics_gets_status_events() {
     let bed = TestDashboard::empty().await;
     let mut events = Events::of(&bed, "").await;
     assert_eq!(events.until("status").await["hosts"], 0);

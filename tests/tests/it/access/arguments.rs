@@ -43,7 +43,7 @@ placement = { kind = "none" }
 limit = { total = 3 }
 "#;
 
-fn fact<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
+fn fact_value<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
     let facts = run["facts"].as_array()?;
     facts.iter().find(|fact| fact["name"] == name)?["value"].as_str()
 }
@@ -63,14 +63,14 @@ fn arguments_are_published_as_fingerprints() {
     let details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
     let of = |pipeline: &str| details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
 
-    let arguments = ["first", "second", "third"].map(|pipeline| fact(of(pipeline), "Sensor arguments"));
+    let arguments = ["first", "second", "third"].map(|pipeline| fact_value(of(pipeline), "Sensor arguments"));
     assert!(arguments[0].is_some_and(|told| told.starts_with("2, fingerprint ")), "{arguments:?}");
     assert_eq!(arguments[0], arguments[1], "equal commands");
     assert_ne!(arguments[0], arguments[2], "different ones");
     let first = of("first");
-    assert!(fact(first, "Sensor").is_some_and(|told| told.ends_with("/light.sh")), "{first}");
+    assert!(fact_value(first, "Sensor").is_some_and(|told| told.ends_with("/light.sh")), "{first}");
     assert!(
-        fact(first, "Model arguments").is_some() && fact(first, "Actuator arguments").is_some(),
+        fact_value(first, "Model arguments").is_some() && fact_value(first, "Actuator arguments").is_some(),
         "{first}"
     );
     assert!(first["configuration"].as_str().is_some_and(|text| text.contains("arguments = 2")), "{first}");

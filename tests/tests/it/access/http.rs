@@ -26,7 +26,7 @@ fn answer(deployment: &LoopbackDeployment, request: &str) -> String {
 }
 
 /// Starts an aggregator whose dashboard needs no authentication.
-fn open_to_all(deployment: &LoopbackDeployment) -> Process {
+fn start_without_authentication(deployment: &LoopbackDeployment) -> Process {
     let text = peernet_tests::AGGREGATOR.replace("[web]\n", "[web]\nallow_unauthenticated = true\n");
     deployment.write("aggregator.toml", &text);
     let process = deployment.start("aggregator.toml");
@@ -37,7 +37,7 @@ fn open_to_all(deployment: &LoopbackDeployment) -> Process {
 #[test]
 fn foreign_host_header_is_refused_on_open_dashboard() {
     let deployment = LoopbackDeployment::new();
-    let _aggregator = open_to_all(&deployment);
+    let _aggregator = start_without_authentication(&deployment);
     for (method, path) in [("GET", "/"), ("GET", "/api/v1/hosts"), ("DELETE", "/api/v1/runs/1/pin")] {
         let ask = |host: &str| {
             answer(

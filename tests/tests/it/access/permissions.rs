@@ -15,7 +15,7 @@ load = { mode = "rate", hz = 20.0 }
 "#;
 
 /// Returns the files of the daemons: databases, spools, ids, locks, and the folders that they created.
-fn kept(deployment: &LoopbackDeployment) -> Vec<PathBuf> {
+fn state_files(deployment: &LoopbackDeployment) -> Vec<PathBuf> {
     let entries = |folder: &Path| -> Vec<PathBuf> {
         let entries = fs::read_dir(folder).expect("is there");
         entries.map(|entry| entry.expect("is readable").path()).collect()
@@ -48,7 +48,7 @@ fn start(deployment: &LoopbackDeployment) -> (Process, Process, Api) {
 fn files_of_daemons_are_closed_to_other_users() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, edge, _api) = start(&deployment);
-    let files = kept(&deployment);
+    let files = state_files(&deployment);
     for name in
         ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm", "host-id", "spool.sqlite"]
     {

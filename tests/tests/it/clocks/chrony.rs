@@ -74,7 +74,7 @@ impl Scene {
 }
 
 /// Returns the bounds of the offset from one source.
-fn said(offset: &Value, source: &str) -> (Span, Span) {
+fn bounds_of_source(offset: &Value, source: &str) -> (Span, Span) {
     let all = offset["sources"].as_array().expect("a list");
     let own = all.iter().find(|one| one["source"] == source).expect("it was waited for");
     let bound = |name: &str| Span::from_seconds_f64(own[name].as_f64().expect("a number"));
@@ -83,16 +83,16 @@ fn said(offset: &Value, source: &str) -> (Span, Span) {
     bounds
 }
 
-fn holds((lo, hi): (Span, Span), offset: Span) -> bool {
+fn contains((lo, hi): (Span, Span), offset: Span) -> bool {
     lo <= offset && offset <= hi
 }
 
 /// Runs a case with the machine's clock on both hosts: the true offset is zero.
-fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
+fn check_correct_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
     let scene = Scene::new(network, OWN, "", true);
     let offset = scene.offset("ok");
     for source in ["in-band", "chrony"] {
-        assert!(holds(said(&offset, source), Span::ZERO), "{source}: {offset}");
+        assert!(contains(bounds_of_source(&offset, source), Span::ZERO), "{source}: {offset}");
     }
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
@@ -107,7 +107,7 @@ fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) 
 
 #[test]
 fn right_daemons_agree_with_exchanges() {
-    right_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
+    check_correct_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
 }
 
 /// The daemons' server is not behind the wire, so that they can measure its asymmetry.
@@ -115,7 +115,7 @@ fn right_daemons_agree_with_exchanges() {
 fn right_daemons_narrow_delay_bounds() {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(40), way(5));
-    right_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
+    check_correct_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
 }
 
 /// The edge's daemon keeps the machine's clock and does not know that the agent reads another one: this looks like a
@@ -126,9 +126,9 @@ fn wrong_clock_with_confident_daemon_is_detected() {
     let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
     let scene = Scene::new(|_| Network::direct(), "", &wrong, true);
     let offset = scene.offset("inconsistent");
-    let (in_band, chrony) = (said(&offset, "in-band"), said(&offset, "chrony"));
-    assert!(holds(in_band, -AHEAD) && !holds(in_band, Span::ZERO), "{offset}");
-    assert!(holds(chrony, Span::ZERO) && !holds(chrony, -AHEAD), "{offset}");
+    let (in_band, chrony) = (bounds_of_source(&offset, "in-band"), bounds_of_source(&offset, "chrony"));
+    assert!(contains(in_band, -AHEAD) && !contains(in_band, Span::ZERO), "{offset}");
+    assert!(contains(chrony, Span::ZERO) && !contains(chrony, -AHEAD), "{offset}");
 
     let iterations = scene.iterations("verdict.text = 'inconsistent'");
     let delays = iterations.iter().flat_map(|iteration| [&iteration.up, &iteration.down]);
@@ -207,7 +207,7 @@ fn delays_by_trusted_claims_are_marked() {
     for both in &iterations {
         for (delay, ends) in [(&both.up, [&edge, &of_kernel]), (&both.down, [&of_kernel, &edge])] {
             let truth = truth(delay, ends[0], ends[1]);
-            let is_held = delay.bounds.is_none_or(|bounds| holds(bounds, truth));
+            let is_held = delay.bounds.is_none_or(|bounds| contains(bounds, truth));
             assert!(
                 is_held || ["chrony", "intersection"].contains(&delay.source.as_str()),
                 "{truth}: {delay:?}"

@@ -11,7 +11,7 @@ const ITERATIONS: usize = 15;
 
 /// Returns the time from the first byte that enters the router to the last byte that leaves it, for a message in
 /// transit from `sent` to `received`.
-fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> Span {
+fn router_transit_time(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> Span {
     let own = |packet: &&Packet| {
         packet.source == from.address && packet.payload > 0 && (sent..=received).contains(&packet.at)
     };
@@ -65,7 +65,8 @@ fn against<'a>(
     [sender, receiver]: [&HostClock; 2],
 ) {
     let pairs = delays.map(|delay| {
-        let in_the_middle = seen(packets, from, sender.truth(delay.sent), receiver.truth(delay.received));
+        let in_the_middle =
+            router_transit_time(packets, from, sender.truth(delay.sent), receiver.truth(delay.received));
         (delay.value.expect("a value").seconds(), in_the_middle.seconds())
     });
     let pairs: Vec<(f64, f64)> = pairs.collect();

@@ -27,7 +27,7 @@ fn assert_success(ended: &ProcessEnd) {
 }
 
 /// Waits until a pipeline on the dashboard of a host has answers.
-fn answered(host: &Host, port: u16, pipeline: &'static str) {
+fn wait_until_answered(host: &Host, port: u16, pipeline: &'static str) {
     host.run_in_namespace(move || {
         Api::on_port(port).wait_until("/api/v1/runs", |runs| {
             let mut runs = runs["runs"].as_array()?.iter();
@@ -77,19 +77,19 @@ fn manual_installation_matches_paths_of_units() {
         let check = format!("peernetd check {file}");
         assert_success(&machines.on_edge(&check, &[("peernetd", &installed)]).wait_for_end());
     }
-    the_demo(&machines);
+    run_demo(&machines);
     machines.finish();
 }
 
 /// Runs the demo with another port.
-fn the_demo(machines: &DocumentedCommands) {
+fn run_demo(machines: &DocumentedCommands) {
     for name in ["aggregator", "cloud", "edge"] {
         let text = Document::read(format!("configs/{name}.toml")).text;
         machines.write(&format!("mine/{name}.toml"), &text.replace("127.0.0.1:8040", "127.0.0.1:8050"));
     }
     let demo = machines.on_edge(DEMO, &[("FOLDER", "mine")]);
     demo.wait_for("http://127.0.0.1:8050/api/v1/pipelines");
-    answered(machines.edge(), 8050, "offload-resized");
+    wait_until_answered(machines.edge(), 8050, "offload-resized");
     let ended = demo.stop();
     assert_success(&ended);
     assert!(ended.log.contains("demo: ended"), "{}", ended.log);

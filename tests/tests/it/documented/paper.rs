@@ -2,7 +2,7 @@
 
 use peernet_tests::{Document, DocumentedCommands};
 
-use crate::experiments::{Results, column, done};
+use crate::experiments::{Results, column, wait_for_runs};
 
 pub(crate) const COMMANDS: [&str; 9] = [
     "peernetd run cloud.toml",
@@ -65,7 +65,7 @@ fn efficientnet(machines: &DocumentedCommands) {
     let devices = Document::read("configs/experiments/networks/net_config.yaml").text;
     machines.write("net_config.yaml", &devices.replace("cluster.example.org", DocumentedCommands::CLOUD));
     let measured = machines.on_edge("peernet run configs/experiments/efficientnet.toml", &[("run", HERE)]);
-    let ended = done(measured, 6);
+    let ended = wait_for_runs(measured, 6);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let results = Results::of(machines.folder().join("results/efficientnet"));
     assert_eq!(results.stages(), ["finished"; 6]);
@@ -103,7 +103,7 @@ fn teleoperation(machines: &DocumentedCommands) {
     assert_eq!(checked.code(), 0, "{}", checked.log);
     // The document shows this output.
     assert!(Document::read("docs/experiments.md").text.contains(checked.log.trim()), "{}", checked.log);
-    let ended = done(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
+    let ended = wait_for_runs(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let results = Results::of(machines.folder().join("results/teleoperation"));
     assert_eq!(results.stages(), ["finished"; 9]);
@@ -130,7 +130,7 @@ fn teleoperation(machines: &DocumentedCommands) {
 fn payload_study(machines: &DocumentedCommands) {
     let file = "configs/experiments/payload-study.toml";
     machines.write(file, &Document::read(file).text);
-    let ended = done(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
+    let ended = wait_for_runs(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let results = Results::of(machines.folder().join("results/payload-study"));
     assert_eq!(results.stages(), ["finished"; 8]);

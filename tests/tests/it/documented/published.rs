@@ -34,7 +34,7 @@ fn published_commands_run_objects_programs_and_results() {
     machines.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));
     of_the_readme(&machines);
     programs_of_an_agent(&machines);
-    of_ones_own(&machines);
+    run_users_objects(&machines);
     results(&machines);
     machines.finish();
 }
@@ -74,7 +74,7 @@ fn programs_of_an_agent(machines: &DocumentedCommands) {
 }
 
 /// Runs Python objects at both ends on one machine, and programs at both ends on two.
-fn of_ones_own(machines: &DocumentedCommands) {
+fn run_users_objects(machines: &DocumentedCommands) {
     machines.write("sweep.py", &Document::read("configs/python/sweep.py").text);
     machines.write("talker.py", TALKER);
     let server = |model: &str, devices: &str| {

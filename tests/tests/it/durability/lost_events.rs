@@ -7,7 +7,7 @@ use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::query_database;
 use peernet_tests::{EventCounts, Fleet, SpooledIterations, StoredHost, TestRng, record_figures, thousands};
 
-use super::turn;
+use super::wait_for_turn;
 
 /// Number of kills of the agent while it measures.
 const KILLS: usize = 5;
@@ -36,7 +36,7 @@ fn empty(folder: &Path) {
 
 #[test]
 fn killed_agent_reports_every_event_it_lost() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("lost events");
     let pipeline = echo("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate(500.0)));
     let mut fleet = Fleet::new(&["edge"], &edge("", &pipeline));
@@ -93,7 +93,7 @@ fn killed_agent_reports_every_event_it_lost() {
 
 #[test]
 fn deleted_database_reports_number_of_missing_events() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 500);
@@ -116,7 +116,7 @@ fn deleted_database_reports_number_of_missing_events() {
 
 #[test]
 fn restored_database_reports_number_of_missing_events() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 500);

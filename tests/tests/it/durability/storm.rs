@@ -8,7 +8,7 @@ use peernet_clock::Span;
 use peernet_tests::fleet::{echo, edge_in, rate};
 use peernet_tests::{Fleet, ImageDisk, Stopwatch, TestRng, record_figures, thousands, wait_until};
 
-use super::{setting, turn};
+use super::{setting, wait_for_turn};
 
 const AGENTS: [&str; 2] = ["left", "right"];
 const HZ: f64 = 200.0;
@@ -175,7 +175,7 @@ fn answers(log: &str) -> u64 {
 #[test]
 #[ignore = "takes minutes with PEERNET_KILLS=200; for make soak"]
 fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let (mut rng, began) = (TestRng::new("storm"), Stopwatch::now());
     let mut storm = Storm::new();
     let kills = setting("PEERNET_KILLS", 6);

@@ -5,7 +5,7 @@ use peernet_tests::Process;
 use super::{Lab, THREE, column, json};
 
 /// Returns the experiment of three runs with a wait of two seconds for an absent cloud.
-fn impatient_experiment() -> String {
+fn experiment_with_short_timeout() -> String {
     THREE.replace("order =", "patience_s = 2\norder =")
 }
 
@@ -20,7 +20,7 @@ fn wait_for_second_run(lab: &Lab, process: &Process) -> String {
 #[test]
 fn missing_cloud_fails_runs_that_can_be_resumed() {
     let mut lab = Lab::new();
-    let process = lab.run(&impatient_experiment(), &[]);
+    let process = lab.run(&experiment_with_short_timeout(), &[]);
     let second = wait_for_second_run(&lab, &process);
     lab.kill_cloud();
     let ended = process.wait_for_end();
@@ -33,7 +33,7 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     let first = json(&lab.results.file(&lab.results.folders()[0], "run.json"));
 
     lab.start_cloud();
-    let ended = lab.run(&impatient_experiment(), &[]).wait_for_end();
+    let ended = lab.run(&experiment_with_short_timeout(), &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
     let answered = column(&lab.results.file(&second, "data.csv"), "outcome");

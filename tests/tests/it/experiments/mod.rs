@@ -122,7 +122,7 @@ fn run_command(command: &str, results: &Path) -> ProcessEnd {
 }
 
 /// Waits for the end of an experiment, which may take long if its single runs do not.
-pub(crate) fn done(experiment: Process, runs: usize) -> ProcessEnd {
+pub(crate) fn wait_for_runs(experiment: Process, runs: usize) -> ProcessEnd {
     for run in 1..=runs {
         experiment.wait_for(&format!("run {run} of {runs} ("));
     }

@@ -40,7 +40,11 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
 
     // Half of them complete the greeting of the protocol and send nothing more.
     let silent = |n: usize| {
-        if n.is_multiple_of(2) { Peer::connect(deployment.events) } else { Peer::greeted(deployment.events) }
+        if n.is_multiple_of(2) {
+            Peer::connect(deployment.events)
+        } else {
+            Peer::connect_with_handshake(deployment.events)
+        }
     };
     let held: Vec<Peer> = (0..SILENT).map(silent).collect();
     let then = some("early", 0.0);
@@ -69,7 +73,7 @@ fn connections_without_hello_are_closed_in_time() {
     cloud.wait_for("ready");
     let mut silent: Vec<Peer> = [deployment.events, deployment.data]
         .iter()
-        .flat_map(|port| (0..50).map(|_| Peer::greeted(*port)))
+        .flat_map(|port| (0..50).map(|_| Peer::connect_with_handshake(*port)))
         .collect();
     wait_until("all are closed", || silent.iter_mut().all(Peer::is_closed).then_some(()));
     for process in [cloud, aggregator] {

@@ -16,7 +16,7 @@ fn unfinished_samples_without_session_take_no_memory() {
     let cloud = deployment.start_agent("cloud", tables);
     cloud.wait_for("ready");
     let before = peak_memory(&cloud);
-    let mut peers: Vec<Peer> = (0..30).map(|_| Peer::greeted(deployment.data)).collect();
+    let mut peers: Vec<Peer> = (0..30).map(|_| Peer::connect_with_handshake(deployment.data)).collect();
     let sent: usize = peers.iter_mut().map(|peer| peer.send_unfinished(60_000_000)).sum();
     wait_until("all are closed", || peers.iter_mut().all(Peer::is_closed).then_some(()));
     let peak = peak_memory(&cloud);
@@ -34,7 +34,7 @@ fn unfinished_batches_without_hello_take_no_memory() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.start_aggregator();
     let before = peak_memory(&aggregator);
-    let mut peers: Vec<Peer> = (0..450).map(|_| Peer::greeted(deployment.events)).collect();
+    let mut peers: Vec<Peer> = (0..450).map(|_| Peer::connect_with_handshake(deployment.events)).collect();
     let sent: usize = peers.iter_mut().map(|peer| peer.send_unfinished(3_900_000)).sum();
     wait_until("all are closed", || peers.iter_mut().all(Peer::is_closed).then_some(()));
     let peak = peak_memory(&aggregator);

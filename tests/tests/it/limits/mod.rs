@@ -27,7 +27,7 @@ impl Peer {
     }
 
     /// Connects and completes the handshake; a listener may have closed the connection meanwhile.
-    fn greeted(port: u16) -> Self {
+    fn connect_with_handshake(port: u16) -> Self {
         let mut greeting = vec![0xff, 0, 0, 0, 0, 0, 0, 0, 1, 0x7f, 3, 1];
         greeting.extend_from_slice(b"NULL");
         greeting.resize(64, 0);

@@ -15,14 +15,14 @@ const SECONDS: u64 = 4;
 const ANSWERED_HZ: u64 = 1_000;
 
 /// Returns the number of UDP packets that a host has sent.
-fn sent(host: &Host) -> u64 {
+fn sent_packets(host: &Host) -> u64 {
     let counts = host.run("cat", &["/proc/net/snmp"]);
     let udp = counts.lines().filter(|line| line.starts_with("Udp:")).nth(1).expect("the kernel counts");
     udp.split_whitespace().nth(4).and_then(|count| count.parse().ok()).expect("OutDatagrams")
 }
 
 /// Returns the number of the edge's probes that were sent and that were lost.
-fn probes(testbed: &TwoHostTestbed) -> (u64, u64) {
+fn probe_counts(testbed: &TwoHostTestbed) -> (u64, u64) {
     let counts = testbed.query_database(
         "SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample",
     );
@@ -43,9 +43,9 @@ fn peers_probes_are_answered_during_forged_flood() {
     let pipeline = testbed.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
     let _edge =
         testbed.start_edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
-    wait_until("probes", || (probes(&testbed).0 > 50).then_some(()));
+    wait_until("probes", || (probe_counts(&testbed).0 > 50).then_some(()));
 
-    let (before, out_before) = (probes(&testbed), sent(cloud));
+    let (before, out_before) = (probe_counts(&testbed), sent_packets(cloud));
     let script = peernet_tests::root().join("tests/tests/it/limits/forged_probes.py");
     let arguments = [
         &script.display().to_string(),
@@ -56,11 +56,11 @@ fn peers_probes_are_answered_during_forged_flood() {
     ];
     let forged = third.run("python3", &arguments);
     let forged: u64 = forged.trim().parse().expect("the script prints a number");
-    let out = sent(cloud) - out_before;
+    let out = sent_packets(cloud) - out_before;
     // A probe counts as lost after two seconds.
     let during = before.0 + 50 * SECONDS;
-    wait_until("what became of the probes", || (probes(&testbed).0 > during + 150).then_some(()));
-    let lost = probes(&testbed).1 - before.1;
+    wait_until("what became of the probes", || (probe_counts(&testbed).0 > during + 150).then_some(()));
+    let lost = probe_counts(&testbed).1 - before.1;
 
     assert!(forged > ANSWERED_HZ * (SECONDS + 2) * 2, "too few to tell: {forged}");
     // The answers to the edge's probes are included.

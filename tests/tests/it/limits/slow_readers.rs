@@ -15,7 +15,7 @@ const SLOW_HOSTS: u8 = 6;
 const OF_EACH: usize = 25;
 
 /// Returns a connection of 127.0.0.`host` that has requested `path` and reads almost nothing.
-fn asked(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
+fn send_request(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
     let socket = Socket::new(Domain::IPV4, Type::STREAM, None).expect("a socket");
     socket.set_recv_buffer_size(2_048).expect("a socket takes a buffer size");
     socket
@@ -44,11 +44,11 @@ fn slow_readers_do_not_block_dashboard() {
         let hosts = 2..2 + SLOW_HOSTS;
         let slow: Vec<TcpStream> = hosts
             .flat_map(|host| (0..OF_EACH).map(move |_| host))
-            .map(|host| asked(&deployment, host, path))
+            .map(|host| send_request(&deployment, host, path))
             .collect();
         let (status, page) = api.get("/").expect("the overview is served");
         assert_eq!(status, 200, "{page}");
-        let mut live = asked(&deployment, 1, "/api/v1/live?topics=picture");
+        let mut live = send_request(&deployment, 1, "/api/v1/live?topics=picture");
         let mut heard = [0; 4_096];
         let length = live.read(&mut heard).expect("the stream begins");
         let heard = String::from_utf8_lossy(&heard[..length]);

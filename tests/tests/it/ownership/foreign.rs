@@ -16,7 +16,7 @@ use peernet_tests::{
 
 use super::measuring;
 
-fn started(run: RunId) -> Event {
+fn run_started(run: RunId) -> Event {
     Event::RunStarted(RunDescription {
         run,
         pipeline: "taken".parse().expect("a name"),
@@ -103,7 +103,7 @@ fn foreign_reports_leave_run_unchanged() {
         incident(run, victim),
         iteration(run, 7, own),
         Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() }),
-        started(run),
+        run_started(run),
         clock(victim),
     ];
     let mut batches = 0;
@@ -165,11 +165,11 @@ fn run_id_claimed_early_still_belongs_to_host() {
     let (mut thief, mut robot) = (InventedHost::new("thief", &mut rng), InventedHost::new("robot", &mut rng));
     let run = RunId::random();
     thief.open_session(&one);
-    one.send(&thief.batch_with(&[gap(run), started(run), iteration(run, 1, thief.hello.host.id)]));
+    one.send(&thief.batch_with(&[gap(run), run_started(run), iteration(run, 1, thief.hello.host.id)]));
     one.wait_for_ack(1);
     robot.open_session(&other);
     let own = robot.hello.host.id;
-    other.send(&robot.batch_with(&[started(run), iteration(run, 1, own), iteration(run, 2, own)]));
+    other.send(&robot.batch_with(&[run_started(run), iteration(run, 1, own), iteration(run, 2, own)]));
     other.wait_for_ack(1);
     one.send(&thief.batch_with(&[Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() })]));
     one.wait_for_ack(2);

@@ -21,7 +21,7 @@ fn secret(fleet: &Fleet) -> String {
 }
 
 /// Returns a host that claims to be the robot, without its secret.
-fn impostor(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
+fn host_without_secret(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
     let id = std::fs::read_to_string(state(fleet).join("host-id")).expect("made at the first start");
     let mut impostor = InventedHost::new("edge", rng);
     impostor.hello.host.id = id.trim().parse::<HostId>().expect("an id");
@@ -29,7 +29,7 @@ fn impostor(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
 }
 
 /// Runs `peernetd clear-host-secret` for the robot while the aggregator runs.
-fn clear(fleet: &Fleet) -> String {
+fn clear_host_secret(fleet: &Fleet) -> String {
     let ended = fleet
         .deployment
         .peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"])
@@ -50,7 +50,7 @@ fn impostor_does_not_exclude_known_host() {
     fleet.restart_aggregator();
 
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
-    let mut impostor = impostor(&fleet, &mut rng);
+    let mut impostor = host_without_secret(&fleet, &mut rng);
     let words = impostor.expect_refusal(&misbehaving_peer);
     assert!(words.contains("clear-host-secret") && words.contains("spool"), "{words}");
     assert!(!words.contains("delete the"), "no advice destroys unsent data: {words}");
@@ -121,7 +121,7 @@ fn cleared_secret_permits_a_new_one() {
     fleet.start(0);
     let said = fleet.agents[0].process().wait_for("refuses this agent");
     assert!(said.contains("clear-host-secret"), "{said}");
-    let told = clear(&fleet);
+    let told = clear_host_secret(&fleet);
     assert!(told.contains("cleared the secret of edge"), "{told}");
     fleet.agents[0].process().wait_for("connected to the aggregator");
     let after = secret(&fleet);

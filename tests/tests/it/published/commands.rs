@@ -143,7 +143,7 @@ fn early_client_sends_all_kinds_of_samples() {
             Some(std::fs::metadata(picture()).expect("is there").len() as f64),
         ),
     ] {
-        let lab = Lab::here();
+        let lab = Lab::on_one_machine();
         std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
         let client = lab.client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 20 {options}"
@@ -164,7 +164,7 @@ fn early_client_sends_all_kinds_of_samples() {
 
 #[test]
 fn streamed_run_is_on_dashboard_with_same_host() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
     for results in ["first", "second"] {
@@ -203,7 +203,7 @@ fn streamed_run_is_on_dashboard_with_same_host() {
 
 #[test]
 fn existing_results_are_replaced_only_on_request() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let measure = |iterations: u32, options: &str| {
         let server = lab.server(&format!(
             "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations {iterations}"
@@ -224,7 +224,7 @@ fn existing_results_are_replaced_only_on_request() {
 
 #[test]
 fn clock_settings_come_from_configuration() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
         .expect("writable");
     let server = lab.server(
@@ -246,8 +246,8 @@ fn clock_settings_come_from_configuration() {
 }
 
 #[test]
-fn each_order_is_a_run_in_a_process() {
-    let lab = Lab::here();
+fn each_order_runs_in_own_process() {
+    let lab = Lab::on_one_machine();
     let order = json!({
         "agent": {
             "model": [{ "kind": "echo", "name": "echo" }],

@@ -19,7 +19,7 @@ fn endless(lab: &Lab, options: &str) -> Process {
 }
 
 /// Returns the output of `peernet compare` for results.
-fn told(lab: &Lab, results: &str) -> String {
+fn compare_output(lab: &Lab, results: &str) -> String {
     Process::start(&program("peernet"), &["compare", results], lab.folder(), &[]).wait_for_end().log
 }
 
@@ -31,7 +31,7 @@ fn server(lab: &Lab, iterations: u32) -> Process {
 
 #[test]
 fn ctrl_c_ends_client_with_all_results() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results");
     client.wait_for("of 1000000");
@@ -44,7 +44,7 @@ fn ctrl_c_ends_client_with_all_results() {
     let ok = data.outcomes("ok");
     assert!(ok >= 6 && data.rows.len() - ok <= 1, "{} rows, {ok} with an answer", data.rows.len());
     assert!(lab.folder().join("results/summary.md").is_file());
-    let interrupted = told(&lab, "results");
+    let interrupted = compare_output(&lab, "results");
     assert!(interrupted.contains("results is not whole: the run was interrupted after "), "{interrupted}");
 
     server.signal(Signal::INT);
@@ -55,7 +55,7 @@ fn ctrl_c_ends_client_with_all_results() {
 
 #[test]
 fn ended_session_ends_client_with_all_results() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results");
     client.wait_for("of 1000000");
@@ -69,7 +69,7 @@ fn ended_session_ends_client_with_all_results() {
 
 #[test]
 fn a_client_under_nohup_outlives_its_session() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let peernet = program("peernet");
     let options = "--client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 60 \
@@ -89,7 +89,7 @@ fn a_client_under_nohup_outlives_its_session() {
 
 #[test]
 fn folder_in_use_is_left_unchanged() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let first = endless(&lab, "--result-loc results --overwrite");
     first.wait_for("of 1000000");
@@ -106,7 +106,7 @@ fn folder_in_use_is_left_unchanged() {
 
 #[test]
 fn results_replaced_by_killed_run_are_restored() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let short = || {
         lab.client(&format!(
@@ -121,7 +121,11 @@ fn results_replaced_by_killed_run_are_restored() {
     killed.wait_for("of 1000000");
     let _ = killed.kill();
     assert!(!lab.folder().join("results/run.json").exists(), "they are aside");
-    assert!(told(&lab, "results").contains("the earlier results are in "), "{}", told(&lab, "results"));
+    assert!(
+        compare_output(&lab, "results").contains("the earlier results are in "),
+        "{}",
+        compare_output(&lab, "results")
+    );
     let next = short().wait_for_end();
     assert_eq!(next.code(), 64, "{}", next.log);
     assert!(next.log.contains("they are back; what it measured is in killed.csv"), "{}", next.log);
@@ -137,12 +141,12 @@ fn results_replaced_by_killed_run_are_restored() {
 
 #[test]
 fn results_of_killed_run_are_reported() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let killed = endless(&lab, "--result-loc results");
     killed.wait_for("of 1000000");
     let _ = killed.kill();
-    let told = told(&lab, "results");
+    let told = compare_output(&lab, "results");
     assert!(
         told.contains("results is not whole: there is no run.json: the run is under way or was"),
         "{told}"
@@ -152,7 +156,7 @@ fn results_of_killed_run_are_reported() {
 
 #[test]
 fn killed_run_leaves_no_files_after_later_runs() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let temporary = lab.folder().join("temporary");
     std::fs::create_dir(&temporary).expect("writable");
@@ -195,7 +199,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
 
 #[test]
 fn a_second_signal_does_not_wait() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name \"exec:sleep 600\" \
          --iterations 9",
@@ -214,7 +218,7 @@ fn a_second_signal_does_not_wait() {
 
 #[test]
 fn lost_server_leaves_rows_and_exit_code() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results --patience 2");
     client.wait_for("of 1000000");
@@ -231,7 +235,7 @@ fn lost_server_leaves_rows_and_exit_code() {
 
 #[test]
 fn returning_server_is_used_again() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let first = server(&lab, 1_000_000);
     let client = lab.client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 120 --dataset-loc {} \
@@ -252,7 +256,7 @@ fn returning_server_is_used_again() {
 #[test]
 fn full_result_disk_loses_no_rows() {
     let disk = SmallDisk::new(1 << 20);
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let results = disk.folder().join("results");
     let measure = |iterations: u32, options: &str| {
@@ -289,7 +293,7 @@ fn full_result_disk_loses_no_rows() {
 #[test]
 fn full_disks_keep_rows_that_fit() {
     let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     // The model answers at once, so that most rows are written together.
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 1000000",

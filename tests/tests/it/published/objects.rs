@@ -73,7 +73,7 @@ class Stuck:
 
 #[test]
 fn a_sensor_that_hangs_is_named() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_camera.py"), HANGING).expect("writable");
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations 9",
@@ -133,7 +133,7 @@ fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd)
 
 #[test]
 fn an_exception_is_a_failed_iteration() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     // The server does not wait for answers that will never come.
     let (client, server) = seen_by(FAILING, 20, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
@@ -153,7 +153,7 @@ fn an_exception_is_a_failed_iteration() {
 /// After consecutive failures the client waits longer and longer; the server must end all the same.
 #[test]
 fn server_ends_when_all_samples_failed() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let unplugged = "class Camera:\n    def sample(self):\n        raise OSError('unplugged')\n";
     let (client, server) = seen_by(unplugged, 14, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
@@ -163,7 +163,7 @@ fn server_ends_when_all_samples_failed() {
 
 #[test]
 fn restart_of_python_process_is_recorded() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let dying = |class: &str, method: &str, last: u32| {
         format!(
             "
@@ -218,7 +218,7 @@ class {class}:
 
 #[test]
 fn server_prints_number_of_error_answers() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_model.py"), REFUSING).expect("writable");
     let server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Odd --iterations 10",
@@ -235,7 +235,7 @@ fn server_prints_number_of_error_answers() {
 
 #[test]
 fn programs_run_on_their_hosts() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let light = peernet_tests::root().join("docs/examples/external/light.sh");
     let server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
@@ -253,7 +253,7 @@ fn programs_run_on_their_hosts() {
 
 #[test]
 fn output_of_objects_is_printed_in_quiet_mode() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let sensor = "
 class Camera:
     def sample(self):

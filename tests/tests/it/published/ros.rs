@@ -7,7 +7,7 @@ use super::{Lab, picture};
 /// Starts a ROS 1 master, and creates a lab whose programs use it.
 fn lab() -> (Lab, Ros1System) {
     let system = Ros1System::new();
-    (Lab { ros_master: Some(system.uri()), ..Lab::here() }, system)
+    (Lab { ros_master: Some(system.uri()), ..Lab::on_one_machine() }, system)
 }
 
 const SERVER: &str = "PEERNet --server --name cluster --network ros --network-config net_config.yaml";

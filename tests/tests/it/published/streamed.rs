@@ -21,7 +21,7 @@ fn streamed(lab: &Lab, deployment: &LoopbackDeployment) -> String {
 
 #[test]
 fn aggregators_store_their_stream_and_unsent_is_reported() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let (there, away) = (LoopbackDeployment::new(), LoopbackDeployment::new());
     let (_first, first) = there.start_aggregator();
     let waits = format!("wait for the aggregator at localhost:{}, in ", away.events);
@@ -53,7 +53,7 @@ fn aggregators_store_their_stream_and_unsent_is_reported() {
 
 #[test]
 fn export_of_aggregator_equals_file_of_run() {
-    let (lab, deployment) = (Lab::here(), LoopbackDeployment::new());
+    let (lab, deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
     let (_aggregator, api) = deployment.start_aggregator();
     streamed(&lab, &deployment);
     let (status, text) = api
@@ -72,7 +72,7 @@ fn export_of_aggregator_equals_file_of_run() {
 
 #[test]
 fn second_concurrent_stream_of_device_is_refused() {
-    let (lab, deployment) = (Lab::here(), LoopbackDeployment::new());
+    let (lab, deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
     let (_aggregator, _) = deployment.start_aggregator();
     let command = format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
@@ -90,7 +90,7 @@ fn second_concurrent_stream_of_device_is_refused() {
 
 #[test]
 fn experiment_prints_no_link_to_unused_dashboard() {
-    let (lab, away) = (Lab::here(), LoopbackDeployment::new());
+    let (lab, away) = (Lab::on_one_machine(), LoopbackDeployment::new());
     let file = format!(
         "[experiment]\nname = \"board\"\niterations = 20\naggregator = \"tcp://127.0.0.1:{}\"\n\
          [pipeline]\nsensor = {{ kind = \"synthetic\", size_bytes = 100 }}\nplacement = {{ kind = \"local\", model = \"echo\" }}\n\

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use peernet_tests::fleet::{echo, edge};
 use peernet_tests::{EventCounts, Fleet, record_figures, thousands, wait_until};
 
-use super::turn;
+use super::wait_for_turn;
 
 #[test]
 fn produced_events_are_stored_or_counted_as_dropped() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     // The spool is too small for what is measured without an aggregator, and hardly large enough with one.
     let small = edge("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");
     let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(small + &echo("loop", "")));

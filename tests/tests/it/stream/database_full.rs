@@ -3,11 +3,11 @@
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{Fleet, SmallDisk, record_figures, thousands, wait_until};
 
-use super::{assert_nothing_lost, turn};
+use super::{assert_nothing_lost, wait_for_turn};
 
 #[test]
 fn full_database_disk_stops_storing_without_loss() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let disk = SmallDisk::new(48 << 20);
     let database = disk.folder().join("aggregator.sqlite").display().to_string();
     let mut fleet = Fleet::with_database(&database, &["edge"], &edge("", &echo("loop", &rate(500.0))));

@@ -4,7 +4,7 @@ use peernet_stream::{ToAgent, ToAggregator, codec};
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, record_figures, thousands, wait_until};
 
-use super::{assert_nothing_lost, turn};
+use super::{assert_nothing_lost, wait_for_turn};
 
 /// Starts a fleet whose agent measures meanwhile.
 fn with_agent() -> Fleet {
@@ -36,7 +36,7 @@ fn counter(fleet: &Fleet, name: &str) -> u64 {
 
 #[test]
 fn damaged_frames_are_refused_and_counted() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("damaged frames");
     let fleet = with_agent();
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
@@ -92,7 +92,7 @@ fn damaged_frames_are_refused_and_counted() {
 
 #[test]
 fn invalid_batch_is_quarantined_and_stream_continues() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("wrong batches");
     let fleet = with_agent();
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
@@ -134,7 +134,7 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
 
 #[test]
 fn foreign_batches_are_refused_and_repeated_ones_ignored() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("replayed batches");
     let fleet = with_agent();
     let (own, other) = (
@@ -182,7 +182,7 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
 
 #[test]
 fn hello_flood_excludes_no_agent() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("hello storm");
     let fleet = with_agent();
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);

@@ -6,7 +6,7 @@ use peernet_tests::fleet::{echo, edge, edge_in, rate};
 use peernet_tests::truth::query_database;
 use peernet_tests::{Daemon, Fleet, record_figures, thousands};
 
-use super::{assert_nothing_lost, turn};
+use super::{assert_nothing_lost, wait_for_turn};
 
 /// Copies a folder with all its files.
 fn copy(from: &Path, to: &Path) {
@@ -36,7 +36,7 @@ fn kill_with_batches(fleet: &mut Fleet) {
 
 #[test]
 fn restored_database_records_gap_and_continues() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 500);
@@ -80,7 +80,7 @@ fn restored_database_records_gap_and_continues() {
 
 #[test]
 fn copied_state_folder_starts_new_stream_after_refusal() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::new(&["edge"], &configuration);
     fleet.start(0);
@@ -120,7 +120,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
 
 #[test]
 fn deleted_spool_causes_new_stream_and_gap() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 100);
@@ -148,7 +148,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
 
 #[test]
 fn second_agent_in_state_folder_is_refused() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 0);

@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{EventCounts, Fleet, Stopwatch, TestRng, record_figures, thousands};
 
-use super::{SMALL_SPOOL, assert_nothing_lost, setting, turn};
+use super::{SMALL_SPOOL, assert_nothing_lost, setting, wait_for_turn};
 
 /// One agent measures as fast as it can, so that its spool is almost always full and losses are reported among all
 /// other events. The other one loses only the ends of its runs, which were in memory when it was killed.
@@ -26,7 +26,7 @@ struct Tally {
 
 #[test]
 fn random_kills_lose_and_duplicate_no_spooled_iteration() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let (mut rng, began) = (TestRng::new("kills"), Stopwatch::now());
     let mut fleet = Fleet::new(&AGENTS, &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.agents[1].configure(&fleet.deployment, &edge("", &echo("loop", &rate(STEADY_HZ))));

@@ -6,7 +6,7 @@ use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::query_database;
 use peernet_tests::{EventCounts, Fleet, Stopwatch, record_figures, thousands, wait_until, wait_until_grown};
 
-use super::{assert_nothing_lost, setting, turn};
+use super::{assert_nothing_lost, setting, wait_for_turn};
 
 /// Interval of queries of the stored data.
 const LOOK: Duration = Duration::from_millis(100);
@@ -18,7 +18,7 @@ const USUAL_LAG_MS: u64 = 5_000;
 
 #[test]
 fn day_long_outage_is_delivered_in_order() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let iterations = setting("PEERNET_OUTAGE_ITERATIONS", 30_000);
     // The work of a day is measured as fast as possible; the other pipeline is observed meanwhile.
     let hz = setting("PEERNET_OUTAGE_HZ", 2_000) as f64;

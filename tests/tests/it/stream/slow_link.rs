@@ -6,7 +6,7 @@ use peernet_tests::fleet::{echo, rate};
 use peernet_tests::network::CONTROL_INTERFACE;
 use peernet_tests::{EventCounts, Network, Stopwatch, StoredEvents, TwoHostTestbed, print_line, wall};
 
-use super::turn;
+use super::wait_for_turn;
 
 const KBIT: u32 = 50;
 const HZ: f64 = 100.0;
@@ -16,7 +16,7 @@ const MOST_BEHIND_S: f64 = 5.0;
 
 #[test]
 fn host_on_50_kbit_link_loses_nothing() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let host = testbed.network.edge();
     host.throttle(CONTROL_INTERFACE, KBIT);

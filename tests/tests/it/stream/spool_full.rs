@@ -4,11 +4,11 @@ use peernet_tests::fleet::{echo, edge_in, rate};
 use peernet_tests::{Fleet, SmallDisk, record_figures, thousands};
 use serde_json::Value;
 
-use super::turn;
+use super::wait_for_turn;
 
 #[test]
 fn full_spool_disk_is_reported_and_drops_counted() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let (store, state) = (SmallDisk::new(48 << 20), SmallDisk::new(16 << 20));
     let database = store.folder().join("aggregator.sqlite").display().to_string();
     let folder = state.folder().join("NAME").display().to_string();
@@ -62,7 +62,7 @@ fn full_spool_disk_is_reported_and_drops_counted() {
 
 #[test]
 fn start_on_full_disk_counts_dropped_events() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let state = SmallDisk::new(16 << 20);
     let folder = state.folder().join("NAME").display().to_string();
     // Some events wait in memory until the end; the others are dropped before.

@@ -3,7 +3,7 @@
 use peernet_tests::fleet::{echo, edge};
 use peernet_tests::{Fleet, ProcessEnd, record_figures, thousands};
 
-use super::{SMALL_SPOOL, assert_nothing_lost, turn};
+use super::{SMALL_SPOOL, assert_nothing_lost, wait_for_turn};
 
 /// Returns an agent that logs each answer, so that the number of measured iterations is known independently of the
 /// spool.
@@ -37,7 +37,7 @@ fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u6
 
 #[test]
 fn agent_stopped_without_aggregator_keeps_all_in_spool() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.aggregator.stop();
     fleet.start(0);
@@ -49,7 +49,7 @@ fn agent_stopped_without_aggregator_keeps_all_in_spool() {
 
 #[test]
 fn agent_stopped_under_load_spooled_or_stored_everything() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 1_000);
@@ -59,7 +59,7 @@ fn agent_stopped_under_load_spooled_or_stored_everything() {
 
 #[test]
 fn aggregator_stopped_under_load_stored_acknowledged_batches() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet =
         Fleet::new(&["edge-1", "edge-2"], &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.start_all();

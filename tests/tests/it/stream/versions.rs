@@ -3,7 +3,7 @@
 use peernet_stream::{Hello, HelloExtension, Release, STREAM_VERSIONS, ToAgent, ToAggregator, codec};
 use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, wait_until};
 
-use super::turn;
+use super::wait_for_turn;
 
 /// Returns a hello of a later version, whose extension has a name that this version does not know.
 fn later_frame(hello: &Hello) -> Vec<u8> {
@@ -20,7 +20,7 @@ fn later_frame(hello: &Hello) -> Vec<u8> {
 
 #[test]
 fn newer_agent_is_served_unknown_versions_refused() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("other versions");
     let mut fleet = Fleet::new(&[], "");
     let newest = STREAM_VERSIONS.newest();

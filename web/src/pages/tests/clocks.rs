@@ -90,7 +90,7 @@ async fn a_link_that_is_only_stored_keeps_its_page() {
 }
 
 #[tokio::test]
-async fn one_clock_has_no_band_and_says_why_delays_are_exact() {
+async fn link_with_one_clock_explains_exact_delays() {
     let (app, _folder) = samples::app().await;
     let mut shown = linked(Some(0.0), Verdict::Ok);
     std::sync::Arc::make_mut(&mut shown.links[0]).live.same_clock = true;

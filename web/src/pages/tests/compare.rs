@@ -241,7 +241,7 @@ fn panel(html: &str) -> &str {
 }
 
 #[tokio::test]
-async fn few_runs_have_all_distributions_at_once_and_one_at_a_time_on_request() {
+async fn few_runs_show_all_distributions_or_selected_one() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     let html = page_of(two.clone(), false).await;
     let all = panel(&html);
@@ -287,7 +287,7 @@ async fn few_runs_have_all_distributions_at_once_and_one_at_a_time_on_request() 
 }
 
 #[tokio::test]
-async fn many_runs_have_one_quantity_at_a_time_and_the_first_of_each_configuration() {
+async fn many_runs_show_one_distribution_per_configuration() {
     let mut many: Vec<_> = (0..20).map(|at| configuration(at, Remote, 1.0 + at as f64, 1e3)).collect();
     for one in &mut many {
         let again =

@@ -26,7 +26,7 @@ fn panel(html: &str) -> &str {
 }
 
 #[tokio::test]
-async fn answers_that_differ_in_length_are_drawn_beside_those_that_do_not() {
+async fn answers_of_varying_and_equal_length_are_drawn() {
     let html = page_of(vec![
         configuration(0, Remote, 1.0, 1e3),
         talking(1, "completion-tokens", &answered(300)),

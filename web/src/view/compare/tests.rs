@@ -191,7 +191,7 @@ fn title_says_which_is_fastest_by_how_much() {
 }
 
 #[test]
-fn title_names_no_fastest_where_that_cannot_be_told() {
+fn title_without_ranking_names_no_fastest() {
     let equal = scaled(&[1.5, 1.5, 1.5, 1.5, 9.0]);
     let text = title_of(&equal, &totals(&equal, 20), 0);
     assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");

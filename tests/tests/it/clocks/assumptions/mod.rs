@@ -4,10 +4,10 @@
 //! be violated. No interval with the verdict `ok` or `limited` may miss the truth later than a window after that. No
 //! delay with the verdict `inconsistent` has a value or bounds.
 
-mod kept;
 mod outcome;
 mod paused;
 mod violated;
+mod within_limits;
 
 use std::path::Path;
 
@@ -20,15 +20,15 @@ use peernet_tests::{ClockShim, Process, TwoHostTestbed, wait_until, wait_until_g
 /// Length of the window by default. After a violation an interval may be wrong for this time.
 const WINDOW: Span = Span::from_seconds(10);
 
-const fn way(delay_ms: u32, jitter_ms: u32, loss_percent: u32) -> WireProperties {
+const fn wire_direction(delay_ms: u32, jitter_ms: u32, loss_percent: u32) -> WireProperties {
     WireProperties { delay_ms, jitter_ms, loss_percent }
 }
 
-fn cable(_: &Path) -> Network {
+fn direct_network(_: &Path) -> Network {
     Network::direct()
 }
 
-fn wire(up: WireProperties, down: WireProperties) -> impl FnOnce(&Path) -> Network {
+fn wire_network(up: WireProperties, down: WireProperties) -> impl FnOnce(&Path) -> Network {
     move |folder| Network::wire(folder, up, down)
 }
 
@@ -99,16 +99,16 @@ impl Scene {
     }
 
     /// Waits until all uploads that arrived before a time are stored.
-    fn reach(&self, time: RawTime) {
+    fn wait_until_stored_to(&self, time: RawTime) {
         wait_until_grown(self.what, time.nanos().unsigned_abs(), || {
             Some(self.stored_until()?.nanos().unsigned_abs())
         });
     }
 
     /// Waits until the window is full: eleven seconds are stored. Returns the time of that.
-    fn settle(&self) -> RawTime {
+    fn wait_for_full_window(&self) -> RawTime {
         let settled = wait_until("the first upload", || self.stored_until()) + WINDOW + Span::from_seconds(1);
-        self.reach(settled);
+        self.wait_until_stored_to(settled);
         settled
     }
 

@@ -151,7 +151,7 @@ fn inconsistent(sources: usize) -> LinkSnapshot {
 }
 
 #[test]
-fn what_contradicts_itself_has_no_value_and_no_bound_anywhere() {
+fn contradictory_offset_is_shown_without_value() {
     for (sources, row, hint) in
         [(2, "no common interval", "chronyc tracking"), (1, "not to be trusted", "max_drift_ppm")]
     {

@@ -2,7 +2,7 @@
 
 use peernet_tests::{Document, DocumentedCommands};
 
-use crate::experiments::{Results, column, done};
+use crate::experiments::{Results, column, wait_for_runs};
 
 pub(crate) const COMMANDS: [&str; 8] = [
     "peernet run configs/experiments/sensor-study.toml",
@@ -34,7 +34,7 @@ fn readme_commands_without_aggregator_work() {
     };
 
     machines.copy("configs/experiments/sensor-study.toml", &[("duration_s = 12", "iterations = 20")]);
-    let study = done(machines.on_edge("peernet run configs/experiments/sensor-study.toml", &[]), 4);
+    let study = wait_for_runs(machines.on_edge("peernet run configs/experiments/sensor-study.toml", &[]), 4);
     assert_eq!(study.code(), 0, "{}", study.log);
     let results = Results::of(machines.folder().join("results/sensor-study"));
     assert_eq!(results.stages(), ["finished"; 4]);

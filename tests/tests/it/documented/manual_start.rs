@@ -14,7 +14,7 @@ pub(crate) const COMMANDS: [&str; 6] = [
 ];
 
 /// Waits until the dashboard on a host shows this number of answered iterations of a pipeline.
-fn answered(host: &Host, pipeline: &'static str, count: u64) {
+fn wait_until_answered(host: &Host, pipeline: &'static str, count: u64) {
     host.run_in_namespace(move || {
         Api::on_port(8040).wait_until("/api/v1/runs", |runs| {
             let runs = runs["runs"].as_array()?.iter();
@@ -36,7 +36,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     let cloud = machines.on_cloud("target/demo/peernetd run configs/cloud.toml", &[]);
     let edge = machines.on_edge("target/demo/peernetd run configs/edge.toml", &[]);
     for pipeline in ["local", "offload-full", "offload-resized"] {
-        answered(machines.cloud(), pipeline, 5);
+        wait_until_answered(machines.cloud(), pipeline, 5);
     }
 
     aggregator.kill();
@@ -48,7 +48,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     let aggregator = start();
     let said = edge.wait_for_nth("connected to the aggregator", 2);
     assert!(said.contains(" wait"), "how many events it brings: {said}");
-    answered(machines.cloud(), "offload-resized", 20);
+    wait_until_answered(machines.cloud(), "offload-resized", 20);
     for process in [edge, cloud, aggregator] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
@@ -66,8 +66,8 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     }
     let own_code = machines.on_cloud("peernetd run configs/python.toml", &[]);
     let all = machines.on_edge("target/demo/peernetd run configs/all-in-one.toml", &[]);
-    answered(machines.edge(), "over-the-network", 5);
-    answered(machines.cloud(), "scan", 5);
+    wait_until_answered(machines.edge(), "over-the-network", 5);
+    wait_until_answered(machines.cloud(), "scan", 5);
     for process in [own_code, all] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
