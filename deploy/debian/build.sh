@@ -1,6 +1,6 @@
 #!/bin/sh
-# Makes target/debian/peernet_VERSION_ARCHITECTURE.deb of the programs in a folder, target/release unless another is named, and
-# of ONNX Runtime's library, with Debian's own programs. Usage: build.sh [FOLDER]      (`make deb` builds both first)
+# Builds target/debian/peernet_VERSION_ARCHITECTURE.deb from the programs in FOLDER (default: target/release) and the library of
+# ONNX Runtime, with Debian's own programs. Usage: build.sh [FOLDER]      (`make deb` builds both first)
 set -eu
 
 root=$(cd "$(dirname "$0")/../.." && pwd)
@@ -12,10 +12,10 @@ programs=${1:-target/release}
 
 fail() { echo "build.sh: $*" >&2; exit 69; }
 for tool in dpkg-deb dpkg-shlibdeps strip; do
-    command -v "$tool" >/dev/null || fail "$tool is not there: deploy/install-tools.sh test"
+    command -v "$tool" >/dev/null || fail "$tool is not installed; run deploy/install-tools.sh test"
 done
 for file in "$programs/peernetd" "$programs/peernet" onnxruntime/lib/libonnxruntime.so; do
-    [ -e "$file" ] || fail "$file is not there: make deb builds it"
+    [ -e "$file" ] || fail "$file does not exist; run make deb, which builds it"
 done
 
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -1)-1
@@ -40,7 +40,7 @@ put 644 usr/lib/systemd/system deploy/systemd/*.service
 put 644 usr/lib/sysusers.d deploy/sysusers.d/peernet.conf
 put 644 usr/lib/tmpfiles.d deploy/tmpfiles.d/peernet.conf
 
-# The library with its links, and the part that GPU providers of another build would share.
+# The library with its links, and the part that GPU providers of another build share.
 install -d -m 755 "$stage/usr/lib/peernet"
 cp --no-dereference onnxruntime/lib/libonnxruntime*.so* "$stage/usr/lib/peernet"
 
@@ -61,7 +61,7 @@ put 644 $doc/examples/python configs/python/*.py
 } >"$stage/$doc/copyright"
 chmod 644 "$stage/$doc/copyright"
 
-# Which packages have the libraries that these programs are linked with.
+# Find the packages of the libraries that the programs are linked with.
 sources=$(mktemp -d)
 trap 'rm -rf "$sources"' EXIT
 mkdir "$sources/debian"

@@ -92,5 +92,5 @@ fn run_demo(machines: &DocumentedCommands) {
     wait_until_answered(machines.edge(), 8050, "offload-resized");
     let ended = demo.stop();
     assert_success(&ended);
-    assert!(ended.log.contains("demo: ended"), "{}", ended.log);
+    assert!(ended.log.contains("demo: stopped"), "{}", ended.log);
 }
