@@ -13,7 +13,7 @@ use self::schema::{Comparison, Experiment, ExperimentList};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, parse_bounded};
 use crate::state::App;
-use crate::view::compare::{CompareSelection, Differences, gather, run_means};
+use crate::view::compare::{CompareSelection, Differences, load_comparison, run_means};
 
 /// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
@@ -50,13 +50,13 @@ async fn compare(
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Result<Json<Comparison>, WebError> {
     let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == "baseline");
-    let selection = CompareSelection::of(&query, "runs or experiment, and optionally baseline")?;
+    let selection = CompareSelection::parse(&query, "runs or experiment, and optionally baseline")?;
     let selection = selection.ok_or_else(|| {
         WebError::BadRequest(
             "query parameter runs: give numbers of runs, or an experiment instead".to_owned(),
         )
     })?;
-    let comparison = gather(app.store(), &selection).await?;
+    let comparison = load_comparison(app.store(), &selection).await?;
     let baseline = comparison.baseline(baseline.last().map(|(_, run)| run.as_str()))?;
     let means = run_means(app.store(), &comparison).await?;
     let differences = Differences::of(&comparison, &means, baseline);

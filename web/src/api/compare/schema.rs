@@ -147,7 +147,7 @@ impl Comparison {
             miss_rate: one.misses().and_then(Misses::rate),
             stages: one.stages.iter().map(stage).collect(),
         };
-        let left_out = |one: &compare::LeftOut| LeftOut { run: one.run, why: one.why.clone() };
+        let left_out = |one: &compare::ExcludedRun| LeftOut { run: one.run, why: one.why.clone() };
         let differences_to_baseline = differences.others.iter().flat_map(|(index, stages)| {
             let with_interval = |stage: &compare::StageDifference| {
                 let found = stage.found?;
@@ -175,7 +175,7 @@ impl Comparison {
             baseline: (!comparison.configurations.is_empty())
                 .then(|| configuration_letter(differences.baseline)),
             differences: differences_to_baseline.collect(),
-            doubts: compare::doubts(comparison),
+            doubts: compare::caveats(comparison),
             left_out: comparison.left_out.iter().map(left_out).collect(),
             cut: comparison.cut,
         }

@@ -141,7 +141,7 @@ pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
 fn addresses_name_runs_or_an_experiment() {
     let of = |pairs: &[(&str, &str)]| {
         let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
-        CompareSelection::of(&pairs, "runs")
+        CompareSelection::parse(&pairs, "runs")
     };
     assert_eq!(of(&[]).expect("fine"), None);
     assert_eq!(
