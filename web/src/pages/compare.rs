@@ -126,7 +126,7 @@ async fn show(
     let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == BASELINE);
     let baseline = baseline.last().map(|(_, run)| run.as_str());
     let Some(which) =
-        CompareSelection::parse(&query, "runs or experiment, and with either stage and baseline")?
+        CompareSelection::parse(&query, "runs or experiment, and optionally stage and baseline")?
     else {
         let experiments = store.experiments(OFFERED).await?;
         return page(&Empty { shell: shell("Compare"), experiments });

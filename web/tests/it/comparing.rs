@@ -208,9 +208,9 @@ async fn difference_of_two_runs_states_its_significance() {
         assert_eq!(dashboard.get(address).await.status, status, "{address}");
     }
     let (page, api) = (dashboard.get("/compare?run=1").await, dashboard.get("/api/v1/compare?run=1").await);
-    let known = "run: unknown, give runs or experiment";
-    assert!(page.text().contains(&format!("{known}, and with either stage and baseline")), "{}", page.text());
-    assert!(api.text().contains(&format!("{known}, and with either baseline\"")), "{}", api.text());
+    let known = "run: unknown parameter; valid are runs or experiment";
+    assert!(page.text().contains(&format!("{known}, and optionally stage and baseline")), "{}", page.text());
+    assert!(api.text().contains(&format!("{known}, and optionally baseline\"")), "{}", api.text());
 }
 
 /// Counts and means are equal, deviations up to their last digits; quantiles are within the sketch's 1 %. The store has means of seconds,

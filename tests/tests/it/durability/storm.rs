@@ -216,7 +216,7 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
         &[
             ("kills of agents", number(kills[0])),
             ("kills of the aggregator", number(kills[1])),
-            ("starts that failed until something was mended", number(ended.into())),
+            ("starts that failed until the fault was repaired", number(ended.into())),
             ("answers in the logs", number(answers)),
             ("iterations stored", number(stored_events.iterations())),
             ("lost and reported", number(missing)),
