@@ -22,7 +22,7 @@ pub(crate) struct Placed {
     pub median: Option<f64>,
 }
 
-/// Where a node was recorded.
+/// Location at which a node was recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NodeLocation {
     /// On the host of this index; 0 is the edge.

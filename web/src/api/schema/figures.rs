@@ -72,7 +72,7 @@ impl From<stream::OutcomeCounts> for Counts {
     }
 }
 
-/// Where a pipeline computes: locally, or on a cloud over a network, with a model.
+/// Placement of a pipeline: local or on a cloud over a network, and the model.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Placement {
     /// `local`, `remote`, or `none` for a sensor alone.
