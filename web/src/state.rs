@@ -35,7 +35,7 @@ pub(crate) struct AppState {
 impl AppState {
     /// Number of incidents that a live page shows.
     const SHOWN_INCIDENTS: usize = 6;
-    /// Number of newest incidents that are cached; a live page picks those of its own host or pipeline from them.
+    /// Number of newest incidents that are cached. Live pages filter them by host or pipeline.
     const CACHED_INCIDENTS: u32 = 200;
     /// Maximum age of the cached incidents.
     const INCIDENT_CACHE_AGE: Span = Span::from_seconds(2);

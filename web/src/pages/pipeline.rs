@@ -91,7 +91,7 @@ struct Stat {
     name: &'static str,
     number: String,
     unit: &'static str,
-    /// Reason why there is no figure; empty if there is one.
+    /// Reason for a missing figure; empty if the figure is present.
     title: String,
 }
 

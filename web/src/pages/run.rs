@@ -85,9 +85,9 @@ struct Run {
     stats: Vec<(&'static str, String, &'static str)>,
     iterations: (String, String),
     lost: (String, String),
-    /// Miss rate, and its base, where there is a deadline.
+    /// Miss rate and its base; `None` without a deadline.
     missed: Option<(String, String)>,
-    /// Starts that were skipped, and their share, where there are any.
+    /// Number of skipped starts and their share; `None` if no start was skipped.
     skipped: Option<(String, String)>,
     clock: ClockCell,
     directions: Vec<(String, Chip)>,
@@ -97,9 +97,9 @@ struct Run {
     distribution: Distribution,
     bucket: u32,
     buckets: Vec<Bucket>,
-    /// Sentences about episodes, and about iterations without an answer.
+    /// Sentences about episodes and about iterations without an answer.
     parted: Vec<String>,
-    /// Marks in the picture over time.
+    /// Kinds of marks that the chart over time has.
     marked: Marked,
     /// `true` if any bucket has enough samples for a 95th percentile.
     has_p95: bool,
@@ -115,7 +115,7 @@ struct Run {
     data: JsonBlock,
 }
 
-/// Kinds of marks in the picture over time.
+/// Kinds of marks in the chart over time.
 struct Marked {
     borders: bool,
     warm_up: bool,
@@ -202,7 +202,7 @@ fn missed(run: &RunSummary) -> Option<(String, String)> {
     Some((rate, words))
 }
 
-/// Returns the number of skipped starts, and their share of all starts that came due.
+/// Returns the number of skipped starts and their share of all due starts; `None` if no start was skipped.
 fn skipped(starts: &Starts) -> Option<(String, String)> {
     let share = percent(starts.skipped_share());
     (starts.skipped > 0).then(|| (count(starts.skipped), format!("{share}{SPACE}% of those that came due")))
@@ -307,7 +307,7 @@ fn assemble(
     })
 }
 
-/// Returns the accuracy of the model, where samples had labels.
+/// Returns the accuracies of the model; empty if samples had no labels.
 fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
     let known = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
         let figures = stages.iter().find(|stage| stage.stage == *name)?.figures;

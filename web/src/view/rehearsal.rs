@@ -44,7 +44,7 @@ pub(crate) fn words(description: &ClockFaults) -> String {
 pub(crate) struct Rehearsed(BTreeMap<String, String>);
 
 impl Rehearsed {
-    /// Returns the clock faults of a picture.
+    /// Collects the clock faults of the hosts in the live state.
     pub(crate) fn of(snapshot: &LiveState) -> Self {
         let connected = snapshot.hosts.iter().filter(|host| host.connected);
         let told = connected.filter_map(|host| {

@@ -10,7 +10,7 @@ use peernet_store::{StageMeans, Store};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 
-/// Largest number of buckets in which a run is read.
+/// Maximum number of buckets in which a run is read.
 const MAX_BUCKETS: usize = 120;
 /// Number of runs that are read concurrently.
 const CONCURRENT_READS: usize = 4;
@@ -41,7 +41,7 @@ pub(crate) struct Differences {
     pub baseline: usize,
     /// Index of each other configuration with its stages in their order, without unmeasured stages.
     pub others: Vec<(usize, Vec<StageDifference>)>,
-    /// Configuration with the smallest mean total, among those whose model computes something where there are any.
+    /// Ranking by mean total. Configurations with an echo model are only ranked if there are no others.
     pub ranking: Option<Ranking>,
 }
 
@@ -49,9 +49,9 @@ pub(crate) struct Differences {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct StageDifference {
     pub name: Name,
-    /// Mean of the baseline and of the other, where it is known.
+    /// Mean of the baseline and of the other configuration; `None` if unknown.
     pub means: (Option<f64>, Option<f64>),
-    /// Difference: the other configuration minus the baseline, where both means are known.
+    /// Other configuration minus baseline; `None` unless both means are known.
     pub found: Option<Difference>,
 }
 

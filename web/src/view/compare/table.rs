@@ -41,7 +41,7 @@ pub(crate) struct Header {
 /// One configuration. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row {
-    /// Value on each axis; the name of the configuration where there is no axis.
+    /// Value on each axis, or the name of the configuration if there is no axis.
     pub values: Vec<String>,
     /// Numbers of its runs.
     pub runs: Vec<i64>,
@@ -124,14 +124,14 @@ pub(crate) struct DifferenceRow {
     pub look: &'static str,
     pub first: String,
     pub second: String,
-    /// The second less the first, with its interval where there are enough values. Nothing where only one has it.
+    /// The second minus the first; a dash if only one of them has the stage.
     pub difference: String,
     pub interval: Option<String>,
     /// `true` if the difference is significant; `None` if that cannot be determined.
     pub certain: Option<bool>,
 }
 
-/// Largest number of decimals of a difference in ms.
+/// Maximum number of decimals of a difference in ms.
 const MAX_DECIMALS: usize = 3;
 
 impl DifferenceRow {

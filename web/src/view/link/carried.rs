@@ -1,4 +1,4 @@
-//! Traffic of a link by pipeline. Pipelines are separate rows because a mean speed over messages of different sizes has no meaning.
+//! Traffic of a link by pipeline.
 
 use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_logger::stage;
@@ -10,6 +10,7 @@ use super::super::speed::{self, NetworkDirection};
 use super::{RECENT_SPAN, Subject};
 
 /// One pipeline that uses the link.
+// Each pipeline has its own row, because a mean speed over messages of different sizes is meaningless.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct CarriedRow {
     pub name: String,

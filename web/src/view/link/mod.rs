@@ -127,9 +127,9 @@ pub(crate) fn known(offset: &Offset) -> Option<(f64, f64)> {
     (offset.verdict != Verdict::Inconsistent).then(|| (offset.estimate.seconds(), half))
 }
 
-/// Reason why there is no value.
+/// Text for an offset without a value, because its sources or exchanges contradict each other.
 pub(crate) const CONTRADICTION: &str = "what is known of the clocks contradicts itself";
-/// Number of exchanges below which clocks are not related.
+/// Minimum number of exchanges that relate clocks.
 const MIN_EXCHANGES: u64 = 3;
 
 /// Returns whether an offset is stale because the link is young, or a clock was stepped a moment ago.
@@ -234,7 +234,7 @@ impl<'a> Subject<'a> {
         })
     }
 
-    /// Returns half the width of the offset's bounds, seconds; `None` where there are none.
+    /// Returns half the width of the offset's bounds, seconds; `None` without bounds.
     pub(crate) fn bound(&self) -> Option<f64> {
         if self.same_clock() {
             return Some(0.0);
