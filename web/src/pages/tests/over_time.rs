@@ -16,7 +16,7 @@ use crate::view::compare::{Configuration, RunMeans, over_time};
 
 async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+    let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let html = rendered(shell, &comparison(configurations), &RunMeans::new(), (None, None))
         .expect("nothing asked for");
     check(&html);
@@ -91,7 +91,7 @@ async fn runs_without_a_single_answer_are_named() {
     }
     let (app, _folder) = samples::app().await;
     let page = |all: &[Configuration]| {
-        let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+        let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
         rendered(shell, &comparison(all.to_vec()), &RunMeans::new(), (None, None)).expect("nothing asked for")
     };
     let html = page(&all);
