@@ -1,7 +1,7 @@
 #!/bin/bash
-# The demo: an aggregator, a cloud agent and an edge agent on loopback, the three processes that a real deployment
-# starts on three machines, with the configurations of configs/. Runs until Ctrl-C, then ends them in the order in
-# which nothing is lost: edge, cloud, aggregator.
+# Runs the demo: an aggregator, a cloud agent and an edge agent on loopback, with the configurations of configs/. A real
+# deployment runs these three processes on three machines. Ctrl-C stops them in the order edge, cloud, aggregator, so that
+# no event is lost.
 # Usage: demo.sh PATH-TO-PEERNETD [FOLDER-OF-CONFIGURATIONS [FOLDER-OF-LOGS]]
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -13,7 +13,7 @@ roles=(aggregator cloud edge)
 mkdir -p "$logs"
 declare -A pid=()
 
-# Every process in a process group of its own: Ctrl-C reaches this script alone, which then ends them in order.
+# Each process gets its own process group, so that Ctrl-C reaches only this script, which stops them in order.
 set -m
 
 finish() {
@@ -24,17 +24,17 @@ finish() {
         kill -TERM "${pid[$role]}" 2>/dev/null || true
         wait "${pid[$role]}" 2>/dev/null || true
     done
-    [ -z "${started:-}" ] || echo "demo: ended. What was measured is kept where the configurations in $configs say; the next start adds to it."
+    [ -z "${started:-}" ] || echo "demo: stopped. The measurements remain in the folders that the configurations in $configs name; the next start adds to them."
     exit "$code"
 }
 trap finish EXIT
 trap 'echo; exit 0' INT TERM
 
-# The address in the aggregator's configuration, so that a changed port is followed.
+# The address is read from the aggregator's configuration, so that a changed port works.
 listen=$(sed -n '/^\[web\]/,/^\[/s/^listen = "\(.*\)".*/\1/p' "$configs/aggregator.toml")
 
 failed() {
-    echo "demo: the $1 ended by itself; the last lines of $logs/$1.log:" >&2
+    echo "demo: the $1 stopped unexpectedly; the last lines of $logs/$1.log:" >&2
     tail -n 5 "$logs/$1.log" >&2
     exit 1
 }
@@ -42,7 +42,7 @@ failed() {
 answers() { (exec 3<>"/dev/tcp/${listen%:*}/${listen##*:}") 2>/dev/null; }
 
 if answers; then
-    echo "demo: something listens on $listen already; end it, or change [web] listen in configs/aggregator.toml" >&2
+    echo "demo: another program listens on $listen; stop it, or change [web] listen in $configs/aggregator.toml" >&2
     exit 1
 fi
 
@@ -50,7 +50,7 @@ started=yes
 for role in "${roles[@]}"; do
     "$peernetd" run "$configs/$role.toml" >"$logs/$role.log" 2>&1 &
     pid[$role]=$!
-    # The others would wait for the aggregator by themselves; waiting here makes its errors the first ones seen.
+    # The agents would wait for the aggregator anyway. Waiting here shows its errors first.
     while [ "$role" = aggregator ] && ! answers; do
         kill -0 "${pid[$role]}" 2>/dev/null || failed "$role"
         sleep 0.1
@@ -63,7 +63,7 @@ cat <<TEXT
   Dashboard   http://$listen
   REST        http://$listen/api/v1/pipelines
   Logs        $logs/
-  Ctrl-C ends everything.
+  Ctrl-C stops all three processes.
 
 TEXT
 
@@ -71,7 +71,7 @@ while :; do
     for role in "${roles[@]}"; do
         kill -0 "${pid[$role]}" 2>/dev/null || failed "$role"
     done
-    # In the background, so that a signal ends the waiting and not the sleep, whose code would end the script.
+    # `sleep` runs in the background, so that a signal interrupts `wait`. A killed `sleep` in the foreground would end the script.
     sleep 1 &
     wait $! || true
 done

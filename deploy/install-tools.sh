@@ -15,7 +15,7 @@ say() { echo "install-tools: $*"; }
 fail() { echo "install-tools: $*" >&2; exit 69; }
 
 # --- packages of the distribution -----------------------------------------------------------------------------------
-# command that must exist (or one of several: a|b), package, what for. A leading / asks for a file instead.
+# command that must exist (or one of several: a|b), package, purpose. A leading / means a file instead of a command.
 build_packages='
 cc            build-essential   C compiler and linker for the crates with C code
 make          build-essential   the Makefile
@@ -86,13 +86,13 @@ missing_packages() {
     done
 }
 
-# Sets as_root, the way to become root. $1 is what apt-get is wanted for.
+# Sets as_root, the command prefix that gives root permissions. $1 is the apt-get command that needs them.
 become_root() {
     [ -z "${as_root+set}" ] || return 0
     as_root=
     [ "$(id -u)" != 0 ] || return 0
-    command -v sudo >/dev/null || fail "neither root nor sudo, which apt-get needs; as root: apt-get $1"
-    say "not root, calling sudo"
+    command -v sudo >/dev/null || fail "apt-get needs root, and sudo is not installed; run as root: apt-get $1"
+    say "apt-get needs root, calling sudo"
     as_root=sudo
 }
 
@@ -106,66 +106,66 @@ update_lists() {
 
 install_packages() {
     missing=$(missing_packages "$1")
-    # The Python modules that Debian keeps in packages of their own.
+    # Python modules that Debian has in separate packages.
     python3 -m pip --version >/dev/null 2>&1 || missing="$missing
 python3-pip  fetches ONNX Runtime's wheel"
     if [ -n "${wants_venv:-}" ] && ! python3 -c 'import ensurepip, venv' 2>/dev/null; then
         missing="$missing
-python3-venv  environments of their own for the Python packages of tests and benchmarks"
+python3-venv  virtual environments for the Python packages of tests and benchmarks"
     fi
     missing=$(echo "$missing" | sed '/^$/d')
     [ -n "$missing" ] || return 0
     say "missing:"
     echo "$missing" | sed 's/^/    /'
     packages=$(echo "$missing" | cut -d' ' -f1 | sort -u | tr '\n' ' ')
-    command -v apt-get >/dev/null || fail "no apt-get here; install these by the system's own means: $packages"
+    command -v apt-get >/dev/null || fail "apt-get is not installed; install these packages with the system's package manager: $packages"
     say "installing with apt-get"
     become_root "install $packages"
     update_lists || fail "apt-get update failed; is there a network? the missing packages are: $packages"
     # shellcheck disable=SC2086
     $as_root env DEBIAN_FRONTEND=noninteractive apt-get $wait_for_lock install --yes --quiet --quiet \
         --no-install-recommends -o Dpkg::Use-Pty=0 $packages \
-        || fail "apt-get install failed; try it by hand: apt-get install $packages"
+        || fail "apt-get install failed; run it manually to see why: apt-get install $packages"
     still=$(missing_packages "$1" | cut -d' ' -f1 | sort -u | tr '\n' ' ')
-    [ -z "$still" ] || fail "apt-get is done, but what these packages should bring is not in PATH: $still"
+    [ -z "$still" ] || fail "apt-get succeeded, but the commands of these packages are not in PATH: $still"
 }
 
 # --- Rust -----------------------------------------------------------------------------------------------------------
 
 check_rust() {
-    command -v cargo >/dev/null || fail "no cargo in PATH; install Rust from https://rustup.rs, it then follows rust-toolchain.toml"
+    command -v cargo >/dev/null || fail "cargo is not in PATH; install Rust from https://rustup.rs, which then uses rust-toolchain.toml"
     cd "$root"
     cargo --version >/dev/null 2>&1 \
         || fail "cargo cannot use the toolchain of rust-toolchain.toml; install it: rustup toolchain install"
     for component in fmt clippy; do
         cargo "$component" --version >/dev/null 2>&1 || {
-            say "cargo $component is missing, added with rustup"
+            say "cargo $component is missing; adding it with rustup"
             rustup component add "$([ "$component" = fmt ] && echo rustfmt || echo clippy)" \
                 || fail "cargo $component is missing and rustup cannot add it"
         }
     done
 }
 
-# cargo_tool NAME VERSION WHAT-FOR
+# cargo_tool NAME VERSION PURPOSE
 cargo_tool() {
     [ "$("$1" --version 2>/dev/null)" != "$1 $2" ] || return 0
-    say "$1 $2 ($3) is built with cargo install; this takes a minute, once"
-    # Not into the workspace's own target folder, and without its linker flags. They have little to do, so
-    # they are built without optimisation, which is quicker.
+    say "building $1 $2 ($3) with cargo install; this takes about a minute, once"
+    # Not in the workspace's target folder, and without its linker flags. Debug builds, because they compile faster and the tools
+    # do little work.
     (cd "$root" && env -u CARGO_TARGET_DIR -u RUSTFLAGS cargo install --debug --locked --version "$2" "$1") \
         || fail "cargo install $1 --version $2 --debug --locked failed"
     [ "$("$1" --version 2>/dev/null)" = "$1 $2" ] \
-        || fail "$1 $2 is installed, but another one comes first in PATH: $(command -v "$1" || echo none)"
+        || fail "$1 $2 is installed, but PATH has another version first: $(command -v "$1" || echo none)"
 }
 
 # --- schemathesis for the tests -------------------------------------------------------------------------------------
 
-# python_environment NAME WHAT WHAT-FOR: the packages of deploy/NAME-requirements.txt in an environment of their own.
+# python_environment NAME PACKAGES PURPOSE: installs deploy/NAME-requirements.txt into a virtual environment.
 python_environment() {
     requirements=$root/deploy/$1-requirements.txt
     # The copy beside the packages says what was installed.
     cmp -s "$requirements" "$venv/$1/requirements.txt" && [ -x "$venv/$1/bin/python" ] && return 0
-    say "$2 into $venv/$1, for $3"
+    say "installing $2 into $venv/$1, for $3"
     python3 -m venv --clear "$venv/$1" || fail "python3 -m venv $venv/$1 failed"
     "$venv/$1/bin/python" -m pip install --quiet --disable-pip-version-check --requirement "$requirements" \
         || fail "pip could not install $requirements into $venv/$1; is there a network?"
@@ -180,7 +180,7 @@ install_bench_environment() {
     cmp -s "$requirements" "$venv/requirements.txt" && [ -x "$venv/bin/python" ] && return 0
     python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
         || fail "the benchmarks' onnxruntime needs Python 3.11 or newer, python3 is $(python3 --version 2>&1)"
-    say "numpy, onnxruntime, pillow and pyzmq go into $venv, for the comparisons of make bench"
+    say "installing numpy, onnxruntime, pillow and pyzmq into $venv, for make bench"
     python3 -m venv --clear "$venv" || fail "python3 -m venv $venv failed"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --requirement "$requirements" \
         || fail "pip could not install $requirements into $venv; is there a network?"
@@ -189,15 +189,15 @@ install_bench_environment() {
 
 # --- chrony for the tests -------------------------------------------------------------------------------------------
 
-# Unpacked, not installed: installing it would remove systemd-timesyncd and start a daemon that sets the clock.
+# Unpacked and not installed, because the installation would remove systemd-timesyncd and start a daemon that sets the clock.
 unpack_chrony() {
     "$chrony/usr/sbin/chronyd" --version >/dev/null 2>&1 && return 0
     command -v apt-get >/dev/null \
-        || fail "no apt-get here; put the distribution's chronyd into $chrony/usr/sbin and chronyc into $chrony/usr/bin"
-    say "chrony is unpacked into $chrony, for the tests of what time daemons claim"
+        || fail "apt-get is not installed; copy the distribution's chronyd to $chrony/usr/sbin and chronyc into $chrony/usr/bin"
+    say "unpacking chrony into $chrony, for tests with time daemons"
     rm -rf "$chrony"
     mkdir -p "$chrony"
-    # As root, apt would otherwise complain that its own user cannot write here.
+    # Without this, apt warns as root that its own user cannot write to this folder.
     sandbox="-o APT::Sandbox::User=$(id -un)"
     # shellcheck disable=SC2086
     (cd "$chrony" && { apt-get $sandbox --quiet --quiet download chrony \
@@ -206,7 +206,7 @@ unpack_chrony() {
     dpkg-deb --extract "$chrony"/chrony_*.deb "$chrony" || fail "cannot unpack $chrony/chrony_*.deb"
     rm "$chrony"/chrony_*.deb
     "$chrony/usr/sbin/chronyd" --version >/dev/null \
-        || fail "chronyd does not run; libraries it lacks: $(ldd "$chrony/usr/sbin/chronyd" | sed -n 's/ => not found//p' | tr -d '\t' | tr '\n' ' ')"
+        || fail "chronyd does not start; missing libraries: $(ldd "$chrony/usr/sbin/chronyd" | sed -n 's/ => not found//p' | tr -d '\t' | tr '\n' ' ')"
 }
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -243,8 +243,8 @@ for set in "$@"; do
         bench) install_bench_environment ;;
     esac
 done
-# Last: the benchmarks' environment is made anew in the folder around them.
-[ -z "${wants_api:-}" ] || python_environment api "schemathesis goes" "the tests of the REST API"
-[ -z "${wants_interop:-}" ] || python_environment interop "Cyclone DDS and pyzmq go" "tests with foreign peers"
+# After the benchmarks' environment, which clears the folder that contains these.
+[ -z "${wants_api:-}" ] || python_environment api "schemathesis" "the tests of the REST API"
+[ -z "${wants_interop:-}" ] || python_environment interop "Cyclone DDS and pyzmq" "tests with foreign peers"
 [ -z "${wants_chrony:-}" ] || unpack_chrony
-say "$*: everything is there"
+say "$*: all tools are installed"

@@ -3,11 +3,11 @@
 
     run.py [--lint] [FILTER]…
 
-All packages are built by one command, because cargo builds the dependencies anew for another choice of packages. Then the test
-programs of the crates run side by side, after them the end-to-end tests, which need the machine for themselves, and last the
-examples in the documentation. End-to-end tests mostly wait, so that twice as many as there are cores run at once; those that flood
-a host use all that they get and run after the others. `--lint` runs the lints beside them, as an idle task that gets the time in
-which they wait. FILTER: names of tests, as for `cargo test`.
+All packages are built by one command, because cargo rebuilds dependencies for another selection of packages. The test
+programs of the crates run first, concurrently. The end-to-end tests follow, because they need the machine for themselves,
+and then the examples in the documentation. End-to-end tests mostly wait, so twice as many as there are cores run
+concurrently. Tests that flood a host use all processor time and run last. `--lint` runs the lints meanwhile with idle
+priority. FILTER: names of tests, as for `cargo test`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ RESULT = re.compile(r"^test (.+) \.\.\. (\w+) <([0-9.]+)s>$")
 
 @dataclass(frozen=True)
 class Program:
-    """A test program and where cargo would run it."""
+    """A test program and the folder in which cargo would run it."""
 
     package: str
     name: str
@@ -46,7 +46,7 @@ class Program:
 
 @dataclass(frozen=True)
 class Run:
-    """What became of one."""
+    """The result of a test program."""
 
     program: Program
     code: int
@@ -54,12 +54,12 @@ class Run:
     output: str
 
     def tests(self) -> list[tuple[float, str]]:
-        """Seconds and names of its tests."""
+        """Returns seconds and names of its tests."""
         found = (RESULT.match(line) for line in self.output.splitlines())
         return [(float(match[3]), f"{self.program.package} {match[1]}") for match in found if match]
 
     def report(self) -> None:
-        """Says how it went; all that it wrote when it failed."""
+        """Prints the result, with the whole output if it failed."""
         if self.code:
             print(self.output)
         print(f"{self.program.package} {self.program.name}: {len(self.tests())} tests in {self.seconds:.1f} s", flush=True)
@@ -79,15 +79,15 @@ def build() -> list[Program]:
 
 
 def package_in(folder: Path) -> str:
-    """The name that a manifest has."""
+    """Returns the name of the package in a folder."""
     with (folder / "Cargo.toml").open("rb") as manifest:
         return tomllib.load(manifest)["package"]["name"]
 
 
 def run(program: Program, threads: int, filters: list[str], *, shows: bool = False) -> Run:
-    """Runs one and, if asked for, shows each result when it is there.
+    """Runs a test program. With `shows`, prints the result of each test immediately.
 
-    The times of tests are an unstable feature of the test harness, which it has on this condition.
+    The times of tests are an unstable feature of the test harness, which RUSTC_BOOTSTRAP enables.
     """
     command = [program.path, "-Zunstable-options", "--report-time", "--test-threads", str(threads), *filters]
     begin = time.monotonic()
@@ -111,7 +111,7 @@ def run(program: Program, threads: int, filters: list[str], *, shows: bool = Fal
 
 @contextmanager
 def linting() -> Iterator[subprocess.Popen[str]]:
-    """The lints as an idle task; what they wrote is read when they have ended."""
+    """Runs the lints with idle priority, and prints their output at the end if they failed."""
     command = ["chrt", "--idle", "0", CARGO, "clippy", "--workspace", "--all-targets", "--locked", "--", "--deny", "warnings"]
     with tempfile.TemporaryFile("w+") as log:
         with subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT, text=True) as process:
@@ -134,7 +134,7 @@ def main() -> int:
 
 
 def run_all(programs: list[Program], cores: int, filters: list[str]) -> int:
-    """Runs all tests; the exit status."""
+    """Runs all tests and returns the exit status."""
     crates = [program for program in programs if program.package != END_TO_END]
     runs = []
     with ThreadPoolExecutor(cores) as pool:

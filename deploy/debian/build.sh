@@ -51,7 +51,7 @@ put 644 usr/lib/systemd/system deploy/systemd/*.service
 put 644 usr/lib/sysusers.d deploy/sysusers.d/peernet.conf
 put 644 usr/lib/tmpfiles.d deploy/tmpfiles.d/peernet.conf
 
-# The library with its links, and the part that GPU providers of another build would share.
+# The library with its links, and the part that GPU providers of another build share.
 install -d -m 755 "$stage/usr/lib/peernet"
 cp --no-dereference onnxruntime/lib/libonnxruntime*.so* "$stage/usr/lib/peernet"
 
@@ -77,7 +77,7 @@ find "$stage/$doc/examples" -name '*.toml' -exec sed -i \
 } >"$stage/$doc/copyright"
 chmod 644 "$stage/$doc/copyright"
 
-# Which packages have the libraries that these programs are linked with.
+# Find the packages of the libraries that the programs are linked with.
 sources=$(mktemp -d)
 trap 'rm -rf "$sources"' EXIT
 mkdir "$sources/debian"

@@ -1,17 +1,17 @@
 #!/bin/sh
-# Installs, uses, upgrades, removes and purges the package, and looks for what it leaves behind.
+# Installs, uses, upgrades, removes and purges the package, and checks that it leaves no files behind.
 # Usage: test.sh PACKAGE.deb
 #
-# Runs in a throw-away copy of this machine (an overlay of its root, in a mount namespace of its own), so that nothing
-# is left even when a check fails. Where overlays are not allowed, as in some containers, it works on the machine
-# itself, provided that it is a container without PEERNet. Needs root, or sudo.
+# Runs in a temporary overlay of this machine's root, in its own mount namespace, so that nothing remains even if a check
+# fails. If overlays are not allowed, as in some containers, it works on the machine itself, but only if that is a container
+# without PEERNet. Needs root or sudo.
 set -eu
 
 fail() { echo "test.sh: $*" >&2; exit 1; }
 
-# --- inside: what is done with the package --------------------------------------------------------------------------
+# --- inside: the checks of the package --------------------------------------------------------------------------
 
-# Files that belong to nobody in particular and change with any installation.
+# Files that change with the installation of any package.
 noise='^/etc/(passwd|group|shadow|gshadow|subuid|subgid)-?$|^/etc/\.pwd\.lock$|^/etc/ld\.so\.cache$|^/var/(cache|log|tmp)/|^/var/lib/(dpkg|apt)/|^/usr/share/man/'
 
 listing() { find /etc /opt /srv /usr /var -xdev \( -type f -o -type l -o -type d \) | grep -Ev "$noise" | sort; }
@@ -46,7 +46,7 @@ check_installed() {
         output=$(systemd-analyze verify --recursive-errors=no --man=no --generators=no \
             "/usr/lib/systemd/system/peernet-$unit.service" 2>&1) || fail "systemd-analyze verify: $output"
         [ -z "$output" ] || fail "systemd-analyze verify: $output"
-        # Installing starts nothing at boot; whoever wants it enables it.
+        # The installation enables no unit.
         [ "$(systemctl is-enabled "peernet-$unit" || true)" = disabled ] || fail "peernet-$unit is enabled"
     done
 }
@@ -141,7 +141,7 @@ inside() {
     step "the example on one machine"
     unshare --net sh "$0" --all-in-one
 
-    step "an upgrade keeps edited configurations and what was enabled"
+    step "an upgrade keeps edited configurations and enabled units"
     systemctl enable --quiet peernet-agent
     echo "# edited" >>/etc/peernet/agent.toml
     install_package "$deb"
@@ -153,10 +153,10 @@ inside() {
     dpkg --remove peernet
     [ ! -e /usr/bin/peernetd ] || fail "remove left /usr/bin/peernetd"
     [ ! -e /usr/lib/peernet ] || fail "remove left /usr/lib/peernet"
-    [ -f /etc/peernet/agent.toml ] || fail "remove took /etc/peernet/agent.toml away"
-    [ -f /var/lib/peernet/agent/recording ] || fail "remove took the recordings away"
+    [ -f /etc/peernet/agent.toml ] || fail "remove deleted /etc/peernet/agent.toml"
+    [ -f /var/lib/peernet/agent/recording ] || fail "remove deleted the recordings"
 
-    step "installed again, it is enabled as before"
+    step "after reinstallation the unit is enabled as before"
     install_package "$deb"
     [ "$(systemctl is-enabled peernet-agent)" = enabled ] || fail "peernet-agent is not enabled any more"
 
@@ -167,7 +167,7 @@ inside() {
     gone=$(comm -23 "$before" "$after")
     rm -f "$before" "$after"
     [ -z "$left" ] || fail "left behind: $left"
-    [ -z "$gone" ] || fail "taken away, but not the package's: $gone"
+    [ -z "$gone" ] || fail "deleted, although not of the package: $gone"
     ! getent passwd peernet || fail "purge left the user peernet"
     ! getent group peernet || fail "purge left the group peernet"
     echo "test.sh: $(basename "$deb") installs, works, upgrades, removes and purges cleanly"
@@ -179,11 +179,11 @@ install_package() {
         --no-install-recommends -o APT::Sandbox::User=root -o Dpkg::Use-Pty=0 -o Dpkg::Options::=--force-confold "$1"
 }
 
-# --- outside: find a place to do it ---------------------------------------------------------------------------------
+# --- outside: preparation of the environment ---------------------------------------------------------------------------------
 
-# Mounts a throw-away copy of / under the folder $2; fails where that is not allowed. Runs in a mount namespace.
+# Mounts a temporary overlay of / below the folder $2; fails if that is not allowed. Runs in a mount namespace.
 mount_overlay() {
-    # In memory: the upper half of an overlay cannot lie on another overlay, as a container's root often is.
+    # A tmpfs, because the upper layer of an overlay cannot be on another overlay, which a container's root often is.
     mount -t tmpfs tmpfs "$2" || return 1
     mkdir "$2/upper" "$2/work" "$2/root" || return 1
     mount -t overlay overlay -o "lowerdir=/,upperdir=$2/upper,workdir=$2/work" "$2/root" || return 1
@@ -216,10 +216,10 @@ case "${1:-}" in
         status=0
         unshare --mount --propagation private sh "$0" --overlay "$1" "$scratch" || status=$?
         rmdir "$scratch"
-        # 75: no overlay. 1 without a namespace is unshare's own; then nothing was said and nothing was done.
+        # 75: no overlay is allowed. If `unshare` itself fails with 1, it has run nothing.
         if [ "$status" = 75 ] || ! unshare --mount true 2>/dev/null; then
             [ -e /.dockerenv ] || [ -e /run/.containerenv ] || systemd-detect-virt --quiet --container \
-                || fail "no overlay can be mounted here, and this is no container: not installing on the machine itself"
+                || fail "no overlay can be mounted here, and this is not a container: refusing to install on the machine itself"
             if getent passwd peernet >/dev/null || [ -e /etc/peernet ] || [ -e /var/lib/peernet ]; then
                 fail "no overlay can be mounted here, and PEERNet is on this machine already: purge it first"
             fi

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Fetch the pinned ONNX Runtime library and unpack it where PEERNet looks for it.
 
-The library is taken out of the official wheel on PyPI, fetched by pip with the hash of `pinned.toml` and hashed once
-more here. Does nothing when that very version is in place already. Needs Python 3.9 and pip, nothing else.
+pip downloads the official wheel from PyPI and checks the hash of `pinned.toml`, which this script checks again. Does nothing if
+this version is already installed. Needs only Python 3.9 and pip.
 """
 
 import argparse
@@ -23,7 +23,7 @@ PINS = HERE / "pinned.toml"
 STAMP = ".fetched"
 PYTHON_TAG = "312"  # pip must be told one of the interpreters the wheel exists for
 
-# What is taken out of the wheel: member name -> file name in the destination.
+# Members that are extracted from the wheel: member name -> file name in the destination.
 WANTED = [
     (re.compile(r"onnxruntime/capi/(libonnxruntime\.so\.\d+\.\d+\.\d+)"), None),
     (re.compile(r"onnxruntime/capi/(libonnxruntime_providers_shared\.so)"), None),
@@ -33,11 +33,11 @@ WANTED = [
 
 
 class FetchError(Exception):
-    """What was tried, what went wrong and what to do, ready to print."""
+    """A failure with a complete message: what was tried, what happened and what to do."""
 
 
 def read_pins(path):
-    """The few `key = "value"` lines of pinned.toml (Python 3.9 has no TOML reader)."""
+    """Parses the `key = "value"` lines of pinned.toml; Python 3.9 has no TOML parser."""
     pins, table = {}, None
     for number, line in enumerate(path.read_text().splitlines(), 1):
         line = line.split("#", 1)[0].strip()
@@ -53,7 +53,7 @@ def read_pins(path):
 
 
 def find_pip():
-    """The command that runs pip: this interpreter's, the tools' virtual environment's, or the one in PATH."""
+    """Returns the command of pip: of this interpreter, of the tools' virtual environment, or in PATH."""
     candidates = [
         [sys.executable, "-m", "pip"],
         [str(REPOSITORY / ".venv-tools/bin/python"), "-m", "pip"],
@@ -70,7 +70,7 @@ def find_pip():
 
 
 def download(pip, version, pin, folder):
-    """The wheel, in `folder`, its hash checked by pip and by us."""
+    """Downloads the wheel into `folder`, checks its hash and returns its path."""
     requirement = f"onnxruntime=={version} --hash=sha256:{pin['sha256']}\n"
     requirements = folder / "requirements.txt"
     requirements.write_text(requirement)
@@ -95,8 +95,8 @@ def download(pip, version, pin, folder):
     digest = hashlib.sha256(wheels[0].read_bytes()).hexdigest()
     if digest != pin["sha256"]:
         raise FetchError(
-            f"{wheels[0].name} has sha256 {digest}\n  but {PINS} demands {pin['sha256']}\n"
-            "  the file was changed on its way, or pinned.toml is wrong: nothing was unpacked"
+            f"{wheels[0].name} has sha256 {digest}\n  but {PINS} requires {pin['sha256']}\n"
+            "  the download is damaged or was changed, or pinned.toml is wrong: nothing was unpacked"
         )
     return wheels[0]
 
@@ -119,9 +119,9 @@ def unpack(wheel, folder):
 
 
 def install(staging, names, destination, stamp):
-    """Moves the unpacked files into place; the stamp is written last, so that a half-done job is done again."""
+    """Moves the unpacked files to the destination. The stamp is written last, so that an interrupted installation is repeated."""
     destination.mkdir(parents=True, exist_ok=True)
-    if (destination / STAMP).exists():  # only what an earlier fetch left; a folder may hold other people's files
+    if (destination / STAMP).exists():  # only files of an earlier fetch: the folder may contain other files
         for old in destination.glob("libonnxruntime*"):
             old.unlink()
         (destination / STAMP).unlink()
@@ -133,7 +133,7 @@ def install(staging, names, destination, stamp):
     (destination / STAMP).write_text(stamp)
 
 
-def in_place(destination, stamp):
+def is_installed(destination, stamp):
     try:
         return (destination / STAMP).read_text() == stamp and (destination / "libonnxruntime.so.1").exists()
     except OSError:
@@ -150,13 +150,13 @@ def fetch(arch, destination, force):
         )
     version, pin = pins["version"], pins[arch]
     stamp = f"onnxruntime {version} {arch} sha256:{pin['sha256']}\n"
-    if in_place(destination, stamp) and not force:
-        print(f"onnxruntime {version} for {arch} is in {destination}")
+    if is_installed(destination, stamp) and not force:
+        print(f"onnxruntime {version} for {arch} is already installed in {destination}")
         return
     pip = find_pip()
     print(f"fetching onnxruntime {version} for {arch} from PyPI into {destination}", flush=True)
     destination.parent.mkdir(parents=True, exist_ok=True)
-    # Beside the destination, so that the files can be renamed into place.
+    # On the file system of the destination, so that the files can be renamed into it.
     with tempfile.TemporaryDirectory(prefix=".onnxruntime-", dir=destination.parent) as scratch:
         scratch = Path(scratch)
         names = unpack(download(pip, version, pin, scratch), scratch)
@@ -168,7 +168,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arch", default=platform.machine(), help="x86_64 or aarch64 (default: this machine's)")
     parser.add_argument("--dest", type=Path, default=REPOSITORY / "onnxruntime/lib", help="target folder (default: %(default)s)")
-    parser.add_argument("--force", action="store_true", help="fetch again even if it is in place")
+    parser.add_argument("--force", action="store_true", help="fetch again even if it is installed")
     arguments = parser.parse_args()
     arch = {"amd64": "x86_64", "arm64": "aarch64"}.get(arguments.arch, arguments.arch)
     try:

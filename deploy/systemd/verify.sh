@@ -5,8 +5,7 @@ set -eu
 
 here=$(cd "$(dirname "$0")" && pwd)
 units=$(cd "${1:-$here}" && pwd)
-# unit:highest exposure that `systemd-analyze security` may find, in tenths (0 best, 100 worst), so that no loosening
-# slips in unnoticed.
+# unit:maximum exposure by `systemd-analyze security`, in tenths (0 best, 100 worst), so that a weaker sandbox is noticed.
 limits="agent:30 aggregator:20"
 
 for tool in systemd-analyze systemd-sysusers systemd-tmpfiles; do
@@ -17,7 +16,7 @@ scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 failed=0
 
-# quiet WHAT COMMAND…: the command must succeed and say nothing.
+# quiet NAME COMMAND…: the command must succeed without output.
 quiet() {
     what=$1
     shift
@@ -30,7 +29,7 @@ quiet() {
     fi
 }
 
-# succeeds WHAT COMMAND…: the command must succeed; what it says is shown only if not.
+# succeeds NAME COMMAND…: the command must succeed; its output is shown only if it fails.
 succeeds() {
     what=$1
     shift
@@ -43,7 +42,7 @@ succeeds() {
     fi
 }
 
-# `verify` wants to see the program. Where it is not installed, copies of the units name a stand-in for it.
+# `verify` requires that the program exists. If it is not installed, copies of the units name a placeholder.
 mkdir "$scratch/units"
 cp "$units"/peernet-*.service "$scratch/units"
 if [ ! -x /usr/bin/peernetd ]; then
@@ -55,26 +54,26 @@ fi
 for entry in $limits; do
     unit=peernet-${entry%:*}.service
     limit=${entry#*:}
-    # Only this unit's own errors: the ones of the machine's other units are not ours.
+    # Not recursive, so that errors of other units of this machine are ignored.
     quiet "$unit: verify" systemd-analyze verify --recursive-errors=no --man=no --generators=no "$scratch/units/$unit"
     succeeds "$unit: exposure at most $limit/100" \
         systemd-analyze security --offline=yes --no-pager --threshold="$limit" "$scratch/units/$unit"
 done
 
-# Into an empty root: users are really made, folders are really made.
+# Users and folders are created in an empty root.
 root=$scratch/root
 mkdir -p "$root/etc" "$root/usr/lib/sysusers.d" "$root/usr/lib/tmpfiles.d"
 if [ -d "$here/../sysusers.d" ]; then
     cp "$here/../sysusers.d/peernet.conf" "$root/usr/lib/sysusers.d/"
     cp "$here/../tmpfiles.d/peernet.conf" "$root/usr/lib/tmpfiles.d/"
     if [ "$(id -u)" = 0 ]; then
-        succeeds "sysusers.d: makes the user" systemd-sysusers --root="$root" peernet.conf
-        quiet "sysusers.d: peernet is there" grep -q '^peernet:' "$root/etc/passwd"
+        succeeds "sysusers.d: creates the user" systemd-sysusers --root="$root" peernet.conf
+        quiet "sysusers.d: peernet exists" grep -q '^peernet:' "$root/etc/passwd"
         # systemd-tmpfiles looks names up in the root's own passwd.
-        succeeds "tmpfiles.d: makes the folders" systemd-tmpfiles --root="$root" --create peernet.conf
-        quiet "tmpfiles.d: state folder is there" test -d "$root/var/lib/peernet/agent"
+        succeeds "tmpfiles.d: creates the folders" systemd-tmpfiles --root="$root" --create peernet.conf
+        quiet "tmpfiles.d: state folder exists" test -d "$root/var/lib/peernet/agent"
     else
-        succeeds "sysusers.d: is understood" systemd-sysusers --root="$root" --dry-run peernet.conf
+        succeeds "sysusers.d: is valid" systemd-sysusers --root="$root" --dry-run peernet.conf
     fi
 fi
 exit "$failed"

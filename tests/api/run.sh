@@ -1,14 +1,14 @@
 #!/bin/bash
-# Asks a running demo what its OpenAPI document promises: schemathesis makes requests that keep and that break the document,
-# and checks that no answer is a server error or other than described.
-# Usage: run.sh PATH-TO-PEERNETD [REQUESTS]        at most so many requests per operation; 5 unless given
+# Tests a running demo against its OpenAPI document: schemathesis sends valid and invalid requests, and checks that no answer is a
+# server error or differs from the document.
+# Usage: run.sh PATH-TO-PEERNETD [REQUESTS]        REQUESTS is the maximum number per operation (default: 5)
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
 peernetd=${1:?usage: run.sh PATH-TO-PEERNETD [REQUESTS]}
 requests=${2:-5}
 schemathesis=.venv-tools/api/bin/schemathesis
-[ -x "$schemathesis" ] || { echo "run.sh: $schemathesis is not there; make it with deploy/install-tools.sh test" >&2; exit 69; }
+[ -x "$schemathesis" ] || { echo "run.sh: $schemathesis does not exist; install it with deploy/install-tools.sh test" >&2; exit 69; }
 site=$(mktemp -d)
 trap 'kill -TERM "${demo:-}" 2>/dev/null && wait "$demo" 2>/dev/null; rm -rf "$site"' EXIT
 
@@ -22,7 +22,7 @@ for role in aggregator cloud edge; do
 done
 deploy/demo.sh "$peernetd" "$site" "$site/logs" >"$site/demo.log" 2>&1 &
 demo=$!
-# Once a remote run has figures, every operation has something to tell.
+# As soon as a remote run has figures, every operation has data to return.
 until curl -sf "http://127.0.0.1:$http/api/v1/runs" 2>/dev/null | python3 -c '
 import json, sys
 sys.exit(not any(run["placement"]["kind"] == "remote" and run["total"] for run in json.load(sys.stdin)["runs"]))' 2>/dev/null; do
@@ -30,7 +30,7 @@ sys.exit(not any(run["placement"]["kind"] == "remote" and run["total"] for run i
     sleep 0.2
 done
 
-# Names that exist, for requests that get to the data.
+# Names of existing items, so that requests reach stored data.
 curl -sf "http://127.0.0.1:$http/api/v1/runs" | python3 -c '
 import json, sys
 runs = [run for run in json.load(sys.stdin)["runs"] if run["placement"]["kind"] == "remote" and run["total"]]
@@ -40,9 +40,9 @@ known = {"run": run["number"], "iteration": 1, "host": run["host"], "pipeline": 
 print("[parameters]", *(f"\"path.{name}\" = {json.dumps(value)}" for name, value in known.items()), sep="\n")
 ' >"$site/known.toml"
 
-# A stream of events never ends: tests/it/stream.rs of the crate looks at it. A request that keeps the document may still
-# name a run that is not there, or two times of which the first is not the earlier: positive_data_acceptance is left out.
-ask() {
+# The live stream never ends, so it is excluded; web/tests/it/stream.rs tests it. The check positive_data_acceptance is excluded,
+# because a valid request may name a run that does not exist, or a time range whose start is after its end.
+run_schemathesis() {
     "$root/$schemathesis" "${config[@]}" run "http://127.0.0.1:$http/api/openapi.json" \
         --exclude-path /api/v1/live --exclude-checks positive_data_acceptance --max-examples "$requests" \
         --request-timeout 30 --suppress-health-check all --warnings off --continue-on-failure --seed 1 --no-color "$@"
@@ -54,10 +54,10 @@ failed() {
 root=$PWD
 cd "$site"
 config=()
-ask --phases coverage,fuzzing || failed
+run_schemathesis --phases coverage,fuzzing || failed
 config=(--config-file known.toml)
-ask --phases coverage,fuzzing --mode positive --exclude-method PUT --exclude-method DELETE || failed
+run_schemathesis --phases coverage,fuzzing --mode positive --exclude-method PUT --exclude-method DELETE || failed
 if grep -h ' ERROR ' logs/*.log >&2; then
-    echo "run.sh: a request made the demo log these errors" >&2
+    echo "run.sh: the demo logged these errors during the requests" >&2
     exit 1
 fi

@@ -1,4 +1,4 @@
-"""Runs the parts that were asked for, prints their tables, and writes them as Markdown."""
+"""Runs the selected parts, prints their tables, and writes them as Markdown."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def main() -> int:
     parser = argparse.ArgumentParser(prog="run.sh", description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts.ALL)}; default: all")
-    parser.add_argument("--quick", action="store_true", help="a short try: figures too noisy to be quoted")
+    parser.add_argument("--quick", action="store_true", help="short runs, whose figures are too noisy to be quoted")
     arguments = parser.parse_args()
     if unknown := set(arguments.parts) - set(parts.ALL):
         parser.error(f"unknown part {', '.join(sorted(unknown))}; known are {', '.join(parts.ALL)}")
     for number in INTERRUPTIONS:
         signal.signal(number, _interrupt)
-    # The order is fixed: the quickest first, so that what is broken shows soon.
+    # The order is fixed: the fastest parts run first, so that failures show early.
     return run([name for name in parts.ALL if name in (arguments.parts or parts.ALL)], arguments.quick)
 
 
 def run(names: list[str], quick: bool) -> int:
     if not PEERNETD.exists():
-        raise Failure(f"{PEERNETD} is not there: cargo build --release --package peernetd")
+        raise Failure(f"{PEERNETD} does not exist; build it with cargo build --release --package peernetd")
     for name in names:
         parts.ALL[name].prepare()
     steal, begin = machine.steal(), time.monotonic()
     head = ["# Measurements", *machine.facts()]
     if quick:
-        head.append("**A quick try**: too short to be quoted.")
+        head.append("**Short runs**: the figures must not be quoted.")
     print("\n\n".join(head), flush=True)
     sections: list[Section] = []
     for name in names:
@@ -52,7 +52,7 @@ def run(names: list[str], quick: bool) -> int:
     tail = [
         "## Aims",
         aims_table(sections),
-        f"Taken in {seconds / 60:.1f} min; {stolen:.1%} of the processor went to others.",
+        f"Taken in {seconds / 60:.1f} min; {stolen:.1%} of the processor time was stolen by other machines.",
     ]
     print("\n" + "\n\n".join(tail))
     RESULTS.parent.mkdir(parents=True, exist_ok=True)
@@ -62,7 +62,7 @@ def run(names: list[str], quick: bool) -> int:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    # Clearing up goes through to its end.
+    # Further signals are ignored, so that the cleanup is complete.
     for other in INTERRUPTIONS:
         signal.signal(other, signal.SIG_IGN)
     raise KeyboardInterrupt
@@ -75,5 +75,5 @@ if __name__ == "__main__":
         print(f"bench: {failure}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
-        print("bench: interrupted; nothing was left behind", file=sys.stderr)
+        print("bench: interrupted; all programs and files were removed", file=sys.stderr)
         sys.exit(130)

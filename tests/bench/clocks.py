@@ -13,7 +13,7 @@ from statistics import fmean
 import others
 import store
 from namespaces import Host, two_distant_hosts, two_hosts
-from plant import LOOPBACK, Plant, free_ports, plant
+from deployment import LOOPBACK, Deployment, free_ports, deployment
 from programs import Failure, Program, output
 from quantiles import quantile
 
@@ -177,7 +177,7 @@ class Scene:
 
     def run(self, edge: Host, cloud: Host) -> dict[str, list[Judged]]:
         """Measures, and returns the delays of both directions; those of the warm-up do not count."""
-        with plant() as it:
+        with deployment() as it:
             events, web, data = free_ports(3)
             it.aggregator(edge, events=events, web=web)
             shown = {} if self.false_time_s is None else others.false_time(self.false_time_s, every_clock=True)
@@ -214,7 +214,7 @@ class Scene:
     def _cloud_ns(self, shown: int) -> int:
         return shown - round((self.false_time_s or 0.0) * 1e9)
 
-    def _agent(self, it: Plant, name: str, more: str) -> str:
+    def _agent(self, it: Deployment, name: str, more: str) -> str:
         return f"""
         [agent]
         name = "{name}"
@@ -226,7 +226,7 @@ class Scene:
         {self.clocks.settings}
         """
 
-    def _cloud(self, it: Plant, host: Host, data: int) -> str:
+    def _cloud(self, it: Deployment, host: Host, data: int) -> str:
         return f"""
         {self._agent(it, "cloud", "")}
         [serve]
@@ -236,7 +236,7 @@ class Scene:
         kind = "echo"
         """
 
-    def _edge(self, it: Plant, aggregator: str, peer: str) -> str:
+    def _edge(self, it: Deployment, aggregator: str, peer: str) -> str:
         # The path may hold so many.
         timed = f'load = {{ mode = "rate", hz = {HZ:.1f} }}\nmax_in_flight = 64'
         pipelines = _pipeline("small", peer, 1000, timed, self.seconds)

@@ -1,4 +1,4 @@
-"""The closed loop over two hosts as three programs do it: PEERNet, the published program's work, bare TCP."""
+"""The closed loop over two hosts by three programs: PEERNet, the published program's work, and bare TCP."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 
 import store
 from namespaces import Host
-from plant import Plant, plant
+from deployment import Deployment, deployment
 from programs import BARE_TCP, BARE_UDP, Failure, Program, output_and_cpu, peer
 
 DATA_PORT = 5551
 BARE_PORT = 5560
 # What zmq-udp sends by default.
 DATAGRAM_BYTES = 1_200
-# Caches fill, connections open up; the other two programs have the same number built in.
+# Iterations in which caches fill and TCP windows open. The other two programs have the same number built in.
 WARM_UP = 200
 # Letters of /proc/net/tcp and /proc/net/udp.
 ESTABLISHED, LISTENING, BOUND = "01", "0A", "07"
@@ -28,7 +28,7 @@ Stages = dict[str, dict[str, float]]
 
 @dataclass(frozen=True)
 class Shape:
-    """What travels: so many bytes up, and as many or a fixed number down."""
+    """Sizes of the messages: bytes up, and the same or a fixed number of bytes down."""
 
     up: int
     answer: int | None = None
@@ -40,7 +40,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Slice:
-    """One contender's figures of a few seconds; stages in seconds."""
+    """Figures of one program over a few seconds; stages in seconds."""
 
     rate: float
     stages: Stages
@@ -54,21 +54,21 @@ class Slice:
 
 @dataclass(frozen=True)
 class Arena:
-    """Where a slice takes place, and how long it lasts."""
+    """Hosts and duration of a slice."""
 
     edge: Host
     cloud: Host
     seconds: int
-    # Iterations before the first that counts.
+    # Number of warm-up iterations.
     warm_up: int = WARM_UP
 
 
 def peernet(arena: Arena, shape: Shape, peer: str | None = None) -> Slice:
-    """Edge agent, cloud agent, and the aggregator beside the edge: every iteration is stored while the loop runs.
+    """Runs edge agent, cloud agent, and the aggregator on the edge's host: every iteration is stored while the loop runs.
 
     `peer` is the cloud's address; TCP unless it is given.
     """
-    with plant() as it:
+    with deployment() as it:
         it.aggregator(arena.edge)
         reporting = f'aggregator = "tcp://{arena.edge.address}:5550"'
         cloud = it.daemon("cloud", _cloud(it, arena, shape, reporting, peer), arena.cloud)
@@ -92,10 +92,10 @@ def peernet(arena: Arena, shape: Shape, peer: str | None = None) -> Slice:
 
 def peernet_alone(arena: Arena, shape: Shape, iterations: int) -> float:
     """Iterations per second of both agents without an aggregator, over the life of their connection."""
-    with plant() as it:
+    with deployment() as it:
         it.daemon("cloud", _cloud(it, arena, shape, ""), arena.cloud)
         edge = it.daemon("edge", _edge(it, arena, shape, "", f"iterations = {iterations}"), arena.edge)
-        # The daemon may be connected already: its being ready is not far from that.
+        # The daemon may be connected before it reports ready; the difference is small.
         edge.wait_until("the edge is connected", lambda: sees(edge, DATA_PORT, ESTABLISHED))
         begin = time.perf_counter()
         while sees(edge, DATA_PORT, ESTABLISHED):
@@ -139,7 +139,7 @@ def _bare(arena: Arena, shape: Shape, program: Path, protocol: str, state: str, 
 def bare_pair(
     arena: Arena, shape: Shape, program: Path, environments: tuple[Mapping[str, str], Mapping[str, str]] | None = None
 ) -> Slice:
-    """`PROGRAM serve` on the cloud and `PROGRAM drive BYTES SECONDS` on the edge, which finds it by itself."""
+    """Runs `PROGRAM serve` on the cloud, and `PROGRAM drive BYTES SECONDS` on the edge, which connects to it."""
     on_edge, on_cloud = environments or (None, None)
     serve = arena.cloud.inside([program, "serve"])
     drive = arena.edge.inside([program, "drive", shape.up, arena.seconds])
@@ -151,7 +151,7 @@ def bare_pair(
 def _slice(
     drive: Sequence[object], server: Program, timeout_s: float = 120.0, environment: Mapping[str, str] | None = None
 ) -> Slice:
-    """Runs the driving end to its end, beside the other one."""
+    """Runs the driving end until it finishes, while the other end runs."""
     before = server.cpu_seconds()
     text, cpu_seconds = output_and_cpu(drive, timeout_s=timeout_s, environment=environment)
     figures = json.loads(text)
@@ -165,7 +165,7 @@ def _slice(
     )
 
 
-def _cloud(it: Plant, arena: Arena, shape: Shape, reporting: str, peer: str | None = None) -> str:
+def _cloud(it: Deployment, arena: Arena, shape: Shape, reporting: str, peer: str | None = None) -> str:
     return f"""
         [agent]
         name = "cloud"
@@ -180,7 +180,7 @@ def _cloud(it: Plant, arena: Arena, shape: Shape, reporting: str, peer: str | No
     """
 
 
-def _edge(it: Plant, arena: Arena, shape: Shape, reporting: str, limit: str, peer: str | None = None) -> str:
+def _edge(it: Deployment, arena: Arena, shape: Shape, reporting: str, limit: str, peer: str | None = None) -> str:
     return f"""
         [agent]
         name = "edge"
@@ -201,7 +201,7 @@ def _tcp(arena: Arena) -> str:
 
 
 def sees(program: Program, port: int, state: str, protocol: str = "tcp") -> bool:
-    """Whether the program's host has a socket in this state with this port at either end."""
+    """Returns whether the program's host has a socket in this state with this port at either end."""
     for line in Path(f"/proc/{program.pid}/net/{protocol}").read_text().splitlines()[1:]:
         _, local, remote, found = line.split()[:4]
         if found == state and f":{port:04X}" in (local[8:], remote[8:]):

@@ -1,4 +1,4 @@
-"""How far the live figures are behind: from the end of an iteration to the first answer that counts it."""
+"""Lag of the live figures: from the end of an iteration to the first answer that counts it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POLL_S = 0.01
 
 @dataclass
 class Watched:
-    """When the live figures first counted so many iterations."""
+    """Times at which the live figures first counted each number of iterations."""
 
     host: str
     pipeline: str
@@ -28,7 +28,7 @@ class Watched:
         return count
 
     def lags(self, ends: list[float]) -> list[float]:
-        """Seconds per iteration; `ends` are their ends, seconds since 1970, in rising order."""
+        """Seconds per iteration; `ends` are their ends, seconds since 1970, in increasing order."""
         lags, at = [], 0
         for when, count in self.seen:
             lags.extend(when - end for end in ends[at:count])
@@ -37,7 +37,7 @@ class Watched:
 
 
 def watch(api: Api, watched: Watched, seconds: float, meanwhile: Callable[[], bool] = lambda: True) -> None:
-    """Looks for so long, or until `meanwhile` says that there is nothing more to see."""
+    """Polls for `seconds`, or until `meanwhile` returns false."""
     deadline = time.monotonic() + min(seconds, LONGEST_S)
     while time.monotonic() < deadline and meanwhile():
         watched.look(api)

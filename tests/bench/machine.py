@@ -1,4 +1,4 @@
-"""What the figures were measured on."""
+"""Facts about the machine on which the figures were measured."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from pathlib import Path
 
 from programs import ROOT
 
-# Runnable tasks per core above which figures say more about the neighbours than about the program.
+# Runnable tasks per core above which other programs determine the figures.
 BUSY = 0.25
 
 
 def facts() -> list[str]:
-    """Lines of Markdown."""
+    """Returns the facts as lines of Markdown."""
     memory = _first(r"MemTotal:\s+(\d+)", Path("/proc/meminfo").read_text())
     python = ", ".join(f"{name} {_version(name)}" for name in ("pyzmq", "numpy", "pillow", "onnxruntime"))
     lines = [
@@ -34,7 +34,7 @@ def facts() -> list[str]:
 
 
 def steal() -> float:
-    """Seconds of processor time, all cores together, that the machine's own host gave to others since boot."""
+    """Returns the stolen time of all cores since boot, seconds: time that the hypervisor gave to other machines."""
     fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()
     return int(fields[8]) / os.sysconf("SC_CLK_TCK")
 

@@ -1,4 +1,4 @@
-"""Two hosts on one machine: network namespaces joined by a veth pair, gone when the benchmark is."""
+"""Two hosts on one machine: network namespaces joined by a veth pair, removed after the benchmark."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class Host:
     address: str
 
     def inside(self, command: Sequence[object]) -> list[str]:
-        """The command that runs `command` on this host."""
+        """Returns the command that runs `command` on this host."""
         return ["ip", "netns", "exec", self.name, *map(str, command)]
 
 
 def need_root() -> None:
-    """Fails when this process may not make network namespaces."""
+    """Raises a failure if this process may not create network namespaces."""
     if os.geteuid() != 0:
         raise Failure(
             "this part makes two network namespaces, which needs root: run tests/bench/run.sh as root; "
@@ -43,7 +43,7 @@ def need_root() -> None:
 
 @contextmanager
 def two_hosts() -> Iterator[tuple[Host, Host]]:
-    """Edge and cloud, joined by a cable without delay or limit."""
+    """Yields edge and cloud, joined by a veth pair without delay or limit."""
     with _hosts() as (edge, cloud):
         _ip("link", "add", DEVICE, "netns", edge.name, "type", "veth", "peer", "name", DEVICE, "netns", cloud.name)
         for host in (edge, cloud):
@@ -55,7 +55,7 @@ def two_hosts() -> Iterator[tuple[Host, Host]]:
 def two_distant_hosts(
     up_ms: int, down_ms: int, bits_per_second: int | None = None
 ) -> Iterator[tuple[Host, Host]]:
-    """Edge and cloud, joined by a wire that delays what goes up and what comes down. With a rate its queues hold 4 MB."""
+    """Yields edge and cloud, joined by a wire with a delay per direction. With a rate limit its queues hold 4 MB."""
     with _hosts() as (edge, cloud), tempfile.TemporaryDirectory(prefix=PREFIX) as folder, ExitStack() as stack:
         for host in (edge, cloud):
             switch = ["vde_switch", "--sock", f"{folder}/{host.name}", "--tap", DEVICE]
@@ -74,9 +74,9 @@ def two_distant_hosts(
 
 @contextmanager
 def _hosts() -> Iterator[tuple[Host, Host]]:
-    """Edge and cloud with nothing between them."""
+    """Yields edge and cloud without a link."""
     need_root()
-    _sweep()
+    _remove_abandoned()
     edge, cloud = (Host(f"{PREFIX}{os.getpid()}-{role}", f"10.77.0.{n}") for n, role in ((1, "edge"), (2, "cloud")))
     with ExitStack() as stack:
         for host in (edge, cloud):
@@ -99,7 +99,7 @@ def _has_device(host: Host) -> bool:
 
 @contextmanager
 def third_host(cloud: Host) -> Iterator[tuple[Host, str]]:
-    """A third host on a cable of its own to the cloud, and the address at which it reaches the cloud."""
+    """Yields a third host with its own link to the cloud, and the address at which it reaches the cloud."""
     third, faces = Host(f"{PREFIX}{os.getpid()}-third", "10.77.1.3"), "10.77.1.2"
     with ExitStack() as stack:
         _ip("netns", "add", third.name)
@@ -111,8 +111,8 @@ def third_host(cloud: Host) -> Iterator[tuple[Host, str]]:
         yield third, faces
 
 
-def _sweep() -> None:
-    """Removes what a killed benchmark left behind: namespaces named after a process that is no more."""
+def _remove_abandoned() -> None:
+    """Removes the namespaces of killed benchmarks: their names contain a process id that does not exist any more."""
     for leftover in MADE_BY_IP.glob(f"{PREFIX}*"):
         pid = leftover.name.removeprefix(PREFIX).split("-")[0]
         if pid.isdecimal() and not Path("/proc", pid).exists():

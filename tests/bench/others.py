@@ -1,4 +1,4 @@
-"""What other programs tell of a one-way delay: chrony and stamp-suite, over the path that PEERNet measures."""
+"""One-way delays of other programs, chrony and stamp-suite, over the path that PEERNet measures."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class Claim:
 
 
 def prepare() -> None:
-    """Fails when one of them is missing."""
+    """Raises a failure if one of the programs is missing."""
     for program in (CHRONY / "sbin/chronyd", CHRONY / "bin/chronyc", stamp_suite_program(), faketime()):
         if not program.exists():
             raise Failure(f"{program} is not there: deploy/install-tools.sh test")
 
 
 def chrony(edge: Host, cloud: Host, seconds: float) -> Claim:
-    """A chronyd on the edge that follows one on the cloud; both leave the clock, which is one, alone."""
+    """Measures a chronyd on the edge that follows one on the cloud. Neither changes the clock that both read."""
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as name:
         folder = Path(name)
         serve = f"local stratum 10\nallow all\nbindaddress {cloud.address}\ncmdport 0\n"
@@ -64,7 +64,7 @@ def chrony(edge: Host, cloud: Host, seconds: float) -> Claim:
 
 @contextmanager
 def sure_daemons(edge: Host, cloud: Host) -> Iterator[None]:
-    """A chronyd on each host that follows another one on the same host, and is sure of its clock to some microseconds."""
+    """Runs a chronyd on each host that follows another one on the same host, and claims an error of some microseconds."""
     serve = f"local stratum 10\nallow 127.0.0.1\nport {SERVER_PORT}\ncmdport 0\n"
     follow = f"server 127.0.0.1 port {SERVER_PORT} iburst minpoll -2 maxpoll 0\nport 0\ncmdport {COMMANDS}\nbindcmdaddress 127.0.0.1\n"
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder, ExitStack() as stack:
@@ -77,7 +77,7 @@ def sure_daemons(edge: Host, cloud: Host) -> Iterator[None]:
 
 
 def chronyc_settings() -> str:
-    """Lines of `[clock]` with which an agent asks its host's chronyd."""
+    """Returns the lines of `[clock]` with which an agent queries its host's chronyd."""
     return f'chronyc = "{CHRONY}/bin/chronyc"\nchronyc_arguments = ["-h", "127.0.0.1", "-p", "{COMMANDS}"]'
 
 
@@ -107,13 +107,13 @@ def faketime() -> Path:
 
 
 def false_time(ahead_s: float, *, every_clock: bool = False) -> dict[str, str]:
-    """The environment of a program that is shown a wall clock, or all clocks, so far ahead."""
+    """Returns the environment of a program whose wall clock, or all clocks, are shown `ahead_s` ahead."""
     shown = {"LD_PRELOAD": str(faketime()), "FAKETIME": f"{ahead_s:+}s"}
     return shown if every_clock else shown | {"DONT_FAKE_MONOTONIC": "1"}
 
 
 def stamp_suite(edge: Host, cloud: Host, ahead_s: float, truths: tuple[float, float]) -> float:
-    """The larger error of its mean delays, up and down, when its sender's clock is so far ahead of its reflector's."""
+    """Returns the larger error of its mean delays, up and down, if its sender's clock is `ahead_s` ahead of its reflector's."""
     program = stamp_suite_program()
     reflect = [program, "--is-reflector", "--local-addr", cloud.address, "--local-port", STAMP_PORT]
     send = [program, "--remote-addr", cloud.address, "--remote-port", STAMP_PORT, "--count", STAMP_PROBES]

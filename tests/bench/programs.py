@@ -1,4 +1,4 @@
-"""Programs that the benchmarks start: none outlives them, whatever ends them."""
+"""Programs that the benchmarks start. All of them end with the benchmark, even if it is killed."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ STOP_TIMEOUT_S = 20.0
 
 
 class Failure(Exception):
-    """What was tried, what went wrong and what to do, ready to print."""
+    """A failure with a complete message: what was tried, what happened and what to do."""
 
 
 def peer(module: str, *arguments: object) -> list[str]:
-    """The command that runs one of the Python programs of peers/."""
+    """Returns the command that runs one of the Python programs of peers/."""
     return [sys.executable, "-B", "-m", f"peers.{module}", *map(str, arguments)]
 
 
@@ -52,7 +52,7 @@ class Program:
         with log.open("wb") as file:
             self._child = subprocess.Popen(
                 self.command,
-                # Open and silent: some programs end when their input does.
+                # The input stays open without data, because some programs end when their input ends.
                 stdin=subprocess.PIPE,
                 stdout=file,
                 stderr=subprocess.STDOUT,
@@ -67,33 +67,34 @@ class Program:
         return self._child.pid
 
     def text(self) -> str:
-        """All it wrote so far."""
+        """Returns all output so far."""
         return self.log.read_text(errors="replace")
 
     def cpu_seconds(self) -> float:
-        """Processor time that it has used, of user and system."""
+        """Returns the used processor time, user and system, in seconds."""
         # The name of the program, in brackets, may have spaces.
         fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def check(self) -> None:
-        """Fails when it has ended."""
+        """Raises a failure if the program has ended."""
         if (code := self._child.poll()) is not None:
-            raise Failure(f"{self.command} ended by itself (exit code {code}); it said:\n{tail(self.text())}")
+            raise Failure(f"{self.command} ended unexpectedly (exit code {code}); its last output:\n{tail(self.text())}")
 
-    def wait_until(self, what: str, holds: Callable[[], bool], timeout_s: float = 30.0) -> None:
-        """Waits for something that this program is to bring about."""
+    def wait_until(self, what: str, condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+        """Waits until a condition holds that this program should fulfil."""
         deadline = time.monotonic() + timeout_s
-        while not holds():
+        while not condition():
             self.check()
             if time.monotonic() > deadline:
                 raise Failure(
-                    f"waited {timeout_s:.0f} s in vain until {what}; {self.command} said:\n{tail(self.text())}"
+                    f"timeout after {timeout_s:.0f} s while waiting until {what}; last output of {self.command}:\n"
+                    f"{tail(self.text())}"
                 )
             time.sleep(0.05)
 
     def stop(self) -> None:
-        """SIGTERM, and SIGKILL when that does not help."""
+        """Sends SIGTERM, and SIGKILL if the program does not end."""
         if self._child.poll() is None:
             self._signal(signal.SIGTERM)
             try:
@@ -148,7 +149,7 @@ def output(
 def output_and_cpu(
     command: Sequence[object], *, timeout_s: float = 120.0, environment: Mapping[str, str] | None = None
 ) -> tuple[str, float]:
-    """Runs a program to its end; its standard output, and the processor time that it and its children used."""
+    """Runs a program to its end. Returns its standard output, and the processor time of it and its children."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     text = output(command, timeout_s=timeout_s, environment=environment)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -156,7 +157,7 @@ def output_and_cpu(
 
 
 def tail(text: str, lines: int = 15) -> str:
-    """The last lines of a log, indented."""
+    """Returns the last lines of a log, indented."""
     return "\n".join(f"    {line}" for line in text.rstrip().splitlines()[-lines:])
 
 

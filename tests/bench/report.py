@@ -32,7 +32,7 @@ class Table:
 
 @dataclass
 class Aim:
-    """A promise and what became of it."""
+    """An aim with the measured value."""
 
     promise: str
     seen: str
@@ -41,7 +41,7 @@ class Aim:
 
 @dataclass
 class Section:
-    """One part's results."""
+    """The results of one part."""
 
     title: str
     blocks: list[str] = field(default_factory=list)
@@ -61,7 +61,7 @@ class Section:
 
 
 def aims_table(sections: list[Section]) -> str:
-    """All aims of all parts."""
+    """Returns the table of the aims of all parts."""
     table = Table("aim", "seen", "")
     for section in sections:
         for aim in section.aims:
@@ -82,7 +82,7 @@ def rate(per_second: float) -> str:
 
 
 def micros(seconds: float | None) -> str:
-    """`136` or `0.41`, microseconds; an en dash when there is nothing."""
+    """Formats microseconds as `136` or `0.41`; an en dash stands for no value."""
     if seconds is None:
         return "–"
     value = seconds * 1e6
@@ -94,5 +94,5 @@ def times(ratio: float) -> str:
 
 
 def ratio(ours: list[float], theirs: list[float]) -> float:
-    """The median of the ratios of each repeat: what disturbs a whole repeat disturbs both."""
+    """Returns the median of the ratios of each repeat: a disturbance of a whole repeat affects both sides."""
     return median(a / b for a, b in zip(ours, theirs, strict=True))

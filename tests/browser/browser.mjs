@@ -1,4 +1,4 @@
-// Chromium without a window, without a network beside the dashboard's address.
+// Headless Chromium that can reach only the address of the dashboard.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { chromium } from "playwright-core";
@@ -23,7 +23,7 @@ export async function launch(base) {
   });
 }
 
-// A page that remembers what went wrong in it.
+// Opens a page and collects its errors and warnings.
 export async function open(browser, base, path, options = {}) {
   const { width = 1440, height = 900, scheme = "light", script = true } = options;
   const context = await browser.newContext({ baseURL: base, viewport: { width, height }, colorScheme: scheme, javaScriptEnabled: script });
@@ -32,37 +32,37 @@ export async function open(browser, base, path, options = {}) {
   page.on("console", (message) => { if (message.type() === "error" || message.type() === "warning") errors.push(message.text()); });
   page.on("pageerror", (error) => errors.push(String(error)));
   page.on("requestfailed", (request) => {
-    // The browser cuts off what is under way when its page is left: a stream, or an icon that comes late.
-    const cut = request.failure()?.errorText === "net::ERR_ABORTED";
-    if (!cut && !request.url().includes("/api/v1/live")) errors.push(`${request.url()}: ${request.failure()?.errorText}`);
+    // The browser aborts requests in progress, such as a stream or an icon, when its page is left.
+    const aborted = request.failure()?.errorText === "net::ERR_ABORTED";
+    if (!aborted && !request.url().includes("/api/v1/live")) errors.push(`${request.url()}: ${request.failure()?.errorText}`);
   });
   const answer = await page.goto(path);
   if (!answer.ok()) throw new Error(`${path} answered with status ${answer.status()}`);
   return { page, errors, close: () => context.close() };
 }
 
-// What the axe rules find, each with the elements concerned.
+// Returns the violated rules of axe, each with its elements.
 export async function violations(page) {
   await page.evaluate(axeSource);
   const found = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ["violations"] }));
   return found.violations.map((rule) => `${rule.id}: ${rule.help}\n  ${rule.nodes.slice(0, 4).map((node) => `${node.target.join(" ")}: ${node.failureSummary?.split("\n")[1]?.trim()}`).join("\n  ")}`);
 }
 
-// How far the page can be scrolled sideways, in pixels.
-export const sideways = (page) => page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+// Returns how far the page can be scrolled sideways, in pixels.
+export const horizontalOverflow = (page) => page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
 
-// Waits until live figures have changed: those in sight do.
-export async function moves(page, selector) {
+// Waits until the live figures of an element have changed. It must be visible, because others are not updated.
+export async function waitForUpdate(page, selector) {
   await page.locator(selector).first().scrollIntoViewIfNeeded();
   const before = await page.locator(selector).innerText();
   await page.waitForFunction(([where, text]) => document.querySelector(where)?.innerText !== text, [selector, before], { timeout: 30000 });
 }
 
-// Charts are drawn after the page: waits until all that can be seen are there.
-export const drawn = (page) => page.waitForFunction(() => Array.from(document.querySelectorAll(".chart")).every((chart) => chart.querySelector("canvas") || !chart.clientWidth), null, { timeout: 30000 });
+// Waits until all visible charts are drawn, which happens after the page is loaded.
+export const waitForCharts = (page) => page.waitForFunction(() => Array.from(document.querySelectorAll(".chart")).every((chart) => chart.querySelector("canvas") || !chart.clientWidth), null, { timeout: 30000 });
 
-// Opens a page with charts whose figures `change` has changed, and to which nothing is added later.
-export async function charted(browser, base, path, change, options) {
+// Opens a page with charts whose data `change` has changed. The live stream is blocked, so that nothing is added.
+export async function openWithData(browser, base, path, change, options) {
   const opened = await open(browser, base, "/compare", options), { page } = opened;
   await page.route("**/api/v1/live*", (route) => route.abort());
   await page.route(`${base}${path}`, async (route) => {
@@ -75,6 +75,6 @@ export async function charted(browser, base, path, change, options) {
     await route.fulfill({ response: answer, body });
   });
   await page.goto(path);
-  await drawn(page);
+  await waitForCharts(page);
   return opened;
 }

@@ -1,17 +1,17 @@
-// What the overview costs a browser: node cost.mjs URL SECONDS prints shares of a core as JSON, by the browser's counters of
-// the page's main thread, in time of the processor and in time that passed.
-// PROFILE=FILE keeps a profile of the scripts, which the developer tools open.
+// Measures the processor time of the overview in a browser. Usage: node cost.mjs URL SECONDS
+// Prints shares of a core as JSON, by the browser's counters of the page's main thread, in processor time and in elapsed time.
+// PROFILE=FILE writes a profile of the scripts, which the developer tools can open.
 import { writeFileSync } from "node:fs";
-import { drawn, launch, moves, open } from "./browser.mjs";
+import { waitForCharts, launch, waitForUpdate, open } from "./browser.mjs";
 
 const [base, seconds] = [process.argv[2], Number(process.argv[3])];
 const NAMES = { task: "TaskDuration", script: "ScriptDuration", layout: "LayoutDuration", style: "RecalcStyleDuration" };
 
-// The counters over a time. Shares are of the time that passed, whatever the durations are counted in.
+// Returns the counters over a time. Shares refer to elapsed time, for both kinds of durations.
 async function costs(browser, timeDomain) {
   const { page, close } = await open(browser, base, "/");
-  await drawn(page);
-  await moves(page, "#part-now");
+  await waitForCharts(page);
+  await waitForUpdate(page, "#part-now");
   const session = await page.context().newCDPSession(page);
   await session.send("Performance.enable", { timeDomain });
   const profiled = process.env.PROFILE && timeDomain === "threadTicks";

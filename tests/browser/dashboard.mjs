@@ -1,17 +1,17 @@
-// The dashboard that is looked at: a browser, and the address of each of its pages.
+// The tested dashboard: a browser, and the address of each page.
 import assert from "node:assert/strict";
 import { after, before } from "node:test";
 import { launch } from "./browser.mjs";
 
 export const base = process.argv[2] || process.env.BASE_URL || "http://127.0.0.1:8040";
-const PATIENCE = 60000;
+const TIMEOUT_MS = 60000;
 
-// Of the tests: known once they run.
+// Set before the tests run.
 export let browser, pages;
 
-// A finished part of a run is needed: asked for until the store has it.
+// Polls until the store has a run with enough iterations.
 async function stored() {
-  const until = Date.now() + PATIENCE;
+  const until = Date.now() + TIMEOUT_MS;
   for (;;) {
     const { runs } = await (await fetch(`${base}/api/v1/runs`)).json();
     const measured = runs.filter((one) => !one.experiment && one.total?.count >= 30);
@@ -22,7 +22,7 @@ async function stored() {
   }
 }
 
-// The newest runs with figures, one of each pipeline of the demo: at least two are needed.
+// Returns the newest runs with figures, one of each pipeline of the demo. At least two are needed.
 export async function latest() {
   const { runs } = await (await fetch(`${base}/api/v1/runs`)).json();
   const measured = runs.filter((run, at) => run.total && !run.experiment && runs.findIndex((one) => one.pipeline === run.pipeline) === at);
@@ -30,7 +30,7 @@ export async function latest() {
   return measured.slice(0, 2).map((run) => run.number);
 }
 
-// The experiment that run.sh carries out.
+// The experiment that run.sh executes.
 async function tasks() {
   const { experiments } = await (await fetch(`${base}/api/v1/experiments`)).json();
   const experiment = experiments.find((one) => one.name === "tasks");

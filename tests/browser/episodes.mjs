@@ -1,13 +1,13 @@
-// An experiment with episodes: its runs over time, side by side and each on its own, and the lengths of its answers.
+// An experiment with episodes: its runs over time, together and separately, and the lengths of its answers.
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
-import { drawn, open, sideways } from "./browser.mjs";
+import { waitForCharts, open, horizontalOverflow } from "./browser.mjs";
 import { base, browser, pages } from "./dashboard.mjs";
 
 describe("runs over time", () => {
   for (const script of [true, false]) {
     for (const width of [320, 1300]) {
-      test(`those of an experiment stand side by side with their episodes: ${width} px, ${script ? "with" : "without"} a script`, async () => {
+      test(`runs of an experiment show their episodes: ${width} px, ${script ? "with" : "without"} script`, async () => {
         const { page, errors, close } = await open(browser, base, pages.experiment, { width, script });
         const panel = page.getByRole("region", { name: "Over time" }), runs = panel.locator("figure");
         assert.equal(await runs.count(), 2);
@@ -24,15 +24,15 @@ describe("runs over time", () => {
         assert.match(await lengths.locator("figcaption").innerText(), /^(local|cloud)/);
         const [plot, around] = await Promise.all([lengths.locator("svg").first().boundingBox(), lengths.boundingBox()]);
         assert.ok(plot.x >= around.x && plot.x + plot.width <= around.x + around.width, JSON.stringify({ plot, around }));
-        assert.ok((await sideways(page)) <= 0, "the page does not scroll sideways");
+        assert.ok((await horizontalOverflow(page)) <= 0, "the page does not scroll sideways");
         await runs.first().locator("figcaption a").click();
         await page.waitForURL("**/runs/*#course");
         const course = page.locator("#course");
         assert.match(await course.locator(".sub").innerText(), /^3 episodes of 40 steps/);
         if (script) {
-          await drawn(page);
+          await waitForCharts(page);
           const marks = await page.evaluate(() => globalThis.echarts.getInstanceByDom(document.getElementById("run-chart")).getOption().series.find((one) => one.name === "parts").data);
-          // A span for the warm-up, then moments.
+          // A time range for the warm-up, then points in time.
           assert.equal(marks.filter(([from, to]) => from === to).length, 2);
           assert.equal(marks.length, 3);
         } else {

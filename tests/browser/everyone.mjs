@@ -1,11 +1,11 @@
-// Keys, and the rules of accessibility on every page.
+// Keyboard, print and accessibility of every page.
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
-import { drawn, moves, open, sideways, violations } from "./browser.mjs";
+import { waitForCharts, waitForUpdate, open, horizontalOverflow, violations } from "./browser.mjs";
 import { base, browser, pages } from "./dashboard.mjs";
 
 describe("keys", () => {
-  test("the first tab leads past the navigation, the focus can be seen", async () => {
+  test("first Tab skips the navigation and focus is visible", async () => {
     const { page, close } = await open(browser, base, "/");
     await page.keyboard.press("Tab");
     assert.equal(await page.evaluate(() => document.activeElement.textContent), "Skip to content");
@@ -17,7 +17,7 @@ describe("keys", () => {
     await close();
   });
 
-  test("g and a letter open pages, t changes the theme, ? lists the keys", async () => {
+  test("shortcuts open pages, change the theme and show help", async () => {
     const { page, close } = await open(browser, base, "/");
     for (const [letter, path] of [["p", "/pipelines"], ["r", "/runs"], ["c", "/compare"], ["l", "/links"], ["h", "/hosts"], ["i", "/incidents"], ["o", "/"]]) {
       await page.keyboard.press("g");
@@ -35,12 +35,12 @@ describe("keys", () => {
     await close();
   });
 
-  test("space pauses and resumes, / searches, arrows go from iteration to iteration", async () => {
+  test("space pauses, / searches, arrows open neighbouring iterations", async () => {
     const { page, close } = await open(browser, base, "/");
     await page.keyboard.press("Space");
     assert.equal(await page.locator("#livetext").innerText(), "Paused");
     await page.keyboard.press("Space");
-    await moves(page, "#part-now");
+    await waitForUpdate(page, "#part-now");
 
     await page.goto("/runs");
     await page.keyboard.press("/");
@@ -56,8 +56,8 @@ describe("keys", () => {
   });
 });
 
-describe("keys that have nothing to do", () => {
-  test("the space bar scrolls where there is nothing to pause", async () => {
+describe("keys without an action", () => {
+  test("space scrolls on a page without pause button", async () => {
     const { page, close } = await open(browser, base, pages.run, { height: 400 });
     assert.equal(await page.locator("#pause").count(), 0);
     await page.keyboard.press("Space");
@@ -66,23 +66,23 @@ describe("keys that have nothing to do", () => {
   });
 });
 
-describe("windows and paper", () => {
-  test("every page has a title of its own", async () => {
+describe("titles and print", () => {
+  test("every page has a unique title", async () => {
     const titles = new Map();
     for (const [name, path] of Object.entries(pages)) {
       if (name === "linkMeasured") continue;
       const { page, close } = await open(browser, base, path);
       const title = await page.title();
-      assert.ok(!titles.has(title), `${name} is called as ${titles.get(title)} is: ${title}`);
+      assert.ok(!titles.has(title), `${name} and ${titles.get(title)} have the same title: ${title}`);
       titles.set(title, name);
       await close();
     }
   });
 
-  test("a dark page prints in light, with nothing cut off", async () => {
+  test("dark page prints in the light theme, unclipped", async () => {
     for (const path of ["/", pages.run, pages.compare]) {
       const { page, close } = await open(browser, base, path, { scheme: "dark" });
-      await drawn(page);
+      await waitForCharts(page);
       const ink = () => page.evaluate(() => getComputedStyle(document.body).color);
       const dark = await ink();
       await page.emulateMedia({ media: "print", colorScheme: "dark" });
@@ -102,15 +102,15 @@ describe("windows and paper", () => {
   });
 });
 
-describe("for everyone", () => {
+describe("accessibility", () => {
   for (const scheme of ["light", "dark"]) {
     for (const width of [400, 1440]) {
-      test(`no page breaks a rule of accessibility, scrolls sideways or complains: ${scheme}, ${width} px`, async () => {
+      test(`pages have no violations, overflow or errors: ${scheme}, ${width} px`, async () => {
         for (const [name, path] of Object.entries(pages)) {
           const { page, errors, close } = await open(browser, base, path, { width, scheme });
-          await drawn(page);
+          await waitForCharts(page);
           assert.deepEqual(await violations(page), [], `${name} at ${width} px, ${scheme}`);
-          assert.ok((await sideways(page)) <= 0, `${name} scrolls sideways at ${width} px`);
+          assert.ok((await horizontalOverflow(page)) <= 0, `${name} scrolls sideways at ${width} px`);
           assert.deepEqual(errors, [], name);
           await close();
         }

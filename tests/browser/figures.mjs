@@ -1,19 +1,19 @@
-// What a person does to see figures: pages open one another, charts and tables show the same.
+// Navigation from page to page, and agreement of charts and tables.
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
-import { charted, drawn, moves, open } from "./browser.mjs";
+import { openWithData, waitForCharts, waitForUpdate, open } from "./browser.mjs";
 import { base, browser, latest, pages } from "./dashboard.mjs";
 
-describe("the way of a person", () => {
-  test("figures move, a run opens, its slowest iteration opens", async () => {
+describe("navigation", () => {
+  test("figures are updated, a run and its slowest iteration open", async () => {
     const { page, errors, close } = await open(browser, base, "/");
-    await drawn(page);
-    await moves(page, "#part-now");
+    await waitForCharts(page);
+    await waitForUpdate(page, "#part-now");
     await page.getByRole("navigation", { name: "Pages" }).getByRole("link", { name: "Runs" }).click();
     await page.waitForURL("**/runs");
     await page.locator(`a[href="${pages.run}"]`).first().click();
     await page.waitForURL(`**${pages.run}`);
-    await drawn(page);
+    await waitForCharts(page);
     await page.locator(".slow tbody tr:first-child a").click();
     await page.waitForURL("**/iterations/*");
     assert.match(await page.locator("h1").innerText(), /ms|s$/);
@@ -22,7 +22,7 @@ describe("the way of a person", () => {
     await close();
   });
 
-  test("a row of the stage table shows its distribution without a new page", async () => {
+  test("stage row selects its distribution in place", async () => {
     const { page, errors, close } = await open(browser, base, pages.run);
     await page.evaluate(() => { window.same = true; });
     await page.locator("a.pick", { hasText: "inference" }).click();
@@ -35,9 +35,9 @@ describe("the way of a person", () => {
     await close();
   });
 
-  test("a chart flips to its table and back, one stage can be shown alone", async () => {
+  test("chart has a table view and can show one stage", async () => {
     const { page, errors, close } = await open(browser, base, "/");
-    await drawn(page);
+    await waitForCharts(page);
     const card = page.locator(".card").first();
     await card.getByRole("button", { name: "Table" }).click();
     assert.ok(await card.locator("table").isVisible());
@@ -45,7 +45,7 @@ describe("the way of a person", () => {
     assert.ok(await card.locator(".chart").isVisible());
     await card.locator(".chart").hover();
     await page.locator(".tip:visible").waitFor();
-    await moves(page, "#part-now");
+    await waitForUpdate(page, "#part-now");
     assert.ok(await page.locator(".tip").first().isVisible(), "an open tooltip stays while figures change");
     await page.mouse.move(0, 0);
     const key = page.locator("#key button", { hasText: "inference" });
@@ -60,10 +60,10 @@ describe("the way of a person", () => {
   });
 });
 
-describe("what is drawn of little", () => {
-  // The overview with these seconds in its first chart, and nothing that comes later.
+describe("charts of few data", () => {
+  // Opens the overview with the given seconds in its first chart, without later updates.
   async function first(change, options) {
-    const { page, errors, close } = await charted(browser, base, "/", (data) => change(data.charts[0]), options);
+    const { page, errors, close } = await openWithData(browser, base, "/", (data) => change(data.charts[0]), options);
     const series = await page.evaluate(() => {
       const all = globalThis.echarts.getInstanceByDom(document.querySelector(".live-chart")).getOption().series;
       return all.map(({ name, data }) => ({ name, data: (data || []).map((point) => ({ value: point.value?.[1] ?? point[1] ?? null, at: (point.value ?? point)[0], symbol: point.symbol ?? null })) }));
@@ -72,21 +72,21 @@ describe("what is drawn of little", () => {
     return { errors, of: (name) => series.find((one) => one.name.startsWith(name)).data.filter((point) => point.value != null), all: (name) => series.find((one) => one.name.startsWith(name)).data };
   }
 
-  test("a run of one second is seen: an area as wide as its bucket and a dot", async () => {
+  test("run of one second is a visible area and a dot", async () => {
     const { of } = await first((chart) => Object.assign(chart, { remote: true, n: [32], p95: { size: 1, points: [[chart.from, 9]] }, means: { total: [8], inference: [5] }, transfers: { up: [[3e6, 1e6]], down: [null] }, obstacles: [null, null], cpu: [], gpu: [] }));
     assert.equal(of("inference").length, 2);
     assert.deepEqual(of("p95").map(({ value }) => value), [9, 9]);
     assert.deepEqual(of("strip 0").map(({ value, symbol }) => [value, symbol]), [[3, "circle"]]);
   });
 
-  // Ten minutes at 2 Hz with one iteration of 1.4 s: a minute holds 120 iterations, a shorter bucket too few. They end after
-  // those of all other charts, so that the range begins with them.
+  // Ten minutes at 2 Hz with one iteration of 1.4 s. A minute has 120 iterations, and a shorter bucket too few. They end after those
+  // of all other charts, so that they determine the time range.
   const slow = (chart) => {
     const from = (Math.floor(chart.from / 60) + 1) * 60, seconds = Array.from({ length: 600 }, (_, at) => at);
     const total = seconds.map((at) => (at === 333 ? 705 : 10)), points = [0, 60, 120, 240, 300, 360, 420, 480, 540].map((at) => [from + at, 11]);
     Object.assign(chart, { from, remote: false, n: seconds.map(() => 2), means: { total, inference: total }, transfers: { up: seconds.map(() => null), down: seconds.map(() => null) }, p95: { size: 60, points }, cpu: [], gpu: [] });
   };
-  test("percentiles and means are the same at every width, each as long as its bucket", async () => {
+  test("percentiles and means do not depend on the width", async () => {
     const drawings = [];
     for (const width of [400, 1440, 2560]) {
       const { all } = await first(slow, { width });
@@ -100,7 +100,7 @@ describe("what is drawn of little", () => {
     assert.deepEqual([p95[1].at - p95[0].at, values.length], [60e3, 19]);
   });
 
-  test("the line of a host's CPU stops where nothing was heard of it", async () => {
+  test("CPU line is interrupted without reports", async () => {
     const { all } = await first((chart) => {
       const from = chart.from;
       Object.assign(chart, { remote: false, cpu: [[from, 90], [from + 5, 100], [from + 500, 100], [from + 505, 80]], gpu: [] });
@@ -109,8 +109,8 @@ describe("what is drawn of little", () => {
   });
 });
 
-describe("what a run is worth", () => {
-  test("its page says whether it can be published, by word and sign", async () => {
+describe("trust and comparison of runs", () => {
+  test("run page shows its trust verdict as word and sign", async () => {
     const { page, errors, close } = await open(browser, base, pages.run);
     const trust = page.locator("#trust");
     assert.match(await trust.innerText(), /Can this run be published\?[\s\S]*(Yes|No)[:,]/);
@@ -124,7 +124,7 @@ describe("what a run is worth", () => {
     await close();
   });
 
-  test("runs are chosen in their list and stand side by side, with a script and without", async () => {
+  test("selected runs are compared, with and without script", async () => {
     for (const script of [true, false]) {
       const { page, errors, close } = await open(browser, base, "/runs", { script });
       const numbers = await latest();
@@ -143,7 +143,7 @@ describe("what a run is worth", () => {
 });
 
 describe("clocks", () => {
-  test("a link opens from its list, its picture moves and flips to a table with the same numbers", async () => {
+  test("link chart is updated and agrees with its table", async () => {
     const { page, errors, close } = await open(browser, base, "/links");
     await page.locator("#part-list tbody a").first().click();
     await page.waitForURL("**/links/*~*");
@@ -155,7 +155,7 @@ describe("clocks", () => {
     await page.getByRole("button", { name: "Table" }).click();
     assert.ok(await page.locator("#part-table table").isVisible());
     assert.equal(await page.locator("#part-chart").isVisible(), false);
-    await moves(page, "#part-table");
+    await waitForUpdate(page, "#part-table");
     await page.getByRole("button", { name: "Table" }).click();
     assert.ok(await page.locator("#part-chart .tracks").isVisible());
     await page.getByRole("link", { name: "as measured" }).click();
@@ -165,7 +165,7 @@ describe("clocks", () => {
     await close();
   });
 
-  test("a clock that is made wrong on purpose is said on every page, and delays do not move with it", async () => {
+  test("clock fault is shown on every page and does not affect delays", async () => {
     for (const [name, path] of Object.entries(pages)) {
       const { page, close } = await open(browser, base, path);
       assert.match(await page.locator("#rehearsal").innerText(), /^Rehearsal: edge's clock is made wrong on purpose/, name);
@@ -179,7 +179,7 @@ describe("clocks", () => {
     await close();
   });
 
-  test("what a one-way delay is worth stays in sight on a phone, and a host with a long name on a screen", async () => {
+  test("verdicts and long host names are visible on small screens", async () => {
     const phone = await open(browser, base, pages.iteration, { width: 400, height: 800 });
     const box = phone.page.getByRole("group", { name: "One-way delays" });
     assert.match(await box.innerText(), /low[\s\S]*high[\s\S]*verdict/);

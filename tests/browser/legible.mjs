@@ -1,11 +1,11 @@
-// Figures can be read as they are: whole, each in its own place, under the time to which they belong.
+// Legibility of figures: complete, not overlapping, and at the right position of the time axis.
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
-import { charted, drawn, open } from "./browser.mjs";
+import { openWithData, waitForCharts, open } from "./browser.mjs";
 import { base, browser, pages } from "./dashboard.mjs";
 
 describe("charts", () => {
-  // The plots of all charts, and the labels that leave their canvas.
+  // Returns the plots of all charts, and the labels that exceed their canvas.
   const plots = (page) => page.evaluate(() => Array.from(document.querySelectorAll(".chart"), (node) => {
     const chart = globalThis.echarts.getInstanceByDom(node), model = chart.getModel();
     const cut = chart.getZr().storage.getDisplayList(true).filter((one) => one.type === "tspan" && one.style.text).flatMap((one) => {
@@ -18,8 +18,8 @@ describe("charts", () => {
     return { wanted, found: rects.map(({ x, width }) => [x, width]), cut };
   }));
 
-  // The newest second is the eighth of a minute that carries a label: its label touches the edge.
-  function late(data) {
+  // Shifts the data so that the label of a minute touches the right edge.
+  function shiftLabelToEdge(data) {
     const end = Math.max(...data.charts.map((chart) => chart.from + chart.n.length)), more = 240 - (end % 120) + 8;
     for (const chart of data.charts) {
       chart.from += more;
@@ -28,9 +28,9 @@ describe("charts", () => {
   }
 
   for (const width of [400, 1300]) {
-    test(`all plots of a chart have one time axis, with a label at its very end as well: ${width} px`, async () => {
+    test(`plots of a chart share a time axis: ${width} px`, async () => {
       for (const path of ["/", pages.pipeline]) {
-        const { page, errors, close } = await charted(browser, base, path, late, { width });
+        const { page, errors, close } = await openWithData(browser, base, path, shiftLabelToEdge, { width });
         const charts = await plots(page);
         assert.ok(charts.length > 0 && charts.every(({ found }) => found.length > 1), path);
         for (const { wanted, found, cut } of charts) {
@@ -44,13 +44,13 @@ describe("charts", () => {
     });
   }
 
-  test("values of any length are whole beside their axis", async () => {
+  test("long axis labels are not cut off", async () => {
     const change = (data) => {
       const [chart] = data.charts;
       Object.assign(chart, { remote: true, obstacles: [null, null], transfers: { up: chart.n.map(() => [23456.7, 1]), down: chart.n.map(() => [0.000123, 1]) } });
       chart.p95.points = chart.p95.points.map(([at, value]) => [at, value * 1e5]);
     };
-    const { page, close } = await charted(browser, base, "/", change, { width: 400 });
+    const { page, close } = await openWithData(browser, base, "/", change, { width: 400 });
     for (const { wanted, found, cut } of await plots(page)) {
       assert.deepEqual(found, wanted);
       assert.deepEqual(cut, []);
@@ -58,10 +58,10 @@ describe("charts", () => {
     await close();
   });
 
-  test("a run's plot is where its slider and its gaps are", async () => {
+  test("plot, slider and gaps of a run are aligned", async () => {
     for (const width of [400, 1300]) {
       const { page, close } = await open(browser, base, pages.run, { width });
-      await drawn(page);
+      await waitForCharts(page);
       const [{ wanted, found, cut }] = await plots(page);
       assert.deepEqual(found, wanted, `${width} px`);
       assert.deepEqual(cut, [], `${width} px`);
@@ -70,8 +70,8 @@ describe("charts", () => {
   });
 });
 
-describe("on a phone", () => {
-  // What cannot be read of the figures on a page: cut off, outside, or printed over each other.
+describe("small screens", () => {
+  // Returns the illegible figures of a page: cut off, outside of it, or overlapping.
   const unreadable = (page) => page.evaluate(() => {
     const found = [], texts = [];
     const isCutting = (style) => [style.overflowX, style.overflowY].some((how) => how === "hidden" || how === "clip");
@@ -115,11 +115,11 @@ describe("on a phone", () => {
   });
 
   for (const width of [320, 400]) {
-    test(`no figure is cut off or printed over another: ${width} px`, async () => {
+    test(`no figure is cut off or overlaps: ${width} px`, async () => {
       const wrong = [];
       for (const [name, path] of Object.entries(pages)) {
         const { page, close } = await open(browser, base, path, { width, height: 800 });
-        await drawn(page);
+        await waitForCharts(page);
         for (const one of await unreadable(page)) wrong.push(`${name}: ${one}`);
         await close();
       }
@@ -127,7 +127,7 @@ describe("on a phone", () => {
     });
   }
 
-  test("figures of many digits stay in their cells", async () => {
+  test("figures with many digits fit their cells", async () => {
     const { page, close } = await open(browser, base, pages.compare, { width: 400, height: 800 });
     const count = await page.locator(".compare td.num:has(.pm)").evaluateAll((cells) => {
       for (const cell of cells) {

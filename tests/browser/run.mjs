@@ -1,8 +1,8 @@
-// Opens a running dashboard and looks at it as a person would: node run.mjs http://127.0.0.1:8040
-// With SCREENSHOTS=FOLDER every page is written there as a picture, in both themes and at four widths.
+// Tests a running dashboard in a browser. Usage: node run.mjs http://127.0.0.1:8040
+// With SCREENSHOTS=FOLDER, screenshots of every page in both themes and several widths are written there.
 import { mkdirSync } from "node:fs";
 import { test } from "node:test";
-import { drawn, open } from "./browser.mjs";
+import { waitForCharts, open } from "./browser.mjs";
 import { base, browser, pages } from "./dashboard.mjs";
 import "./figures.mjs";
 import "./episodes.mjs";
@@ -15,11 +15,11 @@ const folder = process.env.SCREENSHOTS;
 
 if (folder) {
   mkdirSync(folder, { recursive: true });
-  test("pictures", async () => {
+  test("screenshots", async () => {
     for (const [name, path] of Object.entries(pages)) {
       for (const [suffix, options] of Object.entries({ light: {}, dark: { scheme: "dark" }, phone: { width: 400, height: 800 }, projector: { width: 2560, height: 1440 } })) {
         const { page, close } = await open(browser, base, path, options);
-        await drawn(page);
+        await waitForCharts(page);
         await page.screenshot({ path: `${folder}/${name}-${suffix}.png`, fullPage: true });
         await close();
       }

@@ -1,6 +1,6 @@
 #!/bin/bash
-# Starts the demo as `make demo` does, on ports and in a folder of its own, and lets a headless Chromium look at it.
-# Usage: run.sh PATH-TO-PEERNETD (peernet stands beside it)        SCREENSHOTS=FOLDER keeps pictures of every page
+# Starts the demo like `make demo`, with other ports and in a temporary folder, and tests it in headless Chromium.
+# Usage: run.sh PATH-TO-PEERNETD (peernet must be in the same folder)        SCREENSHOTS=FOLDER keeps screenshots of every page
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -11,7 +11,7 @@ trap 'kill -TERM "${demo:-}" 2>/dev/null && wait "$demo" 2>/dev/null; rm -rf "$s
 
 (cd tests/browser && npm ci --silent --no-audit --no-fund)
 
-# Three ports that nobody uses at the moment.
+# Three ports that are free at present.
 read -r events data http < <(python3 -c '
 import socket
 sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(3)]
@@ -20,7 +20,8 @@ for role in aggregator cloud edge; do
     sed -e "s/:5550/:$events/; s/:5551/:$data/; s/:8040/:$http/; s#\"data/#\"$site/#" \
         "configs/$role.toml" >"$site/$role.toml"
 done
-# One machine has one clock, and nothing to estimate: the edge is given a clock of its own, wrong on purpose.
+# One machine has only one clock. A clock identity and an injected clock fault give the edge another one, so that there is an
+# offset to estimate.
 sed -i 's/^\[agent\]$/[agent]\nclock_identity = "edge"/' "$site/edge.toml"
 printf '\n[rehearsal]\noffset_ms = 1000.0\ndrift_ppm = 20.0\n' >>"$site/edge.toml"
 
@@ -31,7 +32,7 @@ until grep -q Dashboard "$site/demo.log"; do
     sleep 0.2
 done
 
-# Runs with episodes, and with answers of several lengths, to be looked at beside those of the demo.
+# Runs with episodes, and with answers of several lengths, which the demo does not have.
 cat >"$site/tasks.toml" <<TOML
 [experiment]
 name = "tasks"

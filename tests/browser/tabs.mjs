@@ -1,13 +1,13 @@
-// Many pages of one browser: those that nobody sees hold no connection, of which a browser has six for each server.
+// Many tabs of one browser: hidden ones must hold no connection, because a browser has six for each server.
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
-import { moves } from "./browser.mjs";
+import { waitForUpdate } from "./browser.mjs";
 import { base, browser } from "./dashboard.mjs";
 
 const TABS = 10;
 
-// A browser without a window shows all its pages: they are told here what they would be told by one with a window.
-function pretend() {
+// Simulates hidden tabs, because a headless browser treats all its pages as visible.
+function simulateVisibility() {
   let hidden = false;
   Object.defineProperty(Document.prototype, "hidden", { get: () => hidden });
   Object.defineProperty(Document.prototype, "visibilityState", { get: () => (hidden ? "hidden" : "visible") });
@@ -22,7 +22,7 @@ function pretend() {
       globalThis.streams.push(this);
     }
   };
-  // First and last second of the first pipeline in each picture since the page was shown.
+  // First and last second of the first pipeline in each live event since the page was shown.
   globalThis.seen = [];
   document.addEventListener("peer-picture", ({ detail }) => {
     const seconds = detail.pipelines[0]?.seconds ?? [];
@@ -34,14 +34,14 @@ const hide = (page) => page.evaluate(() => globalThis.setHidden(true));
 const show = (page) => page.evaluate(() => { globalThis.seen = []; globalThis.setHidden(false); });
 
 describe("many tabs", () => {
-  test("ten tabs load, those hidden hold no connection, one shown again is current with its first update", async () => {
+  test("hidden tabs hold no connection and are current when shown", async () => {
     const context = await browser.newContext({ baseURL: base });
-    await context.addInitScript(pretend);
+    await context.addInitScript(simulateVisibility);
     const tabs = [];
     for (let count = 0; count < TABS; count++) {
       const page = await context.newPage();
       await page.goto("/", { timeout: 10000 });
-      await moves(page, "#part-now");
+      await waitForUpdate(page, "#part-now");
       assert.equal(await open(page), 1, `tab ${count + 1} is live`);
       tabs.push(page);
       if (count < TABS - 1) await hide(page);
@@ -50,14 +50,14 @@ describe("many tabs", () => {
 
     const [first] = tabs, last = tabs[TABS - 1];
     const until = await first.evaluate(() => globalThis.seen.at(-1)[1]);
-    // Longer than the seconds that every picture holds.
+    // Longer than the seconds that each live event contains.
     await last.waitForFunction((at) => globalThis.seen.at(-1)[1] > at + 8, until, { timeout: 30000 });
     await hide(last);
     await show(first);
     await first.waitForFunction(() => globalThis.seen.length > 0);
     const [from, to] = await first.evaluate(() => globalThis.seen[0]);
     assert.ok(from <= until + 1 && to > until + 8, `had ${until}, got ${from} to ${to}`);
-    await moves(first, "#part-now");
+    await waitForUpdate(first, "#part-now");
     assert.deepEqual([await open(first), await open(last)], [1, 0]);
     assert.equal(await first.locator("#banner").isVisible(), false);
     await context.close();

@@ -1,17 +1,17 @@
-// What the pages say when something is away, and what became of what was measured.
-// With DATABASE=FILE that file is moved away for a moment.
+// Pages during failures: lost connection, missing script, missing item, closed database.
+// With DATABASE=FILE that file is moved away temporarily.
 import assert from "node:assert/strict";
 import { renameSync } from "node:fs";
 import { describe, test } from "node:test";
-import { moves, open, violations } from "./browser.mjs";
+import { waitForUpdate, open, violations } from "./browser.mjs";
 import { base, browser, pages } from "./dashboard.mjs";
 
 const database = process.env.DATABASE;
 
-describe("when things go wrong", () => {
-  test("a lost connection is said, figures stay, and it comes back by itself", async () => {
+describe("failures", () => {
+  test("lost connection is shown and recovers automatically", async () => {
     const { page, close } = await open(browser, base, "/");
-    await moves(page, "#part-now");
+    await waitForUpdate(page, "#part-now");
     const figure = await page.locator("#part-now .p50").first().innerText();
     await page.route("**/api/v1/live*", (route) => route.abort());
     await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));
@@ -22,12 +22,12 @@ describe("when things go wrong", () => {
     assert.ok(figure.length > 0 && (await page.locator("#part-now .p50").first().innerText()).length > 0);
     await page.unroute("**/api/v1/live*");
     await page.waitForFunction(() => document.getElementById("banner").hidden, null, { timeout: 15000 });
-    await moves(page, "#part-now");
+    await waitForUpdate(page, "#part-now");
     assert.doesNotMatch(await page.locator("h1").innerText(), /were running at/);
     await close();
   });
 
-  test("a lost connection is said on every page, and no dot stays green", async () => {
+  test("every page shows a lost connection", async () => {
     for (const [name, path] of Object.entries(pages)) {
       const { page, close } = await open(browser, base, path);
       await page.waitForFunction(() => document.getElementById("livetext").textContent === "Live");
@@ -36,14 +36,14 @@ describe("when things go wrong", () => {
       await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));
       await page.locator("#banner", { hasText: "Connection to the aggregator lost at" }).waitFor();
       const live = (await page.locator("[id^=part-] h1").count()) > 0;
-      assert.equal((await page.locator("h1").innerText()) !== alive, live, `${name}: a live title says of when it is`);
+      assert.equal((await page.locator("h1").innerText()) !== alive, live, `${name}: a live title shows its time`);
       const dots = await page.locator("main .dot").evaluateAll((all) => all.map((dot) => getComputedStyle(dot).backgroundColor));
       assert.deepEqual(dots.filter((colour) => colour !== "rgba(0, 0, 0, 0)"), [], name);
       await close();
     }
   });
 
-  test("without a script the figures and tables are there", async () => {
+  test("pages without script show figures and tables", async () => {
     for (const [name, path] of Object.entries(pages)) {
       const { page, errors, close } = await open(browser, base, path, { script: false });
       assert.ok((await page.locator("main").innerText()).match(/\d/), `${name} shows figures`);
@@ -53,11 +53,11 @@ describe("when things go wrong", () => {
     }
     const { page, close } = await open(browser, base, "/", { script: false });
     assert.ok(await page.locator("svg.stages").first().isVisible());
-    assert.ok(await page.locator(".card table").first().isVisible(), "tables stand where charts would");
+    assert.ok(await page.locator(".card table").first().isVisible(), "tables replace charts");
     await close();
   });
 
-  test("what is not there is said on a page of its own", async () => {
+  test("missing run has an error page", async () => {
     const context = await browser.newContext({ baseURL: base });
     const page = await context.newPage();
     const answer = await page.goto("/runs/999999999");
@@ -68,9 +68,9 @@ describe("when things go wrong", () => {
 });
 
 describe("events on their way to the database", () => {
-  test("what became of them moves while one looks, and adds up", async () => {
+  test("event counts are updated and add up", async () => {
     const { page, errors, close } = await open(browser, base, pages.host);
-    await moves(page, "#part-accounting");
+    await waitForUpdate(page, "#part-accounting");
     assert.match(await page.locator("#part-accounting").innerText(), /Produced[\s\S]*Spooled[\s\S]*Sent[\s\S]*Acknowledged[\s\S]*Waiting[\s\S]*Lost[\s\S]*Spool[\s\S]*Storing behind/);
     const { now } = await (await fetch(`${base}/api/v1${pages.host}`)).json();
     assert.equal(now.events.produced, now.events.acknowledged + now.events.waiting + now.events.dropped);
@@ -78,7 +78,7 @@ describe("events on their way to the database", () => {
     await close();
   });
 
-  test("a run is pinned and unpinned, and a reload does not change that", async () => {
+  test("pinning a run survives a reload", async () => {
     const { page, errors, close } = await open(browser, base, pages.run);
     const pin = page.locator("#pin"), chip = page.locator("#pinned");
     const pressed = () => pin.getAttribute("aria-pressed");
@@ -106,7 +106,7 @@ describe("events on their way to the database", () => {
     await close();
   });
 
-  if (database) test("that they are not stored is said on every page for as long as it is so", async () => {
+  if (database) test("pages show while events are not stored", async () => {
     const { page, errors, close } = await open(browser, base, "/hosts");
     const notice = page.locator("#storing");
     assert.equal(await notice.isVisible(), false);
@@ -116,7 +116,7 @@ describe("events on their way to the database", () => {
       assert.match(await notice.innerText(), /^Cannot store events: .*agents keep them/);
       assert.equal((await fetch(`${base}/readyz`)).status, 503);
       const other = await open(browser, base, "/links", { script: false });
-      assert.ok(await other.page.locator("#storing").isVisible(), "without a script as well");
+      assert.ok(await other.page.locator("#storing").isVisible(), "without script, too");
       assert.deepEqual(await violations(page), []);
       await other.close();
     } finally {

@@ -1,8 +1,8 @@
 #!/bin/sh
-# The long tests of `make soak`: the end-to-end tests of the event stream with release builds, many more kills and a day's
-# backlog. What they counted goes to standard output and, as Markdown, into target/soak/measurements.md.
-# Usage: run.sh [FILTER]…    (names of tests, such as stream::kills; unless some are named, those of the event stream, of durability, and of clocks and
-# paths that break what intervals rest on)
+# The long tests of `make soak`: end-to-end tests with release builds, many more kills and a backlog of a day. Their counts are
+# written to standard output and, as Markdown, to target/soak/measurements.md.
+# Usage: run.sh [FILTER]…    (names of tests, such as stream::kills; default: the event stream, durability, and clocks and paths
+# that violate the assumptions of intervals)
 # PEERNET_SEED repeats a run.
 set -eu
 root=$(cd "$(dirname "$0")/../.." && pwd)
@@ -24,8 +24,8 @@ export PEERNET_FIGURES="$rows"
 cd "$root"
 passed=0
 ${CARGO:-cargo} test --release --locked --package peernet-tests --test it -- --include-ignored --test-threads 1 "$@" || passed=$?
-# Ten million hostile inputs each: damaged headers, calls and messages of ROS (three corpora), what a domain of ROS 2 announces and
-# lists of its nodes, datagrams and handshakes, and messages of a ROS session in the forms of both versions.
+# Ten million hostile inputs each: damaged headers, calls and messages of ROS (three corpora), discovery announcements and node lists
+# of ROS 2, datagrams and handshakes, and messages of ROS sessions of both versions.
 inputs="${PEERNET_INPUTS:-10000000}"
 PROPTEST_CASES=$((inputs * 3)) \
     ${CARGO:-cargo} test --release --locked --package peernet-ros --lib damaged_corpora || passed=$?
@@ -33,7 +33,7 @@ PROPTEST_CASES=$inputs ${CARGO:-cargo} test --release --locked --package peernet
     any_announcements_stay_within_bounds damaged_node_lists_are_read_within_bounds || passed=$?
 PROPTEST_CASES=$inputs ${CARGO:-cargo} test --release --locked --package peernet-networks --lib -- \
     invariants_hold_for_any_datagrams any_peer_messages_need_bounded_memory || passed=$?
-# Histories of two clocks and the paths between them, in which every interval must hold the truth.
+# Generated histories of two clocks and the paths between them, in which every interval must contain the truth.
 PEERNET_HISTORIES="${PEERNET_HISTORIES:-100000}" \
     ${CARGO:-cargo} test --release --locked --package peernet-clock --lib generated_histories || passed=$?
 

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::process::until;
+use crate::process::wait_until;
 
 /// Client of the REST API of one aggregator.
 #[derive(Clone, Debug)]
@@ -13,7 +13,7 @@ pub struct Api {
 
 impl Api {
     /// Creates a client for an aggregator's web port on this machine.
-    pub fn at(port: u16) -> Self {
+    pub fn on_port(port: u16) -> Self {
         let agent = ureq::Agent::config_builder().http_status_as_error(false).build().into();
         Self { base: format!("http://127.0.0.1:{port}"), agent }
     }
@@ -28,43 +28,42 @@ impl Api {
     /// Returns the JSON document at a path.
     ///
     /// # Panics
-    /// If there is no answer, another status than 200, or no JSON.
+    /// If there is no answer, the status is not 200, or the body is not JSON.
     pub fn json(&self, path: &str) -> Value {
-        let (status, text) =
-            self.get(path).unwrap_or_else(|| panic!("nobody answers at {}{path}", self.base));
+        let (status, text) = self.get(path).unwrap_or_else(|| panic!("no answer from {}{path}", self.base));
         assert_eq!(status, 200, "{path}: {text}");
-        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{path} is no JSON ({error}): {text}"))
+        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{path} is not JSON ({error}): {text}"))
     }
 
-    /// Requests a document repeatedly until `holds` returns a value.
+    /// Requests a document repeatedly until `condition` returns a value, and returns that value.
     ///
     /// # Panics
-    /// If that takes longer than [`crate::PATIENCE`].
-    pub fn until<T>(&self, path: &str, mut holds: impl FnMut(&Value) -> Option<T>) -> T {
-        until(path, || {
+    /// If that takes longer than [`crate::TEST_TIMEOUT`].
+    pub fn wait_until<T>(&self, path: &str, mut condition: impl FnMut(&Value) -> Option<T>) -> T {
+        wait_until(path, || {
             let (status, text) = self.get(path)?;
             if status != 200 {
                 return None;
             }
-            holds(&serde_json::from_str(&text).ok()?)
+            condition(&serde_json::from_str(&text).ok()?)
         })
     }
 
-    /// Waits until the newest run has ended by itself; returns its number.
+    /// Waits until the newest run has finished its iterations, and returns its number.
     ///
     /// # Panics
     /// As [`until`](Self::until).
-    pub fn finished_run(&self) -> i64 {
-        self.until("/api/v1/runs", |runs| {
+    pub fn wait_for_finished_run(&self) -> i64 {
+        self.wait_until("/api/v1/runs", |runs| {
             let run = runs["runs"].get(0)?;
             (run["reason"] == "finished").then(|| run["number"].as_i64())?
         })
     }
 
-    /// Returns the statistics of a stage or value of a run; `None` if it has none of that name.
+    /// Returns the statistics of a stage or value of a run; `None` if the run has no node of that name.
     ///
     /// # Panics
-    /// If they cannot be read.
+    /// If the statistics cannot be read.
     pub fn figures(&self, run: i64, name: &str) -> Option<Value> {
         let stages = self.json(&format!("/api/v1/runs/{run}/stages"));
         stages["stages"].as_array()?.iter().find(|stage| stage["name"] == name).cloned()
@@ -73,14 +72,14 @@ impl Api {
     /// Returns the mean of a stage or value of a run.
     ///
     /// # Panics
-    /// If it has none of that name.
+    /// If the run has no node of that name.
     pub fn mean(&self, run: i64, name: &str) -> f64 {
         let figures = self.figures(run, name);
         let mean = figures.and_then(|figures| figures["mean"].as_f64());
         mean.unwrap_or_else(|| panic!("run {run} has no mean of {name}"))
     }
 
-    /// Checks that these stages and the unattributed time add up to the total.
+    /// Asserts that the means of `stages` and the unattributed time add up to the total.
     ///
     /// # Panics
     /// If they do not.

@@ -5,20 +5,20 @@ use rustix::process::Signal;
 
 use crate::{FalseTime, LoopbackDeployment, Process, ProcessEnd, SpooledIterations};
 
-/// A configuration file with the process that runs it. Data from the logs of earlier processes is kept.
+/// A configuration file with the process that runs it, and data from the logs of earlier processes.
 #[derive(Debug)]
 pub struct Daemon {
     /// Name of the daemon; the file is `NAME.toml`.
     pub name: String,
     configuration: String,
     process: Option<Process>,
-    /// Time that the process is shown; `None` for the kernel's.
+    /// False time that the process sees; `None` for the kernel's time.
     time: Option<FalseTime>,
     spooled: Vec<SpooledIterations>,
 }
 
 impl Daemon {
-    /// Writes the configuration without starting the process.
+    /// Writes the configuration; the process is not started.
     pub fn new(deployment: &LoopbackDeployment, name: &str, configuration: &str) -> Self {
         let (name, spooled) = (name.to_owned(), Vec::new());
         let mut daemon = Self { name, configuration: String::new(), process: None, time: None, spooled };
@@ -27,7 +27,7 @@ impl Daemon {
     }
 
     /// Writes the configuration and starts the process.
-    pub fn started(deployment: &LoopbackDeployment, name: &str, configuration: &str) -> Self {
+    pub fn start_new(deployment: &LoopbackDeployment, name: &str, configuration: &str) -> Self {
         let mut daemon = Self::new(deployment, name, configuration);
         daemon.start(deployment);
         daemon
@@ -39,10 +39,10 @@ impl Daemon {
         deployment.write(&self.file(), &self.configuration);
     }
 
-    /// Starts it without its pipelines: an agent that measures nothing.
+    /// Starts the process without its pipelines, so that an agent measures nothing.
     ///
     /// # Panics
-    /// If it runs already.
+    /// If it is already running.
     pub fn start_idle(&mut self, deployment: &LoopbackDeployment) {
         let (idle, _) = self.configuration.split_once("[[pipeline]]").unwrap_or((&self.configuration, ""));
         let file = format!("{}-idle.toml", self.name);
@@ -54,21 +54,21 @@ impl Daemon {
         format!("{}.toml", self.name)
     }
 
-    /// Starts it.
+    /// Starts the process.
     ///
     /// # Panics
-    /// If it runs already.
+    /// If it is already running.
     pub fn start(&mut self, deployment: &LoopbackDeployment) {
         self.start_from(deployment, &self.file());
     }
 
     fn start_from(&mut self, deployment: &LoopbackDeployment, file: &str) {
-        assert!(self.process.is_none(), "{} runs already", self.name);
+        assert!(self.process.is_none(), "{} is already running", self.name);
         let time = self.time.as_ref().map(FalseTime::environment);
         self.process = Some(deployment.start_with(file, time.as_ref().map_or(&[], |time| &time[..])));
     }
 
-    /// Shows it another time than the kernel's, from its next start on.
+    /// Shows the process a time that is `ahead` of the kernel's, from its next start on.
     pub fn show_time(&mut self, deployment: &LoopbackDeployment, ahead: Span) {
         match &self.time {
             Some(time) => time.show(ahead),
@@ -79,23 +79,23 @@ impl Daemon {
         }
     }
 
-    /// Waits until it is ready. If it ends instead, because of a condition that `repair` corrects, it is started again,
-    /// as a service manager does. Returns the number of restarts.
+    /// Waits until the process is ready. While it exits with an error instead, calls `repair` and restarts it, as a service
+    /// manager does. Returns the number of restarts.
     pub fn wait_until_ready(&mut self, deployment: &LoopbackDeployment, mut repair: impl FnMut()) -> u32 {
-        let mut ended = 0;
+        let mut restarts = 0;
         while !self.process().logs_before_end("ready") {
-            let process = self.take().ended();
+            let process = self.take().wait_for_end();
             let failed = process.status.code().is_some_and(|code| code != 0);
             assert!(failed, "{} ended with {}:\n{}", self.name, process.status, process.log);
-            self.keep(&process);
+            self.record_spooled(&process);
             repair();
             self.start(deployment);
-            ended += 1;
+            restarts += 1;
         }
-        ended
+        restarts
     }
 
-    /// Returns whether it was started and neither stopped nor killed.
+    /// Returns whether the process was started and neither stopped nor killed.
     pub fn is_running(&self) -> bool {
         self.process.is_some()
     }
@@ -103,12 +103,12 @@ impl Daemon {
     /// Returns the process.
     ///
     /// # Panics
-    /// If it does not run.
+    /// If it is not running.
     pub fn process(&self) -> &Process {
-        self.process.as_ref().unwrap_or_else(|| panic!("{} does not run", self.name))
+        self.process.as_ref().unwrap_or_else(|| panic!("{} is not running", self.name))
     }
 
-    /// Kills it (SIGKILL) and waits for its end.
+    /// Kills the process with SIGKILL and waits for its end.
     pub fn kill(&mut self) -> ProcessEnd {
         let ended = self.take().kill();
         assert_eq!(
@@ -118,11 +118,11 @@ impl Daemon {
             self.name,
             ended.log
         );
-        self.keep(&ended);
+        self.record_spooled(&ended);
         ended
     }
 
-    /// Stops it with SIGTERM.
+    /// Stops the process with SIGTERM.
     ///
     /// # Panics
     /// If its exit code is not 0.
@@ -131,27 +131,30 @@ impl Daemon {
         self.process().wait_for("ready");
         let ended = self.take().stop();
         assert_eq!(ended.code(), 0, "{}:\n{}", self.name, ended.log);
-        self.keep(&ended);
+        self.record_spooled(&ended);
         ended
     }
 
     fn take(&mut self) -> Process {
-        self.process.take().unwrap_or_else(|| panic!("{} does not run", self.name))
+        self.process.take().unwrap_or_else(|| panic!("{} is not running", self.name))
     }
 
-    fn keep(&mut self, ended: &ProcessEnd) {
-        self.spooled.extend(SpooledIterations::all(&ended.log));
+    fn record_spooled(&mut self, ended: &ProcessEnd) {
+        self.spooled.extend(SpooledIterations::parse_log(&ended.log));
     }
 
-    /// Returns the batches that it reported as spooled, in all processes that have ended.
+    /// Returns the batches that ended processes logged as spooled.
     pub fn spooled(&self) -> &[SpooledIterations] {
         &self.spooled
     }
 
-    /// Returns the batches that it reported as spooled so far, including the running process.
+    /// Returns the batches that all processes logged as spooled, including the running one.
     pub fn all_spooled(&self) -> Vec<SpooledIterations> {
-        let now =
-            self.process.as_ref().map(|process| SpooledIterations::all(&process.log())).unwrap_or_default();
+        let now = self
+            .process
+            .as_ref()
+            .map(|process| SpooledIterations::parse_log(&process.log()))
+            .unwrap_or_default();
         self.spooled.iter().cloned().chain(now).collect()
     }
 }

@@ -10,7 +10,7 @@ use rustix::io::Errno;
 use rustix::mount::{MountFlags, UnmountFlags, mount, unmount};
 use rustix::process::geteuid;
 
-/// File system in memory. It is unmounted when dropped; the disk of a killed test is removed by the next test.
+/// File system in memory. It is unmounted when dropped; the next test removes the disk of a killed test.
 #[derive(Debug)]
 pub struct SmallDisk {
     folder: PathBuf,
@@ -45,8 +45,8 @@ impl SmallDisk {
     }
 }
 
-/// ext4 file system in a file, on a loop device. It is unmounted when dropped; the disk of a killed test is removed
-/// by the next test.
+/// ext4 file system in a file, on a loop device. It is unmounted when dropped; the next test removes the disk of a killed
+/// test.
 #[derive(Debug)]
 pub struct ImageDisk {
     folder: PathBuf,
@@ -116,15 +116,16 @@ impl ImageDisk {
         run("mount", &["-o", &format!("remount,{option}"), &text(&self.folder)]);
     }
 
-    /// Forbids or permits writing to the existing ones of these files, also through open descriptors and for root.
+    /// Sets or clears the immutable attribute of those `files` that exist. An immutable file cannot be written even by root
+    /// or through open descriptors.
     pub fn set_immutable(&self, files: &[PathBuf], immutable: bool) {
         for file in files.iter().filter(|file| file.exists()) {
             run("chattr", &[if immutable { "+i" } else { "-i" }, &text(file)]);
         }
     }
 
-    /// Mounts the disk at a second place.
-    pub fn mounted_elsewhere(&self) -> SecondMount {
+    /// Mounts the disk at a second mount point.
+    pub fn mount_again(&self) -> SecondMount {
         let second = SecondMount { folder: mount_point() };
         run("mount", &["--bind", &text(&self.folder), &text(&second.folder)]);
         second
@@ -138,10 +139,10 @@ impl SecondMount {
     }
 }
 
-/// Takes all free space of a folder's disk.
+/// Allocates all free space of a folder's disk.
 fn fill(folder: &Path) {
-    let file = File::options().create(true).append(true).open(ballast(folder));
-    let file = file.expect("an empty file needs no room");
+    let file = File::options().create(true).append(true).open(filler_file(folder));
+    let file = file.expect("an empty file needs no space");
     let (mut length, mut part) = (0, 1 << 30);
     while part >= 512 {
         match fallocate(&file, FallocateFlags::empty(), length, part) {
@@ -154,10 +155,10 @@ fn fill(folder: &Path) {
 
 /// Frees that space.
 fn free(folder: &Path) {
-    std::fs::remove_file(ballast(folder)).expect("the disk was filled");
+    std::fs::remove_file(filler_file(folder)).expect("the disk was filled");
 }
 
-fn ballast(folder: &Path) -> PathBuf {
+fn filler_file(folder: &Path) -> PathBuf {
     folder.join("ballast")
 }
 
@@ -170,19 +171,19 @@ fn mount_point() -> PathBuf {
     );
     let all = std::env::temp_dir().join("peernet-tests").join("disks");
     std::fs::create_dir_all(&all).expect("the temporary folder is writable");
-    remove_remains(&all);
+    remove_abandoned_disks(&all);
     let number = DISKS.fetch_add(1, Ordering::Relaxed);
     let folder = all.join(format!("{}-{number}", std::process::id()));
     std::fs::create_dir(&folder).expect("the temporary folder is writable");
     folder
 }
 
-/// Runs a command of the system; returns its output.
+/// Runs a command, and returns its output.
 fn run(command: &str, arguments: &[&str]) -> String {
     let output = Command::new(command).args(arguments).output();
     let output = output.unwrap_or_else(|error| panic!("cannot start {command}: {error}"));
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{command} {arguments:?}: {said}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command} {arguments:?}: {stderr}");
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
@@ -191,7 +192,7 @@ fn text(path: &Path) -> String {
 }
 
 /// Removes the disks of test processes that have ended.
-fn remove_remains(all: &Path) {
+fn remove_abandoned_disks(all: &Path) {
     let folders = std::fs::read_dir(all).into_iter().flatten().flatten();
     for folder in folders.map(|entry| entry.path()) {
         let name = folder.file_name().and_then(|name| name.to_str()).unwrap_or_default();

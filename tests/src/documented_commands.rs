@@ -1,4 +1,4 @@
-//! Two machines on which a test executes the commands of the documents, word for word.
+//! Two machines on which a test executes the commands of the documents literally.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -7,18 +7,18 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
-use crate::network::{DATA, Host};
+use crate::network::{DATA_INTERFACE, Host};
 use crate::{Document, Network, Process, program, root};
 
-/// Address of the cloud in the shipped files, which are for one machine, and its address here.
-const SERVING: (&str, &str) = ("tcp://127.0.0.1:", "tcp://10.0.0.2:");
+/// Address of the cloud in the shipped files, which are for one machine, and its replacement here.
+const CLOUD_ADDRESS_CHANGE: (&str, &str) = ("tcp://127.0.0.1:", "tcp://10.0.0.2:");
 
-/// Folders in which a package installs files; here they are below a folder for each machine.
-const PACKAGED: [&str; 5] =
+/// Folders in which a package installs files. Here they are below a folder for each machine.
+const PACKAGE_FOLDERS: [&str; 5] =
     ["/etc/", "/usr/lib/peernet", "/usr/share/peernet/", "/var/lib/peernet/", "/backup/"];
 
 /// Files and folders of the checkout that are linked unchanged.
-const LINKED: [&str; 6] = [
+const LINKED_PATHS: [&str; 6] = [
     "deploy",
     "docs",
     "models/export_torchvision.py",
@@ -27,8 +27,8 @@ const LINKED: [&str; 6] = [
     "onnxruntime",
 ];
 
-/// Edge and cloud at the two ends of a cable, and a folder that both see as the root of the checkout. The programs
-/// are on the path; models and examples are present; a test copies the configurations that it needs.
+/// Edge and cloud with a link between them, and a folder that both see as the root of the checkout. The programs are on
+/// the path, and models and examples are present. A test copies the configurations that it needs.
 #[derive(Debug)]
 pub struct DocumentedCommands {
     commands: &'static [&'static str],
@@ -42,12 +42,12 @@ impl DocumentedCommands {
     pub const CLOUD: &str = "10.0.0.2";
     const EDGE: &str = "10.0.0.1";
 
-    /// Creates the machines for a test that executes these commands of the documents, all of them.
+    /// Creates the machines for a test that executes each of `commands`, which are from the documents.
     ///
     /// # Panics
     /// As [`Network::direct`].
     pub fn new(commands: &'static [&'static str]) -> Self {
-        Self::on(Network::direct(), commands)
+        Self::with_network(Network::direct(), commands)
     }
 
     /// Creates the machines for a test that executes no command of the documents, with a third host on a separate
@@ -56,19 +56,19 @@ impl DocumentedCommands {
     /// # Panics
     /// As [`Network::direct`].
     pub fn with_third_host() -> Self {
-        Self::on(Network::direct().with_third_host(), &[])
+        Self::with_network(Network::direct().with_third_host(), &[])
     }
 
-    fn on(network: Network, commands: &'static [&'static str]) -> Self {
-        network.edge().add_address(DATA, Self::EDGE);
-        network.cloud().add_address(DATA, Self::CLOUD);
+    fn with_network(network: Network, commands: &'static [&'static str]) -> Self {
+        network.edge().add_address(DATA_INTERFACE, Self::EDGE);
+        network.cloud().add_address(DATA_INTERFACE, Self::CLOUD);
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         let link = |name: &str, to: &Path| {
             let name = folder.path().join(name);
-            std::fs::create_dir_all(name.parent().expect("it is in the folder")).expect("writable");
+            std::fs::create_dir_all(name.parent().expect("the path has a parent")).expect("writable");
             symlink(to, name).expect("writable");
         };
-        for name in LINKED {
+        for name in LINKED_PATHS {
             link(name, &root().join(name));
         }
         for name in ["peernet", "peernetd"] {
@@ -103,7 +103,7 @@ impl DocumentedCommands {
     /// Writes a file.
     pub fn write(&self, name: &str, text: &str) {
         let path = self.folder().join(name);
-        std::fs::create_dir_all(path.parent().expect("it is in the folder")).expect("writable");
+        std::fs::create_dir_all(path.parent().expect("the path has a parent")).expect("writable");
         std::fs::write(path, text).expect("writable");
     }
 
@@ -112,8 +112,8 @@ impl DocumentedCommands {
     /// # Panics
     /// If the file does not exist, or if a change does not apply.
     pub fn copy(&self, name: &str, changes: &[(&str, &str)]) {
-        let text = changed(&Document::read(name).text, changes);
-        self.write(name, &replaced(&text, &[SERVING]));
+        let text = apply_changes(&Document::read(name).text, changes);
+        self.write(name, &replace_all(&text, &[CLOUD_ADDRESS_CHANGE]));
     }
 
     /// Writes a file of one machine where a package would install it, with changes.
@@ -121,7 +121,7 @@ impl DocumentedCommands {
     /// # Panics
     /// If a change does not apply.
     pub fn install(&self, host: &Host, name: &str, text: &str, changes: &[(&str, &str)]) {
-        self.write(&self.installed(host, name), &self.installed(host, &changed(text, changes)));
+        self.write(&self.machine_paths(host, name), &self.machine_paths(host, &apply_changes(text, changes)));
     }
 
     /// Returns the folder that stands for the root of a machine's files.
@@ -129,10 +129,10 @@ impl DocumentedCommands {
         self.folder().join(if host.address == self.edge().address { "edge" } else { "cloud" })
     }
 
-    /// Replaces the folders of a package by those of a machine.
-    fn installed(&self, host: &Host, text: &str) -> String {
+    /// Replaces the folders of a package in a text by those of a machine.
+    fn machine_paths(&self, host: &Host, text: &str) -> String {
         let root = self.root_of(host).display().to_string();
-        PACKAGED.iter().fold(text.to_owned(), |text, place| {
+        PACKAGE_FOLDERS.iter().fold(text.to_owned(), |text, place| {
             let mut parts = text.split(place);
             let first = parts.next().unwrap_or_default().to_owned();
             parts.fold(first, |before, after| {
@@ -164,9 +164,9 @@ impl DocumentedCommands {
     /// # Panics
     /// As [`on_edge`](Self::on_edge).
     pub fn execute_on(&self, host: &Host, command: &str, changes: &[(&str, &str)]) -> Process {
-        assert!(self.commands.contains(&command), "{command} is none of this test's commands");
+        assert!(self.commands.contains(&command), "{command} is not one of this test's commands");
         self.executed.borrow_mut().insert(command.to_owned());
-        self.run_on(host, &self.installed(host, &changed(command, changes)))
+        self.run_on(host, &self.machine_paths(host, &apply_changes(command, changes)))
     }
 
     /// Executes a shell command that is not in the documents.
@@ -174,7 +174,7 @@ impl DocumentedCommands {
         let folder = self.folder().display();
         let path = format!("{folder}/bin:{}", std::env::var("PATH").unwrap_or_default());
         let state = format!("{folder}/state");
-        // The scripts of the checkout must not write byte code beside themselves.
+        // The scripts of the checkout must not write byte code into the checkout.
         let environment = [("PATH", &*path), ("XDG_STATE_HOME", &state), ("PYTHONDONTWRITEBYTECODE", "1")];
         // The program replaces the shell, so that a signal reaches the program.
         host.start(Path::new("sh"), &["-c", &format!("exec {line}")], self.folder(), &environment)
@@ -187,18 +187,18 @@ impl DocumentedCommands {
     pub fn finish(self) {
         let executed = self.executed.borrow();
         let missing: Vec<_> = self.commands.iter().filter(|command| !executed.contains(**command)).collect();
-        assert!(missing.is_empty(), "never typed: {missing:#?}");
+        assert!(missing.is_empty(), "the test did not execute: {missing:#?}");
     }
 }
 
-fn replaced(text: &str, changes: &[(&str, &str)]) -> String {
+fn replace_all(text: &str, changes: &[(&str, &str)]) -> String {
     changes.iter().fold(text.to_owned(), |text, (from, to)| text.replace(from, to))
 }
 
 /// Replaces texts, each of which must occur.
-fn changed(text: &str, changes: &[(&str, &str)]) -> String {
+fn apply_changes(text: &str, changes: &[(&str, &str)]) -> String {
     for (from, _) in changes {
-        assert!(text.contains(from), "there is no {from:?} in {text}");
+        assert!(text.contains(from), "{from:?} does not occur in {text}");
     }
-    replaced(text, changes)
+    replace_all(text, changes)
 }

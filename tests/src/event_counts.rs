@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::process::poll;
 use crate::time::wall;
-use crate::{Api, PATIENCE};
+use crate::{Api, TEST_TIMEOUT};
 
 /// Event counts of one host: those that the agent reports, and those that the aggregator has stored.
 #[derive(Clone, Debug)]
@@ -15,9 +15,9 @@ pub struct EventCounts {
     pub connected: bool,
     /// Time of its last report.
     pub seen: WallTime,
-    /// Number of events that were handed in.
+    /// Number of produced events.
     pub produced: u64,
-    /// Number of these that are in the spool or stored.
+    /// Number of produced events that are in the spool or stored.
     pub spooled: u64,
     /// Number of acknowledged events, according to the agent.
     pub stored: u64,
@@ -27,27 +27,27 @@ pub struct EventCounts {
     pub dropped: u64,
     /// Number of reported gaps.
     pub gaps: u64,
-    /// Reason that the spool fails; `None` while it works.
+    /// Reason why the spool fails; `None` while it works.
     pub trouble: Option<String>,
     /// Number of stored events, according to the aggregator.
     pub events: u64,
     /// Number of events that are missing in gaps, according to the aggregator.
     pub missing: u64,
-    /// Number of batches that arrived again and were stored once, since the aggregator started.
+    /// Number of batches that were received again and not stored again, since the aggregator started.
     pub duplicates: u64,
-    /// Age of the newest live update since it was made, seconds, for a host that reads this machine's clock.
+    /// Age of the newest live update, seconds, for a host that reads this machine's clock.
     pub live_lag_s: f64,
 }
 
 impl EventCounts {
     /// Reads the counts of a host; returns `None` if the aggregator does not answer or the host does not report.
-    pub fn of(api: &Api, host: &str) -> Option<Self> {
+    pub fn read(api: &Api, host: &str) -> Option<Self> {
         let (status, text) = api.get(&format!("/api/v1/hosts/{host}"))?;
         let host: Value = (status == 200).then(|| serde_json::from_str(&text).ok())??;
         let (now, stored) = (&host["now"], &host["stored"]);
         let events = &now["events"];
         let count = |of: &Value, key: &str| {
-            of[key].as_u64().unwrap_or_else(|| panic!("{key} is no count in {of} of {host}"))
+            of[key].as_u64().unwrap_or_else(|| panic!("{key} is not a count in {of} of {host}"))
         };
         if now.is_null() {
             return None;
@@ -73,28 +73,30 @@ impl EventCounts {
         })
     }
 
-    /// Waits until the counts of a connected host fulfil `holds`.
+    /// Waits until the counts of a connected host fulfil `condition`.
     ///
     /// # Panics
-    /// If that takes longer than [`crate::PATIENCE`].
-    pub fn until(api: &Api, host: &str, what: &str, mut holds: impl FnMut(&Self) -> bool) -> Self {
+    /// If that takes longer than [`crate::TEST_TIMEOUT`].
+    pub fn wait_until(api: &Api, host: &str, what: &str, mut condition: impl FnMut(&Self) -> bool) -> Self {
         let mut last = None;
         let counts = poll(|| {
-            last = Self::of(api, host);
-            last.clone().filter(|counts| counts.connected && holds(counts))
+            last = Self::read(api, host);
+            last.clone().filter(|counts| counts.connected && condition(counts))
         });
-        counts.unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {host}: {what}; now {last:?}"))
+        counts.unwrap_or_else(|| {
+            panic!("timeout after {TEST_TIMEOUT:?} while waiting for {host}: {what}; now {last:?}")
+        })
     }
 
-    /// Waits until both ends agree that no event of a host waits. The host must measure nothing. Waits as long as
-    /// there is progress. Only reports after `since` count.
+    /// Waits until agent and aggregator agree that no event of a host waits. The host must not measure. Continues as long as
+    /// more events are stored. Reports from before `since` are ignored.
     ///
     /// # Panics
-    /// If no more events are stored for [`crate::PATIENCE`].
-    pub fn at_rest(api: &Api, host: &str, since: WallTime) -> Self {
+    /// If no more events are stored for [`crate::TEST_TIMEOUT`].
+    pub fn wait_until_at_rest(api: &Api, host: &str, since: WallTime) -> Self {
         let mut before = None;
         loop {
-            let now = Self::until(api, host, "more is stored", |counts| {
+            let now = Self::wait_until(api, host, "more is stored", |counts| {
                 counts.seen > since && (counts.is_at_rest() || Some((counts.stored, counts.events)) != before)
             });
             if now.is_at_rest() {
@@ -105,13 +107,13 @@ impl EventCounts {
     }
 
     fn is_at_rest(&self) -> bool {
-        // Events that the agent delivered to another database, or to this one before it was restored, are missing
-        // here.
+        // Events that the agent delivered to another database, or to this one before it was restored from a backup, are
+        // missing here.
         let elsewhere = self.missing.saturating_sub(self.dropped);
         self.waiting == 0 && (self.events == self.stored || self.events + elsewhere == self.stored)
     }
 
-    /// Checks that every event is accounted for.
+    /// Asserts that every produced event is stored, waiting or dropped.
     ///
     /// # Panics
     /// If the counts do not add up.

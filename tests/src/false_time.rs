@@ -1,10 +1,10 @@
-//! Wall clock that libfaketime shows to a process in place of the kernel's.
+//! False wall clock that libfaketime shows to a process instead of the kernel's.
 
 use std::path::{Path, PathBuf};
 
 use peernet_clock::Span;
 
-/// Time that is shown to processes started with its environment.
+/// A false time that processes with its [`environment`](Self::environment) see.
 #[derive(Debug)]
 pub struct FalseTime {
     library: String,

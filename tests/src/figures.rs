@@ -1,24 +1,24 @@
-//! Output of measured values, which is shown for passing tests as well.
+//! Output of measured values, which appears for passing tests, too.
 
 use std::io::Write;
 
 /// Environment variable with the file to which values are appended as rows of a Markdown table.
-const FIGURES: &str = "PEERNET_FIGURES";
+const FIGURES_FILE: &str = "PEERNET_FIGURES";
 
-/// Writes a line to standard error, bypassing the test runner, which shows the output of failed tests only.
-pub fn say(line: &str) {
+/// Writes a line to standard error, bypassing the test runner, which hides the output of passing tests.
+pub fn print_line(line: &str) {
     // A closed standard error is no reason to fail.
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
-/// Prints measured values; `make soak` collects them.
+/// Prints measured values, and appends them to the file that `PEERNET_FIGURES` names; `make soak` collects them.
 ///
 /// # Panics
 /// If the file named by `PEERNET_FIGURES` cannot be written.
-pub fn measured(what: &str, figures: &[(&str, String)]) {
+pub fn record_figures(what: &str, figures: &[(&str, String)]) {
     let list: Vec<String> = figures.iter().map(|(name, value)| format!("{name} {value}")).collect();
-    say(&format!("{what}: {}", list.join(", ")));
-    let Some(path) = std::env::var_os(FIGURES) else { return };
+    print_line(&format!("{what}: {}", list.join(", ")));
+    let Some(path) = std::env::var_os(FIGURES_FILE) else { return };
     let rows: String =
         figures.iter().map(|(name, value)| format!("| {what} | {name} | {value} |\n")).collect();
     let file = std::fs::File::options().create(true).append(true).open(&path);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use peernet_clock::WallTime;
 
 use crate::spooled_iterations::SPOOL_LOG_LEVEL;
-use crate::{Api, Daemon, EventCounts, LoopbackDeployment, StoredEvents, until, wall};
+use crate::{Api, Daemon, EventCounts, LoopbackDeployment, StoredEvents, wait_until, wall};
 
 /// Daemons of one test: an aggregator and agents that measure independently.
 #[derive(Debug)]
@@ -39,8 +39,8 @@ pub fn edge_in(state: &str, keys: &str, tables: &str) -> String {
     )
 }
 
-/// Returns a pipeline that echoes small payloads on its own host; `more` are additional keys, such as the load.
-/// Without a load it runs as fast as it can.
+/// Returns the table of a pipeline that echoes small payloads on its own host. `more` are additional keys, such as the
+/// load; without a load the pipeline is a closed loop.
 pub fn echo(name: &str, more: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 64 }}\n\
@@ -54,18 +54,18 @@ pub fn rate(hz: f64) -> String {
 }
 
 impl Fleet {
-    /// Starts an aggregator and writes one configuration for all agents, which are not started.
+    /// Starts an aggregator, and writes the same configuration for all agents without starting them.
     pub fn new(agents: &[&str], configuration: &str) -> Self {
-        Self::storing_in(DATABASE, agents, configuration)
+        Self::with_database(DATABASE, agents, configuration)
     }
 
     /// Creates the fleet with the database at another path.
-    pub fn storing_in(database: &str, agents: &[&str], configuration: &str) -> Self {
+    pub fn with_database(database: &str, agents: &[&str], configuration: &str) -> Self {
         Self::with(database, "", agents, configuration)
     }
 
     /// Creates the fleet with additional keys of `[aggregator]`.
-    pub fn aggregating(keys: &str, agents: &[&str], configuration: &str) -> Self {
+    pub fn with_aggregator_keys(keys: &str, agents: &[&str], configuration: &str) -> Self {
         Self::with(DATABASE, keys, agents, configuration)
     }
 
@@ -75,18 +75,23 @@ impl Fleet {
             "[aggregator]\nname = \"aggregator\"\nlisten = \"tcp://127.0.0.1:{{events}}\"\n\
              database = \"{database}\"\n{keys}\n[web]\nlisten = \"127.0.0.1:{{http}}\"\n"
         );
-        let aggregator = Daemon::started(&deployment, "aggregator", &tables);
+        let aggregator = Daemon::start_new(&deployment, "aggregator", &tables);
         let agents = agents.iter().map(|name| Daemon::new(&deployment, name, configuration)).collect();
         let database = database.replace("{folder}", &deployment.folder().display().to_string());
-        let fleet =
-            Self { api: Api::at(deployment.http), deployment, aggregator, agents, database: database.into() };
+        let fleet = Self {
+            api: Api::on_port(deployment.http),
+            deployment,
+            aggregator,
+            agents,
+            database: database.into(),
+        };
         fleet.wait_until_ready();
         fleet
     }
 
     /// Waits until the aggregator answers.
     pub fn wait_until_ready(&self) {
-        until("the dashboard", || self.api.get("/healthz").filter(|(status, _)| *status == 200));
+        wait_until("the dashboard", || self.api.get("/healthz").filter(|(status, _)| *status == 200));
     }
 
     /// Starts the aggregator again and waits until it answers.
@@ -105,24 +110,29 @@ impl Fleet {
         (0..self.agents.len()).for_each(|agent| self.start(agent));
     }
 
-    /// Waits until the counts of an agent fulfil `holds`.
-    pub fn counts(&self, agent: usize, what: &str, holds: impl FnMut(&EventCounts) -> bool) -> EventCounts {
-        EventCounts::until(&self.api, &self.agents[agent].name, what, holds)
+    /// Waits until the counts of an agent fulfil `condition`.
+    pub fn counts(
+        &self,
+        agent: usize,
+        what: &str,
+        condition: impl FnMut(&EventCounts) -> bool,
+    ) -> EventCounts {
+        EventCounts::wait_until(&self.api, &self.agents[agent].name, what, condition)
     }
 
-    /// Starts an agent without its pipelines and waits until it is connected to the aggregator. Returns the time of
-    /// that: until then the live state may describe its previous process.
+    /// Starts an agent without its pipelines and waits until it is connected to the aggregator. Returns the time of the
+    /// connection. Until then the live state may describe the previous process.
     pub fn start_without_pipelines(&mut self, agent: usize) -> WallTime {
         self.agents[agent].start_idle(&self.deployment);
         self.agents[agent].process().wait_for("connected to the aggregator");
         wall()
     }
 
-    /// Starts an agent without its pipelines, and waits until the contents of its spool are stored. The agent keeps
-    /// running.
-    pub fn deliver(&mut self, agent: usize) -> EventCounts {
+    /// Starts an agent without its pipelines, and waits until the contents of its spool are stored. The agent continues to
+    /// run.
+    pub fn deliver_spool(&mut self, agent: usize) -> EventCounts {
         let since = self.start_without_pipelines(agent);
-        EventCounts::at_rest(&self.api, &self.agents[agent].name, since)
+        EventCounts::wait_until_at_rest(&self.api, &self.agents[agent].name, since)
     }
 
     /// Returns the path of the database.
@@ -130,10 +140,9 @@ impl Fleet {
         &self.database
     }
 
-    /// Returns the stored data after a check of its consistency. To be called when the aggregator has stopped, if
-    /// possible.
+    /// Returns the stored data, and asserts that it is consistent. Call it after the aggregator has stopped, if possible.
     pub fn stored_events(&self) -> StoredEvents {
-        let stored_events = StoredEvents::of(&self.database);
+        let stored_events = StoredEvents::read(&self.database);
         stored_events.assert_consistent();
         stored_events
     }

@@ -1,16 +1,16 @@
-//! Harness of the end-to-end tests. The tests start the built programs, as a user or systemd does, in folders of
-//! their own.
+//! Harness of the end-to-end tests. Tests start the built programs as a user or systemd does, each test in its own
+//! folder.
 //!
-//! - [`Process`] reads a program's log continuously and ends with the test.
+//! - [`Process`] starts a program, reads its log continuously, and kills it when the test ends.
 //! - [`LoopbackDeployment`] is a folder with ports on the loopback interface.
-//! - [`Fleet`] is an aggregator and agents that are killed and restarted, and [`StoredEvents`] the data that is stored at
-//!   the end.
-//! - [`network`] makes hosts from network namespaces, connected by cables that delay, lose and are captured.
+//! - [`Fleet`] is an aggregator with agents that can be killed and restarted. [`StoredEvents`] counts what the aggregator
+//!   stored.
+//! - [`network`] creates hosts in network namespaces, with links between them that can delay, drop and capture packets.
 //!   [`TwoHostTestbed`] runs an edge and a cloud in such a network, and [`truth`] compares their reports with the
 //!   kernel's clock.
-//! - [`MisbehavingPeer`] sends any messages of the event stream's protocol.
-//! - [`DocumentedCommands`] executes the commands of the documents on two machines. A test extracts all commands from
-//!   the documents and fails if no test executes one of them.
+//! - [`MisbehavingPeer`] sends arbitrary messages of the event stream's protocol.
+//! - [`DocumentedCommands`] executes the commands of the documents on two machines. Another test extracts all commands
+//!   from the documents and fails if a command is executed by no test.
 
 mod api;
 mod clock_shim;
@@ -44,13 +44,13 @@ pub use documented_commands::DocumentedCommands;
 pub use documents::Document;
 pub use event_counts::EventCounts;
 pub use false_time::FalseTime;
-pub use figures::{measured, say, thousands};
+pub use figures::{print_line, record_figures, thousands};
 pub use fleet::Fleet;
 pub use loopback_deployment::{AGGREGATOR, LoopbackDeployment};
 pub use misbehaving_peer::{InventedHost, MisbehavingPeer};
 pub use network::Network;
 pub use peernet_test_ports::free_port;
-pub use process::{Process, ProcessEnd, until, until_grown};
+pub use process::{Process, ProcessEnd, wait_until, wait_until_grown};
 pub use python::python;
 pub use repository::{chrony, onnxruntime, program, root};
 pub use ros::Ros1System;
@@ -62,6 +62,7 @@ pub use two_host_testbed::TwoHostTestbed;
 
 use std::time::Duration;
 
-/// Longest wait for an event that should happen at once, on a machine that is busy with other tests. Such bounds only
-/// detect hanging programs; `make bench` measures speed.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+/// Timeout of waits for something that should happen at once.
+///
+/// It only detects programs that hang, and is long because other tests load the machine. `make bench` measures speed.
+pub const TEST_TIMEOUT: Duration = Duration::from_secs(60);

@@ -74,31 +74,31 @@ impl LoopbackDeployment {
 
     /// Writes the configuration of an agent that reports to the aggregator, and starts it; `tables` follow its table
     /// `[agent]`.
-    pub fn agent(&self, name: &str, tables: &str) -> Process {
+    pub fn start_agent(&self, name: &str, tables: &str) -> Process {
         let file = format!("{name}.toml");
-        self.write(&file, &(agent(name, "127.0.0.1") + tables));
+        self.write(&file, &(agent_table(name, "127.0.0.1") + tables));
         self.start(&file)
     }
 
     /// Starts an aggregator with its dashboard, and waits until it answers.
-    pub fn aggregator(&self) -> (Process, Api) {
-        self.aggregator_for("127.0.0.1")
+    pub fn start_aggregator(&self) -> (Process, Api) {
+        self.start_aggregator_for("127.0.0.1")
     }
 
     /// Starts an aggregator for agents that reach it at this address.
-    pub(crate) fn aggregator_for(&self, address: &str) -> (Process, Api) {
+    pub(crate) fn start_aggregator_for(&self, address: &str) -> (Process, Api) {
         let events = "127.0.0.1:{events}";
         self.write("aggregator.toml", &AGGREGATOR.replace(events, &events.replace("127.0.0.1", address)));
         let process = self.start("aggregator.toml");
-        let api = Api::at(self.http);
-        crate::until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+        let api = Api::on_port(self.http);
+        crate::wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
         (process, api)
     }
 }
 
 /// Returns the table `[agent]` of an agent that reaches its aggregator at an address, as a template for
 /// [`LoopbackDeployment::write`].
-pub(crate) fn agent(name: &str, aggregator: &str) -> String {
+pub(crate) fn agent_table(name: &str, aggregator: &str) -> String {
     format!(
         "[agent]\nname = \"{name}\"\nstate_dir = \"{{folder}}/{name}\"\n\
          aggregator = \"tcp://{aggregator}:{{events}}\"\n"

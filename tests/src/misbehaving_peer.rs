@@ -1,4 +1,4 @@
-//! A peer that sends any messages of the event stream's protocol over a real socket.
+//! A peer that sends arbitrary messages of the event stream's protocol over a real socket.
 
 use std::fmt::Debug;
 use std::sync::OnceLock;
@@ -14,7 +14,7 @@ use peernet_stream::{
 use tokio::runtime::{Builder, Runtime};
 use zeromq::{Message, Options, Socket, SocketType};
 
-use crate::{PATIENCE, Stopwatch, TestRng, wall};
+use crate::{Stopwatch, TEST_TIMEOUT, TestRng, wall};
 
 /// Time after which an agent repeats its hello.
 const HELLO_INTERVAL: Duration = Duration::from_secs(1);
@@ -43,7 +43,7 @@ impl MisbehavingPeer {
     ///
     /// # Panics
     /// If that fails.
-    pub fn at(port: u16) -> Self {
+    pub fn connect(port: u16) -> Self {
         let socket = runtime().block_on(async {
             let socket = Socket::new(SocketType::Dealer, Options::default());
             socket.connect(format!("tcp://127.0.0.1:{port}")).await.expect("connects");
@@ -62,60 +62,60 @@ impl MisbehavingPeer {
     }
 
     /// Sends a message.
-    pub fn say(&self, message: &ToAggregator) {
+    pub fn send_message(&self, message: &ToAggregator) {
         self.send(&codec::encode(message));
     }
 
     /// Receives the next message.
     ///
     /// # Panics
-    /// If none arrives within [`PATIENCE`].
+    /// If none arrives within [`TEST_TIMEOUT`].
     pub fn receive(&self) -> ToAgent {
-        self.receive_within(PATIENCE).expect("an answer in time")
+        self.receive_within(TEST_TIMEOUT).expect("an answer in time")
     }
 
-    fn receive_within(&self, patience: Duration) -> Option<ToAgent> {
-        let received = runtime().block_on(async { tokio::time::timeout(patience, self.socket.recv()).await });
+    fn receive_within(&self, timeout: Duration) -> Option<ToAgent> {
+        let received = runtime().block_on(async { tokio::time::timeout(timeout, self.socket.recv()).await });
         let message = received.ok()?.expect("receives");
         Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
     }
 
-    /// Answers a challenge with the proof of this hello; returns whether `said` is a challenge.
-    pub fn prove(&self, hello: &Hello, secret: &HostSecret, said: &ToAgent) -> bool {
-        let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = said else { return false };
+    /// Answers a challenge with the proof for `hello`. Returns whether `message` is a challenge.
+    pub fn answer_challenge(&self, hello: &Hello, secret: &HostSecret, message: &ToAgent) -> bool {
+        let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = message else { return false };
         if *stream == hello.stream {
             let (host, nonce) = (hello.host.id, *nonce);
-            let code = secret.prove(&nonce, hello, aggregator);
+            let code = secret.answer_challenge(&nonce, hello, aggregator);
             let secret = enrol.then(|| secret.clone());
-            self.say(&ToAggregator::Proof(Proof { host, nonce, code, secret }));
+            self.send_message(&ToAggregator::Proof(Proof { host, nonce, code, secret }));
         }
         true
     }
 
-    /// Sends a hello and its proof until an answer fulfils `holds`. The hello is repeated, as by agents: an
-    /// aggregator without room for an answer leaves a hello unanswered.
+    /// Sends a hello and its proof until an answer fulfils `condition`. The hello is repeated as agents do, because an
+    /// aggregator with full queues does not answer it.
     ///
     /// # Panics
     /// If no answer does.
-    pub fn send_hello_until(&self, host: &InventedHost, holds: impl Fn(&ToAgent) -> bool) {
+    pub fn send_hello_until(&self, host: &InventedHost, condition: impl Fn(&ToAgent) -> bool) {
         let hello = &host.hello;
         let began = Stopwatch::now();
-        while began.elapsed() < PATIENCE {
-            self.say(&ToAggregator::Hello(hello.clone()));
-            while let Some(said) = self.receive_within(HELLO_INTERVAL) {
-                if holds(&said) {
+        while began.elapsed() < TEST_TIMEOUT {
+            self.send_message(&ToAggregator::Hello(hello.clone()));
+            while let Some(message) = self.receive_within(HELLO_INTERVAL) {
+                if condition(&message) {
                     return;
                 }
-                self.prove(hello, &host.secret, &said);
+                self.answer_challenge(hello, &host.secret, &message);
             }
         }
-        panic!("{} was not answered as it should be", hello.host.name);
+        panic!("no answer to the hello of {} fulfilled the condition", hello.host.name);
     }
 
-    /// Receives messages until `holds` returns a value.
-    pub fn receive_until<T>(&self, mut holds: impl FnMut(&ToAgent) -> Option<T>) -> T {
+    /// Receives messages until `condition` returns a value, and returns that value.
+    pub fn receive_until<T>(&self, mut condition: impl FnMut(&ToAgent) -> Option<T>) -> T {
         loop {
-            if let Some(found) = holds(&self.receive()) {
+            if let Some(found) = condition(&self.receive()) {
                 return found;
             }
         }
@@ -123,14 +123,14 @@ impl MisbehavingPeer {
 
     /// Waits until all batches up to a number are acknowledged.
     pub fn wait_for_ack(&self, number: u64) {
-        self.receive_until(|said| {
-            matches!(said, ToAgent::Ack { through, .. } if *through >= number).then_some(())
+        self.receive_until(|message| {
+            matches!(message, ToAgent::Ack { through, .. } if *through >= number).then_some(())
         });
     }
 
     /// Waits for a refusal and returns its reason.
     pub fn wait_for_refusal(&self) -> String {
-        self.receive_until(|said| match said {
+        self.receive_until(|message| match message {
             ToAgent::Refused { reason } => Some(reason.clone()),
             _ => None,
         })
@@ -179,10 +179,10 @@ impl InventedHost {
 
     /// Sends the hello and waits until the host is welcomed.
     pub fn open_session(&self, misbehaving_peer: &MisbehavingPeer) {
-        misbehaving_peer.send_hello_until(self, |said| matches!(said, ToAgent::Welcome { .. }));
+        misbehaving_peer.send_hello_until(self, |message| matches!(message, ToAgent::Welcome { .. }));
     }
 
-    /// Returns the next batch of the stream, with this number of events.
+    /// Returns the next batch of the stream, with `events` generated events.
     pub fn batch(&mut self, events: u32) -> Vec<u8> {
         let text = |n: u32| format!("event {n} of batch {}", self.newest.0 + 1);
         let body: Vec<u8> = (0..events)
@@ -204,7 +204,7 @@ impl InventedHost {
     /// Sends the hello until it is refused; returns the reason.
     pub fn expect_refusal(&self, misbehaving_peer: &MisbehavingPeer) -> String {
         let words = std::cell::RefCell::new(String::new());
-        misbehaving_peer.send_hello_until(self, |said| match said {
+        misbehaving_peer.send_hello_until(self, |message| match message {
             ToAgent::Refused { reason } => {
                 words.borrow_mut().clone_from(reason);
                 true
@@ -214,7 +214,7 @@ impl InventedHost {
         words.into_inner()
     }
 
-    /// Returns the next batch of the stream, with these events.
+    /// Returns the next batch of the stream, with the given events.
     ///
     /// # Panics
     /// Never: plain data can always be serialized.
@@ -224,7 +224,7 @@ impl InventedHost {
         self.batch_of(events.len() as u32, &body, false)
     }
 
-    /// Returns the next batch of the stream with any bytes, correctly hashed.
+    /// Returns the next batch of the stream with an arbitrary body, and a correct head.
     pub fn batch_of(&mut self, events: u32, body: &[u8], compress: bool) -> Vec<u8> {
         let (newest, before) = self.newest;
         let (number, chain) = (newest + 1, before.next(events, body));

@@ -1,4 +1,4 @@
-//! A program that a test starts. Its log is read continuously, and it ends with the test.
+//! A program that a test starts. Its log is read continuously, and it is killed when the test ends.
 
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read};
@@ -10,16 +10,16 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::PATIENCE;
+use crate::TEST_TIMEOUT;
 
-/// Number of lines of the log that are shown of a program that ran when a test failed.
-const LAST_LINES: usize = 200;
+/// Number of log lines of each running program that are printed when a test fails.
+const PRINTED_LINES: usize = 200;
 
-/// Option of `env` that restores the default action of signals. They may be ignored: `nohup` ignores the first, `&`
-/// in a script the next two, and child processes inherit that.
+/// Option of `env` that restores the default action of signals. Without it, the program would inherit signals that are
+/// ignored: SIGHUP by `nohup`, SIGINT and SIGQUIT by `&` in a script.
 const DEFAULT_SIGNALS: &str = "--default-signal=HUP,INT,QUIT,TERM";
 
-/// Running program.
+/// A running program.
 #[derive(Debug)]
 pub struct Process {
     name: String,
@@ -68,8 +68,8 @@ impl Process {
             .spawn()
             .unwrap_or_else(|error| panic!("cannot start {}: {error}", program.display()));
         let log = Arc::new(Log::default());
-        let out = child.stdout.take().map(|pipe| log.clone().follow(pipe));
-        let err = child.stderr.take().map(|pipe| log.clone().follow(pipe));
+        let out = child.stdout.take().map(|pipe| log.clone().read_lines(pipe));
+        let err = child.stderr.take().map(|pipe| log.clone().read_lines(pipe));
         let name =
             arguments.last().map_or_else(String::new, |last| last.as_ref().to_string_lossy().into_owned());
         Self { name, child, log, readers: out.into_iter().chain(err).collect() }
@@ -88,7 +88,7 @@ impl Process {
     /// Waits until a line contains `text`, and returns that line.
     ///
     /// # Panics
-    /// If the program ends or [`PATIENCE`] passes before.
+    /// If the program ends or [`TEST_TIMEOUT`] passes before.
     pub fn wait_for(&self, text: &str) -> String {
         self.wait_for_nth(text, 1)
     }
@@ -96,13 +96,13 @@ impl Process {
     /// Waits until `n` lines contain `text`, and returns the last of them.
     ///
     /// # Panics
-    /// If the program ends or [`PATIENCE`] passes before.
+    /// If the program ends or [`TEST_TIMEOUT`] passes before.
     pub fn wait_for_nth(&self, text: &str, n: usize) -> String {
         let guard = self.log.lines.lock().expect("no reader panics");
         let (guard, _) = self
             .log
             .changed
-            .wait_timeout_while(guard, PATIENCE, |(lines, ended)| {
+            .wait_timeout_while(guard, TEST_TIMEOUT, |(lines, ended)| {
                 lines.iter().filter(|line| line.contains(text)).count() < n && *ended < self.readers.len()
             })
             .expect("no reader panics");
@@ -111,25 +111,32 @@ impl Process {
         // unwinds.
         drop(guard);
         line.unwrap_or_else(|| {
-            panic!("{} never said {text:?} ({n}. time); it said:\n{}", self.name, self.log())
+            panic!("{} did not log {text:?} {n} times; its log:\n{}", self.name, self.log())
         })
     }
 
     /// Waits until a line contains `text` or the program ends; returns whether there is such a line.
     ///
     /// # Panics
-    /// If [`PATIENCE`] passes before.
+    /// If [`TEST_TIMEOUT`] passes before.
     pub fn logs_before_end(&self, text: &str) -> bool {
-        let said = |lines: &[String]| lines.iter().any(|line| line.contains(text));
+        let is_logged = |lines: &[String]| lines.iter().any(|line| line.contains(text));
         let guard = self.log.lines.lock().expect("no reader panics");
         let (guard, timeout) = self
             .log
             .changed
-            .wait_timeout_while(guard, PATIENCE, |(lines, ended)| !said(lines) && *ended < self.readers.len())
+            .wait_timeout_while(guard, TEST_TIMEOUT, |(lines, ended)| {
+                !is_logged(lines) && *ended < self.readers.len()
+            })
             .expect("no reader panics");
-        let logs_before_end = said(&guard.0);
+        let logs_before_end = is_logged(&guard.0);
         drop(guard);
-        assert!(!timeout.timed_out(), "{} neither ended nor said {text:?}:\n{}", self.name, self.log());
+        assert!(
+            !timeout.timed_out(),
+            "{} neither ended nor logged {text:?}; its log:\n{}",
+            self.name,
+            self.log()
+        );
         logs_before_end
     }
 
@@ -159,28 +166,28 @@ impl Process {
     /// Waits for the end.
     ///
     /// # Panics
-    /// If the program does not end within [`PATIENCE`].
+    /// If the program does not end within [`TEST_TIMEOUT`].
     pub fn wait(&mut self) -> ProcessEnd {
         let guard = self.log.lines.lock().expect("no reader panics");
         let (guard, timeout) = self
             .log
             .changed
-            .wait_timeout_while(guard, PATIENCE, |(_, ended)| *ended < self.readers.len())
+            .wait_timeout_while(guard, TEST_TIMEOUT, |(_, ended)| *ended < self.readers.len())
             .expect("no reader panics");
         drop(guard);
-        assert!(!timeout.timed_out(), "{} does not end; it said:\n{}", self.name, self.log());
+        assert!(!timeout.timed_out(), "{} does not end; its log:\n{}", self.name, self.log());
         let status = self.child.wait().expect("the child is ours");
         ProcessEnd { status, log: self.log() }
     }
 
-    /// Waits for the end of a program that ends by itself.
-    pub fn ended(mut self) -> ProcessEnd {
+    /// Waits for the end of a program that ends by itself, and consumes it.
+    pub fn wait_for_end(mut self) -> ProcessEnd {
         self.wait()
     }
 }
 
 impl Log {
-    fn follow(self: Arc<Self>, pipe: impl Read + Send + 'static) -> JoinHandle<()> {
+    fn read_lines(self: Arc<Self>, pipe: impl Read + Send + 'static) -> JoinHandle<()> {
         std::thread::spawn(move || {
             for line in BufReader::new(pipe).lines().map_while(Result::ok) {
                 self.lines.lock().expect("no reader panics").0.push(line);
@@ -202,7 +209,7 @@ impl Drop for Process {
             #[expect(clippy::print_stderr, reason = "the log of a failed test")]
             {
                 let log = self.log();
-                let beyond = log.lines().count().saturating_sub(LAST_LINES);
+                let beyond = log.lines().count().saturating_sub(PRINTED_LINES);
                 let last: Vec<&str> = log.lines().skip(beyond).collect();
                 eprintln!("--- {} (after {beyond} lines) ---\n{}", self.name, last.join("\n"));
             }
@@ -217,19 +224,20 @@ impl ProcessEnd {
     }
 }
 
-/// Calls `question` until it returns a value, for state that can only be polled, such as a REST resource.
+/// Calls `condition` until it returns a value, and returns that value. It is for state that can only be polled, such as a REST
+/// resource.
 ///
 /// # Panics
-/// If [`PATIENCE`] passes before.
-pub fn until<T>(what: &str, question: impl FnMut() -> Option<T>) -> T {
-    poll(question).unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {what}"))
+/// If [`TEST_TIMEOUT`] passes before.
+pub fn wait_until<T>(what: &str, condition: impl FnMut() -> Option<T>) -> T {
+    poll(condition).unwrap_or_else(|| panic!("timeout after {TEST_TIMEOUT:?} while waiting for {what}"))
 }
 
-/// Calls `question` until it returns a value; returns `None` if [`PATIENCE`] passes before.
-pub(crate) fn poll<T>(mut question: impl FnMut() -> Option<T>) -> Option<T> {
+/// Calls `condition` until it returns a value; returns `None` if [`TEST_TIMEOUT`] passes before.
+pub(crate) fn poll<T>(mut condition: impl FnMut() -> Option<T>) -> Option<T> {
     let pause = Duration::from_millis(50);
-    for _ in 0..PATIENCE.as_millis() / pause.as_millis() {
-        if let Some(answer) = question() {
+    for _ in 0..TEST_TIMEOUT.as_millis() / pause.as_millis() {
+        if let Some(answer) = condition() {
             return Some(answer);
         }
         std::thread::sleep(pause);
@@ -237,14 +245,14 @@ pub(crate) fn poll<T>(mut question: impl FnMut() -> Option<T>) -> Option<T> {
     None
 }
 
-/// Polls a number until it has reached `enough`, for as long as it grows.
+/// Polls a number until it has reached `minimum`. The timeout starts anew whenever the number has grown.
 ///
 /// # Panics
-/// If it does not grow for [`PATIENCE`].
-pub fn until_grown(what: &str, enough: u64, mut figure: impl FnMut() -> Option<u64>) {
+/// If it does not grow for [`TEST_TIMEOUT`].
+pub fn wait_until_grown(what: &str, minimum: u64, mut figure: impl FnMut() -> Option<u64>) {
     let mut before = None;
-    while before < Some(enough) {
-        let next = format!("{what}: more of {enough} than {}", before.unwrap_or(0));
-        before = Some(until(&next, || figure().filter(|now| Some(*now) > before)));
+    while before < Some(minimum) {
+        let next = format!("{what}: more than {} of {minimum}", before.unwrap_or(0));
+        before = Some(wait_until(&next, || figure().filter(|now| Some(*now) > before)));
     }
 }

@@ -15,7 +15,7 @@ pub fn program(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("a running test has a path");
     // target/debug/deps/it-… → target/debug/NAME
     let path = test.parent().and_then(Path::parent).expect("tests run from target/PROFILE/deps").join(name);
-    assert!(path.exists(), "{} is not there: build it with `cargo build --workspace`", path.display());
+    assert!(path.exists(), "{} does not exist: build it with `cargo build --workspace`", path.display());
     path
 }
 
@@ -25,7 +25,7 @@ pub fn program(name: &str) -> PathBuf {
 /// If `make setup` has not been run.
 pub fn onnxruntime() -> PathBuf {
     let folder = root().join("onnxruntime/lib");
-    assert!(folder.is_dir(), "{} is not there: run `make setup`", folder.display());
+    assert!(folder.is_dir(), "{} does not exist: run `make setup`", folder.display());
     folder
 }
 
@@ -37,5 +37,5 @@ pub fn chrony(name: &str) -> PathBuf {
     let tools = root().join(".venv-tools/chrony/usr");
     let places = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
     let found = places.iter().map(|place| place.join(name)).find(|path| path.exists());
-    found.unwrap_or_else(|| panic!("{name} is not there: run `deploy/install-tools.sh test`"))
+    found.unwrap_or_else(|| panic!("{name} does not exist: run `deploy/install-tools.sh test`"))
 }

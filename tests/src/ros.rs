@@ -3,7 +3,7 @@
 use std::net::TcpStream;
 use std::path::Path;
 
-use crate::{LoopbackDeployment, Process, free_port, program, root, until};
+use crate::{LoopbackDeployment, Process, free_port, program, root, wait_until};
 
 /// ROS 1 system on the loopback interface.
 #[derive(Debug)]
@@ -32,7 +32,7 @@ impl Ros1System {
         let home = std::env::temp_dir().display().to_string();
         self.master =
             Some(Process::start(Path::new("rosmaster"), &arguments, root(), &[("ROS_HOME", &home)]));
-        until("the ROS master", || TcpStream::connect(("127.0.0.1", self.port)).ok());
+        wait_until("the ROS master", || TcpStream::connect(("127.0.0.1", self.port)).ok());
     }
 
     /// Kills the master, which loses its state.
@@ -56,7 +56,7 @@ impl Ros1System {
     }
 
     /// Starts a node of `tests/ros/node.rs` and waits until it publishes.
-    pub fn node(&self, arguments: &[&str]) -> Process {
+    pub fn start_node(&self, arguments: &[&str]) -> Process {
         let environment = self.environment();
         let environment: Vec<(&str, &str)> =
             environment.iter().map(|(name, value)| (*name, value.as_str())).collect();
@@ -67,9 +67,9 @@ impl Ros1System {
 
     /// Writes the configuration of an agent and starts it as a part of the system; `tables` follow its table
     /// `[agent]`.
-    pub fn agent(&self, deployment: &LoopbackDeployment, name: &str, tables: &str) -> Process {
+    pub fn start_agent(&self, deployment: &LoopbackDeployment, name: &str, tables: &str) -> Process {
         let file = format!("{name}.toml");
-        deployment.write(&file, &(crate::loopback_deployment::agent(name, "127.0.0.1") + tables));
+        deployment.write(&file, &(crate::loopback_deployment::agent_table(name, "127.0.0.1") + tables));
         let environment = self.environment();
         let environment: Vec<(&str, &str)> =
             environment.iter().map(|(name, value)| (*name, value.as_str())).collect();

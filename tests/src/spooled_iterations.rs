@@ -24,11 +24,11 @@ pub(crate) const SPOOL_LOG_LEVEL: &str = "info,peernet_agent::outbox::spool=debu
 impl SpooledIterations {
     /// Parses `… spooled batch=7 run=UUID first=1 last=90 count=90`; returns `None` for any other line and for a
     /// truncated one.
-    pub fn parse(line: &str) -> Option<Self> {
-        let (_, said) = line.split_once("spooled batch=")?;
-        let said = format!("batch={said}");
+    pub fn parse_line(line: &str) -> Option<Self> {
+        let (_, rest) = line.split_once("spooled batch=")?;
+        let fields = format!("batch={rest}");
         let fields: BTreeMap<&str, &str> =
-            said.split_whitespace().filter_map(|field| field.split_once('=')).collect();
+            fields.split_whitespace().filter_map(|field| field.split_once('=')).collect();
         let number = |key: &str| fields.get(key)?.parse().ok();
         // The count is the last field: a truncated line lacks it, or some of its digits, which only the end of the
         // line excludes.
@@ -45,9 +45,9 @@ impl SpooledIterations {
     }
 
     /// Parses all lines of a log. The last line counts only if a line feed follows, because it may be truncated.
-    pub fn all(log: &str) -> Vec<Self> {
+    pub fn parse_log(log: &str) -> Vec<Self> {
         let whole = log.rsplit_once('\n').map_or("", |(whole, _)| whole);
-        whole.lines().filter_map(Self::parse).collect()
+        whole.lines().filter_map(Self::parse_line).collect()
     }
 }
 
@@ -64,16 +64,16 @@ mod tests {
     #[test]
     fn spool_line_is_parsed_others_are_ignored() {
         let read = SpooledIterations { run: RUN.to_owned(), batch: 7, first: 1, last: 90, count: 90 };
-        assert_eq!(SpooledIterations::parse(&line("90")), Some(read));
+        assert_eq!(SpooledIterations::parse_line(&line("90")), Some(read));
         for other in ["ready", "spooled batch=7 run=x first=1 last=2 count=2", &line(""), &line("91")] {
-            assert_eq!(SpooledIterations::parse(other), None, "{other}");
+            assert_eq!(SpooledIterations::parse_line(other), None, "{other}");
         }
     }
 
     #[test]
     fn truncated_last_line_is_ignored() {
         let log = format!("{}\n{}\n{}", line("90"), line("90"), line("9"));
-        assert_eq!(SpooledIterations::all(&log).len(), 2);
-        assert_eq!(SpooledIterations::all(&line("90")), []);
+        assert_eq!(SpooledIterations::parse_log(&log).len(), 2);
+        assert_eq!(SpooledIterations::parse_log(&line("90")), []);
     }
 }

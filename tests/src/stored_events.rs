@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use crate::SpooledIterations;
-use crate::truth::ask;
+use crate::truth::query_database;
 
 /// Contents of a database, counted in several ways.
 #[derive(Clone, Debug)]
@@ -35,8 +35,8 @@ pub struct StoredRun {
     pub ranges: Vec<RangeInclusive<u64>>,
     /// Number of iterations that have nodes.
     pub with_nodes: u64,
-    /// Number of these whose nodes are not contiguous from 0.
-    pub torn: u64,
+    /// Number of iterations whose nodes are not contiguous from 0.
+    pub incomplete: u64,
     /// Number of nodes.
     pub nodes: u64,
     /// Number of events that are missing in the run's gaps.
@@ -52,7 +52,7 @@ pub struct StoredHost {
     pub nodes: u64,
     /// Number of gaps, according to the host's counters.
     pub gaps: u64,
-    /// Number of events that are missing in them, according to the host's counters.
+    /// Number of events that are missing in gaps, according to the host's counters.
     pub missing: u64,
     /// Number of gaps and of missing events, according to the rows of the gaps.
     pub gap_rows: (u64, u64),
@@ -93,7 +93,7 @@ impl StoredEvents {
     ///
     /// # Panics
     /// As [`ask`].
-    pub fn of(database: &Path) -> Self {
+    pub fn read(database: &Path) -> Self {
         let mut runs: BTreeMap<String, StoredRun> = rows(database, RUNS)
             .into_iter()
             .map(|row| {
@@ -116,7 +116,7 @@ impl StoredEvents {
         }
         for row in rows(database, NODES) {
             let run = runs.get_mut(&row[0]).expect("joined with its run");
-            (run.with_nodes, run.torn, run.nodes) = (number(&row[1]), number(&row[2]), number(&row[3]));
+            (run.with_nodes, run.incomplete, run.nodes) = (number(&row[1]), number(&row[2]), number(&row[3]));
         }
         let hosts = rows(database, HOSTS).into_iter().map(|row| {
             let n = |at: usize| number(&row[at]);
@@ -153,13 +153,13 @@ impl StoredEvents {
             let iterations = run.iterations();
             assert_eq!(run.counted, iterations, "counted against stored: run {id}: {run:?}");
             assert_eq!(run.rolled_up, (run.ok, run.ok), "roll-ups against the counters: run {id}: {run:?}");
-            assert_eq!((run.with_nodes, run.torn), (iterations, 0), "nodes of run {id}: {run:?}");
+            assert_eq!((run.with_nodes, run.incomplete), (iterations, 0), "nodes of run {id}: {run:?}");
         }
         for (name, host) in &self.hosts {
             assert_eq!(host.gap_rows, (host.gaps, host.missing), "gaps of {name}: {host:?}");
         }
-        let told: u64 = self.hosts.values().map(|host| host.nodes).sum();
-        assert_eq!(told, self.nodes(), "nodes by the hosts' counters and in the table: {self:?}");
+        let counted: u64 = self.hosts.values().map(|host| host.nodes).sum();
+        assert_eq!(counted, self.nodes(), "nodes by the hosts' counters and in the table: {self:?}");
     }
 
     /// Returns the number of spooled iterations that are not stored; checks that no line's range contains more than
@@ -171,9 +171,9 @@ impl StoredEvents {
         let mut lost = 0;
         for line in spooled {
             let run = self.runs.get(&line.run).unwrap_or_else(|| panic!("the run of {line:?} is not stored"));
-            let there = run.within(line.first, line.last);
-            assert!(there <= line.count, "{there} stored, more than {line:?}: {:?}", run.ranges);
-            lost += line.count - there;
+            let stored = run.within(line.first, line.last);
+            assert!(stored <= line.count, "{stored} stored, more than {line:?}: {:?}", run.ranges);
+            lost += line.count - stored;
         }
         lost
     }
@@ -206,11 +206,11 @@ impl StoredRun {
 }
 
 fn rows(database: &Path, sql: &str) -> Vec<Vec<String>> {
-    ask(database, sql).lines().map(|line| line.split('|').map(str::to_owned).collect()).collect()
+    query_database(database, sql).lines().map(|line| line.split('|').map(str::to_owned).collect()).collect()
 }
 
 fn number(text: &str) -> u64 {
-    text.parse().unwrap_or_else(|_| panic!("{text:?} is no count"))
+    text.parse().unwrap_or_else(|_| panic!("{text:?} is not a count"))
 }
 
 #[cfg(test)]

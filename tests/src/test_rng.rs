@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use peernet_statistics::SplitMix64;
 
-use crate::say;
+use crate::print_line;
 use crate::time::wall;
 
 /// Environment variable with the seed of an earlier test run.
@@ -24,7 +24,7 @@ impl TestRng {
             Ok(text) => text.parse().unwrap_or_else(|_| panic!("{SEED}={text:?} is no number")),
             Err(_) => wall().unix_nanos().cast_unsigned() % 1_000_000,
         };
-        say(&format!("{what}: {SEED}={seed}"));
+        print_line(&format!("{what}: {SEED}={seed}"));
         Self(SplitMix64::new(seed))
     }
 

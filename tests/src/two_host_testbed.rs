@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use peernet_clock::{Clock, ClockIdentity, RawTime, Span, Stamp, SystemClock, WallTime};
 
-use crate::loopback_deployment::agent;
+use crate::loopback_deployment::agent_table;
 use crate::network::Host;
-use crate::truth::{HostClock, Iteration, ask, iterations};
+use crate::truth::{HostClock, Iteration, iterations, query_database};
 use crate::{Api, LoopbackDeployment, Network, Process, program};
 
 /// Returns the times of the kernel's clocks.
@@ -29,20 +29,20 @@ pub struct TwoHostTestbed {
     start: Stamp,
 }
 
-/// Port at which the cloud serves; a namespace has all ports for itself.
-const SERVE: u16 = 5551;
+/// Port at which the cloud serves. It can be fixed, because each namespace has its own ports.
+const SERVE_PORT: u16 = 5551;
 
 impl TwoHostTestbed {
     /// Starts the aggregator and waits until it answers. The network is created in the deployment's folder.
     pub fn new(network: impl FnOnce(&Path) -> Network) -> Self {
-        Self::over("tcp", network)
+        Self::with_scheme("tcp", network)
     }
 
-    /// Does the same for samples that are sent over the network of a scheme.
-    pub fn over(scheme: &'static str, network: impl FnOnce(&Path) -> Network) -> Self {
+    /// Does the same for samples that are sent over the network of an address scheme.
+    pub fn with_scheme(scheme: &'static str, network: impl FnOnce(&Path) -> Network) -> Self {
         let deployment = LoopbackDeployment::new();
         let network = network(deployment.folder());
-        let (aggregator, api) = deployment.aggregator_for("0.0.0.0");
+        let (aggregator, api) = deployment.start_aggregator_for("0.0.0.0");
         Self { api, aggregator, deployment, scheme, network, start: stamp() }
     }
 
@@ -52,33 +52,33 @@ impl TwoHostTestbed {
     }
 
     /// Starts a cloud with an echo model; `tables` are added to its configuration.
-    pub fn cloud(&self, tables: &str) -> Process {
-        self.cloud_with(tables, &[])
+    pub fn start_cloud(&self, tables: &str) -> Process {
+        self.start_cloud_with(tables, &[])
     }
 
     /// Starts a cloud with additional environment variables.
-    pub fn cloud_with(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
-        let own = format!(
-            "[serve]\nlisten = \"{}://0.0.0.0:{SERVE}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n",
+    pub fn start_cloud_with(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
+        let serve = format!(
+            "[serve]\nlisten = \"{}://0.0.0.0:{SERVE_PORT}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n",
             self.scheme
         );
-        self.configure("cloud", self.network.cloud(), &format!("{own}{tables}"));
-        self.peernetd("cloud", self.network.cloud(), environment)
+        self.configure("cloud", self.network.cloud(), &format!("{serve}{tables}"));
+        self.start_peernetd("cloud", self.network.cloud(), environment)
     }
 
     /// Starts an edge with these tables and environment variables.
-    pub fn edge(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
+    pub fn start_edge(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
         self.configure("edge", self.network.edge(), tables);
-        self.peernetd("edge", self.network.edge(), environment)
+        self.start_peernetd("edge", self.network.edge(), environment)
     }
 
     /// Starts an edge on the third host, with the name `third`.
     ///
     /// # Panics
     /// If there is no third host.
-    pub fn third_edge(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
+    pub fn start_third_edge(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
         self.configure("third", self.network.third(), tables);
-        self.peernetd("third", self.network.third(), environment)
+        self.start_peernetd("third", self.network.third(), environment)
     }
 
     /// Returns a pipeline with payloads of one size, which the cloud echoes; `more` are additional keys.
@@ -92,22 +92,22 @@ impl TwoHostTestbed {
 
     /// Returns the address at which the cloud serves.
     pub fn peer(&self) -> String {
-        format!("{}://{}:{SERVE}", self.scheme, self.network.cloud().address)
+        format!("{}://{}:{SERVE_PORT}", self.scheme, self.network.cloud().address)
     }
 
     fn configure(&self, name: &str, host: &Host, tables: &str) -> PathBuf {
-        let agent = agent(name, &host.home.to_string());
+        let agent = agent_table(name, &host.test_address.to_string());
         self.deployment.write(&format!("{name}.toml"), &(agent + tables))
     }
 
-    fn peernetd(&self, name: &str, host: &Host, environment: &[(&str, &str)]) -> Process {
+    fn start_peernetd(&self, name: &str, host: &Host, environment: &[(&str, &str)]) -> Process {
         let file = format!("{name}.toml");
         host.start(&program("peernetd"), &["run", &file], self.deployment.folder(), environment)
     }
 
     /// Waits until all runs, and at least `n`, have ended by themselves.
     pub fn wait_for_runs(&self, n: usize) {
-        self.api.until("/api/v1/runs", |runs| {
+        self.api.wait_until("/api/v1/runs", |runs| {
             let runs = runs["runs"].as_array()?;
             (runs.len() >= n && runs.iter().all(|run| run["reason"] == "finished")).then_some(())
         });
@@ -116,13 +116,13 @@ impl TwoHostTestbed {
     /// Returns the injected clock faults of a host, as the host reports them.
     pub fn clock_of(&self, host: &str) -> HostClock {
         let path = format!("/api/v1/hosts/{host}");
-        self.api.until(&path, |host| {
+        self.api.wait_until(&path, |host| {
             HostClock::from_report(&host["clock"]["rehearsal"], |wall| self.raw_at(wall))
         })
     }
 
-    /// Converts a time of the kernel's wall clock since the start of this test to its free-running clock. A time
-    /// daemon may change the rate of the wall clock by parts per million.
+    /// Converts a time of the kernel's wall clock since the start of this test to its free-running clock, by linear
+    /// interpolation: a time daemon may change the rate of the wall clock by parts per million.
     pub fn raw_at(&self, wall: WallTime) -> RawTime {
         let (start, now) = (self.start, stamp());
         let share = (wall - start.wall).nanos() as f64 / (now.wall - start.wall).nanos() as f64;
@@ -135,8 +135,8 @@ impl TwoHostTestbed {
     }
 
     /// Runs an SQL query on the database.
-    pub fn ask(&self, sql: &str) -> String {
-        ask(&self.folder().join("aggregator.sqlite"), sql)
+    pub fn query_database(&self, sql: &str) -> String {
+        query_database(&self.folder().join("aggregator.sqlite"), sql)
     }
 
     /// Stops the aggregator.
@@ -151,10 +151,10 @@ impl TwoHostTestbed {
     ///
     /// # Panics
     /// As [`stop`](Self::stop).
-    pub fn stop_and_inspect<T>(self, look: impl FnOnce() -> T) -> T {
+    pub fn stop_and_inspect<T>(self, inspect: impl FnOnce() -> T) -> T {
         let Self { aggregator, deployment: _deployment, network: _network, .. } = self;
         let ended = aggregator.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
-        look()
+        inspect()
     }
 }

@@ -1,5 +1,7 @@
-//! Checks of each request: the name by which it addresses this server, and the site that it comes from. There is no login: anyone who
-//! reaches the address may use it. The server therefore listens on this machine alone unless the configuration says otherwise.
+//! Checks of each request: the host name by which it addresses this server, and the site of the page that sends it.
+//!
+//! There is no login: everyone who reaches the address may use it. The server therefore listens on loopback only unless the configuration
+//! allows other addresses.
 
 use std::net::Ipv6Addr;
 
@@ -10,70 +12,79 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use crate::error::WebError;
-use crate::server_names::is_name;
+use crate::server_names::has_name_form;
 use crate::state::App;
 
-/// Returns the host of `HOST[:PORT]`, where `HOST` is a name, an IPv4 address or an IPv6 address in brackets, and nothing else.
-fn host_of(authority: &str) -> Option<&str> {
+/// Returns the host of `HOST[:PORT]`, where `HOST` is a name, an IPv4 address or an IPv6 address in brackets. Returns `None` for any
+/// other form.
+fn parse_host(authority: &str) -> Option<&str> {
     let end =
         authority.find(']').map_or_else(|| authority.find(':').unwrap_or(authority.len()), |end| end + 1);
     let (host, port) = authority.split_at(end);
     let valid = match host.strip_prefix('[') {
         Some(rest) => rest.strip_suffix(']')?.parse::<Ipv6Addr>().is_ok(),
-        None => is_name(host),
+        None => has_name_form(host),
     };
     let port = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
     (valid && port).then_some(host)
 }
 
-/// Returns whether a text is a number from 0 to 65535; one with a sign is not.
+/// Returns whether a text is a number from 0 to 65535 without a sign.
 fn is_port(text: &str) -> bool {
     text.bytes().all(|digit| digit.is_ascii_digit()) && text.parse::<u16>().is_ok()
 }
 
-/// Returns the host that a request names.
+/// Returns the host that a request addresses.
+///
+/// # Errors
+/// `BadRequest` unless exactly one valid Host header is present, and it agrees with the request's target.
 fn requested_host(request: &Request) -> Result<&str, WebError> {
-    let refused = |text: &str| WebError::BadRequest(text.to_owned());
+    let bad_request = |text: &str| WebError::BadRequest(text.to_owned());
     let mut hosts = request.headers().get_all(HOST).iter();
     let host = match (hosts.next(), hosts.next()) {
         (Some(host), None) => host,
-        (None, _) => return Err(refused("the request has no Host header; send one")),
-        (Some(_), Some(_)) => return Err(refused("the request has several Host headers; send one")),
+        (None, _) => return Err(bad_request("the request has no Host header; send one")),
+        (Some(_), Some(_)) => return Err(bad_request("the request has several Host headers; send one")),
     };
-    let named = host.to_str().ok().and_then(|text| Some((text, host_of(text)?)));
+    let named = host.to_str().ok().and_then(|text| Some((text, parse_host(text)?)));
     let (authority, host) =
-        named.ok_or_else(|| refused("the Host header is not a name or address with an optional port"))?;
+        named.ok_or_else(|| bad_request("the Host header is not a name or address with an optional port"))?;
     // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2): the check of one covers both.
     match request.uri().authority() {
         Some(target) if !target.as_str().eq_ignore_ascii_case(authority) => {
-            Err(refused("the Host header and the request's target name different servers"))
+            Err(bad_request("the Host header and the request's target name different servers"))
         }
         _ => Ok(host),
     }
 }
 
-/// Rejects requests that address another host name.
-pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
+/// Rejects requests that address a host name which is not one of this server's ([`crate::server_names::ServerNames`]).
+pub(crate) async fn reject_unknown_host_names(
+    State(app): State<App>,
+    request: Request,
+    next: Next,
+) -> Response {
     match requested_host(&request) {
-        Ok(host) if !app.names.contains(host) => WebError::OtherHost(host.to_owned()).into_response(),
+        Ok(host) if !app.server_names.contains(host) => WebError::OtherHost(host.to_owned()).into_response(),
         Ok(_) => next.run(request).await,
         Err(error) => error.into_response(),
     }
 }
 
-/// Allows changes only from this dashboard's own pages and from programs. A page of another site could otherwise send the request through
-/// the browser of a user who opens it (cross-site request forgery). Browsers report where a request comes from (`Sec-Fetch-Site`, Fetch
-/// Metadata, and `Origin`), and no page can change that; programs send neither header.
-pub(crate) async fn own_site(request: Request, next: Next) -> Response {
+/// Rejects requests that change data and come from a page of another site.
+///
+/// Such a page could otherwise send the request through the browser of a user who opens it (cross-site request forgery). Browsers report
+/// the origin of a request in `Sec-Fetch-Site` (Fetch Metadata) and `Origin`, which no page can change. Programs send neither header.
+pub(crate) async fn reject_cross_site_changes(request: Request, next: Next) -> Response {
     let reads = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
-    if reads || is_own(request.headers()) {
+    if reads || is_own_page_or_program(request.headers()) {
         return next.run(request).await;
     }
     let origin = request.headers().get(ORIGIN).and_then(|origin| origin.to_str().ok());
     WebError::OtherSite(origin.unwrap_or("another site").to_owned()).into_response()
 }
 
-fn is_own(headers: &HeaderMap) -> bool {
+fn is_own_page_or_program(headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or_default());
     let site = text(HeaderName::from_static("sec-fetch-site"));
     if site.is_some_and(|site| !matches!(site, "same-origin" | "none")) {
@@ -91,11 +102,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn changes_come_from_this_site_or_from_programs() {
+    fn only_own_pages_and_programs_may_change_data() {
         let own = |pairs: &[(&'static str, &'static str)]| {
             let host = ("host", "localhost:8040");
             let pairs = pairs.iter().copied().chain([host]);
-            is_own(
+            is_own_page_or_program(
                 &pairs
                     .map(|(name, value)| (HeaderName::from_static(name), HeaderValue::from_static(value)))
                     .collect(),
@@ -115,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn host_is_a_name_or_address_and_at_most_a_port() {
+    fn host_has_a_name_or_address_and_optional_port() {
         for (authority, host) in [
             ("a.example", "a.example"),
             ("a.example:0", "a.example"),
@@ -124,7 +135,7 @@ mod tests {
             ("[2001:db8::1]:8040", "[2001:db8::1]"),
             ("robot_7.local.:8040", "robot_7.local."),
         ] {
-            assert_eq!(host_of(authority), Some(host), "{authority}");
+            assert_eq!(parse_host(authority), Some(host), "{authority}");
         }
         for wrong in [
             "",
@@ -155,7 +166,7 @@ mod tests {
             "%6cocalhost",
             "localhost\\evil.example",
         ] {
-            assert_eq!(host_of(wrong), None, "{wrong}");
+            assert_eq!(parse_host(wrong), None, "{wrong}");
         }
     }
 

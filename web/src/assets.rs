@@ -1,6 +1,6 @@
-//! Styles, scripts and the font: inside the binary, so that the pages work without a network.
+//! Style sheets, scripts and the font. They are inside the binary, so that the pages work without a network.
 //!
-//! All of them are served below `/static/HASH/`, where HASH is the hash of their contents: a browser may cache them without limit and
+//! They are served below `/static/HASH/`, where HASH is a hash of their contents. A browser may therefore cache them without limit, and
 //! fetches them again after an update. Compressible assets are compressed once, when the server starts.
 
 use std::hash::{DefaultHasher, Hasher};
@@ -19,7 +19,7 @@ use crate::error::WebError;
 
 struct Asset {
     name: &'static str,
-    form: &'static str,
+    content_type: &'static str,
     plain: Bytes,
     /// Compressed contents; `None` for an asset in a compressed format.
     gzipped: Option<Bytes>,
@@ -30,7 +30,7 @@ struct Assets {
     all: Vec<Asset>,
 }
 
-const SCRIPT: &str = "text/javascript; charset=utf-8";
+const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
 
 static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
     macro_rules! css {
@@ -44,14 +44,14 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
             "text/css; charset=utf-8",
             css!("tokens", "base", "frame", "parts", "tables", "pictures", "compare", "widths"),
         ),
-        ("theme.js", SCRIPT, include_bytes!("../assets/js/theme.js")),
-        ("app.js", SCRIPT, include_bytes!("../assets/js/app.js")),
-        ("live.js", SCRIPT, include_bytes!("../assets/js/live.js")),
-        ("numbers.js", SCRIPT, include_bytes!("../assets/js/numbers.js")),
-        ("charts.js", SCRIPT, include_bytes!("../assets/js/charts.js")),
-        ("live-charts.js", SCRIPT, include_bytes!("../assets/js/live-charts.js")),
-        ("run.js", SCRIPT, include_bytes!("../assets/js/run.js")),
-        ("echarts.min.js", SCRIPT, include_bytes!("../assets/echarts.min.js")),
+        ("theme.js", JAVASCRIPT, include_bytes!("../assets/js/theme.js")),
+        ("app.js", JAVASCRIPT, include_bytes!("../assets/js/app.js")),
+        ("live.js", JAVASCRIPT, include_bytes!("../assets/js/live.js")),
+        ("numbers.js", JAVASCRIPT, include_bytes!("../assets/js/numbers.js")),
+        ("charts.js", JAVASCRIPT, include_bytes!("../assets/js/charts.js")),
+        ("live-charts.js", JAVASCRIPT, include_bytes!("../assets/js/live-charts.js")),
+        ("run.js", JAVASCRIPT, include_bytes!("../assets/js/run.js")),
+        ("echarts.min.js", JAVASCRIPT, include_bytes!("../assets/echarts.min.js")),
         ("inter.woff2", "font/woff2", include_bytes!("../assets/inter.woff2")),
         ("icon.svg", "image/svg+xml", include_bytes!("../assets/icon.svg")),
         (
@@ -66,9 +66,9 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
         hasher.write(name.as_bytes());
         hasher.write(bytes);
     }
-    let all = files.into_iter().map(|(name, form, bytes)| Asset {
+    let all = files.into_iter().map(|(name, content_type, bytes)| Asset {
         name,
-        form,
+        content_type,
         plain: Bytes::from_static(bytes),
         gzipped: if name.ends_with(".woff2") { None } else { gzip(bytes) },
     });
@@ -81,13 +81,13 @@ fn gzip(bytes: &[u8]) -> Option<Bytes> {
     encoder.finish().ok().map(Bytes::from)
 }
 
-/// Compresses everything now rather than during the first request.
-pub(crate) fn prepare() {
+/// Compresses all assets now, so that the first request does not wait for it.
+pub(crate) fn compress_all() {
     LazyLock::force(&ASSETS);
 }
 
-/// Returns the folder of the current assets: `/static/HASH`.
-pub(crate) fn folder() -> String {
+/// Returns the path of the current assets: `/static/HASH`.
+pub(crate) fn base_path() -> String {
     format!("/static/{}", ASSETS.version)
 }
 
@@ -97,15 +97,15 @@ pub(crate) async fn serve(
     headers: HeaderMap,
 ) -> Result<Response, WebError> {
     let asset = ASSETS.all.iter().find(|asset| asset.name == name);
-    let asset = asset.ok_or_else(|| WebError::NotFound(format!("there is no static file {name}")))?;
+    let asset = asset.ok_or_else(|| WebError::NotFound(format!("no static file is named {name}")))?;
     if version != ASSETS.version {
         // A page from before an update requests the old address: its assets are still here, under a new address.
-        return Ok(Redirect::temporary(&format!("{}/{name}", folder())).into_response());
+        return Ok(Redirect::temporary(&format!("{}/{name}", base_path())).into_response());
     }
     let accepts = |value: &HeaderValue| value.to_str().is_ok_and(|text| text.contains("gzip"));
     let gzipped = asset.gzipped.as_ref().filter(|_| headers.get_all(ACCEPT_ENCODING).iter().any(accepts));
     let head = [
-        (CONTENT_TYPE, asset.form),
+        (CONTENT_TYPE, asset.content_type),
         (CACHE_CONTROL, "public, max-age=31536000, immutable"),
         (VARY, "accept-encoding"),
     ];

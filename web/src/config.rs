@@ -17,20 +17,20 @@ use crate::zone::Zone;
 pub struct WebConfig {
     /// Address and port, such as `127.0.0.1:8040` or `[::]:8040`. Port 0 takes a free one.
     pub listen: String,
-    /// Required for listening beyond this machine: everyone who reaches the address can then see everything.
+    /// Required for addresses other than loopback, because everyone who reaches the address can see all data.
     pub allow_unauthenticated: bool,
     /// Names under which browsers reach the dashboard, in addition to IP addresses, `localhost` and the machine's own host name.
     pub server_names: Vec<String>,
     /// Zone of the times on the pages: `local`, `utc` or an offset such as `+01:00`. The API always uses UTC.
     pub time_zone: Zone,
-    /// Limits above which the overview warns.
+    /// Limits beyond which the overview warns.
     pub warn: WarnConfig,
 }
 
 /// An invalid value of the configuration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{key}: {message}")]
-pub struct Problem {
+pub struct ConfigProblem {
     /// The key within the `[web]` table.
     pub key: &'static str,
     /// Description of the problem, and what to do about it.
@@ -51,17 +51,17 @@ impl Default for WebConfig {
 
 impl WebConfig {
     /// Returns all problems of the configuration that can be found without starting.
-    pub fn check(&self) -> Vec<Problem> {
-        let names = self.server_names.iter().filter_map(|name| server_names::wrong_name(name));
-        let names = names.map(|message| Problem { key: "server_names", message });
+    pub fn check(&self) -> Vec<ConfigProblem> {
+        let names = self.server_names.iter().filter_map(|name| server_names::name_problem(name));
+        let names = names.map(|message| ConfigProblem { key: "server_names", message });
         self.listen_address().err().into_iter().chain(names).chain(self.warn.check()).collect()
     }
 
     /// Returns the address to listen on, if the configuration allows it.
-    pub(crate) fn listen_address(&self) -> Result<SocketAddr, Problem> {
-        let problem = |message| Problem { key: "listen", message };
+    pub(crate) fn listen_address(&self) -> Result<SocketAddr, ConfigProblem> {
+        let new_problem = |message| ConfigProblem { key: "listen", message };
         let address: SocketAddr = self.listen.parse().map_err(|_| {
-            problem(format!(
+            new_problem(format!(
                 "{:?} is not an address with a port: write it like 127.0.0.1:8040 or [::1]:8040",
                 self.listen
             ))
@@ -69,9 +69,9 @@ impl WebConfig {
         if address.ip().is_loopback() || self.allow_unauthenticated {
             return Ok(address);
         }
-        Err(problem(format!(
-            "{address} can be reached from other machines, and access is not restricted yet: everyone who reaches \
-             it could read all hosts, configurations and measurements; listen on 127.0.0.1, or set \
+        Err(new_problem(format!(
+            "{address} can be reached from other machines, and the dashboard has no login: everyone who reaches it \
+             can read all hosts, configurations and measurements; listen on 127.0.0.1, or set \
              allow_unauthenticated = true if that is intended"
         )))
     }
@@ -81,18 +81,18 @@ impl WebConfig {
 mod tests {
     use super::*;
 
-    fn listening(listen: &str, allow_unauthenticated: bool) -> Vec<Problem> {
+    fn listening(listen: &str, allow_unauthenticated: bool) -> Vec<ConfigProblem> {
         WebConfig { listen: listen.to_owned(), allow_unauthenticated, ..WebConfig::default() }.check()
     }
 
     #[test]
-    fn this_machine_alone_is_the_default() {
+    fn default_listens_on_loopback_only() {
         assert_eq!(WebConfig::default().check(), []);
         assert_eq!(listening("[::1]:0", false), []);
     }
 
     #[test]
-    fn listening_wider_must_be_said_and_the_error_tells_what_it_gives_up() {
+    fn other_addresses_need_allow_unauthenticated() {
         for wide in ["0.0.0.0:8040", "[::]:8040", "192.0.2.7:8040"] {
             let problems = listening(wide, false);
             assert_eq!(problems.len(), 1, "{wide}");
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_must_have_a_port() {
+    fn address_without_port_is_refused() {
         assert_eq!(listening("127.0.0.1", false)[0].key, "listen");
         assert_eq!(listening("example", true)[0].key, "listen");
     }
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_keys_are_errors() {
+    fn unknown_key_is_an_error() {
         let error = serde_json::from_str::<WebConfig>(r#"{"port": 8040}"#).expect_err("there is no such key");
         assert!(error.to_string().contains("port"), "{error}");
     }

@@ -1,11 +1,14 @@
 //! The accept loop, the limits of a connection that sends no request, and the shutdown of all connections.
 //!
-//! At most [`Limits::connections`] are open at a time, and addresses share them ([`FairPlaces`]): a further connection closes the oldest
-//! one of the address that has most, or is closed itself.
-//! Streams never end: at most [`Limits::streams`] are open, shared in the same way, and [`Limits::streams_per_address`] of
-//! one address, so that connections and processor time remain for all other requests; further streams are answered with 503.
-//! A connection that does not complete the header of its first or next request within [`Limits::silence`] is closed, whether it is idle
-//! or sends byte by byte. A connection whose peer reads nothing for [`Limits::unread`] is closed as well.
+//! At most [`Limits::connections`] connections are open at a time, and client addresses share them ([`FairSlots`]). A further connection
+//! replaces the oldest one of the address that has most, or is closed itself.
+//!
+//! Live streams never end. At most [`Limits::streams`] of them are open, shared in the same way, and at most
+//! [`Limits::streams_per_address`] of one address, so that connections and processor time remain for all other requests. A further
+//! stream is answered with 503.
+//!
+//! A connection is closed if it does not complete a request header within [`Limits::header_timeout`], whether it is idle or sends byte by
+//! byte. A connection whose peer reads nothing for [`Limits::unread_timeout`] is closed as well.
 
 use std::io;
 use std::net::SocketAddr;
@@ -28,49 +31,50 @@ use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
 use crate::error::WebError;
-use crate::fair_places::{FairPlaces, NoPlace, Place};
+use crate::fair_slots::{FairSlots, Slot, SlotRefusal};
 
-/// Largest number of bytes read or written ahead on one connection.
-const BUFFER: usize = 64 << 10;
-/// Largest size of a request's first line and headers together, bytes.
-const HEADER: usize = 64 << 10;
-/// Pause after an accept that failed because file descriptors or memory were exhausted.
-const SHORTAGE: Duration = Duration::from_secs(1);
-/// Largest number of streams of one address. Each makes the server compute an update four times a second.
-const STREAMS: usize = 32;
+/// Maximum number of bytes that are buffered for one connection, per direction.
+const MAX_BUFFER_BYTES: usize = 64 << 10;
+/// Maximum size of the request line and all headers together, bytes.
+const MAX_HEADER_BYTES: usize = 64 << 10;
+/// Delay before the next `accept` after one that failed because file descriptors or memory were exhausted.
+const ACCEPT_RETRY_DELAY: Duration = Duration::from_secs(1);
+/// Maximum number of live streams of one client address. Each makes the server compute an update four times a second.
+const MAX_STREAMS_PER_ADDRESS: usize = 32;
 
-/// Limits of connections.
+/// Limits of the server's connections.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
-    /// Connections open at a time.
+    /// Maximum number of open connections.
     pub connections: usize,
-    /// Streams open at a time.
+    /// Maximum number of open live streams.
     pub streams: usize,
-    /// Streams open at a time from one address.
+    /// Maximum number of open live streams of one client address.
     pub streams_per_address: usize,
-    /// Longest time without a complete header while no request is in progress.
-    pub silence: Duration,
-    /// Longest time that a peer may leave sent data unread (`TCP_USER_TIMEOUT`).
-    pub unread: Duration,
-    /// Longest time that requests in progress may take after the server was asked to stop.
-    pub grace: Duration,
+    /// Maximum time without a complete request header while no request is in progress.
+    pub header_timeout: Duration,
+    /// Maximum time that a peer may leave sent data unread (`TCP_USER_TIMEOUT`).
+    pub unread_timeout: Duration,
+    /// Maximum time that requests in progress may take after the server was asked to stop.
+    pub grace_period: Duration,
 }
 
 impl Limits {
-    /// Limits of a running server. The grace is shorter than the time that the whole process has for stopping.
+    /// Returns the limits of a running server with at most `connections` connections.
     pub(crate) fn server(connections: usize) -> Self {
         Self {
             connections,
             streams: connections / 4,
-            streams_per_address: STREAMS,
-            silence: Duration::from_secs(10),
-            unread: Duration::from_secs(30),
-            grace: Duration::from_millis(1_500),
+            streams_per_address: MAX_STREAMS_PER_ADDRESS,
+            header_timeout: Duration::from_secs(10),
+            unread_timeout: Duration::from_secs(30),
+            // Shorter than the time that the whole process has for stopping.
+            grace_period: Duration::from_millis(1_500),
         }
     }
 }
 
-/// Serves until `stop` is cancelled and every connection is closed, at the latest [`Limits::grace`] after it.
+/// Serves until `stop` is cancelled and every connection is closed, at the latest [`Limits::grace_period`] after it.
 pub(crate) async fn accept(
     listener: TcpListener,
     router: Router,
@@ -78,49 +82,52 @@ pub(crate) async fn accept(
     stop: CancellationToken,
     limits: Limits,
 ) {
-    let places = FairPlaces::new(limits.connections, usize::MAX);
-    let streams = FairPlaces::new(limits.streams, limits.streams_per_address);
+    let slots = FairSlots::new(limits.connections, usize::MAX);
+    let streams = FairSlots::new(limits.streams, limits.streams_per_address);
     let open = TaskTracker::new();
-    let cut = CancellationToken::new();
-    let mut acceptor = Acceptor { places, cut: cut.clone(), clock, log: LogThrottle::default() };
-    while let Some(accepted) = stop.run_until_cancelled(acceptor.next(&listener)).await {
-        let Accepted { stream, address, leave, place } = accepted;
-        let streams = Streams { places: streams.clone(), address, leave: leave.clone() };
+    let close_all = CancellationToken::new();
+    let mut acceptor = Acceptor { slots, close_all: close_all.clone(), clock, log: LogThrottle::default() };
+    while let Some(accepted) = stop.run_until_cancelled(acceptor.accept(&listener)).await {
+        let AcceptedConnection { stream, address, evict, slot } = accepted;
+        let streams = StreamSlots { slots: streams.clone(), address, evict: evict.clone() };
         let served = serve(stream, router.clone(), streams, stop.clone(), limits);
         open.spawn(async move {
-            leave.run_until_cancelled(served).await;
-            drop(place);
+            evict.run_until_cancelled(served).await;
+            drop(slot);
         });
     }
     drop(listener);
     open.close();
-    if tokio::time::timeout(limits.grace, open.wait()).await.is_err() {
+    if tokio::time::timeout(limits.grace_period, open.wait()).await.is_err() {
         let requests = open.len();
-        tracing::warn!(requests, grace = ?limits.grace, "requests were still open after the web server was asked to stop");
-        cut.cancel();
+        tracing::warn!(requests, grace = ?limits.grace_period, "requests were still in progress when the grace period of the web server ended; closing their connections");
+        close_all.cancel();
         open.wait().await;
     }
 }
 
-/// The places of live streams, as available to the requests of one connection.
+/// The slots of live streams, as the requests of one connection see them.
 #[derive(Clone, Debug)]
-pub(crate) struct Streams {
-    places: FairPlaces,
+pub(crate) struct StreamSlots {
+    slots: FairSlots,
     address: AddressGroup,
     /// Ends the connection: a stream ends with the connection that carries it, also while its listener reads nothing.
-    leave: CancellationToken,
+    evict: CancellationToken,
 }
 
-impl Streams {
-    /// Returns the place of one more stream.
-    pub(crate) async fn take(&self) -> Result<Place, WebError> {
-        self.places.take(self.address, self.leave.clone()).await.map_err(|refused| {
-            WebError::TooManyStreams(match refused {
-                NoPlace::AddressIsFull(count) => format!(
-                    "{count} live streams are open from this address, as many as one may have; close one and try again"
+impl StreamSlots {
+    /// Acquires the slot of one more stream.
+    ///
+    /// # Errors
+    /// [`WebError::TooManyStreams`] when the limit of the address or of all addresses is reached.
+    pub(crate) async fn acquire(&self) -> Result<Slot, WebError> {
+        self.slots.acquire(self.address, self.evict.clone()).await.map_err(|refusal| {
+            WebError::TooManyStreams(match refusal {
+                SlotRefusal::AddressLimitReached(count) => format!(
+                    "{count} live streams are open from this address, the limit of one address; close one and try again"
                 ),
-                NoPlace::AllTaken(count) => format!(
-                    "{count} live streams are open, as many as there may be; try again when one has been closed"
+                SlotRefusal::AllSlotsTaken(count) => format!(
+                    "{count} live streams are open, the limit of all addresses together; try again when one has been closed"
                 ),
             })
         })
@@ -128,83 +135,89 @@ impl Streams {
 }
 
 /// An accepted connection.
-struct Accepted {
+struct AcceptedConnection {
     stream: TcpStream,
     address: AddressGroup,
-    /// Cancelled when another address needs the place.
-    leave: CancellationToken,
-    place: Place,
+    /// Cancelled when another address needs the slot.
+    evict: CancellationToken,
+    slot: Slot,
 }
 
-/// Accepts connections within the limits.
+/// Accepts connections as long as slots are free.
 struct Acceptor {
-    places: FairPlaces,
-    /// Ends all connections.
-    cut: CancellationToken,
+    slots: FairSlots,
+    /// Closes all connections when it is cancelled.
+    close_all: CancellationToken,
     clock: SharedClock,
     log: LogThrottle,
 }
 
 impl Acceptor {
-    /// Accepts connections until one gets a place, and returns it.
-    async fn next(&mut self, listener: &TcpListener) -> Accepted {
+    /// Accepts connections until one gets a slot, and returns it.
+    async fn accept(&mut self, listener: &TcpListener) -> AcceptedConnection {
         loop {
             match listener.accept().await {
                 Ok((stream, peer)) => {
-                    let (address, leave) = (AddressGroup::of(peer), self.cut.child_token());
-                    match self.places.take(address, leave.clone()).await {
-                        Ok(place) => return Accepted { stream, address, leave, place },
-                        Err(_) => self.refused(peer),
+                    let (address, evict) = (AddressGroup::of(peer), self.close_all.child_token());
+                    match self.slots.acquire(address, evict.clone()).await {
+                        Ok(slot) => return AcceptedConnection { stream, address, evict, slot },
+                        Err(_) => self.log_refusal(peer),
                     }
                 }
-                Err(error) if gone(&error) => {}
+                Err(error) if is_closed_by_peer(&error) => {}
                 Err(error) => {
                     if let Some(times) = self.log.count(&error.to_string(), None, self.clock.mono()) {
-                        tracing::error!(times, %error, "cannot accept a connection; trying again");
+                        tracing::error!(times, %error, "cannot accept a connection to the web server; trying again in one second");
                     }
-                    tokio::time::sleep(SHORTAGE).await;
+                    tokio::time::sleep(ACCEPT_RETRY_DELAY).await;
                 }
             }
         }
     }
 
-    fn refused(&mut self, peer: SocketAddr) {
+    fn log_refusal(&mut self, peer: SocketAddr) {
         if let Some(times) = self.log.count("full", None, self.clock.mono()) {
-            tracing::warn!(times, %peer, "closed a connection: as many as allowed are open, and no address has more of them");
+            tracing::warn!(times, %peer, "closed a new connection to the web server: the maximum number is open, and no other address has clearly more of them");
         }
     }
 }
 
-/// Returns whether the other side gave up before it was accepted.
-fn gone(error: &io::Error) -> bool {
+/// Returns whether the peer closed the connection before it was accepted.
+fn is_closed_by_peer(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
 }
 
-async fn serve(stream: TcpStream, router: Router, streams: Streams, stop: CancellationToken, limits: Limits) {
-    if let Err(error) = SockRef::from(&stream).set_tcp_user_timeout(Some(limits.unread)) {
+async fn serve(
+    stream: TcpStream,
+    router: Router,
+    streams: StreamSlots,
+    stop: CancellationToken,
+    limits: Limits,
+) {
+    if let Err(error) = SockRef::from(&stream).set_tcp_user_timeout(Some(limits.unread_timeout)) {
         // The peer has usually closed the connection already.
-        tracing::debug!(%error, "a connection cannot be given a time limit");
+        tracing::debug!(%error, "cannot set TCP_USER_TIMEOUT of a connection to the web server; closing it");
         return;
     }
-    let asked = AtomicBool::new(false);
+    let has_received_request = AtomicBool::new(false);
     let service = service_fn(|mut request: Request<Incoming>| {
         request.extensions_mut().insert(streams.clone());
-        asked.store(true, Ordering::Relaxed);
+        has_received_request.store(true, Ordering::Relaxed);
         router.clone().oneshot(request)
     });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(limits.silence)
-        .max_buf_size(BUFFER)
-        .max_header_size(HEADER)
+        .header_read_timeout(limits.header_timeout)
+        .max_buf_size(MAX_BUFFER_BYTES)
+        .max_header_size(MAX_HEADER_BYTES)
         .serve_connection(TokioIo::new(stream), service);
     let mut connection = pin!(connection);
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
         () = stop.cancelled() => {
             // An idle connection closes on this request; one in the middle of its first header would wait for the rest of it.
-            if !asked.load(Ordering::Relaxed) {
+            if !has_received_request.load(Ordering::Relaxed) {
                 return;
             }
             connection.as_mut().graceful_shutdown();
@@ -212,7 +225,7 @@ async fn serve(stream: TcpStream, router: Router, streams: Streams, stop: Cancel
         }
     };
     if let Err(error) = ended {
-        tracing::debug!(%error, "a connection ended early");
+        tracing::debug!(%error, "a connection to the web server ended with an error");
     }
 }
 

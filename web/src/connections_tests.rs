@@ -16,8 +16,14 @@ use super::*;
 
 const HOUR: Duration = Duration::from_secs(3_600);
 const SOON: Duration = Duration::from_millis(20);
-const PATIENT: Limits =
-    Limits { connections: 8, streams: 8, streams_per_address: 8, silence: HOUR, unread: HOUR, grace: HOUR };
+const LONG_LIMITS: Limits = Limits {
+    connections: 8,
+    streams: 8,
+    streams_per_address: 8,
+    header_timeout: HOUR,
+    unread_timeout: HOUR,
+    grace_period: HOUR,
+};
 
 /// A server whose `/wait` answers only when a permit is added.
 struct Server {
@@ -28,7 +34,7 @@ struct Server {
     answers: Arc<Semaphore>,
     entered: Arc<Notify>,
     inside: Arc<AtomicUsize>,
-    most: Arc<AtomicUsize>,
+    maximum: Arc<AtomicUsize>,
 }
 
 impl Server {
@@ -39,13 +45,13 @@ impl Server {
         let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let answers = Arc::new(Semaphore::new(0));
         let entered = Arc::new(Notify::new());
-        let (inside, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
-        let shared = (answers.clone(), entered.clone(), inside.clone(), most.clone());
+        let (inside, maximum) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let shared = (answers.clone(), entered.clone(), inside.clone(), maximum.clone());
         let wait = move || {
-            let (answers, entered, inside, most) = shared.clone();
+            let (answers, entered, inside, maximum) = shared.clone();
             async move {
                 let now = inside.fetch_add(1, Ordering::SeqCst) + 1;
-                most.fetch_max(now, Ordering::SeqCst);
+                maximum.fetch_max(now, Ordering::SeqCst);
                 entered.notify_one();
                 answers.acquire().await.expect("open").forget();
                 inside.fetch_sub(1, Ordering::SeqCst);
@@ -60,23 +66,23 @@ impl Server {
             .route("/wait", get(wait))
             .route("/endless", get(endless));
         let task = tokio::spawn(accept(listener, router, clock, stop.clone(), limits));
-        Self { address, stop, task, answers, entered, inside, most }
+        Self { address, stop, task, answers, entered, inside, maximum }
     }
 
     async fn connect(&self) -> TcpStream {
         TcpStream::connect(self.address).await.expect("connects")
     }
 
-    /// Returns a connection that sent this.
-    async fn sent(&self, text: &str) -> TcpStream {
+    /// Returns a connection on which `text` was sent.
+    async fn connect_and_send(&self, text: &str) -> TcpStream {
         let mut stream = self.connect().await;
         stream.write_all(text.as_bytes()).await.expect("sends");
         stream
     }
 
-    /// Returns a connection that had its first answer and is still open.
-    async fn answered(&self) -> TcpStream {
-        let mut stream = self.sent("GET / HTTP/1.1\r\nHost: here\r\n\r\n").await;
+    /// Returns an open connection on which one request was answered.
+    async fn connect_and_get_answer(&self) -> TcpStream {
+        let mut stream = self.connect_and_send("GET / HTTP/1.1\r\nHost: here\r\n\r\n").await;
         let mut heard = String::new();
         while !heard.ends_with("here") {
             let mut chunk = [0; 512];
@@ -87,8 +93,8 @@ impl Server {
         stream
     }
 
-    /// Sends the request again until its connection is not closed because all places are taken.
-    async fn finds_a_place(&self, request: &str) {
+    /// Sends the request again until its connection gets a slot.
+    async fn request_until_slot_is_free(&self, request: &str) {
         loop {
             let mut stream = self.connect().await;
             let sent = stream.write_all(request.as_bytes()).await;
@@ -100,140 +106,141 @@ impl Server {
         }
     }
 
-    async fn inside(&self, count: usize) {
+    /// Waits until `count` requests to `/wait` are in progress.
+    async fn wait_for_requests(&self, count: usize) {
         while self.inside.load(Ordering::SeqCst) < count {
             self.entered.notified().await;
         }
     }
 }
 
-/// Returns the data received until the other side closed.
-async fn rest(mut stream: TcpStream) -> String {
-    let mut rest = String::new();
-    stream.read_to_string(&mut rest).await.expect("closed in order");
-    rest
+/// Returns the data received until the server closed the connection.
+async fn read_to_end(mut stream: TcpStream) -> String {
+    let mut text = String::new();
+    stream.read_to_string(&mut text).await.expect("closed in order");
+    text
 }
 
 const WAIT: &str = "GET /wait HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n";
 
 #[tokio::test]
-async fn connections_that_ask_for_nothing_are_closed() {
-    let server = Server::start(Limits { silence: SOON, ..PATIENT }).await;
+async fn connection_without_complete_header_is_closed() {
+    let server = Server::start(Limits { header_timeout: SOON, ..LONG_LIMITS }).await;
     let silent = [server.connect().await, server.connect().await, server.connect().await];
-    let slow = server.sent("GET / HTTP/1.1\r\nHo").await;
-    let idle = server.answered().await;
-    let mut half = server.answered().await;
+    let slow = server.connect_and_send("GET / HTTP/1.1\r\nHo").await;
+    let idle = server.connect_and_get_answer().await;
+    let mut half = server.connect_and_get_answer().await;
     half.write_all(b"GET / HT").await.expect("sends");
     for stream in silent.into_iter().chain([slow, idle, half]) {
-        assert!(!rest(stream).await.contains("here"));
+        assert!(!read_to_end(stream).await.contains("here"));
     }
 }
 
 #[tokio::test]
-async fn connections_whose_peer_reads_nothing_are_closed() {
-    let server = Server::start(Limits { connections: 1, unread: SOON, ..PATIENT }).await;
-    let unread = server.sent("GET /endless HTTP/1.1\r\nHost: here\r\n\r\n").await;
-    // It had the only place.
-    server.finds_a_place(&WAIT.replace("/wait", "/")).await;
+async fn connection_whose_peer_reads_nothing_is_closed() {
+    let server = Server::start(Limits { connections: 1, unread_timeout: SOON, ..LONG_LIMITS }).await;
+    let unread = server.connect_and_send("GET /endless HTTP/1.1\r\nHost: here\r\n\r\n").await;
+    // The unread connection had the only slot.
+    server.request_until_slot_is_free(&WAIT.replace("/wait", "/")).await;
     drop(unread);
 }
 
 #[tokio::test]
-async fn a_request_in_progress_is_not_silence() {
-    let server = Server::start(Limits { silence: SOON, ..PATIENT }).await;
-    let waiting = server.sent(WAIT).await;
-    server.inside(1).await;
-    // By the time this one is closed for its silence, the other has been waiting as long.
-    rest(server.connect().await).await;
+async fn request_in_progress_does_not_time_out() {
+    let server = Server::start(Limits { header_timeout: SOON, ..LONG_LIMITS }).await;
+    let waiting = server.connect_and_send(WAIT).await;
+    server.wait_for_requests(1).await;
+    // By the time this connection reaches its header timeout, the request has been waiting as long.
+    read_to_end(server.connect().await).await;
     server.answers.add_permits(1);
-    assert!(rest(waiting).await.ends_with("waited"));
+    assert!(read_to_end(waiting).await.ends_with("waited"));
 }
 
 #[tokio::test]
 async fn connections_beyond_the_limit_are_closed() {
-    let server = Server::start(Limits { connections: 2, ..PATIENT }).await;
-    let held = [server.sent(WAIT).await, server.sent(WAIT).await];
-    server.inside(2).await;
-    assert_eq!(rest(server.connect().await).await, "");
+    let server = Server::start(Limits { connections: 2, ..LONG_LIMITS }).await;
+    let held = [server.connect_and_send(WAIT).await, server.connect_and_send(WAIT).await];
+    server.wait_for_requests(2).await;
+    assert_eq!(read_to_end(server.connect().await).await, "");
     server.answers.add_permits(3);
     for stream in held {
-        assert!(rest(stream).await.ends_with("waited"));
+        assert!(read_to_end(stream).await.ends_with("waited"));
     }
-    // Both places are free again, at the latest when their tasks have ended.
-    server.finds_a_place(WAIT).await;
-    assert_eq!(server.most.load(Ordering::SeqCst), 2);
+    // Both slots are free again, at the latest when their tasks have ended.
+    server.request_until_slot_is_free(WAIT).await;
+    assert_eq!(server.maximum.load(Ordering::SeqCst), 2);
 }
 
 #[tokio::test]
-async fn another_address_takes_the_place_of_the_oldest_connection() {
-    let server = Server::start(Limits { connections: 2, ..PATIENT }).await;
-    let oldest = server.sent(WAIT).await;
-    server.inside(1).await;
-    let second = server.sent(WAIT).await;
-    server.inside(2).await;
+async fn connection_of_another_address_replaces_oldest() {
+    let server = Server::start(Limits { connections: 2, ..LONG_LIMITS }).await;
+    let oldest = server.connect_and_send(WAIT).await;
+    server.wait_for_requests(1).await;
+    let second = server.connect_and_send(WAIT).await;
+    server.wait_for_requests(2).await;
     // All of 127.0.0.0/8 is this machine.
     let socket = TcpSocket::new_v4().expect("a socket");
     socket.bind("127.0.0.2:0".parse().expect("an address")).expect("binds");
     let mut other = socket.connect(server.address).await.expect("connects");
     other.write_all(WAIT.as_bytes()).await.expect("sends");
-    assert_eq!(rest(oldest).await, "");
+    assert_eq!(read_to_end(oldest).await, "");
     server.answers.add_permits(2);
     for stream in [second, other] {
-        assert!(rest(stream).await.ends_with("waited"));
+        assert!(read_to_end(stream).await.ends_with("waited"));
     }
 }
 
 #[tokio::test]
-async fn stopping_waits_for_no_connection_without_a_request() {
-    let server = Server::start(PATIENT).await;
+async fn stop_does_not_wait_for_idle_connections() {
+    let server = Server::start(LONG_LIMITS).await;
     let _silent = server.connect().await;
-    let _first = server.sent("GET / HTTP/1.1\r\nHo").await;
-    let _idle = server.answered().await;
-    let mut half = server.answered().await;
+    let _first = server.connect_and_send("GET / HTTP/1.1\r\nHo").await;
+    let _idle = server.connect_and_get_answer().await;
+    let mut half = server.connect_and_get_answer().await;
     half.write_all(b"GET / HT").await.expect("sends");
     server.stop.cancel();
     server.task.await.expect("ends");
 }
 
 #[tokio::test]
-async fn a_request_in_progress_is_answered_after_the_stop() {
-    let server = Server::start(PATIENT).await;
-    let waiting = server.sent(WAIT).await;
-    server.inside(1).await;
+async fn request_in_progress_is_answered_after_stop() {
+    let server = Server::start(LONG_LIMITS).await;
+    let waiting = server.connect_and_send(WAIT).await;
+    server.wait_for_requests(1).await;
     server.stop.cancel();
     server.answers.add_permits(1);
     server.task.await.expect("ends");
-    assert!(rest(waiting).await.ends_with("waited"));
+    assert!(read_to_end(waiting).await.ends_with("waited"));
 }
 
 #[tokio::test]
-async fn a_request_that_outlasts_the_grace_is_cut_off() {
-    let server = Server::start(Limits { grace: SOON, ..PATIENT }).await;
-    let waiting = server.sent(WAIT).await;
-    server.inside(1).await;
+async fn request_beyond_grace_period_is_aborted() {
+    let server = Server::start(Limits { grace_period: SOON, ..LONG_LIMITS }).await;
+    let waiting = server.connect_and_send(WAIT).await;
+    server.wait_for_requests(1).await;
     server.stop.cancel();
     server.task.await.expect("ends");
-    assert_eq!(rest(waiting).await, "");
+    assert_eq!(read_to_end(waiting).await, "");
 }
 
 #[tokio::test]
-async fn streams_are_limited_by_address_and_in_all() {
-    let places = FairPlaces::new(3, 2);
-    let of = async |address: &str| {
+async fn streams_are_limited_per_address_and_in_total() {
+    let slots = FairSlots::new(3, 2);
+    let take = async |address: &str| {
         let address = AddressGroup::of(format!("{address}:1").parse().expect("an address"));
-        let leave = CancellationToken::new();
-        Streams { places: places.clone(), address, leave }.take().await
+        let evict = CancellationToken::new();
+        StreamSlots { slots: slots.clone(), address, evict }.acquire().await
     };
-    let _held = [of("192.0.2.1").await, of("192.0.2.1").await].map(|place| place.expect("free"));
-    let refused = of("192.0.2.1").await.expect_err("too many").to_string();
-    assert!(refused.starts_with("2 live streams are open from this address"), "{refused}");
-    let _other = of("192.0.2.2").await.expect("free");
-    let refused = of("192.0.2.2").await.expect_err("too many").to_string();
-    assert!(refused.starts_with("3 live streams are open, "), "{refused}");
+    let _held = [take("192.0.2.1").await, take("192.0.2.1").await].map(|slot| slot.expect("free"));
+    let log_refusal = take("192.0.2.1").await.expect_err("too many").to_string();
+    assert!(log_refusal.starts_with("2 live streams are open from this address"), "{log_refusal}");
+    let _other = take("192.0.2.2").await.expect("free");
+    let log_refusal = take("192.0.2.2").await.expect_err("too many").to_string();
+    assert!(log_refusal.starts_with("3 live streams are open, "), "{log_refusal}");
 }
 
 async fn with_headers(length: usize) -> String {
-    let server = Server::start(PATIENT).await;
+    let server = Server::start(LONG_LIMITS).await;
     let begin = "GET / HTTP/1.1\r\nHost: here\r\nConnection: close\r\nX-Long: ";
     let filler = "x".repeat(length - begin.len() - 4);
     let mut stream = server.connect().await;
@@ -246,8 +253,8 @@ async fn with_headers(length: usize) -> String {
 
 #[tokio::test]
 async fn headers_beyond_the_limit_are_refused() {
-    assert!(with_headers(HEADER).await.starts_with("HTTP/1.1 200"));
-    for length in [HEADER + 1, 100_000, 1_000_000] {
+    assert!(with_headers(MAX_HEADER_BYTES).await.starts_with("HTTP/1.1 200"));
+    for length in [MAX_HEADER_BYTES + 1, 100_000, 1_000_000] {
         assert!(with_headers(length).await.starts_with("HTTP/1.1 431"), "{length}");
     }
 }

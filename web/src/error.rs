@@ -1,5 +1,6 @@
-//! The error type of all handlers, and the problem details (RFC 9457) that clients receive. Details of an internal error are logged under
-//! an id and never sent, since they may name files and other internals.
+//! The error type of all handlers, and the problem details (RFC 9457) that clients receive.
+//!
+//! Details of an internal error are logged under an id and never sent, since they may name files and other internals.
 
 use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -13,7 +14,7 @@ use utoipa::ToSchema;
 
 use crate::state::AppState;
 
-/// Reason why a request is not answered.
+/// Reason why a request fails.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum WebError {
     /// A parameter of the query or path is invalid; the text names it.
@@ -22,9 +23,9 @@ pub(crate) enum WebError {
     /// The requested item does not exist; the text names it.
     #[error("{0}")]
     NotFound(String),
-    /// The request names another host.
+    /// The Host header names another host.
     #[error(
-        "this server does not answer to the name {0:?}: open it by its IP address, or add the name to server_names in the table [web]"
+        "this server is not configured for the host name {0:?}: open it by its IP address, or add the name to server_names in the table [web]"
     )]
     OtherHost(String),
     /// The requested item was deleted; the text gives the reason.
@@ -32,11 +33,11 @@ pub(crate) enum WebError {
     Gone(String),
     /// A page of another site requests a change.
     #[error(
-        "only pages of this dashboard and programs may change something here, not a page of {0}; a proxy in between must pass on the Host header"
+        "a page of {0} may not change data of this dashboard, only its own pages and programs may; a reverse proxy must forward the Host header"
     )]
     OtherSite(String),
     /// The store returned an error.
-    #[error("the store has no answer")]
+    #[error("the query of the store failed")]
     Store(#[from] StoreError),
     /// A template could not be rendered.
     #[error("cannot render a page")]
@@ -47,11 +48,11 @@ pub(crate) enum WebError {
     /// An answer could not be written as text.
     #[error("cannot write an answer as text")]
     Text(#[from] fmt::Error),
-    /// The limit of streams is reached; the text names the limit.
+    /// The limit of live streams is reached; the text names the limit.
     #[error("{0}")]
     TooManyStreams(String),
-    /// The answer took too long.
-    #[error("no answer within {0} s")]
+    /// The response timeout, in seconds, expired.
+    #[error("the request was not answered within {0} s")]
     TookTooLong(u64),
     /// A handler panicked.
     #[error("a handler panicked: {0}")]
@@ -71,11 +72,11 @@ pub(crate) struct ProblemDetails {
     /// Always `about:blank`: the status gives the type of the problem.
     #[serde(rename = "type")]
     kind: &'static str,
-    /// The status in words.
+    /// The reason phrase of the status.
     title: String,
     /// The HTTP status code.
     status: u16,
-    /// Description of what is wrong with this request, and what to do about it.
+    /// Description of the problem with this request, and of what to do about it.
     detail: String,
     /// Identifier of the cause in the server's log, for problems of the server.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -117,7 +118,7 @@ impl WebError {
         }
         if let Self::TooManyStreams(text) = self {
             if let Some(times) = app.count_failure(text) {
-                tracing::warn!(times, error = text, "a live stream was refused");
+                tracing::warn!(times, error = text, "refused a live stream");
             }
             return ProblemDetails::new(status, text.clone(), None);
         }
@@ -127,33 +128,35 @@ impl WebError {
         {
             let text = error.to_string();
             if let Some(times) = app.count_failure(&text) {
-                tracing::warn!(times, error = text, "a question to the store was not answered");
+                tracing::warn!(times, error = text, "a query of the store was not answered");
             }
             return ProblemDetails::new(status, text, None);
         }
         let text = Chain(self).to_string();
         // The same failure has the same id, so that it is found in the log although only some occurrences are written there.
-        let id = id(&text);
+        let id = text_id(&text);
         if let Some(times) = app.count_failure(&text) {
             if matches!(self, Self::TookTooLong(_)) {
-                tracing::warn!(id, times, error = text, "a request was not answered in time");
+                tracing::warn!(id, times, error = text, "a request timed out");
             } else {
                 tracing::error!(id, times, error = text, "a request failed");
             }
         }
         let detail = match self {
-            // The text is the one of /readyz.
+            // The text names no internals: /readyz shows it, too.
             Self::Store(error @ StoreError::Damaged { .. }) => &error.to_string(),
-            Self::Store(_) => "the stored data could not be read; what went wrong is in the aggregator's log",
-            Self::TookTooLong(_) => "the answer took too long; try again, or ask for less at once",
-            _ => "something went wrong while answering; it is in the aggregator's log",
+            Self::Store(_) => {
+                "the stored data could not be read; the aggregator's log has the cause under this id"
+            }
+            Self::TookTooLong(_) => "the answer took too long; try again, or request less at once",
+            _ => "an internal error occurred; the aggregator's log has the cause under this id",
         };
         ProblemDetails::new(status, detail.to_owned(), Some(id))
     }
 }
 
 /// Returns twelve hexadecimal digits that identify a text.
-fn id(text: &str) -> String {
+fn text_id(text: &str) -> String {
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);
     format!("{:012x}", hasher.finish() >> 16)

@@ -1,7 +1,7 @@
 //! The dashboard and the REST API: thin handlers that query the aggregator and render its answers.
 //!
-//! `pages/` holds one file per page with its template next to it, `api/` one file or folder per resource of `/api/v1`; the `mod.rs` of
-//! either registers them. `view/` holds the parts that several pages share, `svg/` the pictures that the server draws.
+//! `pages/` holds one file per page with its template next to it, and `api/` one file or folder per resource of `/api/v1`. Their `mod.rs`
+//! registers them. `view/` holds the parts that several pages share, `svg/` the pictures that the server draws.
 //!
 //! Pages are complete without scripts: templates render tables and pictures on the server, and server-sent events replace parts of
 //! them. Only charts that zoom or move are drawn in the browser.
@@ -16,7 +16,7 @@ mod assets;
 mod config;
 mod connections;
 mod error;
-mod fair_places;
+mod fair_slots;
 mod look;
 mod metrics;
 mod pages;
@@ -32,6 +32,6 @@ mod timeline;
 mod view;
 mod zone;
 
-pub use config::{Problem, WarnConfig, WebConfig};
-pub use serve::{Failure, Running, StartError, router, serve};
+pub use config::{ConfigProblem, WarnConfig, WebConfig};
+pub use serve::{RunningServer, ServerError, StartError, router, serve};
 pub use zone::{InvalidZone, Zone};

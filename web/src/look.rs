@@ -1,4 +1,4 @@
-//! Appearance of the stages: the class that carries their colour in every picture.
+//! Appearance of the stages: order, labels, and the CSS class that gives a stage its colour everywhere.
 
 use std::sync::LazyLock;
 
@@ -6,14 +6,14 @@ use peernet_logger::{Name, stage};
 
 static STAGES: [Name; 11] = stage::ORDER;
 
-/// The stages of a stack, and `unattributed`, in the order of every stack, key and table. Pages pass it to the scripts.
+/// The stages and `unattributed`, in the order of every stack, key and table. Pages pass it to the scripts.
 pub(crate) static STACK: LazyLock<Vec<&'static str>> =
     LazyLock::new(|| STAGES.iter().map(Name::as_str).chain(["unattributed"]).collect());
 
-/// Both directions of the network together, where the clocks cannot tell them apart.
+/// Name of both directions of the network together, for delays that the clocks cannot split.
 pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_DIRECTIONS;
 
-/// Rest of an iteration where neither the directions nor the unattributed time are known.
+/// Name of the rest of an iteration, if neither the directions nor the unattributed time are known.
 pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
 
 /// Time from the intended start to the actual start: a named part of the unattributed time.
@@ -22,18 +22,17 @@ pub(crate) const LATENESS: &str = "lateness";
 /// Values of a model's accuracy, and their titles: means of 0 and 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
-/// Returns the name of a stage where there is little room.
+/// Returns the short name of a stage, for narrow columns.
 pub(crate) fn short(name: &str) -> &str {
     if name == NETWORK { "up + down" } else { name }
 }
 
-/// Returns the entries of the key: stages of one colour, such as the two queues, share an entry.
+/// Returns the entries of the key. Stages with the same colour, such as the two queues, share an entry.
 pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)
 }
 
-/// Returns the label of an entry of the key. The entry of `encode` names `ipc` too: the time in a model's separate process has the same
-/// colour.
+/// Returns the label of an entry of the key. The label of `encode` includes `ipc`, which has the same colour.
 pub(crate) fn entry(name: &str) -> &str {
     if name == "encode" { "encode, ipc" } else { name }
 }
@@ -53,12 +52,12 @@ pub(crate) fn class(name: &str) -> &'static str {
     }
 }
 
-/// Returns whether the fill is so pale on paper that it carries a darker edge.
+/// Returns whether the fill is so pale in the light theme that it needs a darker edge.
 pub(crate) fn is_pale(name: &str) -> bool {
     matches!(class(name), "encode" | "queue" | "preprocessing" | "unattributed")
 }
 
-/// Returns whether the node is a message's way between hosts.
+/// Returns whether the node is a one-way delay between hosts.
 pub(crate) fn is_one_way(name: &str) -> bool {
     name == stage::UPLOAD.as_str() || name == stage::DOWNLOAD.as_str()
 }
@@ -68,20 +67,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_key_names_every_stage_that_looks_like_no_other_by_name() {
+    fn key_names_every_stage() {
         for name in STACK.iter().copied() {
             let entry = key().find(|known| *known == class(name)).expect("an entry");
             assert!(entry_names(entry, name), "{name} is not in {:?}", super::entry(entry));
         }
     }
 
-    /// Waiting to be sent is waiting by its name.
-    fn entry_names(of: &str, name: &str) -> bool {
-        entry(of).split(", ").any(|known| name == known || name.ends_with(&format!("-{known}")))
+    /// Returns whether the label of an entry covers a stage; `queue` covers `send-queue`, too.
+    fn entry_names(key_entry: &str, name: &str) -> bool {
+        entry(key_entry).split(", ").any(|known| name == known || name.ends_with(&format!("-{known}")))
     }
 
     #[test]
-    fn every_stage_has_its_colour_and_its_place() {
+    fn every_stage_has_a_colour_and_a_key_entry() {
         for name in STACK.iter().copied() {
             assert_ne!(class(name), "other", "{name}");
         }

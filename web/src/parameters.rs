@@ -1,4 +1,4 @@
-//! Parameters of queries and paths, refused with a message that names them.
+//! Parsing of query and path parameters. An invalid value is rejected with a message that names its parameter.
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Path, Query};
@@ -14,9 +14,9 @@ use std::str::FromStr;
 use crate::error::WebError;
 
 /// Largest number of node names in one request.
-const MOST_NAMES: usize = 20;
+const MAX_NAMES: usize = 20;
 
-/// The query of an address.
+/// The query string of a URL, deserialised.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Parameters<T>(pub T);
 
@@ -37,8 +37,8 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Parameters<T> 
     }
 }
 
-/// Returns a number within its limits, or its default.
-pub(crate) fn bounded<N: PartialOrd + Display + FromStr>(
+/// Parses a whole number within `range`; returns `default` if the parameter is absent.
+pub(crate) fn parse_bounded<N: PartialOrd + Display + FromStr>(
     name: &str,
     value: Option<&str>,
     default: N,
@@ -54,23 +54,23 @@ pub(crate) fn bounded<N: PartialOrd + Display + FromStr>(
     })
 }
 
-/// Reads names of nodes, separated by commas: at least one and at most [`MOST_NAMES`].
-pub(crate) fn names(parameter: &str, text: &str) -> Result<Vec<Name>, WebError> {
+/// Parses 1 to [`MAX_NAMES`] node names that are separated by commas.
+pub(crate) fn parse_names(parameter: &str, text: &str) -> Result<Vec<Name>, WebError> {
     let names: Vec<Name> = text.split(',').filter(|name| !name.is_empty()).map(Name::from).collect();
-    if names.is_empty() || names.len() > MOST_NAMES {
-        let text = format!("query parameter {parameter}: give 1 to {MOST_NAMES} names, parted by commas");
+    if names.is_empty() || names.len() > MAX_NAMES {
+        let text = format!("query parameter {parameter}: give 1 to {MAX_NAMES} names, separated by commas");
         return Err(WebError::BadRequest(text));
     }
     Ok(names)
 }
 
-/// Returns a name of a host or pipeline.
-pub(crate) fn slug(name: &str, value: &str) -> Result<Slug, WebError> {
+/// Parses the name of a host or pipeline.
+pub(crate) fn parse_slug(name: &str, value: &str) -> Result<Slug, WebError> {
     value.parse().map_err(|error| WebError::BadRequest(format!("query parameter {name}: {error}")))
 }
 
-/// Returns a moment in RFC 3339.
-pub(crate) fn moment(name: &str, value: &str) -> Result<WallTime, WebError> {
+/// Parses a time in RFC 3339.
+pub(crate) fn parse_time(name: &str, value: &str) -> Result<WallTime, WebError> {
     let parsed = DateTime::parse_from_rfc3339(value).ok().and_then(|time| time.timestamp_nanos_opt());
     parsed.map(WallTime::from_unix_nanos).ok_or_else(|| {
         WebError::BadRequest(format!(
@@ -79,7 +79,7 @@ pub(crate) fn moment(name: &str, value: &str) -> Result<WallTime, WebError> {
     })
 }
 
-/// Returns the values of a path.
+/// Returns the values of a path, or a `BadRequest` that names the invalid one.
 pub(crate) fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| {
         let text = rejection.body_text();

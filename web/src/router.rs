@@ -1,4 +1,4 @@
-//! All routes, and the layers around them.
+//! All routes, and the middleware layers around them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,33 +24,33 @@ use crate::state::App;
 use crate::{access, api, assets, pages};
 
 /// Content security policy: no inline script, no inline style, nothing from other sites.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; font-src 'self'; \
+const SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; font-src 'self'; \
                       connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
-/// Longest time until an answer begins. A stream may last longer.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Maximum time until the first byte of an answer. A stream may last longer.
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Paths, with all below them, that programs read: the API, Prometheus and supervisors.
-const FOR_PROGRAMS: [&str; 4] = ["/api", "/metrics", "/healthz", "/readyz"];
+/// Path prefixes of answers for programs: the API, metrics and health checks. Errors below them are problem+json.
+const MACHINE_PATHS: [&str; 4] = ["/api", "/metrics", "/healthz", "/readyz"];
 
-/// Returns the whole server.
-pub(crate) fn build(app: App) -> Router {
+/// Returns the routes with all layers.
+pub(crate) fn build_router(app: App) -> Router {
     let header = |name: HeaderName, value| {
         SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
     };
-    let compressed = DefaultPredicate::new().and(NotForContentType::const_new("font/"));
+    let compress_predicate = DefaultPredicate::new().and(NotForContentType::const_new("font/"));
     Router::new()
         .merge(pages::routes())
         .merge(api::routes())
         .route("/static/{version}/{name}", get(assets::serve))
-        .fallback(no_such_page)
-        .layer(middleware::from_fn(patience))
-        .layer(CatchPanicLayer::custom(panicked))
-        .layer(middleware::from_fn(access::own_site))
-        .layer(middleware::from_fn_with_state(app.clone(), access::guard))
+        .fallback(not_found)
+        .layer(middleware::from_fn(limit_response_time))
+        .layer(CatchPanicLayer::custom(respond_to_panic))
+        .layer(middleware::from_fn(access::reject_cross_site_changes))
+        .layer(middleware::from_fn_with_state(app.clone(), access::reject_unknown_host_names))
         .layer(middleware::from_fn_with_state(app.clone(), render_error))
-        .layer(CompressionLayer::new().compress_when(compressed))
-        .layer(header(CONTENT_SECURITY_POLICY, POLICY))
+        .layer(CompressionLayer::new().compress_when(compress_predicate))
+        .layer(header(CONTENT_SECURITY_POLICY, SECURITY_POLICY))
         .layer(header(X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(header(X_FRAME_OPTIONS, "DENY"))
         .layer(header(REFERRER_POLICY, "same-origin"))
@@ -60,28 +60,30 @@ pub(crate) fn build(app: App) -> Router {
         .with_state(app)
 }
 
-async fn patience(request: Request, next: Next) -> Response {
-    match tokio::time::timeout(PATIENCE, next.run(request)).await {
+/// Answers 503 if no answer began within [`RESPONSE_TIMEOUT`].
+async fn limit_response_time(request: Request, next: Next) -> Response {
+    match tokio::time::timeout(RESPONSE_TIMEOUT, next.run(request)).await {
         Ok(response) => response,
-        Err(_) => WebError::TookTooLong(PATIENCE.as_secs()).into_response(),
+        Err(_) => WebError::TookTooLong(RESPONSE_TIMEOUT.as_secs()).into_response(),
     }
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "the signature is the layer's")]
-fn panicked(panic: Box<dyn std::any::Any + Send>) -> Response {
+fn respond_to_panic(panic: Box<dyn std::any::Any + Send>) -> Response {
     let text = panic.downcast_ref::<String>().map(String::as_str);
-    let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without words");
+    let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no panic message");
     WebError::Panicked(text.to_owned()).into_response()
 }
 
 /// Returns whether the answers of a path are for programs and not for browsers.
-fn is_for_programs(path: &str) -> bool {
-    FOR_PROGRAMS
+fn is_machine_path(path: &str) -> bool {
+    MACHINE_PATHS
         .iter()
         .any(|root| path.strip_prefix(root).is_some_and(|rest| rest.is_empty() || rest.starts_with('/')))
 }
 
-/// Renders an error by its path, as problem+json where programs read and as a page elsewhere, including errors of the router itself.
+/// Renders an error as problem+json below [`MACHINE_PATHS`] and as a page elsewhere. This includes errors of the router itself, such as
+/// an unsupported method.
 async fn render_error(State(app): State<App>, request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let mut response = next.run(request).await;
@@ -90,19 +92,18 @@ async fn render_error(State(app): State<App>, request: Request, next: Next) -> R
         Some(error) => error.to_problem(&app),
         None if status == StatusCode::METHOD_NOT_ALLOWED => {
             let allowed = response.headers().get(ALLOW).and_then(|methods| methods.to_str().ok());
-            let text =
-                format!("this address answers {} and nothing else", allowed.unwrap_or("other methods"));
+            let text = format!("this address supports only {}", allowed.unwrap_or("other methods"));
             ProblemDetails::new(status, text, None)
         }
         None => return response,
     };
-    let (form, body) = if is_for_programs(&path) {
+    let (content_type, body) = if is_machine_path(&path) {
         let body = serde_json::to_string(&problem).unwrap_or_default();
         ("application/problem+json", body)
     } else {
         ("text/html; charset=utf-8", pages::render_problem(&app, &problem))
     };
-    let mut rendered = (status, [(CONTENT_TYPE, form)], body).into_response();
+    let mut rendered = (status, [(CONTENT_TYPE, content_type)], body).into_response();
     if let Some(allowed) = response.headers().get(ALLOW) {
         rendered.headers_mut().insert(ALLOW, allowed.clone());
     }
@@ -112,10 +113,10 @@ async fn render_error(State(app): State<App>, request: Request, next: Next) -> R
     rendered
 }
 
-/// Returns the answer for an address that is not there.
-async fn no_such_page(request: Request) -> WebError {
+/// Returns the error for a path without a route.
+async fn not_found(request: Request) -> WebError {
     let path = request.uri().path();
-    // A user may write edge and cloud as a folder and a file.
+    // Users guess /links/EDGE/CLOUD, but a link is one path segment.
     let link = path
         .strip_prefix("/api/v1")
         .unwrap_or(path)
@@ -123,7 +124,7 @@ async fn no_such_page(request: Request) -> WebError {
         .and_then(|it| it.split_once('/'));
     let hint = link.map_or_else(String::new, |(edge, rest)| {
         let cloud = rest.split('/').next().unwrap_or_default();
-        format!("; a link is named EDGE~CLOUD, {edge}~{cloud} perhaps")
+        format!("; a link is named EDGE~CLOUD, so try {edge}~{cloud}")
     });
-    WebError::NotFound(format!("there is nothing at {path}{hint}"))
+    WebError::NotFound(format!("no page or resource has the path {path}{hint}"))
 }

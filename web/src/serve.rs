@@ -11,7 +11,7 @@ use tokio::task::{JoinError, JoinHandle};
 use tokio_util::sync::CancellationToken;
 
 use crate::assets;
-use crate::config::{Problem, WebConfig};
+use crate::config::{ConfigProblem, WebConfig};
 use crate::connections::{self, Limits};
 use crate::state::AppState;
 
@@ -20,10 +20,10 @@ use crate::state::AppState;
 pub enum StartError {
     /// A value of the configuration is invalid.
     #[error("cannot serve the dashboard")]
-    Configuration(#[from] Problem),
-    /// The port is taken or the address is not this machine's.
+    Configuration(#[from] ConfigProblem),
+    /// The operating system refused the address: the port is in use, or the address does not belong to this machine.
     #[error(
-        "cannot serve the dashboard on {address}, which another program may hold; choose another address with `listen` in the table [web]"
+        "cannot listen on {address} for the dashboard: another program may use the port; choose another address with `listen` in the table [web]"
     )]
     Listen {
         /// The configured address.
@@ -33,67 +33,69 @@ pub enum StartError {
     },
 }
 
-/// Reason why the server ended without a request to stop.
+/// Reason why a running server failed.
 #[derive(Debug, thiserror::Error)]
-pub enum Failure {
+pub enum ServerError {
     /// The task of the server panicked.
-    #[error("the web server died")]
-    Died(#[from] JoinError),
+    #[error("the web server's task failed; restart peernetd and report this as a bug")]
+    Panicked(#[from] JoinError),
 }
 
-/// A running server.
+/// Handle of a running server.
 #[derive(Debug)]
-pub struct Running {
+pub struct RunningServer {
     address: SocketAddr,
     task: JoinHandle<()>,
 }
 
-impl Running {
-    /// Returns the address that the server listens on, with the actual port.
+impl RunningServer {
+    /// Returns the address that the server listens on, with the port that was assigned if the configuration has port 0.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Waits until the server has ended: after `stop` was cancelled, or after a failure.
+    /// Waits until the server has stopped, because its stop token was cancelled or it failed.
     ///
     /// # Errors
     /// Returns an error when the server failed.
-    pub async fn join(self) -> Result<(), Failure> {
+    pub async fn join(self) -> Result<(), ServerError> {
         Ok(self.task.await?)
     }
 }
 
-/// Returns all routes that [`serve`] serves, without a socket. Streams end when `stop` is cancelled.
+/// Returns the routes of [`serve`] without a socket, for tests. Live streams end when `stop` is cancelled.
 pub fn router(
     config: &WebConfig,
     aggregator: Aggregator,
     clock: SharedClock,
     stop: CancellationToken,
 ) -> Router {
-    crate::router::build(AppState::new(config, aggregator, clock, stop))
+    crate::router::build_router(AppState::new(config, aggregator, clock, stop))
 }
 
-/// Serves the dashboard and the REST API of `aggregator` until `stop` is cancelled; open streams are then ended, other requests get 1.5
-/// seconds to finish. At most `connections` are open at a time, a quarter of them from one address; a connection that completes no
-/// request header within 10 seconds is closed.
+/// Serves the dashboard and the REST API of `aggregator` until `stop` is cancelled. Live streams end then, and other requests get 1.5
+/// seconds to finish.
+///
+/// At most `connections` connections are open at a time, and client addresses share them equally. A connection that completes no request
+/// header within 10 seconds is closed.
 ///
 /// # Errors
-/// Returns an error when the configuration is refused or the server cannot listen on the address.
+/// Returns an error when the configuration is invalid or the server cannot listen on the address.
 pub async fn serve(
     config: WebConfig,
     aggregator: Aggregator,
     clock: SharedClock,
     stop: CancellationToken,
     connections: usize,
-) -> Result<Running, StartError> {
+) -> Result<RunningServer, StartError> {
     let address = config.listen_address()?;
-    let listening = |source| StartError::Listen { address, source };
-    let listener = TcpListener::bind(address).await.map_err(listening)?;
-    let address = listener.local_addr().map_err(listening)?;
-    tokio::task::spawn_blocking(assets::prepare);
+    let listen_error = |source| StartError::Listen { address, source };
+    let listener = TcpListener::bind(address).await.map_err(listen_error)?;
+    let address = listener.local_addr().map_err(listen_error)?;
+    tokio::task::spawn_blocking(assets::compress_all);
 
     let router = router(&config, aggregator, clock.clone(), stop.clone());
     let limits = Limits::server(connections);
     let task = tokio::spawn(connections::accept(listener, router, clock, stop, limits));
-    Ok(Running { address, task })
+    Ok(RunningServer { address, task })
 }

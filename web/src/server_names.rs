@@ -1,37 +1,37 @@
-//! The names of this server, and the form of a name.
+//! The host names of this server, and the syntax of a host name.
 
 use std::net::IpAddr;
 
-/// Returns the problem of a configured name, if there is one.
-pub(crate) fn wrong_name(name: &str) -> Option<String> {
-    (!is_name(name))
+/// Returns a description of the problem of a configured name; `None` for a valid name.
+pub(crate) fn name_problem(name: &str) -> Option<String> {
+    (!has_name_form(name))
         .then(|| format!("{name:?} is not a host name: write it like robot.example.org, without a port"))
 }
 
-/// Returns whether a text has the form of a host name or an IPv4 address.
-pub(crate) fn is_name(text: &str) -> bool {
-    let letter = |letter: u8| letter.is_ascii_alphanumeric() || matches!(letter, b'.' | b'-' | b'_');
-    !text.is_empty() && text.bytes().all(letter)
+/// Returns whether a text has the syntax of a host name or an IPv4 address.
+pub(crate) fn has_name_form(text: &str) -> bool {
+    let is_name_byte = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b'_');
+    !text.is_empty() && text.bytes().all(is_name_byte)
 }
 
 /// The names under which requests are answered, in addition to IP addresses and `localhost`.
 ///
-/// A page of another site whose name resolves to this machine (DNS rebinding) could otherwise read and change everything through the
-/// browser of a user who opens it. It cannot do so under an IP address, because the browser then needs no name server.
+/// This prevents DNS rebinding: a page of another site whose name resolves to this machine could otherwise read and change all data
+/// through the browser of a user who opens it. IP addresses are safe, because a browser resolves no name for them.
 #[derive(Clone, Debug)]
 pub(crate) struct ServerNames(Vec<String>);
 
 impl ServerNames {
-    /// Returns the configured names, and the machine's own with and without `.local` (multicast DNS).
+    /// Collects the configured names, and the machine's host name with and without `.local` (multicast DNS).
     pub(crate) fn new(configured: &[String]) -> Self {
         let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         let machine = machine.trim();
-        let own =
+        let machine_names =
             [machine.to_owned(), format!("{machine}.local")].into_iter().filter(|_| !machine.is_empty());
-        Self(configured.iter().cloned().chain(own).collect())
+        Self(configured.iter().cloned().chain(machine_names).collect())
     }
 
-    /// Returns whether requests to a host are answered.
+    /// Returns whether requests that address `host` are answered.
     pub(crate) fn contains(&self, host: &str) -> bool {
         let name = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
         let address = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(&name);
@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_and_known_names_pass_others_do_not() {
+    fn ip_addresses_and_configured_names_are_accepted() {
         let names = ServerNames::new(&["Dash.example.org".to_owned()]);
         for host in [
             "127.0.0.1",

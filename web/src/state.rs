@@ -23,21 +23,22 @@ pub(crate) struct AppState {
     pub zone: Zone,
     pub warn: WarnConfig,
     /// Names under which requests are answered.
-    pub names: ServerNames,
-    /// Time when serving began.
-    pub since: WallTime,
-    /// Cancelled when the server is to stop: streams end with it.
+    pub server_names: ServerNames,
+    /// Time at which the server started.
+    pub started_at: WallTime,
+    /// Cancelled when the server is to stop; live streams end then.
     pub stop: CancellationToken,
-    incidents: Mutex<Option<(MonoTime, Arc<Vec<IncidentRow>>)>>,
-    failures: std::sync::Mutex<LogThrottle>,
+    incident_cache: Mutex<Option<(MonoTime, Arc<Vec<IncidentRow>>)>>,
+    failure_log: std::sync::Mutex<LogThrottle>,
 }
 
 impl AppState {
     /// Number of incidents that a live page shows.
-    const INCIDENTS: usize = 6;
-    /// Number of newest incidents among which a live page finds its own.
-    const RECENT: u32 = 200;
-    const INCIDENTS_FRESH: Span = Span::from_seconds(2);
+    const SHOWN_INCIDENTS: usize = 6;
+    /// Number of newest incidents that are cached. Live pages filter them by host or pipeline.
+    const CACHED_INCIDENTS: u32 = 200;
+    /// Maximum age of the cached incidents.
+    const INCIDENT_CACHE_AGE: Span = Span::from_seconds(2);
 
     pub(crate) fn new(
         config: &WebConfig,
@@ -49,17 +50,17 @@ impl AppState {
             aggregator,
             zone: config.time_zone,
             warn: config.warn,
-            names: ServerNames::new(&config.server_names),
-            since: clock.wall(),
+            server_names: ServerNames::new(&config.server_names),
+            started_at: clock.wall(),
             clock,
             stop,
-            incidents: Mutex::new(None),
-            failures: std::sync::Mutex::default(),
+            incident_cache: Mutex::new(None),
+            failure_log: std::sync::Mutex::default(),
         })
     }
 
-    /// Returns the live picture, now.
-    pub(crate) fn picture(&self) -> Arc<LiveState> {
+    /// Returns the newest snapshot of the live state.
+    pub(crate) fn live_state(&self) -> Arc<LiveState> {
         Arc::clone(&self.aggregator.live().borrow())
     }
 
@@ -68,40 +69,42 @@ impl AppState {
         self.aggregator.store()
     }
 
-    /// Counts a failure of a request. Returns how often it happened since it was last logged, or `None` when it need not be
-    /// logged again yet.
+    /// Counts a failure of a request. Returns the number of occurrences since it was last logged, or `None` if it was logged less than a
+    /// minute ago.
     pub(crate) fn count_failure(&self, failure: &str) -> Option<u64> {
-        let mut failures = self.failures.lock().unwrap_or_else(PoisonError::into_inner);
-        failures.count(failure, None, self.clock.mono())
+        let mut failure_log = self.failure_log.lock().unwrap_or_else(PoisonError::into_inner);
+        failure_log.count(failure, None, self.clock.mono())
     }
 
     /// Returns the newest incidents, as many as a live page shows.
     pub(crate) async fn newest_incidents(&self) -> Result<Vec<IncidentRow>, StoreError> {
         let recent = self.recent_incidents().await?;
-        Ok(recent.iter().take(Self::INCIDENTS).cloned().collect())
+        Ok(recent.iter().take(Self::SHOWN_INCIDENTS).cloned().collect())
     }
 
-    /// Returns an answer of the store that a live page shows beside its figures. While the database is not open, the answer is empty: a
-    /// banner on the page reports that.
-    pub(crate) fn beside_live<T: Default>(answer: Result<T, StoreError>) -> Result<T, StoreError> {
+    /// Replaces the error of a closed database by an empty answer, for live pages. Their live figures need no database, and a banner
+    /// reports that it is closed.
+    pub(crate) fn empty_while_closed<T: Default>(answer: Result<T, StoreError>) -> Result<T, StoreError> {
         match answer {
             Err(StoreError::Closed { .. }) => Ok(T::default()),
             answer => answer,
         }
     }
 
-    /// Returns the newest incidents. Every live page needs them four times a second, so they are read from the database once every two
-    /// seconds for all pages.
+    /// Returns the newest incidents, at most [`Self::INCIDENT_CACHE_AGE`] old.
     pub(crate) async fn recent_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
-        let mut cached = self.incidents.lock().await;
+        // Every live page needs them four times a second: one query serves all pages. The lock is held during the query, so that pages
+        // that ask meanwhile wait for its answer and do not query, too.
+        let mut cached = self.incident_cache.lock().await;
         let now = self.clock.mono();
         if let Some((read, rows)) = &*cached
-            && now - *read < Self::INCIDENTS_FRESH
+            && now - *read < Self::INCIDENT_CACHE_AGE
         {
             return Ok(Arc::clone(rows));
         }
-        let rows =
-            Arc::new(Self::beside_live(self.store().incidents(&IncidentFilter::newest(Self::RECENT)).await)?);
+        let rows = Arc::new(Self::empty_while_closed(
+            self.store().incidents(&IncidentFilter::newest(Self::CACHED_INCIDENTS)).await,
+        )?);
         *cached = Some((now, Arc::clone(&rows)));
         Ok(rows)
     }

@@ -1,13 +1,13 @@
-//! One iteration placed on the edge's clock.
+//! The nodes of one iteration, placed on the time line of the edge's clock.
 //!
-//! Nodes of the edge are placed by its monotonic clock. Nodes of another host keep their distances among each other; their common
-//! position follows from the one-way delay of the message that brought the iteration there, and has the same uncertainty.
+//! Nodes of the edge are placed by the edge's monotonic clock. Nodes of another host keep their relative distances. Their common position
+//! follows from the one-way delay of the message that brought the iteration there, and has the uncertainty of that delay.
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
 use peernet_store::{Figures, IterationDetail};
 
-/// A node that takes time, on the edge's time line. Seconds.
+/// A node with a duration, placed on the edge's time line. Times are in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Placed {
     pub name: Name,
@@ -15,14 +15,14 @@ pub(crate) struct Placed {
     pub at: NodeLocation,
     /// Start; `None` where it is unknown on the edge's clock.
     pub start: Option<f64>,
-    /// `None` while it was open, or where the delay is not known.
+    /// Duration; `None` if the node was never closed, or if its delay is unknown.
     pub length: Option<f64>,
     pub delay: Option<Delay>,
-    /// The run's median of this node.
+    /// Median of this node over the run.
     pub median: Option<f64>,
 }
 
-/// Place where a node happened.
+/// Location at which a node was recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NodeLocation {
     /// On the host of this index; 0 is the edge.
@@ -34,7 +34,7 @@ pub(crate) enum NodeLocation {
 /// One-way delay; times in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delay {
-    /// The receiver's wall clock less the sender's.
+    /// Receiver's stamp minus sender's stamp, by their wall clocks.
     pub raw: f64,
     pub value: Option<f64>,
     pub bounds: Option<(f64, f64)>,
@@ -42,22 +42,22 @@ pub(crate) struct Delay {
     pub verdict: Verdict,
 }
 
-/// Visit of the iteration to another host.
+/// Stay of the iteration on another host, from the request to the answer. Times are in seconds on the edge's time line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Visit {
-    /// Time at which the message was handed to the network, on the edge's time line.
+    /// Time at which the edge sent the request.
     pub left: f64,
-    /// Estimated time of its arrival; the middle of the possible interval if there is no estimate.
+    /// Estimated arrival time of the request; the middle of the possible interval if there is no estimate.
     pub arrived: f64,
-    /// Times at which the answer left, and at which the edge had it.
+    /// Times at which the other host sent the answer and at which the edge received it.
     pub answered: Option<(f64, f64)>,
-    /// Largest shift of the whole visit to an earlier and to a later time.
+    /// Uncertainty of `arrived` and of the whole visit: maximum shift to an earlier (negative) and to a later time.
     pub shift: (f64, f64),
-    /// Upload and download together, which depends on no clock relation.
+    /// Sum of upload and download, which does not depend on the clock relation.
     pub network: Option<f64>,
 }
 
-/// The iteration.
+/// All nodes of an iteration on one time line.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Timeline {
     pub nodes: Vec<Placed>,
@@ -74,7 +74,7 @@ fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
     })
 }
 
-/// Returns the stay at host `index`, from the message that came there and the one that came back.
+/// Returns the stay on the host of anchor `index`. `together` is the sum of upload and download if one of them is unknown alone.
 fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
     let edge = tree.anchors().first()?;
     let anchor = tree.anchors().get(index)?;
@@ -83,14 +83,14 @@ fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
     let left = up.start.seconds();
     let back = transits(tree)
         .find(|(node, transit)| usize::from(node.host.0) == index && transit.received.is_some());
-    // Free-running stamps of the edge are preferred, because nothing sets that clock; otherwise its wall clock is used.
+    // The free-running clock of the edge is preferred, because nothing steps it. A tree without its stamps uses the wall clock.
     let answered = back.and_then(|(node, transit)| {
         let (there, back) = (sent.raw_stamps, transit.raw_stamps);
         let waited = there.zip(back).map(|(there, back)| left + (back.received - there.sent).seconds());
         let by_wall = transit.received? - edge.wall;
         Some((node.start, waited.unwrap_or_else(|| by_wall.seconds())))
     });
-    // The time that the agent measured holds even if a clock was set on the way; the difference of the stamps does not.
+    // The time that the agent measured is valid even if a clock was stepped meanwhile; the difference of the stamps is not.
     let network = answered.and(together.or(tree.stages().transport().map(Span::seconds)));
 
     let delay = sent.delay.as_ref();
@@ -99,7 +99,7 @@ fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
             (left + value.seconds(), ((bounds.lo - value).seconds(), (bounds.hi - value).seconds()))
         }
         (Some(value), None) => (left + value.seconds(), (0.0, 0.0)),
-        // Anything between "the upload took no time" and "the download took none" is possible.
+        // The arrival may be anywhere between "the upload took no time" and "the download took no time".
         (None, _) => {
             let half = network?.max(0.0) / 2.0;
             (left + half, (-half, half))
@@ -113,7 +113,7 @@ fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
 }
 
 impl Timeline {
-    /// Lays out an iteration.
+    /// Places all nodes of an iteration on the edge's time line.
     pub(crate) fn of(detail: &IterationDetail) -> Self {
         let tree = &detail.tree;
         let visits: Vec<Option<Visit>> =
@@ -128,20 +128,20 @@ impl Timeline {
 
     /// Sorts nodes by start; children stay with their parents, and nodes without a position keep their place.
     fn sort(&mut self) {
-        let mut begun = f64::NEG_INFINITY;
+        let mut parent_start = f64::NEG_INFINITY;
         let mut keyed: Vec<(f64, Placed)> = Vec::with_capacity(self.nodes.len());
         for node in self.nodes.drain(..) {
             if node.depth == 0 {
-                begun = node.start.unwrap_or(begun);
+                parent_start = node.start.unwrap_or(parent_start);
             }
-            keyed.push((begun, node));
+            keyed.push((parent_start, node));
         }
         keyed.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         self.nodes = keyed.into_iter().map(|(_, node)| node).collect();
     }
 
-    fn add_children(&mut self, tree: &Tree, of: NodeId, depth: u8, figures: &[(Name, Figures)]) {
-        for (id, node) in tree.children(of) {
+    fn add_children(&mut self, tree: &Tree, parent: NodeId, depth: u8, figures: &[(Name, Figures)]) {
+        for (id, node) in tree.children(parent) {
             let sum = matches!(node.name.as_str(), "total" | "stages-total" | "unattributed");
             if depth == 0 && sum {
                 continue;
@@ -156,7 +156,7 @@ impl Timeline {
         }
     }
 
-    /// Returns the position of another host's zero on the edge's time line.
+    /// Returns the position on the edge's time line of the zero of a host's node starts.
     fn zero(&self, host: HostIndex) -> Option<f64> {
         match usize::from(host.0).checked_sub(1) {
             None => Some(0.0),
@@ -182,7 +182,7 @@ impl Timeline {
             Measure::Container => Some(placed).filter(|_| depth == 0),
             Measure::Transit(transit) => {
                 let delay = transit.delay.map(|delay| Delay {
-                    // Of the wall clocks, whichever clocks it was judged by.
+                    // The raw value of the page is the difference of wall clocks, even if free-running clocks gave the delay.
                     raw: transit.received.map_or(delay.raw, |received| received - transit.sent).seconds(),
                     value: delay.value.map(Span::seconds),
                     bounds: delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds())),
@@ -196,7 +196,7 @@ impl Timeline {
         }
     }
 
-    /// Returns the other host's stay, if there is exactly one.
+    /// Returns the stay on the other host if there is exactly one other host.
     pub(crate) fn visit(&self) -> Option<&Visit> {
         match self.visits.as_slice() {
             [Some(visit)] => Some(visit),

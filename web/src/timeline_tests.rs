@@ -136,7 +136,7 @@ fn a_lost_message_leaves_the_rest_of_the_page_alone() {
 }
 
 #[test]
-fn stay_lies_by_judged_delays_when_edges_wall_clock_was_set() {
+fn visit_is_placed_despite_edge_clock_step() {
     let truth_judged = |_, truth: Span| OneWayDelay {
         // Between free-running clocks, of which one was started 5,000 s before the other.
         raw: truth + Span::from_seconds(5_000),

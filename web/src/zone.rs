@@ -1,4 +1,4 @@
-//! Times of day in the zone that the top bar names.
+//! Conversion of times to the time zone of the pages.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,7 +7,7 @@ use chrono::{DateTime, FixedOffset, Local, Offset, TimeZone, Utc};
 use peernet_clock::WallTime;
 use serde::{Deserialize, Serialize};
 
-/// The zone in which pages show times.
+/// The time zone in which pages show times.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Zone {
@@ -16,11 +16,11 @@ pub enum Zone {
     Local,
     /// Coordinated universal time.
     Utc,
-    /// A fixed number of seconds east of it.
+    /// A fixed offset from UTC, in seconds east.
     Fixed(i32),
 }
 
-/// A text that names no zone.
+/// A text that is not a time zone.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a time zone: use \"local\", \"utc\" or an offset such as \"+01:00\"")]
 pub struct InvalidZone(String);
@@ -36,12 +36,12 @@ impl Zone {
         utc.with_timezone(&offset)
     }
 
-    /// Returns the seconds east of UTC at a moment.
+    /// Returns the offset from UTC at a time, in seconds east.
     pub(crate) fn offset_seconds(self, time: WallTime) -> i32 {
         self.at(time).offset().local_minus_utc()
     }
 
-    /// Returns the zone's name at a moment: `UTC`, `UTC+1`, `UTC−3:30`.
+    /// Returns the zone's name at a time: `UTC`, `UTC+1`, `UTC−3:30`.
     pub(crate) fn name(self, time: WallTime) -> String {
         let seconds = self.offset_seconds(time);
         let (sign, minutes) = (if seconds < 0 { '\u{2212}' } else { '+' }, seconds.unsigned_abs() / 60);
@@ -52,12 +52,12 @@ impl Zone {
         }
     }
 
-    /// Returns a moment with all its forms.
+    /// Converts a time to this zone.
     pub(crate) fn moment(self, time: WallTime) -> ZonedTime {
         ZonedTime(self.at(time))
     }
 
-    /// Returns the range from one moment to another, with the date only once if it is the same: `19 Nov 2026, 13:41:07 – 13:51:07`.
+    /// Formats a time range, with the date only once if both times have the same: `19 Nov 2026, 13:41:07 – 13:51:07`.
     pub(crate) fn range(self, from: WallTime, to: WallTime) -> String {
         let (from, to) = (self.moment(from), self.moment(to));
         if from.date() == to.date() {
@@ -101,7 +101,7 @@ impl From<Zone> for String {
     }
 }
 
-/// A moment in a zone.
+/// A time in a zone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ZonedTime(DateTime<FixedOffset>);
 
@@ -141,7 +141,7 @@ mod tests {
     const NOON: WallTime = WallTime::from_unix_nanos(1_795_089_667_400_000_000);
 
     #[test]
-    fn a_moment_is_shown_in_its_zone() {
+    fn time_is_formatted_in_its_zone() {
         let zone: Zone = "+01:00".parse().expect("an offset");
         let moment = zone.moment(NOON);
         assert_eq!(moment.date(), "19 Nov 2026");
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_range_names_a_date_once() {
+    fn range_within_a_day_names_the_date_once() {
         let later = NOON + peernet_clock::Span::from_seconds(600);
         assert_eq!(Zone::Utc.range(NOON, later), "19 Nov 2026, 12:01:07 – 12:11:07");
         let tomorrow = NOON + peernet_clock::Span::from_seconds(86_400);
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_zone_is_read_back_and_nonsense_refused() {
+    fn zone_round_trips_and_invalid_text_is_refused() {
         for text in ["local", "utc", "+01:00", "-03:30"] {
             assert_eq!(String::from(text.parse::<Zone>().expect("a zone")), text);
         }
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_time_do_not_panic() {
+    fn extreme_times_do_not_panic() {
         for nanos in [i64::MIN, i64::MAX] {
             assert!(!Zone::Fixed(3_600).moment(WallTime::from_unix_nanos(nanos)).clock().is_empty());
         }

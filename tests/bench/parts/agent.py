@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import store
-from plant import Plant, free_ports, plant
+from deployment import Deployment, free_ports, deployment
 from programs import Failure
 from report import Section, Table, micros
 
@@ -54,7 +54,7 @@ def measure(quick: bool) -> Section:
 def _pair(hz: int, seconds: float) -> tuple[float, float, float, float, float]:
     """Nodes per second, processor share without and with, memory with, how much more that is than without."""
     events, web = free_ports(2)
-    with plant() as it:
+    with deployment() as it:
         it.aggregator(events=events, web=web)
         agents = {
             "without": it.daemon("without", _agent(it, "without", hz, "")),
@@ -69,7 +69,7 @@ def _pair(hz: int, seconds: float) -> tuple[float, float, float, float, float]:
     return nodes, without.processor, using.processor, using.resident, using.resident - without.resident
 
 
-def _agent(it: Plant, name: str, hz: int, reporting: str) -> str:
+def _agent(it: Deployment, name: str, hz: int, reporting: str) -> str:
     return f"""
         [agent]
         name = "{name}"

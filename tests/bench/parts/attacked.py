@@ -1,4 +1,4 @@
-"""A running pipeline beside an unknown host that sends garbage to every port: what its p99 suffers."""
+"""p99 of a running pipeline while an unknown host sends garbage to every port."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from statistics import median
 
 import store
 from namespaces import Host, need_root, third_host, two_hosts
-from plant import Plant, plant
+from deployment import Deployment, deployment
 from programs import Failure, Program, output
 from quantiles import spread
 from report import Section, Table, micros, ratio, times
@@ -66,7 +66,7 @@ def measure(quick: bool) -> Section:
 def _slice(
     edge: Host, cloud: Host, third: Host, faces: str, name: str, seconds: int
 ) -> tuple[dict[str, float], float]:
-    with plant() as it:
+    with deployment() as it:
         aggregator = it.daemon("aggregator", _aggregator(it), cloud)
         agent = it.daemon("cloud", _cloud(it, cloud), cloud)
         edge_agent = it.daemon("edge", _edge(it, cloud, seconds), edge)
@@ -86,7 +86,7 @@ def _slice(
 
 
 @contextmanager
-def _discarding(it: Plant, cloud: Host, faces: str, wanted: bool) -> Iterator[None]:
+def _discarding(it: Deployment, cloud: Host, faces: str, wanted: bool) -> Iterator[None]:
     if not wanted:
         yield
         return
@@ -106,7 +106,7 @@ def _peak(pid: int) -> int:
     return int(line.split()[1]) * 1024
 
 
-def _aggregator(it: Plant) -> str:
+def _aggregator(it: Deployment) -> str:
     return f"""
         [aggregator]
         name = "aggregator"
@@ -118,7 +118,7 @@ def _aggregator(it: Plant) -> str:
     """
 
 
-def _cloud(it: Plant, cloud: Host) -> str:
+def _cloud(it: Deployment, cloud: Host) -> str:
     return f"""
         [agent]
         name = "cloud"
@@ -132,7 +132,7 @@ def _cloud(it: Plant, cloud: Host) -> str:
     """
 
 
-def _edge(it: Plant, cloud: Host, seconds: int) -> str:
+def _edge(it: Deployment, cloud: Host, seconds: int) -> str:
     return f"""
         [agent]
         name = "edge"

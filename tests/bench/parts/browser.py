@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 
-from plant import free_ports, plant
+from deployment import free_ports, deployment
 from programs import ROOT, Failure, output
 from report import Section, Table
 
@@ -32,7 +32,7 @@ def measure(quick: bool) -> Section:
         "thread on the processor and in time that passed, in which it may have waited for the processor."
     )
     events, data, web = free_ports(3)
-    with plant() as it:
+    with deployment() as it:
         it.aggregator(events=events, web=web)
         agent = f'aggregator = "tcp://127.0.0.1:{events}"'
         it.daemon("rack", _agent("rack", agent, it.folder) + f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n' + MODEL)

@@ -1,4 +1,4 @@
-"""Errors of one-way delays against the truth, over paths with delays of their own, beside what other programs tell."""
+"""Errors of one-way delays against the truth on several paths, compared with those of other programs."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from plant import Plant, free_ports, plant
+from deployment import Deployment, free_ports, deployment
 from programs import ROOT, Program
 from report import Section, Table
 
@@ -53,7 +53,7 @@ def measure(quick: bool) -> Section:
 
 def _idle(seconds: float) -> dict[str, Cost]:
     events, web = free_ports(2)
-    with plant() as it:
+    with deployment() as it:
         programs = {
             "aggregator with one idle agent": it.aggregator(events=events, web=web),
             "agent, nothing to do": it.daemon("alone", _agent(it, "alone", "")),
@@ -67,7 +67,7 @@ def _idle(seconds: float) -> dict[str, Cost]:
 def _demo(seconds: float) -> dict[str, Cost]:
     """The demo's own files, moved to free ports."""
     ports = dict(zip(("5550", "5551", "8040"), map(str, free_ports(3)), strict=True))
-    with plant() as it:
+    with deployment() as it:
         for folder in ("models", "onnxruntime"):
             it.link(folder)
         programs = {}
@@ -78,7 +78,7 @@ def _demo(seconds: float) -> dict[str, Cost]:
         return watch(programs, seconds)
 
 
-def _agent(it: Plant, name: str, reporting: str) -> str:
+def _agent(it: Deployment, name: str, reporting: str) -> str:
     return f"""
         [agent]
         name = "{name}"

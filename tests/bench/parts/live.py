@@ -1,4 +1,4 @@
-"""How live the live figures are: under half the load of the ingest aim, and while a backlog is caught up."""
+"""Lag of the live figures under half the load of the ingest aim, and while a backlog is stored."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 import store
 from http_api import Api
 from lag import Watched, watch
-from plant import Plant, free_ports, plant
+from deployment import Deployment, free_ports, deployment
 from programs import Failure, Program
 from quantiles import quantile
 from report import Section, Table, rate
@@ -19,7 +19,7 @@ PROBE_HZ = 50
 LOAD_AGENTS = 10
 LOAD_SPEED = 0.5
 LOAD_NODES_PER_S = 250_000
-# As fast as one agent spools without dropping anything.
+# The highest rate at which one agent spools without dropping events.
 FILL_HZ = 10_000
 LAG_AIM_S = 0.5
 CATCH_UP_AIM = 200_000
@@ -48,7 +48,7 @@ def measure(quick: bool) -> Section:
 
 
 def _nothing(quick: bool) -> tuple[str, list[float], float]:
-    with plant() as it:
+    with deployment() as it:
         api = _aggregator(it)
         lags = _probe(it, api, 8.0 if quick else 40.0)
     return "nothing else", lags, 0.0
@@ -57,7 +57,7 @@ def _nothing(quick: bool) -> tuple[str, list[float], float]:
 def _load(quick: bool) -> tuple[str, list[float], float]:
     """Simulated agents send at half the rate that the aggregator promises to store."""
     seconds = 8.0 if quick else 40.0
-    with plant() as it:
+    with deployment() as it:
         api = _aggregator(it)
         nodes = int(LOAD_NODES_PER_S * (seconds + 15.0))
         with ingest.generator(it.folder / "load.log", api.events, LOAD_AGENTS, nodes, LOAD_SPEED) as load:
@@ -70,9 +70,9 @@ def _load(quick: bool) -> tuple[str, list[float], float]:
 
 
 def _catching_up(section: Section, quick: bool) -> tuple[str, list[float], float]:
-    """An agent measures fast while its aggregator is away, and is started anew when that is back."""
+    """An agent measures fast while its aggregator is stopped, and is restarted together with it."""
     iterations = 60_000 if quick else 400_000
-    with plant() as it:
+    with deployment() as it:
         events, web = free_ports(2)
         filling = it.daemon("edge", _agent(it, events, _filler(iterations)))
         spool = it.folder / "state/spool.sqlite"
@@ -104,26 +104,26 @@ def _catching_up(section: Section, quick: bool) -> tuple[str, list[float], float
 
 
 class _Api(Api):
-    """An aggregator with its ports."""
+    """API client of an aggregator, with its ports."""
 
-    def __init__(self, it: Plant, events: int, web: int) -> None:
+    def __init__(self, it: Deployment, events: int, web: int) -> None:
         it.aggregator(events=events, web=web)
         super().__init__(web)
         self.events = events
 
 
-def _aggregator(it: Plant) -> _Api:
+def _aggregator(it: Deployment) -> _Api:
     return _Api(it, *free_ports(2))
 
 
-def _probe(it: Plant, api: _Api, seconds: float) -> list[float]:
+def _probe(it: Deployment, api: _Api, seconds: float) -> list[float]:
     probe = it.daemon("edge", _agent(it, api.events, _pipeline()))
     watched = Watched("edge", "probe")
     watch(api, watched, seconds)
     return _lags(it, probe, watched)
 
 
-def _lags(it: Plant, probe: Program, watched: Watched) -> list[float]:
+def _lags(it: Deployment, probe: Program, watched: Watched) -> list[float]:
     probe.stop()
     probe_run = store.run_of(it.database, "probe")
     if probe_run is None:
@@ -131,7 +131,7 @@ def _lags(it: Plant, probe: Program, watched: Watched) -> list[float]:
     return watched.lags(store.ends(it.database, probe_run))
 
 
-def _agent(it: Plant, events: int, pipeline: str) -> str:
+def _agent(it: Deployment, events: int, pipeline: str) -> str:
     return f"""
         [agent]
         name = "edge"

@@ -1,4 +1,4 @@
-"""The closed loop: an echo model over two network namespaces, beside the published program's work and bare TCP."""
+"""The closed loop: an echo model over two network namespaces, compared with the published program's work and bare TCP."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from quantiles import median_spread
 from report import Section, Table, micros, rate, ratio, size, times
 
 ECHO = (Shape(1_000), Shape(150_000), Shape(1_200_000))
-# What offloading usually looks like: much goes up, little comes down.
+# Typical offloading: large requests, small answers.
 SMALL_ANSWER = (Shape(150_000, 64), Shape(1_200_000, 64))
 STAGES = ("sensing", "encode", "upload", "queue", "inference", "download", "total", "unattributed")
 
@@ -33,7 +33,7 @@ CONTENDERS: dict[str, Callable[[Arena, Shape], Slice]] = {
 
 @dataclass
 class Results:
-    """All slices of one shape, a list per contender, one entry per repeat."""
+    """All slices of one shape: a list per program, with one entry per repeat."""
 
     slices: dict[str, list[Slice]] = field(default_factory=lambda: {name: [] for name in CONTENDERS})
     alone: list[float] = field(default_factory=list)
@@ -87,7 +87,7 @@ def measure(quick: bool) -> Section:
 
 
 def _compare(arena: Arena, shape: Shape, repeat: int, results: Results) -> None:
-    """One slice of each contender; who begins changes with each repeat."""
+    """Runs one slice of each program; the order rotates with each repeat."""
     names = list(CONTENDERS)
     first = repeat % len(names)
     for name in names[first:] + names[:first]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import store
-from plant import free_ports, plant
+from deployment import free_ports, deployment
 from programs import ROOT, Failure, output, peer
 from quantiles import median_spread
 from report import Section, Table, micros, ratio, times
@@ -70,7 +70,7 @@ def _ratio(ours: list[Stages], theirs: list[Stages], stage: str) -> float:
 
 def _agent(seconds: int) -> Stages:
     events, web = free_ports(2)
-    with plant() as it:
+    with deployment() as it:
         it.aggregator(events=events, web=web)
         edge = it.daemon("edge", _configuration(it.folder, events, seconds))
         edge.wait_until("the run is stored", lambda: it.is_stored("local"), seconds + 60)

@@ -1,4 +1,4 @@
-"""How long the questions of each page take over a hundred million stored nodes: the aggregator's own benchmark."""
+"""Duration of the queries of each page with a hundred million stored nodes, by the aggregator's own benchmark."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from programs import ROOT, Failure, output
 from report import Section, Table
 
 BENCH = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-aggregator", "--bench", "pages"]
-# A question with median and greatest time over the small and over the large database, in ms, and the medians' ratio.
+# A query with median and maximum time over the small and over the large database, in ms, and the medians' ratio.
 ROW = re.compile(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", re.MULTILINE)
 
 TIME_AIM_MS = 200.0
 RATIO_AIM = 2.0
-# Below this, a ratio says more about the machine than about the question.
+# Below this, the ratio depends more on the machine than on the query.
 MEASURABLE_MS = 5.0
 
 
@@ -29,8 +29,8 @@ def measure(quick: bool) -> Section:
         raise Failure(f"{' '.join(BENCH)} printed no row:\n{printed}")
     section = Section("Pages over many nodes")
     section.say(
-        f"What each page asks of the store, 20 times each, over a database with a run of {nodes:,} nodes and over one of "
-        "1,000,000 at most; milliseconds."
+        f"The queries of each page to the store, 20 times each, with a database that contains a run of {nodes:,} nodes, and with "
+        "one of at most 1,000,000; milliseconds."
     )
     table = Table("page", "small, median", "most", "large, median", "most", "ratio")
     for name, *figures in rows:

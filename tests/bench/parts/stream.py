@@ -8,7 +8,7 @@ from statistics import median
 
 import store
 from namespaces import Host, need_root, two_hosts
-from plant import plant
+from deployment import deployment
 from programs import EVENT_STREAM, ROOT, Failure, output
 from report import Section, Table, rate, ratio, times
 
@@ -58,7 +58,7 @@ def measure(quick: bool) -> Section:
 
 def _deliver(edge: Host, cloud: Host, iterations: int, round_trip_ms: int, control: str) -> dict[str, float]:
     address = f"tcp://{cloud.address}:{PORT}"
-    with plant() as it:
+    with deployment() as it:
         it.aggregator(cloud, events=PORT)
         printed = output(edge.inside([EVENT_STREAM, address, iterations, round_trip_ms, control]), timeout_s=120)
         if (stored := store.nodes(it.database)) != iterations * NODES:

@@ -1,4 +1,4 @@
-"""What one-way delays are worth while an assumption behind them is violated, and for how long."""
+"""Errors of one-way delays while an assumption is violated, and their duration."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _row(table: Table, case: Case, delays: list[Judged]) -> float:
 
 
 def _again(case: Case, delays: list[Judged]) -> str:
-    """From when on delays are believed, or a dash where that never stopped."""
+    """Returns the time from which on delays are good again; a dash if they always were."""
     after = [one for one in delays if one.at >= case.begins_s]
     if all(one.is_believed for one in after):
         return "–"

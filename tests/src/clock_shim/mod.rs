@@ -1,7 +1,7 @@
-//! Clocks of a host with a faulty oscillator, which a preloaded library shows to a process.
+//! Clocks with a simulated faulty oscillator, which a preloaded library shows to a process.
 //!
-//! The process does not notice that. The test sets the time of each change of the error, and knows the error to the
-//! nanosecond at each moment.
+//! The process cannot detect this. The test schedules each change of the error, and knows the error at each time to the
+//! nanosecond.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -11,24 +11,26 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::{Clock, ClockIdentity, RawTime, Span, SystemClock};
 
-/// Time between writing a change and its beginning, so that no process reads a clock in between that the change
-/// should affect.
-const LEAD: Span = Span::from_millis(200);
+/// Time from writing a change to its start. A process that reads a clock after the start has then already seen the
+/// change.
+const CHANGE_LEAD_TIME: Span = Span::from_millis(200);
 
-/// Length of a segment in the file, bytes. The number of segments precedes the first one.
-const SEGMENT: usize = 32;
-const COUNT: usize = 8;
-/// Largest number of segments that the library reads.
-const SEGMENTS: usize = 255;
+/// Length of a segment in the file, bytes.
+const SEGMENT_BYTES: usize = 32;
+/// Length of the number of segments, which precedes the first segment, bytes.
+const COUNT_BYTES: usize = 8;
+/// Maximum number of segments that the library reads.
+const MAX_SEGMENTS: usize = 255;
 
-/// Error of a host's clocks from a time on.
+/// Error of the clocks from the time `begin` on.
 #[derive(Clone, Copy, Debug)]
 struct Segment {
     begin: RawTime,
+    /// Error at `begin`; positive if the clocks are ahead.
     ahead: Span,
     /// Rate of the error, nanoseconds per nanosecond.
     rate: f64,
-    /// Change of the rate, per nanosecond.
+    /// Change of the rate per nanosecond.
     change: f64,
 }
 
@@ -38,20 +40,20 @@ impl Segment {
         self.ahead + Span::from_nanos((elapsed * (self.rate + self.change * elapsed / 2.0)).round() as i64)
     }
 
-    fn bytes(&self) -> [u8; SEGMENT] {
+    fn bytes(&self) -> [u8; SEGMENT_BYTES] {
         let words = [
             self.begin.nanos().to_ne_bytes(),
             self.ahead.nanos().to_ne_bytes(),
             self.rate.to_ne_bytes(),
             self.change.to_ne_bytes(),
         ];
-        let mut bytes = [0; SEGMENT];
+        let mut bytes = [0; SEGMENT_BYTES];
         bytes.as_chunks_mut().0.copy_from_slice(&words);
         bytes
     }
 }
 
-/// Error of a host's clocks at each time.
+/// Error of the clocks at each time.
 #[derive(Clone, Debug, Default)]
 pub struct ClockErrors(Arc<Mutex<Vec<Segment>>>);
 
@@ -60,8 +62,8 @@ impl ClockErrors {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Returns the times of the machine's free-running clock at which the faulty one showed `shown`. A clock that was
-    /// set back shows some times twice.
+    /// Returns the times of the machine's free-running clock at which the faulty clock showed `shown`. There may be several,
+    /// because a clock that was set back shows some times twice.
     pub fn truths(&self, shown: RawTime) -> Vec<RawTime> {
         let segments = self.segments();
         let before =
@@ -80,7 +82,8 @@ impl ClockErrors {
     }
 }
 
-/// Faulty clocks for processes that are started with its environment. They are right until the first change.
+/// Faulty clocks for processes that are started with its [`environment`](Self::environment). They have no error until
+/// the first change.
 #[derive(Debug)]
 pub struct ClockShim {
     library: String,
@@ -91,7 +94,7 @@ pub struct ClockShim {
 }
 
 impl ClockShim {
-    /// Builds the library in a folder, which is created.
+    /// Creates a folder and builds the library in it.
     ///
     /// # Panics
     /// If there is no C compiler.
@@ -108,7 +111,8 @@ impl ClockShim {
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
         let schedule = folder.join("schedule");
         let file = File::create(&schedule).expect("the temporary folder is writable");
-        file.set_len((COUNT + SEGMENTS * SEGMENT) as u64).expect("there is room for 8 kB");
+        file.set_len((COUNT_BYTES + MAX_SEGMENTS * SEGMENT_BYTES) as u64)
+            .expect("the disk has space for 8 kB");
         Self {
             library: library.display().to_string(),
             schedule,
@@ -118,8 +122,8 @@ impl ClockShim {
         }
     }
 
-    /// Returns the environment variables for a process that should see these clocks. Waits until the first change has
-    /// begun, so that no process sees the clocks before it.
+    /// Returns the environment variables for a process that should see these clocks. Waits for the start of the first
+    /// change, so that no process sees the clocks without error.
     ///
     /// # Panics
     /// If the folder's name is not Unicode.
@@ -141,30 +145,30 @@ impl ClockShim {
         self.clock.raw()
     }
 
-    /// Sets the clocks forward by `step` and makes them fast by `ppm`, which grows by `ppm_per_s` each second, from
-    /// shortly after now on. Returns the beginning of the change.
-    pub fn change(&self, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
-        self.change_at(self.now() + LEAD, step, ppm, ppm_per_s)
+    /// Schedules a change shortly after now: the clocks step forward by `step` and run fast by `ppm`, which grows by
+    /// `ppm_per_s` each second. Returns the start of the change.
+    pub fn schedule_change(&self, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
+        self.schedule_change_at(self.now() + CHANGE_LEAD_TIME, step, ppm, ppm_per_s)
     }
 
-    /// Changes the clocks like [`change`](Self::change), from a given time on, which must be at least 100 ms in the
-    /// future and after the last change.
+    /// Schedules a change like [`schedule_change`](Self::schedule_change) at `begin`, which must be in the future and after
+    /// the last change.
     ///
     /// # Panics
     /// If it is not, or if the schedule is full.
-    pub fn change_at(&self, begin: RawTime, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
+    pub fn schedule_change_at(&self, begin: RawTime, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
         let mut segments = self.errors.0.lock().unwrap_or_else(PoisonError::into_inner);
         let last = segments.last();
-        assert!(last.is_none_or(|last| last.begin < begin), "changes are in the order of time");
+        assert!(last.is_none_or(|last| last.begin < begin), "a change must be later than the one before");
         let before = last.map_or(Span::ZERO, |last| last.ahead_at(begin));
         let segment = Segment { begin, ahead: before + step, rate: ppm * 1e-6, change: ppm_per_s * 1e-15 };
         let number = segments.len();
-        assert!(number < SEGMENTS, "a schedule has {SEGMENTS} changes at most");
-        let at = (COUNT + number * SEGMENT) as u64;
+        assert!(number < MAX_SEGMENTS, "a schedule has at most {MAX_SEGMENTS} changes");
+        let at = (COUNT_BYTES + number * SEGMENT_BYTES) as u64;
         let written = self.file.write_all_at(&segment.bytes(), at);
         let counted = written.and_then(|()| self.file.write_all_at(&(number as u64 + 1).to_ne_bytes(), 0));
-        counted.expect("the file has room");
-        assert!(self.now() < begin, "the change was told too late");
+        counted.expect("the file has its full length");
+        assert!(self.now() < begin, "the change was written after its start");
         segments.push(segment);
         begin
     }
@@ -175,7 +179,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn process_under_the_shim_is_shown_the_errors() {
+    fn process_under_shim_sees_scheduled_errors() {
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         let shim = ClockShim::new(folder.path());
         let shown = || {
@@ -190,7 +194,7 @@ mod tests {
         };
         let (before, right) = shown();
         assert!(right > before);
-        shim.change(Span::from_seconds(-600), 200.0, 3.0);
+        shim.schedule_change(Span::from_seconds(-600), 200.0, 3.0);
         let (before, behind) = shown();
         assert!(before - behind > Span::from_seconds(590));
     }

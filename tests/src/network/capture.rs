@@ -7,17 +7,17 @@ use peernet_clock::WallTime;
 use rustix::process::Signal;
 
 use super::Host;
-use crate::{Process, until};
+use crate::{Process, wait_until};
 
-/// Loopback address that no other program sends to.
-const LAST: Ipv4Addr = Ipv4Addr::new(127, 62, 0, 1);
+/// Loopback address of the packet that marks the end of a capture. No other program sends to it.
+const END_MARKER: Ipv4Addr = Ipv4Addr::new(127, 62, 0, 1);
 
-/// Running capture.
+/// A running capture.
 #[derive(Debug)]
 pub struct Capture {
     tcpdump: Process,
     file: PathBuf,
-    last: UdpSocket,
+    marker: UdpSocket,
 }
 
 /// IPv4 packet that entered or left a host.
@@ -37,19 +37,24 @@ pub struct Packet {
 
 impl Capture {
     /// Number of captured bytes per packet: enough for the headers of all layers.
-    const SNAP: &str = "120";
+    const SNAPSHOT_LENGTH: &str = "120";
 
     pub(super) fn start(host: &Host, filter: &str, folder: &Path) -> Self {
         let file = folder.join(format!("{}.pcap", host.namespace));
         let path = file.display().to_string();
-        let filter = format!("({filter}) or (host {LAST} and udp)");
+        let filter = format!("({filter}) or (host {END_MARKER} and udp)");
         let format = ["--interface", "any", "--linktype", "LINUX_SLL2", "--time-stamp-precision", "nano"];
-        let buffers = ["--snapshot-length", Self::SNAP, "--buffer-size", "32768", "--immediate-mode", "-U"];
+        let buffers =
+            ["--snapshot-length", Self::SNAPSHOT_LENGTH, "--buffer-size", "32768", "--immediate-mode", "-U"];
         let rest = ["-Z", "root", "-n", "-w", &path, &filter];
         let arguments = [&format[..], &buffers, &rest].concat();
         let tcpdump = host.start(Path::new("tcpdump"), &arguments, folder, &[]);
         tcpdump.wait_for("listening on");
-        Self { tcpdump, file, last: host.inside(|| UdpSocket::bind((LAST, 0)).expect("loopback is up")) }
+        Self {
+            tcpdump,
+            file,
+            marker: host.run_in_namespace(|| UdpSocket::bind((END_MARKER, 0)).expect("loopback is up")),
+        }
     }
 
     /// Ends the capture; returns the packets in the order of time.
@@ -58,16 +63,20 @@ impl Capture {
     /// If the kernel dropped packets because tcpdump was too slow, or if the file is invalid.
     pub fn finish(self) -> Vec<Packet> {
         // tcpdump lags behind: when it has written a packet that is sent now, it has written all earlier ones.
-        let itself = self.last.local_addr().expect("a bound socket has an address");
-        self.last.send_to(&[], itself).expect("loopback is up");
-        let mut packets = until("the end of the capture", || {
-            let packets = packets(&std::fs::read(&self.file).ok()?)?;
-            packets.iter().any(|packet| packet.destination == LAST).then_some(packets)
+        let address = self.marker.local_addr().expect("a bound socket has an address");
+        self.marker.send_to(&[], address).expect("loopback is up");
+        let mut packets = wait_until("the end of the capture", || {
+            let packets = parse_packets(&std::fs::read(&self.file).ok()?)?;
+            packets.iter().any(|packet| packet.destination == END_MARKER).then_some(packets)
         });
         self.tcpdump.signal(Signal::INT);
-        let ended = self.tcpdump.ended();
-        assert!(ended.log.contains("\n0 packets dropped by kernel"), "the capture has holes: {}", ended.log);
-        packets.retain(|packet| packet.destination != LAST);
+        let ended = self.tcpdump.wait_for_end();
+        assert!(
+            ended.log.contains("\n0 packets dropped by kernel"),
+            "the capture is incomplete: {}",
+            ended.log
+        );
+        packets.retain(|packet| packet.destination != END_MARKER);
         packets.sort_by_key(|packet| packet.at);
         packets
     }
@@ -75,7 +84,7 @@ impl Capture {
 
 /// Parses a capture file (draft-ietf-opsawg-pcap) with nanoseconds and link type 276, LINUX_SLL2; returns `None`
 /// while it is incomplete.
-fn packets(file: &[u8]) -> Option<Vec<Packet>> {
+fn parse_packets(file: &[u8]) -> Option<Vec<Packet>> {
     const NANOSECONDS: u32 = 0xa1b2_3c4d;
     const LINUX_SLL2: u32 = 276;
     let word = |at: usize| Some(u32::from_le_bytes(file.get(at..at + 4)?.try_into().ok()?));
@@ -86,14 +95,14 @@ fn packets(file: &[u8]) -> Option<Vec<Packet>> {
     while at < file.len() {
         let (seconds, nanos, length) = (word(at)?, word(at + 4)?, word(at + 8)? as usize);
         let stamp = WallTime::from_unix_nanos(i64::from(seconds) * 1_000_000_000 + i64::from(nanos));
-        packets.extend(packet(stamp, file.get(at + 16..at + 16 + length)?));
+        packets.extend(parse_packet(stamp, file.get(at + 16..at + 16 + length)?));
         at += 16 + length;
     }
     Some(packets)
 }
 
 /// Parses one packet with its LINUX_SLL2 header; returns `None` for other protocols than IPv4.
-fn packet(at: WallTime, bytes: &[u8]) -> Option<Packet> {
+fn parse_packet(at: WallTime, bytes: &[u8]) -> Option<Packet> {
     const OUTGOING: u8 = 4;
     const TCP: u8 = 6;
     let (sll, ip) = bytes.split_at_checked(20)?;

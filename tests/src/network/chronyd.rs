@@ -1,4 +1,4 @@
-//! Time daemons for both hosts, which do not change the machine's clock.
+//! Time daemons for both hosts. They do not change the machine's clock.
 //!
 //! Their server runs in the namespace of the tests and is reached through the hosts' second interfaces, so that their
 //! claims do not depend on the measured path.
@@ -10,8 +10,8 @@ use peernet_test_ports::free_port;
 use super::{Host, Network};
 use crate::{Process, chrony};
 
-/// Port of chronyd's commands. A namespace has all ports for itself.
-const COMMANDS: &str = "323";
+/// Port of chronyd's commands. It can be fixed, because each namespace has its own ports.
+const COMMAND_PORT: &str = "323";
 
 /// A chronyd for each host, and the server that they follow.
 #[derive(Debug)]
@@ -32,11 +32,11 @@ impl TimeDaemons {
         let file = configuration(folder, "server", &lines);
         let server = Process::start(&chrony("chronyd"), &arguments(&file), folder, &[]);
         let hosts = [&network.edge, &network.cloud];
-        let clients = hosts.map(|host| follow(host, port, folder));
+        let clients = hosts.map(|host| start_chronyd(host, port, folder));
         for host in hosts {
             // Right after its first measurement chrony reports an unknown rate of the clock. This waits until the
             // rate is known to 100 ppm, in steps of a tenth of a second.
-            let until = ["-h", "127.0.0.1", "-p", COMMANDS, "waitsync", "600", "0", "100", "0.1"];
+            let waitsync = ["-h", "127.0.0.1", "-p", COMMAND_PORT, "waitsync", "600", "0", "100", "0.1"];
             host.run(&chrony("chronyc").display().to_string(), &until);
         }
         Self { _hosts: clients, _server: server }
@@ -47,16 +47,16 @@ impl TimeDaemons {
         let chronyc = chrony("chronyc").display().to_string();
         format!(
             "[clock]\ndiscipline = [\"chrony\"]\ndiscipline_interval_s = 0.5\nchronyc = \"{chronyc}\"\n\
-             chronyc_arguments = [\"-h\", \"127.0.0.1\", \"-p\", \"{COMMANDS}\"]\n"
+             chronyc_arguments = [\"-h\", \"127.0.0.1\", \"-p\", \"{COMMAND_PORT}\"]\n"
         )
     }
 }
 
 /// Starts the chronyd of a host.
-fn follow(host: &Host, port: u16, folder: &Path) -> Process {
+fn start_chronyd(host: &Host, port: u16, folder: &Path) -> Process {
     let lines = format!(
-        "server {} port {port} iburst minpoll -2 maxpoll 0\nport 0\ncmdport {COMMANDS}\nbindcmdaddress 127.0.0.1\n",
-        host.home
+        "server {} port {port} iburst minpoll -2 maxpoll 0\nport 0\ncmdport {COMMAND_PORT}\nbindcmdaddress 127.0.0.1\n",
+        host.test_address
     );
     let file = configuration(folder, &host.namespace, &lines);
     host.start(&chrony("chronyd"), &arguments(&file), folder, &[])

@@ -7,11 +7,11 @@ use std::process::Command;
 /// # Panics
 /// If it cannot be started or fails.
 pub(super) fn run(program: &str, arguments: &[&str]) -> String {
-    attempt(program, arguments).unwrap_or_else(|problem| panic!("{problem}"))
+    try_run(program, arguments).unwrap_or_else(|problem| panic!("{problem}"))
 }
 
-/// Runs a tool that may fail.
-pub(super) fn attempt(program: &str, arguments: &[&str]) -> Result<String, String> {
+/// Runs a tool that may fail. Returns its output, or a description of the failure.
+pub(super) fn try_run(program: &str, arguments: &[&str]) -> Result<String, String> {
     let output = Command::new(program)
         .args(arguments)
         .output()
@@ -19,8 +19,8 @@ pub(super) fn attempt(program: &str, arguments: &[&str]) -> Result<String, Strin
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }
-    let words = String::from_utf8_lossy(&output.stderr);
-    Err(format!("{program} {} failed: {}", arguments.join(" "), words.trim()))
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    Err(format!("{program} {} failed: {}", arguments.join(" "), stderr.trim()))
 }
 
 pub(super) fn ip(arguments: &[&str]) -> String {

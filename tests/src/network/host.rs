@@ -9,17 +9,17 @@ use std::path::Path;
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 
 use super::command::{ip, run};
-use super::{Capture, DATA};
+use super::{Capture, DATA_INTERFACE};
 use crate::Process;
 
 /// Network namespace that stands for a machine.
 #[derive(Debug)]
 pub struct Host {
     pub(super) namespace: String,
-    /// Its address on the measured path.
+    /// Address on the measured path.
     pub address: Ipv4Addr,
-    /// Address at which it reaches programs in the namespace of the tests.
-    pub home: Ipv4Addr,
+    /// Address at which the host reaches programs in the namespace of the tests.
+    pub test_address: Ipv4Addr,
 }
 
 impl Host {
@@ -49,19 +49,18 @@ impl Host {
         Process::start(Path::new("ip"), &all, folder, environment)
     }
 
-    /// Runs a closure in this namespace, on a separate thread. A socket that it creates belongs to this host for
-    /// ever.
+    /// Runs a closure in this namespace, on a separate thread. A socket that the closure creates stays in this namespace.
     ///
     /// # Panics
-    /// If the namespace does not exist, or if `what` panics.
-    pub fn inside<T: Send + 'static>(&self, what: impl FnOnce() -> T + Send + 'static) -> T {
+    /// If the namespace does not exist, or if `closure` panics.
+    pub fn run_in_namespace<T: Send + 'static>(&self, closure: impl FnOnce() -> T + Send + 'static) -> T {
         let path = Path::new("/run/netns").join(&self.namespace);
         let namespace =
             File::open(&path).unwrap_or_else(|error| panic!("cannot open {}: {error}", path.display()));
         let thread = std::thread::spawn(move || {
             move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network))
                 .expect("root may enter the namespace");
-            what()
+            closure()
         });
         thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
@@ -78,12 +77,12 @@ impl Host {
     }
 
     /// Limits the rate out of an interface; up to 4 MB are queued.
-    pub fn limit(&self, interface: &str, mbit_per_second: u32) {
+    pub fn limit_rate(&self, interface: &str, mbit_per_second: u32) {
         self.shape(interface, &format!("{mbit_per_second}mbit"), "16kb", ["limit", "4mb"]);
     }
 
-    /// Limits the rate out of an interface so much that every packet matters; packets that would wait longer than 300
-    /// ms are dropped.
+    /// Limits the rate out of an interface to a few packets per second. Packets that would be queued longer than 300 ms are
+    /// dropped.
     pub fn throttle(&self, interface: &str, kbit_per_second: u32) {
         self.shape(interface, &format!("{kbit_per_second}kbit"), "2kb", ["latency", "300ms"]);
     }
@@ -103,32 +102,32 @@ impl Host {
     /// Drops packets that arrive on the measured path for a UDP port.
     pub fn block_udp(&self, port: u16) {
         let port = port.to_string();
-        self.input(&["udp", "dport", &port, "drop"]);
+        self.add_input_rule(&["udp", "dport", &port, "drop"]);
     }
 
     /// Drops this percentage of all packets that arrive on the measured path.
     pub fn drop_percent(&self, percent: u32) {
         let percent = percent.to_string();
-        self.input(&["numgen", "random", "mod", "100", "<", &percent, "drop"]);
+        self.add_input_rule(&["numgen", "random", "mod", "100", "<", &percent, "drop"]);
     }
 
-    /// Drops all packets that arrive on the measured path, as if its cable were cut.
-    pub fn cut(&self) {
-        self.input(&["drop"]);
+    /// Drops all packets that arrive on the measured path.
+    pub fn drop_all(&self) {
+        self.add_input_rule(&["drop"]);
     }
 
     /// Drops longer packets that arrive on the measured path, without an ICMP message. Bytes, including the IP
     /// header.
     pub fn drop_longer(&self, bytes: u32) {
-        self.input(&["meta", "length", ">", &bytes.to_string(), "drop"]);
+        self.add_input_rule(&["meta", "length", ">", &bytes.to_string(), "drop"]);
     }
 
-    /// Replaces the address of the measured path's interface; the prefix has 28 bits.
-    pub fn move_to(&self, address: Ipv4Addr) {
+    /// Replaces the address of the interface on the measured path; the prefix has 28 bits.
+    pub fn change_address(&self, address: Ipv4Addr) {
         let (old, new) = (format!("{}/28", self.address), format!("{address}/28"));
         // The order matters: removing the first address of a network removes the second one as well.
-        ip(&["-n", &self.namespace, "address", "delete", &old, "dev", DATA]);
-        ip(&["-n", &self.namespace, "address", "add", &new, "dev", DATA]);
+        ip(&["-n", &self.namespace, "address", "delete", &old, "dev", DATA_INTERFACE]);
+        ip(&["-n", &self.namespace, "address", "add", &new, "dev", DATA_INTERFACE]);
     }
 
     /// Removes the rules that drop packets on the measured path.
@@ -141,11 +140,11 @@ impl Host {
         ip(&["-n", &self.namespace, "link", "set", interface, "mtu", &bytes.to_string()]);
     }
 
-    fn input(&self, rule: &[&str]) {
+    fn add_input_rule(&self, rule: &[&str]) {
         self.run("nft", &["add", "table", "inet", "test"]);
         let chain = ["add", "chain", "inet", "test", "input"];
         self.run("nft", &[&chain[..], &["{ type filter hook input priority 0 ; }"]].concat());
-        let on_the_path = ["add", "rule", "inet", "test", "input", "iifname", DATA];
+        let on_the_path = ["add", "rule", "inet", "test", "input", "iifname", DATA_INTERFACE];
         self.run("nft", &[&on_the_path[..], rule].concat());
     }
 

@@ -1,12 +1,12 @@
-//! Hosts in network namespaces, and the cables between them.
+//! Hosts in network namespaces, and the links between them.
 //!
-//! A [`Network`] contains an edge and a cloud. The measured path is the cable between them: a plain veth pair, one
-//! with a router in between, or a wire with delay and loss. Each host has a second interface to the namespace of the
-//! tests, for the event stream, so that reporting does not disturb the measured path. All namespaces of a machine
-//! share the kernel's clock, with which reported delays are compared.
+//! A [`Network`] contains an edge and a cloud. The measured path between them is a plain veth pair, a router with two veth
+//! pairs, or a simulated wire with delay and loss. Each host has a second interface to the namespace of the tests. It
+//! carries the event stream, so that reporting does not disturb the measured path. All namespaces of a machine share the
+//! kernel's clock, with which reported delays are compared.
 //!
-//! The network must be declared before its processes, because values are dropped in reverse order. A test that panics
-//! removes its network as well; the network of a killed test is removed by the next test.
+//! A test must declare the network before its processes, because values are dropped in reverse order. A test that panics
+//! removes its network, too. The next test removes the network of a killed test.
 
 mod capture;
 mod chronyd;
@@ -23,16 +23,16 @@ use std::net::Ipv4Addr;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 
-use command::{attempt, ip};
+use command::{ip, try_run};
 use slot::Slot;
 
-use crate::until;
+use crate::wait_until;
 
 /// Name of the interface on the measured path, on edge and cloud.
-pub const DATA: &str = "data";
+pub const DATA_INTERFACE: &str = "data";
 
 /// Name of the interface to the namespace of the tests, on edge and cloud.
-pub const HOME: &str = "home";
+pub const CONTROL_INTERFACE: &str = "home";
 
 /// Properties of one direction of a wire.
 #[derive(Clone, Copy, Debug)]
@@ -70,11 +70,11 @@ impl Network {
     /// # Panics
     /// If this process may not create namespaces, or if a tool is missing.
     pub fn direct() -> Self {
-        let network = Self::hosts(false);
+        let network = Self::create_hosts(false);
         let (edge, cloud) = (&network.edge, &network.cloud);
-        veth(edge, DATA, cloud, DATA);
-        edge.set_up(DATA, edge.address, 28);
-        cloud.set_up(DATA, cloud.address, 28);
+        veth(edge, DATA_INTERFACE, cloud, DATA_INTERFACE);
+        edge.set_up(DATA_INTERFACE, edge.address, 28);
+        cloud.set_up(DATA_INTERFACE, cloud.address, 28);
         network
     }
 
@@ -83,14 +83,14 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn routed() -> Self {
-        let network = Self::hosts(true);
+        let network = Self::create_hosts(true);
         let router = network.router();
         router.run("sysctl", &["-qw", "net.ipv4.ip_forward=1"]);
         for (host, port, gateway) in [(&network.edge, "edge", 17), (&network.cloud, "cloud", 33)] {
             let gateway = network.slot.address(gateway);
-            veth(router, port, host, DATA);
+            veth(router, port, host, DATA_INTERFACE);
             router.set_up(port, gateway, 30);
-            host.set_up(DATA, host.address, 30);
+            host.set_up(DATA_INTERFACE, host.address, 30);
             let rest = format!("{}/24", network.slot.address(0));
             ip(&["-n", &host.namespace, "route", "add", &rest, "via", &gateway.to_string()]);
         }
@@ -103,9 +103,9 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
-        // With jitter, `wirefilter` must keep the order of packets. It keeps one order for both directions, so that a
-        // packet of the quick direction would wait for one of the slow direction. Without jitter that is not needed.
-        Self::wire_that_reorders(folder, up, down, up.jitter_ms + down.jitter_ms == 0)
+        // `wirefilter` keeps one order for packets of both directions, so that a packet of the fast direction waits for one of
+        // the slow direction. Keeping the order is therefore enabled only with jitter, which would reorder packets otherwise.
+        Self::new_wire(folder, up, down, up.jitter_ms + down.jitter_ms == 0)
     }
 
     /// Connects edge and cloud by a wire on which packets overtake each other if the delay varies.
@@ -113,24 +113,24 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn reordering_wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
-        Self::wire_that_reorders(folder, up, down, true)
+        Self::new_wire(folder, up, down, true)
     }
 
-    fn wire_that_reorders(folder: &Path, up: WireProperties, down: WireProperties, reorders: bool) -> Self {
-        let mut network = Self::hosts(false);
-        let plug = |host: &Host| {
+    fn new_wire(folder: &Path, up: WireProperties, down: WireProperties, reorders: bool) -> Self {
+        let mut network = Self::create_hosts(false);
+        let start_switch = |host: &Host| {
             let socket = folder.join(&host.namespace).display().to_string();
-            host.run("vde_switch", &["--sock", &socket, "--tap", DATA, "--daemon"]);
-            // It goes to the background before it is ready.
-            let device = ["-n", &host.namespace, "link", "show", "dev", DATA];
-            until("a virtual switch", || {
-                attempt("ip", &device).ok().filter(|_| Path::new(&socket).join("ctl").exists())
+            host.run("vde_switch", &["--sock", &socket, "--tap", DATA_INTERFACE, "--daemon"]);
+            // The switch daemonises before it is ready.
+            let device = ["-n", &host.namespace, "link", "show", "dev", DATA_INTERFACE];
+            wait_until("a virtual switch", || {
+                try_run("ip", &device).ok().filter(|_| Path::new(&socket).join("ctl").exists())
             });
-            host.set_up(DATA, host.address, 28);
+            host.set_up(DATA_INTERFACE, host.address, 28);
             socket
         };
-        let plugs = format!("{}:{}", plug(&network.edge), plug(&network.cloud));
-        let loss = |name: &str, way: WireProperties| format!("{name}{}", way.loss_percent);
+        let plugs = format!("{}:{}", start_switch(&network.edge), start_switch(&network.cloud));
+        let loss = |name: &str, direction: WireProperties| format!("{name}{}", direction.loss_percent);
         let (up_delay, down_delay) = (up.delay("LR"), down.delay("RL"));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
@@ -146,18 +146,18 @@ impl Network {
     ///
     /// # Panics
     /// If this is not a [`wire`](Self::wire), or if it does not answer.
-    pub fn delay(&self, up: WireProperties, down: WireProperties) {
+    pub fn set_delays(&self, up: WireProperties, down: WireProperties) {
         let commands = self.wire.as_ref().expect("a wire");
-        let mut stream = until("the wire", || UnixStream::connect(commands).ok());
+        let mut stream = wait_until("the wire", || UnixStream::connect(commands).ok());
         for delay in [up.delay("LR"), down.delay("RL")] {
-            // In one write: the wire takes what one read returns for a whole command.
+            // One write, because the wire takes the result of one `read` as a whole command.
             stream.write_all(format!("delay {delay}\n").as_bytes()).expect("the wire listens");
             let mut answer = Vec::new();
             // Each answer ends with a code, which is 1000 for success, and a prompt.
             while !answer.windows(4).any(|code| code == b"1000") {
                 let mut part = [0; 256];
                 let length = stream.read(&mut part).expect("the wire answers");
-                assert!(length > 0, "the wire said {}", String::from_utf8_lossy(&answer));
+                assert!(length > 0, "the wire answered {}", String::from_utf8_lossy(&answer));
                 answer.extend_from_slice(&part[..length]);
             }
         }
@@ -173,16 +173,16 @@ impl Network {
         let third = Host {
             namespace: network.slot.name("third"),
             address: network.slot.address(50),
-            home: network.slot.address(73),
+            test_address: network.slot.address(73),
         };
         ip(&["netns", "add", &third.namespace]);
         ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
         third.run("sysctl", &["-qw", "net.ipv4.tcp_congestion_control=reno"]);
-        network.connect_home(&third, "t");
+        network.add_control_interface(&third, "t");
         let (router, gateway) = (network.router(), network.slot.address(49));
-        veth(router, "third", &third, DATA);
+        veth(router, "third", &third, DATA_INTERFACE);
         router.set_up("third", gateway, 30);
-        third.set_up(DATA, third.address, 30);
+        third.set_up(DATA_INTERFACE, third.address, 30);
         let rest = format!("{}/24", network.slot.address(0));
         ip(&["-n", &third.namespace, "route", "add", &rest, "via", &gateway.to_string()]);
         router.run("nft", &["add", "table", "ip", "translation"]);
@@ -193,19 +193,19 @@ impl Network {
         network
     }
 
-    /// Adds a third host on a separate cable to the cloud, so that its traffic does not share the measured path.
+    /// Adds a third host with its own link to the cloud, so that its traffic does not use the measured path.
     #[must_use]
     pub fn with_third_host(mut self) -> Self {
         let third = Host {
             namespace: self.slot.name("third"),
             address: self.slot.address(98),
-            home: self.slot.address(0),
+            test_address: self.slot.address(0),
         };
         ip(&["netns", "add", &third.namespace]);
         ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
-        veth(&self.cloud, "third", &third, DATA);
+        veth(&self.cloud, "third", &third, DATA_INTERFACE);
         self.cloud.set_up("third", self.cloud_address_for_third_host(), 30);
-        third.set_up(DATA, third.address, 30);
+        third.set_up(DATA_INTERFACE, third.address, 30);
         self.third = Some(third);
         self
     }
@@ -224,11 +224,14 @@ impl Network {
     }
 
     /// Creates the namespaces, each with its interface to the namespace of the tests.
-    fn hosts(with_router: bool) -> Self {
-        let slot = Slot::take();
-        let host = |role: &str, address: u8, home: u8| {
-            let host =
-                Host { namespace: slot.name(role), address: slot.address(address), home: slot.address(home) };
+    fn create_hosts(with_router: bool) -> Self {
+        let slot = Slot::acquire();
+        let host = |role: &str, address: u8, test_address: u8| {
+            let host = Host {
+                namespace: slot.name(role),
+                address: slot.address(address),
+                test_address: slot.address(test_address),
+            };
             ip(&["netns", "add", &host.namespace]);
             ip(&["-n", &host.namespace, "link", "set", "lo", "up"]);
             // Reno does not pace packets; BBR, the default of some machines, does.
@@ -243,18 +246,29 @@ impl Network {
             wire: None,
             slot,
         };
-        network.connect_home(&network.edge, "e");
-        network.connect_home(&network.cloud, "c");
+        network.add_control_interface(&network.edge, "e");
+        network.add_control_interface(&network.cloud, "c");
         network
     }
 
     /// Creates a host's interface to the namespace of the tests.
-    fn connect_home(&self, host: &Host, role: &str) {
+    fn add_control_interface(&self, host: &Host, role: &str) {
         let outside = self.slot.interface(role);
-        ip(&["link", "add", &outside, "type", "veth", "peer", "name", HOME, "netns", &host.namespace]);
-        ip(&["address", "add", &format!("{}/30", host.home), "dev", &outside]);
+        ip(&[
+            "link",
+            "add",
+            &outside,
+            "type",
+            "veth",
+            "peer",
+            "name",
+            CONTROL_INTERFACE,
+            "netns",
+            &host.namespace,
+        ]);
+        ip(&["address", "add", &format!("{}/30", host.test_address), "dev", &outside]);
         ip(&["link", "set", &outside, "up"]);
-        host.set_up(HOME, Ipv4Addr::from_bits(host.home.to_bits() + 1), 30);
+        host.set_up(CONTROL_INTERFACE, Ipv4Addr::from_bits(host.test_address.to_bits() + 1), 30);
     }
 
     /// Returns the edge.
@@ -278,7 +292,7 @@ impl Network {
 
 impl Drop for Network {
     fn drop(&mut self) {
-        self.slot.remove_remains();
+        self.slot.remove_namespaces();
     }
 }
 

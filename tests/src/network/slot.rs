@@ -5,7 +5,7 @@ use std::net::Ipv4Addr;
 
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 
-use super::command::attempt;
+use super::command::try_run;
 
 /// Number that no other test on this machine uses now, with the names and addresses derived from it.
 #[derive(Debug)]
@@ -16,8 +16,8 @@ pub(super) struct Slot {
 }
 
 impl Slot {
-    /// Takes a free number, and removes the remains of a killed test with that number.
-    pub(super) fn take() -> Self {
+    /// Acquires a free number, and removes what a killed test with that number left behind.
+    pub(super) fn acquire() -> Self {
         assert!(
             geteuid().is_root(),
             "this test makes network namespaces, which needs root: run it as root, for instance with sudo -E"
@@ -30,7 +30,7 @@ impl Slot {
             match lock.try_lock() {
                 Ok(()) => {
                     let slot = Self { number, _lock: lock };
-                    slot.remove_remains();
+                    slot.remove_namespaces();
                     return slot;
                 }
                 Err(TryLockError::WouldBlock) => {}
@@ -39,7 +39,7 @@ impl Slot {
                 }
             }
         }
-        panic!("256 networks of tests exist already");
+        panic!("all 256 networks of tests are in use");
     }
 
     /// Returns the name of a namespace.
@@ -62,20 +62,20 @@ impl Slot {
     }
 
     /// Ends all processes in the namespaces of this number and removes the namespaces and their interfaces.
-    pub(super) fn remove_remains(&self) {
+    pub(super) fn remove_namespaces(&self) {
         for role in ["e", "c", "t"] {
             // The interface need not exist.
-            let _ = attempt("ip", &["link", "delete", &self.interface(role)]);
+            let _ = try_run("ip", &["link", "delete", &self.interface(role)]);
         }
-        let namespaces = attempt("ip", &["netns", "list"]).unwrap_or_default();
-        let own = namespaces.lines().filter_map(|line| line.split_whitespace().next());
-        for namespace in own.filter(|name| name.starts_with(&self.prefix())) {
-            let inside = attempt("ip", &["netns", "pids", namespace]).unwrap_or_default();
+        let namespaces = try_run("ip", &["netns", "list"]).unwrap_or_default();
+        let names = namespaces.lines().filter_map(|line| line.split_whitespace().next());
+        for namespace in names.filter(|name| name.starts_with(&self.prefix())) {
+            let inside = try_run("ip", &["netns", "pids", namespace]).unwrap_or_default();
             for pid in inside.lines().filter_map(|pid| Pid::from_raw(pid.parse().ok()?)) {
                 // A process that has just ended by itself needs no signal.
                 let _ = kill_process(pid, Signal::KILL);
             }
-            if let Err(problem) = attempt("ip", &["netns", "delete", namespace]) {
+            if let Err(problem) = try_run("ip", &["netns", "delete", namespace]) {
                 #[expect(clippy::print_stderr, reason = "a drop must not panic, and this must be seen")]
                 {
                     eprintln!("{problem}");

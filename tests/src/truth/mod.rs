@@ -10,4 +10,4 @@ mod stored;
 
 pub use clock::HostClock;
 pub use comparison::{Comparison, compare, true_times, truth};
-pub use stored::{Delay, Iteration, ask, iterations};
+pub use stored::{Delay, Iteration, iterations, query_database};

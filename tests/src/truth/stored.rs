@@ -55,7 +55,7 @@ ORDER BY t.run, t.iteration, name.text DESC";
 /// # Panics
 /// As [`ask`].
 pub fn iterations(database: &Path) -> Vec<Iteration> {
-    let text = ask(database, DELAYS);
+    let text = query_database(database, DELAYS);
     let rows: Vec<(u64, u64, &str, Delay)> =
         text.lines().map(|line| row(line).expect("twelve columns")).collect();
     let pairs = rows.windows(2).filter_map(|pair| {
@@ -70,11 +70,11 @@ pub fn iterations(database: &Path) -> Vec<Iteration> {
     pairs.collect()
 }
 
-/// Runs an SQL query. Returns one line per row, with columns separated by `|`.
+/// Runs an SQL query on a database. Returns one line per row, with columns separated by `|`.
 ///
 /// # Panics
 /// If the database cannot be read.
-pub fn ask(database: &Path, sql: &str) -> String {
+pub fn query_database(database: &Path, sql: &str) -> String {
     let output = Command::new("sqlite3")
         .args(["-readonly", "-batch", "-noheader", "-list"])
         .arg(database)

@@ -3,7 +3,7 @@
 
 use std::process::{Command, Stdio};
 
-use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, ProcessEnd, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, ProcessEnd, program, wait_until};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -78,7 +78,8 @@ impl CalibratedHosts {
     }
 
     fn calibrate(&self, arguments: &[&str]) -> ProcessEnd {
-        self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], arguments].concat()).ended()
+        self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], arguments].concat())
+            .wait_for_end()
     }
 
     /// Starts a calibration that runs until it is ended.
@@ -183,7 +184,7 @@ fn ctrl_c_writes_partial_calibration() {
     let running = hosts.peernet(&arguments);
     running.wait_for("s left");
     running.signal(Signal::INT);
-    let ended = running.ended();
+    let ended = running.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     let study = hosts.results();
     assert_eq!(study["setting"]["interrupted"], true);
@@ -219,9 +220,9 @@ fn unsuitable_peer_is_refused_with_reason() {
 #[test]
 fn foreign_port_is_distinguished_from_slow_peer() {
     let hosts = CalibratedHosts::new();
-    let (_aggregator, _) = hosts.deployment.aggregator();
+    let (_aggregator, _) = hosts.deployment.start_aggregator();
     let peer = format!("tcp://127.0.0.1:{}", hosts.deployment.events);
-    let slip = hosts.peernet(&["calibrate", &peer, "--result-loc", "results"]).ended();
+    let slip = hosts.peernet(&["calibrate", &peer, "--result-loc", "results"]).wait_for_end();
     assert_eq!(slip.code(), 69, "{}", slip.log);
     let told = format!("something listens at {peer} but does not answer like an agent's [serve]");
     assert!(slip.log.contains(&told) && slip.log.contains("port of an aggregator"), "{}", slip.log);
@@ -260,7 +261,7 @@ fn peer_with_new_clock_ends_the_calibration() {
     cloud.kill();
     running.wait_for("cloud is away");
     let _other = hosts.start("other.toml", &CLOUD.replace("offset_ms = 1000", "offset_ms = 300"));
-    let ended = running.ended();
+    let ended = running.wait_for_end();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     for part in ["returned with another clock", "made wrong on purpose (offset +300 ms)"] {
         assert!(ended.log.contains(part), "{part} is missing in\n{}", ended.log);
@@ -298,7 +299,7 @@ fn calibration_reports_interruption_of_peer() {
     let _again = hosts.start("cloud.toml", &same);
     running.wait_for_nth("s left", lines + 1);
     running.signal(Signal::INT);
-    let ended = running.ended();
+    let ended = running.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("the peer went away once during the study and came back"), "{}", ended.log);
     let study = hosts.results();
@@ -320,8 +321,8 @@ fn closed_output_causes_no_panic() {
     deployment.write("aggregator.toml", AGGREGATOR);
     let mut daemon = start("peernetd", &["run", "aggregator.toml"]);
     drop((daemon.stdout.take(), daemon.stderr.take()));
-    let api = Api::at(deployment.http);
-    until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+    let api = Api::on_port(deployment.http);
+    wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
     let url = format!("http://127.0.0.1:{}", deployment.http);
     let mut asked = start("peernet", &["status", "--url", &url]);
@@ -338,12 +339,12 @@ fn closed_output_causes_no_panic() {
 #[test]
 fn recompute_leaves_stored_run_unchanged() {
     let hosts = CalibratedHosts::new();
-    let (_aggregator, api) = hosts.deployment.aggregator();
+    let (_aggregator, api) = hosts.deployment.start_aggregator();
     let _cloud = hosts.start("cloud.toml", CLOUD);
-    let edge = hosts.deployment.agent("edge", EDGE);
-    let run = api.finished_run();
+    let edge = hosts.deployment.start_agent("edge", EDGE);
+    let run = api.wait_for_finished_run();
     let url = format!("http://127.0.0.1:{}", hosts.deployment.http);
-    let status = hosts.peernet(&["status", "--url", &url]).ended();
+    let status = hosts.peernet(&["status", "--url", &url]).wait_for_end();
     assert_eq!(status.code(), 0, "{}", status.log);
     for part in ["connected, rehearsed", "REHEARSAL: edge's clock", "offset -500 ms"] {
         assert!(status.log.contains(part), "{part} is missing in\n{}", status.log);
@@ -353,13 +354,13 @@ fn recompute_leaves_stored_run_unchanged() {
     let before = api.json(&format!("/api/v1/runs/{run}/stages"));
 
     let number = run.to_string();
-    let shown = hosts.peernet(&["recompute", &number, "--url", &url]).ended();
+    let shown = hosts.peernet(&["recompute", &number, "--url", &url]).wait_for_end();
     assert_eq!(shown.code(), 0, "{}", shown.log);
     let rehearsal = "wrong on purpose: cloud's (offset +1000 ms), the edge's (offset -500 ms)";
     for part in ["upload", "download", "before", "after", "nothing stored was changed", rehearsal] {
         assert!(shown.log.contains(part), "{part} is missing in\n{}", shown.log);
     }
-    let json = hosts.peernet(&["recompute", &number, "--url", &url, "--json"]).ended();
+    let json = hosts.peernet(&["recompute", &number, "--url", &url, "--json"]).wait_for_end();
     let json: Value = serde_json::from_str(&json.log).unwrap_or_else(|error| panic!("{error}: {}", json.log));
     for stage in json["stages"].as_array().expect("a list") {
         let after = &stage["after"];
@@ -372,7 +373,7 @@ fn recompute_leaves_stored_run_unchanged() {
     }
     assert_eq!(before, api.json(&format!("/api/v1/runs/{run}/stages")));
 
-    let unknown = hosts.peernet(&["recompute", "4711", "--url", &url]).ended();
+    let unknown = hosts.peernet(&["recompute", "4711", "--url", &url]).wait_for_end();
     assert_eq!(unknown.code(), 69, "{}", unknown.log);
     assert!(unknown.log.contains("4711"), "{}", unknown.log);
 }

@@ -46,15 +46,15 @@ fn number(value: &Value, key: &str) -> f64 {
 #[test]
 fn offloaded_picture_is_stored_with_all_stages() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
-    let cloud = deployment.agent("cloud", CLOUD);
-    let edge = deployment.agent("edge", EDGE);
+    let (_aggregator, api) = deployment.start_aggregator();
+    let cloud = deployment.start_agent("cloud", CLOUD);
+    let edge = deployment.start_agent("edge", EDGE);
 
     // Page and API show the pipeline while it runs.
-    api.until("/api/v1/pipelines/edge/offload", |pipeline| {
+    api.wait_until("/api/v1/pipelines/edge/offload", |pipeline| {
         (number(&pipeline["windows"][2]["counts"], "ok") > 0.0).then_some(())
     });
-    let run = api.finished_run();
+    let run = api.wait_for_finished_run();
 
     // The run has exactly the configured iterations; warm-up is kept and flagged.
     let detail = api.json(&format!("/api/v1/runs/{run}"));
@@ -104,15 +104,17 @@ fn stop_of_combined_process_loses_nothing() {
         .replace("127.0.0.1:8040", "127.0.0.1:{http}")
         .replace("models/quality-control", "{root}/models/quality-control");
     deployment.write("all.toml", &all);
-    let api = peernet_tests::Api::at(deployment.http);
+    let api = peernet_tests::Api::on_port(deployment.http);
 
     let first = deployment.start("all.toml");
-    api.until("/api/v1/runs", |runs| (number(&runs["runs"].get(1)?["counts"], "ok") > 20.0).then_some(()));
+    api.wait_until("/api/v1/runs", |runs| {
+        (number(&runs["runs"].get(1)?["counts"], "ok") > 20.0).then_some(())
+    });
     assert_eq!(first.stop().code(), 0);
 
     // A second start finds the runs of the first one ended, with everything that was measured before it stopped.
     let second = deployment.start("all.toml");
-    let runs = api.until("/api/v1/runs", |runs| {
+    let runs = api.wait_until("/api/v1/runs", |runs| {
         let runs: Vec<Value> =
             runs["runs"].as_array()?.iter().filter(|run| run["reason"] == "stopped").cloned().collect();
         (runs.len() == 2).then_some(runs)
@@ -140,15 +142,17 @@ fn status_command_shows_runs_and_missing_aggregator() {
     let url = format!("http://127.0.0.1:{}", deployment.http);
     let peernet = || {
         let arguments = ["status", "--url", url.as_str()];
-        Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended()
+        Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end()
     };
     let nobody = peernet();
     assert_eq!(nobody.code(), 69, "{}", nobody.log);
     assert!(nobody.log.contains("--url"), "{}", nobody.log);
 
-    let (_aggregator, api) = deployment.aggregator();
-    let edge = deployment.agent("edge", EDGE);
-    api.until("/api/v1/pipelines/edge/offload", |pipeline| (pipeline["state"] == "waiting").then_some(()));
+    let (_aggregator, api) = deployment.start_aggregator();
+    let edge = deployment.start_agent("edge", EDGE);
+    api.wait_until("/api/v1/pipelines/edge/offload", |pipeline| {
+        (pipeline["state"] == "waiting").then_some(())
+    });
     let status = peernet();
     assert_eq!(status.code(), 0, "{}", status.log);
     assert!(status.log.contains("edge/offload") && status.log.contains("waiting"), "{}", status.log);

@@ -10,7 +10,7 @@ const CONFIGURATION: i32 = 78;
 /// Checks a file; returns the exit code and the output.
 fn check(deployment: &LoopbackDeployment, text: &str) -> (i32, String) {
     deployment.write("it.toml", text);
-    let ended = deployment.peernetd(&["check", "it.toml"]).ended();
+    let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
     (ended.code(), ended.log)
 }
 
@@ -71,11 +71,11 @@ fn missing_or_empty_configuration_is_refused() {
     assert_eq!(code, CONFIGURATION, "{said}");
     assert!(said.contains("[agent]") && said.contains("[aggregator]"), "{said}");
 
-    let ended = deployment.peernetd(&["check", "nowhere.toml"]).ended();
+    let ended = deployment.peernetd(&["check", "nowhere.toml"]).wait_for_end();
     assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
     assert!(ended.log.contains("nowhere.toml"), "{}", ended.log);
 
-    assert_eq!(deployment.peernetd(&["dance"]).ended().code(), USAGE);
+    assert_eq!(deployment.peernetd(&["dance"]).wait_for_end().code(), USAGE);
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn used_port_is_named_at_start() {
         "it.toml",
         "[aggregator]\nlisten = \"tcp://127.0.0.1:{events}\"\ndatabase = \"{folder}/a.sqlite\"\n",
     );
-    let ended = deployment.start("it.toml").ended();
+    let ended = deployment.start("it.toml").wait_for_end();
     assert_ne!(ended.code(), 0);
     assert!(ended.log.contains(&format!("127.0.0.1:{}", deployment.events)), "{}", ended.log);
     drop(taken);
@@ -185,7 +185,7 @@ fn invalid_log_level_and_endless_file_are_refused() {
     assert_eq!(code, CONFIGURATION, "{said}");
     assert!(said.contains("it.toml:2: log.level"), "{said}");
 
-    let ended = deployment.peernetd(&["check", "/dev/zero"]).ended();
+    let ended = deployment.peernetd(&["check", "/dev/zero"]).wait_for_end();
     assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
     assert!(ended.log.contains("right file"), "{}", ended.log);
 }

@@ -1,8 +1,8 @@
 //! Tests of the statistics of connections, from the kernel to the page.
 
 use peernet_tests::network::WireProperties;
-use peernet_tests::truth::ask;
-use peernet_tests::{LoopbackDeployment, Network, TwoHostTestbed, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{LoopbackDeployment, Network, TwoHostTestbed, wait_until};
 
 const CLOUD: &str = r#"
 [serve]
@@ -24,10 +24,10 @@ load = { mode = "rate", hz = 50.0 }
 #[test]
 fn page_api_and_metrics_show_connection() {
     let deployment = LoopbackDeployment::new();
-    let (aggregator, api) = deployment.aggregator();
-    let cloud = deployment.agent("cloud", CLOUD);
-    let edge = deployment.agent("edge", EDGE);
-    let connection = api.until("/api/v1/links/edge~cloud", |link| {
+    let (aggregator, api) = deployment.start_aggregator();
+    let cloud = deployment.start_agent("cloud", CLOUD);
+    let edge = deployment.start_agent("edge", EDGE);
+    let connection = api.wait_until("/api/v1/links/edge~cloud", |link| {
         let connection = link["now"]["connections"].get(0)?;
         let at_cloud = connection["cloud"]["up"]["messages"].as_u64()?;
         (connection["up"]["messages"].as_u64()? > 50 && at_cloud > 50).then(|| connection.clone())
@@ -71,10 +71,10 @@ fn page_api_and_metrics_show_connection() {
     }
     // The totals of a connection are stored when it has ended.
     let database = deployment.folder().join("aggregator.sqlite");
-    let stored = until("the account of the cloud in the database", || {
+    let stored = wait_until("the account of the cloud in the database", || {
         let sql = "SELECT sent_bytes, cloud_received_bytes, received_bytes, cloud_sent_bytes FROM connection_total \
                    WHERE edge = 'edge' AND cloud = 'cloud' AND pipeline = 'offload'";
-        let row = ask(&database, sql);
+        let row = query_database(&database, sql);
         (!row.trim().is_empty()).then_some(row)
     });
     let bytes: Vec<u64> = stored
@@ -92,10 +92,10 @@ fn page_api_and_metrics_show_connection() {
 fn lossy_link_shows_retransmissions() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     testbed.network.cloud().drop_percent(10);
-    let _cloud = testbed.cloud("");
+    let _cloud = testbed.start_cloud("");
     let load = "load = { mode = \"rate\", hz = 20.0 }";
-    let _edge = testbed.edge(&testbed.pipeline("offload", 100_000, load), &[]);
-    let connection = testbed.api.until("/api/v1/links/edge~cloud", |link| {
+    let _edge = testbed.start_edge(&testbed.pipeline("offload", 100_000, load), &[]);
+    let connection = testbed.api.wait_until("/api/v1/links/edge~cloud", |link| {
         let connection = link["now"]["connections"].get(0)?;
         (connection["up"]["retransmitted_datagrams"].as_u64()? > 5).then(|| connection.clone())
     });
@@ -113,11 +113,12 @@ fn lossy_link_shows_retransmissions() {
 #[test]
 fn page_api_metrics_show_lost_and_reordered_datagrams() {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
-    let testbed = TwoHostTestbed::over("udp", |folder| Network::reordering_wire(folder, way(30), way(5)));
-    let _cloud = testbed.cloud("");
+    let testbed =
+        TwoHostTestbed::with_scheme("udp", |folder| Network::reordering_wire(folder, way(30), way(5)));
+    let _cloud = testbed.start_cloud("");
     let load = "load = { mode = \"rate\", hz = 20.0 }";
-    let _edge = testbed.edge(&testbed.pipeline("offload", 20_000, load), &[]);
-    let connection = testbed.api.until("/api/v1/links/edge~cloud~zmq-udp", |link| {
+    let _edge = testbed.start_edge(&testbed.pipeline("offload", 20_000, load), &[]);
+    let connection = testbed.api.wait_until("/api/v1/links/edge~cloud~zmq-udp", |link| {
         let connection = link["now"]["connections"].get(0)?;
         let is_counted = ["up", "down"].iter().all(|direction| {
             let counts =

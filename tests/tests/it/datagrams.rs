@@ -3,37 +3,37 @@
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
-use peernet_tests::network::{DATA, Network, WireProperties};
-use peernet_tests::{Stopwatch, TwoHostTestbed, until};
+use peernet_tests::network::{DATA_INTERFACE, Network, WireProperties};
+use peernet_tests::{Stopwatch, TwoHostTestbed, wait_until};
 
 const LINK: &str = "/api/v1/links/edge~cloud~zmq-udp";
 
 const LOAD: &str = "load = { mode = \"rate\", hz = 20.0 }";
 
 /// Returns the number of answered iterations of the only run.
-fn answered(testbed: &TwoHostTestbed) -> u64 {
+fn answered_iterations(testbed: &TwoHostTestbed) -> u64 {
     let runs = testbed.api.json("/api/v1/runs");
     let ok = runs["runs"].get(0).and_then(|run| run["counts"]["ok"].as_u64());
     ok.unwrap_or_default()
 }
 
 /// Waits until this many more iterations are answered.
-fn until_answered(testbed: &TwoHostTestbed, more: u64) {
-    let enough = answered(testbed) + more;
-    until("answers", || (answered(testbed) >= enough).then_some(()));
+fn wait_until_answered(testbed: &TwoHostTestbed, more: u64) {
+    let enough = answered_iterations(testbed) + more;
+    wait_until("answers", || (answered_iterations(testbed) >= enough).then_some(()));
 }
 
 /// Waits until one end of the only connection is at an address.
-fn until_at(testbed: &TwoHostTestbed, end: &str, address: Ipv4Addr) {
-    testbed.api.until(LINK, |link| {
+fn wait_until_address_is(testbed: &TwoHostTestbed, end: &str, address: Ipv4Addr) {
+    testbed.api.wait_until(LINK, |link| {
         let shown = link["now"]["connections"].get(0)?[end].as_str()?;
         shown.starts_with(&format!("{address}:")).then_some(())
     });
 }
 
 /// Waits until the page of the link contains a text.
-fn shows(testbed: &TwoHostTestbed, text: &str) {
-    until(text, || {
+fn wait_until_page_contains(testbed: &TwoHostTestbed, text: &str) {
+    wait_until(text, || {
         let (_, page) = testbed.api.get("/links/edge~cloud~zmq-udp")?;
         page.contains(text).then_some(())
     });
@@ -41,31 +41,31 @@ fn shows(testbed: &TwoHostTestbed, text: &str) {
 
 #[test]
 fn session_survives_small_mtu_and_moved_hosts() {
-    let testbed = TwoHostTestbed::over("udp", |_| Network::direct());
-    let cloud = testbed.cloud("");
+    let testbed = TwoHostTestbed::with_scheme("udp", |_| Network::direct());
+    let cloud = testbed.start_cloud("");
     // More than any system permits by default.
     let pipeline = testbed.pipeline("line", 20_000, LOAD);
     let large = "session = { socket_buffer_bytes = 1073741824 }, model =";
-    let edge = testbed.edge(&pipeline.replace("model =", large), &[]);
-    until_answered(&testbed, 20);
+    let edge = testbed.start_edge(&pipeline.replace("model =", large), &[]);
+    wait_until_answered(&testbed, 20);
     let capped = "the system caps the buffers of UDP sockets at ";
     let said = edge.wait_for(capped);
     assert!(said.contains("sysctl -w net.core.rmem_max=1073741824"), "{said}");
-    shows(&testbed, capped);
+    wait_until_page_contains(&testbed, capped);
     let (here, there) = (testbed.network.edge(), testbed.network.cloud());
     for host in [here, there] {
-        host.set_mtu(DATA, 1_280);
+        host.set_mtu(DATA_INTERFACE, 1_280);
     }
-    until_answered(&testbed, 20);
+    wait_until_answered(&testbed, 20);
 
     let elsewhere = Ipv4Addr::from_bits(here.address.to_bits() + 8);
-    here.move_to(elsewhere);
-    until_at(&testbed, "local_address", elsewhere);
-    until_answered(&testbed, 20);
+    here.change_address(elsewhere);
+    wait_until_address_is(&testbed, "local_address", elsewhere);
+    wait_until_answered(&testbed, 20);
     let elsewhere = Ipv4Addr::from_bits(there.address.to_bits() + 8);
-    there.move_to(elsewhere);
-    until_at(&testbed, "remote_address", elsewhere);
-    until_answered(&testbed, 20);
+    there.change_address(elsewhere);
+    wait_until_address_is(&testbed, "remote_address", elsewhere);
+    wait_until_answered(&testbed, 20);
     let (edge, cloud) = (edge.stop(), cloud.stop());
     assert_eq!((edge.code(), cloud.code()), (0, 0), "{}\n{}", edge.log, cloud.log);
     assert!(!edge.log.contains("lost cloud"), "{}", edge.log);
@@ -73,32 +73,32 @@ fn session_survives_small_mtu_and_moved_hosts() {
 
 #[test]
 fn pipeline_recovers_from_link_and_restart_faults() {
-    let testbed = TwoHostTestbed::over("udp", |_| Network::direct());
-    let cloud = testbed.cloud("");
-    let edge = testbed.edge(&testbed.pipeline("line", 20_000, LOAD), &[]);
-    until_answered(&testbed, 20);
+    let testbed = TwoHostTestbed::with_scheme("udp", |_| Network::direct());
+    let cloud = testbed.start_cloud("");
+    let edge = testbed.start_edge(&testbed.pipeline("line", 20_000, LOAD), &[]);
+    wait_until_answered(&testbed, 20);
 
     let (path, cut) = (testbed.network.cloud(), Stopwatch::now());
-    path.cut();
+    path.drop_all();
     let said = edge.wait_for("lost cloud");
     assert!(said.contains("udp://") && said.contains("nothing was heard of the peer for 5 s"), "{said}");
     // The session must survive a cut of ten seconds.
     std::thread::sleep(Duration::from_secs(10).saturating_sub(cut.elapsed()));
     path.clear_rules();
     edge.wait_for_nth("connected to cloud", 2);
-    until_answered(&testbed, 20);
+    wait_until_answered(&testbed, 20);
 
     cloud.kill();
     edge.wait_for_nth("lost cloud", 2);
-    let _cloud = testbed.cloud("");
+    let _cloud = testbed.start_cloud("");
     edge.wait_for_nth("connected to cloud", 3);
-    until_answered(&testbed, 20);
+    wait_until_answered(&testbed, 20);
 
     path.block_udp(5551);
     edge.wait_for_nth("lost cloud", 3);
     path.clear_rules();
     edge.wait_for_nth("connected to cloud", 4);
-    until_answered(&testbed, 20);
+    wait_until_answered(&testbed, 20);
     let runs = testbed.api.json("/api/v1/runs");
     assert_eq!(runs["runs"].as_array().map(Vec::len), Some(1), "the run goes on: {runs}");
 }
@@ -106,12 +106,12 @@ fn pipeline_recovers_from_link_and_restart_faults() {
 #[test]
 fn reduced_path_mtu_is_reported_and_session_continues() {
     let way = WireProperties { delay_ms: 0, jitter_ms: 0, loss_percent: 0 };
-    let testbed = TwoHostTestbed::over("udp", |folder| Network::wire(folder, way, way));
-    let _cloud = testbed.cloud("[serve.session]\ndatagram_bytes = 1400\n");
+    let testbed = TwoHostTestbed::with_scheme("udp", |folder| Network::wire(folder, way, way));
+    let _cloud = testbed.start_cloud("[serve.session]\ndatagram_bytes = 1400\n");
     let pipeline = testbed.pipeline("line", 20_000, LOAD);
     let pipeline = pipeline.replace("model =", "session = { datagram_bytes = 1400 }, model =");
-    let edge = testbed.edge(&pipeline, &[]);
-    until_answered(&testbed, 20);
+    let edge = testbed.start_edge(&pipeline, &[]);
+    wait_until_answered(&testbed, 20);
 
     testbed.network.cloud().drop_longer(1_300);
     let said = edge.wait_for("lost cloud");
@@ -121,6 +121,6 @@ fn reduced_path_mtu_is_reported_and_session_continues() {
     );
     edge.wait_for("going on with 1200 bytes");
     edge.wait_for_nth("connected to cloud", 2);
-    until_answered(&testbed, 20);
-    shows(&testbed, "long datagrams do not arrive any more");
+    wait_until_answered(&testbed, 20);
+    wait_until_page_contains(&testbed, "long datagrams do not arrive any more");
 }

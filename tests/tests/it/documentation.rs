@@ -34,7 +34,7 @@ fn experiments_in_the_documents_pass_the_check() {
         for (line, block) in document.fenced("toml").into_iter().filter(|(_, block)| is_experiment(block)) {
             let file = deployment.write("experiment.toml", &block);
             let arguments = [Path::new("run"), Path::new("--check"), &file];
-            let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+            let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
             assert_eq!(ended.code(), 0, "{}:{line}:\n{}", document.path.display(), ended.log);
             checked.push(document.path.clone());
         }
@@ -66,8 +66,8 @@ fn complete_examples_pass_check_and_excerpts_parse() {
             // The check binds this port, and a demo may be running.
             let block = block.replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}");
             deployment.write(name, &block);
-            let ended =
-                Process::start(&program("peernetd"), &["check", name], deployment.folder(), &[]).ended();
+            let ended = Process::start(&program("peernetd"), &["check", name], deployment.folder(), &[])
+                .wait_for_end();
             if ended.code() != 0 {
                 wrong.push(format!("{at}:\n{}", ended.log));
             }
@@ -168,17 +168,17 @@ type Check = fn(&LoopbackDeployment, &str) -> String;
 
 fn configuration(deployment: &LoopbackDeployment, file: &str) -> String {
     deployment.write("probe.toml", file);
-    deployment.peernetd(&["check", "probe.toml"]).ended().log
+    deployment.peernetd(&["check", "probe.toml"]).wait_for_end().log
 }
 
 fn experiment(deployment: &LoopbackDeployment, file: &str) -> String {
     deployment.write("probe.toml", file);
     let arguments = ["run", "--check", "probe.toml"];
-    Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended().log
+    Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end().log
 }
 
 /// Returns the names that a check offers instead of `zz`.
-fn known(said: &str) -> Vec<String> {
+fn offered_names(said: &str) -> Vec<String> {
     let told = ["unknown field `zz`, ", "unknown variant `zz`, "];
     let known = told.iter().find_map(|told| said.split_once(told));
     let (_, known) = known.unwrap_or_else(|| panic!("nothing is said about zz but\n{said}"));
@@ -186,7 +186,7 @@ fn known(said: &str) -> Vec<String> {
 }
 
 /// Returns the words that are missing in a section.
-fn lacking(document: &Document, section: &str, words: &[String]) -> Vec<String> {
+fn undocumented_words(document: &Document, section: &str, words: &[String]) -> Vec<String> {
     let text = document.section(section);
     let described = |word: &str| {
         ["`WORD`", "\"WORD\"", "[WORD]"].iter().any(|form| text.contains(&form.replace("WORD", word)))
@@ -202,17 +202,17 @@ fn the_reference_describes_every_key_and_kind() {
     let mut look = |document: &str, said: Check, probes: &[(&str, &str)]| {
         let document = Document::read(document);
         for (section, file) in probes {
-            missing.extend(lacking(&document, section, &known(&said(&deployment, file))));
+            missing.extend(undocumented_words(&document, section, &offered_names(&said(&deployment, file))));
         }
     };
     look(REFERENCE, configuration, &PROBES);
     look("docs/experiments.md", experiment, &EXPERIMENTS);
     let reference = Document::read(REFERENCE);
     for (section, file) in KINDS {
-        let of = |kind: &str| known(&configuration(&deployment, &file.replace("KIND", kind)));
+        let of = |kind: &str| offered_names(&configuration(&deployment, &file.replace("KIND", kind)));
         let kinds = of("zz");
-        missing.extend(lacking(&reference, section, &kinds));
-        missing.extend(kinds.iter().flat_map(|kind| lacking(&reference, section, &of(kind))));
+        missing.extend(undocumented_words(&reference, section, &kinds));
+        missing.extend(kinds.iter().flat_map(|kind| undocumented_words(&reference, section, &of(kind))));
     }
     assert!(missing.is_empty(), "these are not described:\n{}", missing.join("\n"));
 }

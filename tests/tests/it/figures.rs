@@ -12,7 +12,8 @@ fn deployment() -> LoopbackDeployment {
 }
 
 fn plot(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
-    Process::start(&program("peernet"), &[&["plot"], arguments].concat(), deployment.folder(), &[]).ended()
+    Process::start(&program("peernet"), &[&["plot"], arguments].concat(), deployment.folder(), &[])
+        .wait_for_end()
 }
 
 fn read(path: &Path) -> String {

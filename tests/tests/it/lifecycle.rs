@@ -2,7 +2,7 @@
 
 use std::os::unix::net::UnixDatagram;
 
-use peernet_tests::{LoopbackDeployment, PATIENCE, Process, program};
+use peernet_tests::{LoopbackDeployment, Process, TEST_TIMEOUT, program};
 use rustix::process::Signal;
 
 const AGENT: &str = r#"
@@ -31,7 +31,7 @@ impl Manager {
     fn new(deployment: &LoopbackDeployment) -> Self {
         let path = deployment.folder().join("notify.sock");
         let socket = UnixDatagram::bind(&path).expect("the temporary folder is writable");
-        socket.set_read_timeout(Some(PATIENCE)).expect("a timeout can be set");
+        socket.set_read_timeout(Some(TEST_TIMEOUT)).expect("a timeout can be set");
         Self { socket, path: path.display().to_string() }
     }
 
@@ -62,7 +62,7 @@ fn service_manager_receives_ready_watchdog_and_stopping() {
     manager.wait_for("WATCHDOG=1");
     daemon.terminate();
     manager.wait_for("STOPPING=1");
-    let ended = daemon.ended();
+    let ended = daemon.wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
 }
 
@@ -73,7 +73,7 @@ fn ctrl_c_ends_it_as_sigterm_does() {
     let daemon = deployment.start("edge.toml");
     daemon.wait_for("ready");
     daemon.signal(Signal::INT);
-    assert_eq!(daemon.ended().code(), 0);
+    assert_eq!(daemon.wait_for_end().code(), 0);
 }
 
 #[test]
@@ -104,13 +104,13 @@ fn a_second_signal_ends_it_at_once() {
     // A second SIGTERM within half a second would count as the same signal.
     daemon.signal(Signal::INT);
     daemon.wait_for("ending at once");
-    assert_eq!(daemon.ended().code(), 70);
+    assert_eq!(daemon.wait_for_end().code(), 70);
 }
 
 #[test]
 fn the_version_names_the_commit() {
     let deployment = LoopbackDeployment::new();
-    let ended = deployment.peernetd(&["--version"]).ended();
+    let ended = deployment.peernetd(&["--version"]).wait_for_end();
     assert_eq!(ended.code(), 0);
     let words: Vec<&str> = ended.log.split_whitespace().collect();
     assert_eq!(words[0], "peernetd");

@@ -20,18 +20,19 @@ fn edge(port: &str) -> String {
 }
 
 #[test]
-fn two_addresses_are_served_at_the_same_time() {
+fn two_addresses_are_served_concurrently() {
     let (deployment, second) = (LoopbackDeployment::new(), free_port().to_string());
-    let (_aggregator, api) = deployment.aggregator();
-    let cloud = deployment.agent("cloud", &CLOUD.replace("SECOND", &second));
+    let (_aggregator, api) = deployment.start_aggregator();
+    let cloud = deployment.start_agent("cloud", &CLOUD.replace("SECOND", &second));
     for port in [deployment.data.to_string(), second.clone()] {
         cloud.wait_for(&format!("tcp://127.0.0.1:{port}"));
     }
-    let edges = [deployment.agent("left", &edge("{data}")), deployment.agent("right", &edge(&second))];
+    let edges =
+        [deployment.start_agent("left", &edge("{data}")), deployment.start_agent("right", &edge(&second))];
 
     // Both pipelines still run when the answers of the second one are checked.
     for host in ["left", "right"] {
-        api.until(&format!("/api/v1/pipelines/{host}/line"), |pipeline| {
+        api.wait_until(&format!("/api/v1/pipelines/{host}/line"), |pipeline| {
             (pipeline["windows"][2]["counts"]["ok"].as_f64()? > 10.0).then_some(())
         });
         let link = api.json(&format!("/api/v1/links/{host}~cloud"));
@@ -57,7 +58,7 @@ fn network_and_address_must_agree() {
     ] {
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{tables}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
+        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
         assert_eq!(ended.code(), 78, "{}", ended.log);
         for part in ["it.toml:", "zmq-udp", "zmq-tcp"] {
             assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
@@ -78,7 +79,7 @@ fn wrong_lists_of_addresses_are_refused() {
             "it.toml",
             &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n[serve]\nlisten = {listen}\n"),
         );
-        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
+        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
         assert_eq!(ended.code(), 78, "{}", ended.log);
         assert!(ended.log.contains(said) && ended.log.contains("serve.listen"), "{said} in {}", ended.log);
     }

@@ -4,8 +4,8 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use peernet_tests::truth::ask;
-use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, ProcessEnd, free_port, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, ProcessEnd, free_port, wait_until};
 use serde_json::Value;
 
 const EDGE: &str = r#"
@@ -23,9 +23,9 @@ load = { mode = "rate", hz = 200.0 }
 /// Starts aggregator and agent of a deployment; returns when some iterations are stored.
 fn measuring() -> (LoopbackDeployment, Process, Process, Api) {
     let deployment = LoopbackDeployment::new();
-    let (aggregator, api) = deployment.aggregator();
-    let edge = deployment.agent("edge", EDGE);
-    until("stored iterations", || (stored(&api) > 300).then_some(()));
+    let (aggregator, api) = deployment.start_aggregator();
+    let edge = deployment.start_agent("edge", EDGE);
+    wait_until("stored iterations", || (stored(&api) > 300).then_some(()));
     (deployment, aggregator, edge, api)
 }
 
@@ -35,11 +35,11 @@ fn stored(api: &Api) -> u64 {
 }
 
 fn run(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
-    deployment.peernetd(arguments).ended()
+    deployment.peernetd(arguments).wait_for_end()
 }
 
 fn number(database: &Path, sql: &str) -> u64 {
-    let text = ask(database, sql);
+    let text = query_database(database, sql);
     text.trim().parse().unwrap_or_else(|_| panic!("{sql}: {text}"))
 }
 
@@ -49,7 +49,7 @@ fn database(deployment: &LoopbackDeployment) -> PathBuf {
 
 /// Returns the statistics of whole runs in a form that can be compared: mean and spread to nine digits.
 fn statistics(database: &Path) -> String {
-    ask(
+    query_database(
         database,
         "SELECT run, name, quantity, count, printf('%.9e', mean), printf('%.6e', m2), min, max, hex(sketch) \
          FROM rollup WHERE resolution_s = 0 ORDER BY 1, 2, 3",
@@ -77,7 +77,7 @@ fn backup_of_busy_aggregator_is_consistent() {
     let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(ended.log.contains("copy.sqlite"), "it says where the copy is: {}", ended.log);
-    let after = until("more iterations", || Some(stored(&api)).filter(|now| *now > before + 100));
+    let after = wait_until("more iterations", || Some(stored(&api)).filter(|now| *now > before + 100));
 
     // What one table counts is in the others: the copy contains nothing of a later time.
     let copy = deployment.folder().join("copy.sqlite");
@@ -111,7 +111,7 @@ fn aggregator_continues_from_backup_and_reports_gap() {
     let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let then = stored(&api);
-    until("more iterations", || (stored(&api) > then + 300).then_some(()));
+    wait_until("more iterations", || (stored(&api) > then + 300).then_some(()));
     aggregator.kill();
     for file in ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm"] {
         // After a checkpoint the log does not exist.
@@ -121,12 +121,12 @@ fn aggregator_continues_from_backup_and_reports_gap() {
         .expect("the copy is there");
 
     // Events that were acknowledged and deleted between the copy and the end are reported as a gap.
-    let (aggregator, api) = deployment.aggregator();
+    let (aggregator, api) = deployment.start_aggregator();
     let missing =
-        api.until("/api/v1/hosts/edge", |host| host["stored"]["gaps"].as_u64().filter(|gaps| *gaps > 0));
+        api.wait_until("/api/v1/hosts/edge", |host| host["stored"]["gaps"].as_u64().filter(|gaps| *gaps > 0));
     assert!(missing > 0);
     let now = stored(&api);
-    until("new iterations", || (stored(&api) > now + 100).then_some(()));
+    wait_until("new iterations", || (stored(&api) > now + 100).then_some(()));
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
     let ended = run(&deployment, &["doctor", "--config", "aggregator.toml"]);
@@ -192,7 +192,7 @@ fn database_has_one_writing_process() {
     let other =
         AGGREGATOR.replace("{events}", &free_port().to_string()).replace("{http}", &free_port().to_string());
     deployment.write("other.toml", &other);
-    let second = deployment.start("other.toml").ended();
+    let second = deployment.start("other.toml").wait_for_end();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("in use") && second.log.contains(&holder), "{}", second.log);
     assert_eq!(edge.stop().code(), 0);

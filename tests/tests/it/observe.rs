@@ -1,6 +1,6 @@
 //! Tests of profiling a ROS system between two of its topics, without changes to its nodes.
 
-use peernet_tests::{Api, LoopbackDeployment, Process, Ros1System, until};
+use peernet_tests::{Api, LoopbackDeployment, Process, Ros1System, wait_until};
 use serde_json::Value;
 
 /// Returns a pipeline that observes the nodes between two topics.
@@ -12,8 +12,8 @@ fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
 }
 
 /// Waits until all runs have ended by themselves; returns their numbers with their pipelines' names.
-fn finished(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
-    api.until("/api/v1/runs", |runs| {
+fn wait_for_finished_runs(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
+    api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let done = runs.iter().filter(|run| run["reason"] == "finished");
         let named: Vec<(String, i64)> = done
@@ -44,14 +44,14 @@ fn latency(api: &Api, pipeline: &str) -> Option<f64> {
 }
 
 /// Returns the latest median of a relay's own delay, seconds.
-fn taken(relay: &Process) -> Option<f64> {
+fn relay_delay(relay: &Process) -> Option<f64> {
     let log = relay.log();
     let line = log.lines().rfind(|line| line.starts_with("median"))?;
     Some(line.split(' ').nth(1)?.parse::<f64>().ok()? * 1e-6)
 }
 
 /// Returns the number of stored and answered iterations of a pipeline's only run.
-fn answered(api: &Api, pipeline: &str) -> u64 {
+fn answered_iterations(api: &Api, pipeline: &str) -> u64 {
     let runs: Value = api.json("/api/v1/runs");
     let mut runs = runs["runs"].as_array().expect("a list").iter();
     let run = runs.find(|run| run["pipeline"] == pipeline);
@@ -61,30 +61,30 @@ fn answered(api: &Api, pipeline: &str) -> u64 {
 #[test]
 fn chain_latencies_are_right_within_a_millisecond() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let hops = [("5", "/camera", "/a"), ("20", "/a", "/b"), ("50", "/b", "/c")];
     let relay = |(delay, from, to): &(&str, &str, &str)| {
-        ros.node(&["relay", &format!("relay{delay}"), from, to, delay, "0"])
+        ros.start_node(&["relay", &format!("relay{delay}"), from, to, delay, "0"])
     };
     let relays: Vec<Process> = hops.iter().map(relay).collect();
     let tables: String =
         hops.iter().map(|(delay, from, to)| observer(&format!("hop{delay}"), from, to, "")).collect();
     let limit = "limit = { iterations = 40 }";
-    let agent = ros.agent(&deployment, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
-    let _camera = ros.node(&["camera", "camera", "/camera", "10"]);
+    let agent = ros.start_agent(&deployment, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
+    let _camera = ros.start_node(&["camera", "camera", "/camera", "10"]);
 
     // On a busy machine nodes and agent wait for a processor; this repeats until they did not for two seconds.
     let mut sum = 0.0;
     for ((delay, ..), relay) in hops.iter().zip(&relays) {
-        let seconds = until(&format!("a median within a millisecond of {delay} ms"), || {
-            let (reported, taken) = (latency(&api, &format!("hop{delay}"))?, taken(relay)?);
+        let seconds = wait_until(&format!("a median within a millisecond of {delay} ms"), || {
+            let (reported, taken) = (latency(&api, &format!("hop{delay}"))?, relay_delay(relay)?);
             ((reported - taken).abs() < 1e-3).then_some(taken)
         });
         let least: f64 = delay.parse().expect("a number");
         assert!(seconds >= least * 1e-3, "{seconds}");
         sum += least * 1e-3;
     }
-    let (_, whole) = finished(&api, 1).remove(0);
+    let (_, whole) = wait_for_finished_runs(&api, 1).remove(0);
     // A median of the API is within 1 % of the true one.
     assert!(median(&api, whole, "total") >= sum * 0.99);
     api.assert_stages_sum_to_total(whole, &["inference"]);
@@ -109,12 +109,12 @@ fn chain_latencies_are_right_within_a_millisecond() {
 #[test]
 fn unanswered_input_messages_are_lost_iterations() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
-    let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
-    let _relay = ros.node(&["relay", "relay", "/camera", "/out", "2", "4"]);
+    let (_aggregator, api) = deployment.start_aggregator();
+    let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
+    let _relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "4"]);
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 40 }";
-    let _agent = ros.agent(&deployment, "robot", &observer("lossy", "/camera", "/out", keys));
-    let (_, run) = finished(&api, 1).remove(0);
+    let _agent = ros.start_agent(&deployment, "robot", &observer("lossy", "/camera", "/out", keys));
+    let (_, run) = wait_for_finished_runs(&api, 1).remove(0);
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     let count = |outcome: &str| detail["counts"][outcome].as_u64().expect("a count");
     assert_eq!(count("ok") + count("lost"), 40, "{detail}");
@@ -126,28 +126,28 @@ fn unanswered_input_messages_are_lost_iterations() {
 #[test]
 fn observation_continues_after_ros_restart() {
     let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
-    let agent = ros.agent(
+    let (_aggregator, api) = deployment.start_aggregator();
+    let agent = ros.start_agent(
         &deployment,
         "robot",
         &observer("chain", "/camera", "/out", "warm_up = { iterations = 0 }"),
     );
     let state = |wanted: &str| {
-        api.until("/api/v1/pipelines/robot/chain", |pipeline| {
+        api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| {
             pipeline.to_string().contains(wanted).then(|| pipeline["run"].clone())
         })
     };
     state("no node publishes /camera; no node publishes /out");
-    let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
+    let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
     state("no node publishes /out");
-    let relay = ros.node(&["relay", "relay", "/camera", "/out", "2", "0"]);
-    let ok = || answered(&api, "chain");
-    until("iterations", || (ok() > 5).then_some(()));
-    let run = api.until("/api/v1/pipelines/robot/chain", |pipeline| pipeline["run"].as_i64());
+    let relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "0"]);
+    let ok = || answered_iterations(&api, "chain");
+    wait_until("iterations", || (ok() > 5).then_some(()));
+    let run = api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| pipeline["run"].as_i64());
 
     relay.kill();
     state("no node publishes /out");
-    let _relay = ros.node(&["relay", "relay", "/camera", "/out", "2", "0"]);
+    let _relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "0"]);
     assert_eq!(state("running"), run, "it is the same run");
 
     ros.kill_master();
@@ -155,7 +155,7 @@ fn observation_continues_after_ros_restart() {
     ros.start_master();
     agent.wait_for("the ROS master does not know the node any more");
     let before = ok();
-    until("iterations after the master was restarted", || (ok() > before).then_some(()));
+    wait_until("iterations after the master was restarted", || (ok() > before).then_some(()));
     let incidents = api.json("/api/v1/incidents").to_string();
     for part in
         ["the run goes on when there are messages again", "both observed topics have a publisher again"]
@@ -168,30 +168,30 @@ fn observation_continues_after_ros_restart() {
 #[test]
 fn topic_without_header_is_refused_with_advice() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
-    let _nodes = [ros.node(&["talk", "one", "/one"]), ros.node(&["talk", "two", "/two"])];
+    let (_aggregator, api) = deployment.start_aggregator();
+    let _nodes = [ros.start_node(&["talk", "one", "/one"]), ros.start_node(&["talk", "two", "/two"])];
     let stamped = observer("stamped", "/one", "/two", "");
     let ordered =
         observer("ordered", "/one", "/two", "").replace("ros_version", "pair_by = \"order\", ros_version");
-    let _agent = ros.agent(&deployment, "robot", &(stamped + &ordered));
-    api.until("/api/v1/pipelines/robot/stamped", |pipeline| {
+    let _agent = ros.start_agent(&deployment, "robot", &(stamped + &ordered));
+    api.wait_until("/api/v1/pipelines/robot/stamped", |pipeline| {
         let text = pipeline.to_string();
         (text.contains("has the type std_msgs/String") && text.contains("pair_by")).then_some(())
     });
-    until("iterations", || (answered(&api, "ordered") > 5).then_some(()));
+    wait_until("iterations", || (answered_iterations(&api, "ordered") > 5).then_some(()));
 }
 
 #[test]
 fn agent_waits_for_a_master() {
     let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     ros.kill_master();
-    let _agent = ros.agent(&deployment, "robot", &observer("chain", "/camera", "/out", ""));
-    api.until("/api/v1/pipelines/robot/chain", |pipeline| {
+    let _agent = ros.start_agent(&deployment, "robot", &observer("chain", "/camera", "/out", ""));
+    api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| {
         pipeline.to_string().contains("no ROS master answers at http://127.0.0.1").then_some(())
     });
     ros.start_master();
-    api.until("/api/v1/pipelines/robot/chain", |pipeline| {
+    api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| {
         pipeline.to_string().contains("no node publishes /camera").then_some(())
     });
 }
@@ -203,7 +203,7 @@ fn check_refuses_observation_of_ros_2() {
         let pipeline = observer("two", "/in", "/out", "").replace("ros_version = 1", keys);
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
+        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
         (ended.code(), ended.log)
     };
     let (code, log) = check("ros_version = 2, pair_by = \"sequence\"");
@@ -229,7 +229,7 @@ fn observed_pipeline_refuses_keys_of_active_one() {
     let pipeline = observer("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
         .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");
     deployment.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-    let ended = deployment.peernetd(&["check", "it.toml"]).ended();
+    let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
     assert_eq!(ended.code(), 78, "{}", ended.log);
     for part in [
         "pipeline[0].sensor: a system that is only observed has its own",

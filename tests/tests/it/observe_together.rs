@@ -6,7 +6,7 @@ use peernet_clock::Span;
 use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::{HostClock, Iteration, compare};
 use peernet_tests::{
-    Api, LoopbackDeployment, Process, Ros1System, TwoHostTestbed, program, root, say, until,
+    Api, LoopbackDeployment, Process, Ros1System, TwoHostTestbed, print_line, program, root, wait_until,
 };
 use serde_json::Value;
 
@@ -27,8 +27,8 @@ fn model(input: &str, output: &str) -> String {
 }
 
 /// Waits for a run of the robot's pipeline that has ended by itself; returns its number and details.
-fn finished(api: &Api) -> (i64, Value) {
-    let number = api.until("/api/v1/runs", |runs| {
+fn wait_for_finished_run(api: &Api) -> (i64, Value) {
+    let number = api.wait_until("/api/v1/runs", |runs| {
         let mut runs = runs["runs"].as_array()?.iter();
         let run = runs.find(|run| run["pipeline"] == "detector" && run["reason"] == "finished")?;
         run["number"].as_i64()
@@ -48,17 +48,17 @@ fn count(api: &Api, run: i64, name: &str) -> u64 {
 }
 
 /// Returns the environment variables of ROS on a host.
-fn ros(master: &Host, own: &Host) -> [(&'static str, String); 2] {
+fn ros_environment(master: &Host, own: &Host) -> [(&'static str, String); 2] {
     let uri = format!("http://{}:11311", master.address);
     [("ROS_MASTER_URI", uri), ("ROS_IP", own.address.to_string())]
 }
 
-fn borrowed<'a>(variables: &'a [(&'static str, String); 2]) -> [(&'a str, &'a str); 2] {
+fn as_str_pairs<'a>(variables: &'a [(&'static str, String); 2]) -> [(&'a str, &'a str); 2] {
     [(variables[0].0, &variables[0].1), (variables[1].0, &variables[1].1)]
 }
 
 fn node(host: &Host, variables: &[(&'static str, String); 2], arguments: &[&str]) -> Process {
-    let node = host.start(&program("ros1-node"), arguments, root(), &borrowed(variables));
+    let node = host.start(&program("ros1-node"), arguments, root(), &as_str_pairs(variables));
     node.wait_for("ready");
     node
 }
@@ -81,13 +81,13 @@ impl RosOverWire {
         let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
         let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way(30), way(5)));
         let (edge, cloud) = (testbed.network.edge(), testbed.network.cloud());
-        let (on_edge, on_cloud) = (ros(edge, edge), ros(edge, cloud));
+        let (on_edge, on_cloud) = (ros_environment(edge, edge), ros_environment(edge, cloud));
         let home = std::env::temp_dir().display().to_string();
-        let environment = [&borrowed(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
+        let environment = [&as_str_pairs(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
         let master = edge.start(Path::new("rosmaster"), &["--core", "-p", "11311"], root(), &environment);
         let address = edge.address;
-        until("the ROS master", || {
-            edge.inside(move || std::net::TcpStream::connect((address, 11311)).ok().map(drop))
+        wait_until("the ROS master", || {
+            edge.run_in_namespace(move || std::net::TcpStream::connect((address, 11311)).ok().map(drop))
         });
         let camera = node(edge, &on_edge, &["camera", "camera", "/camera", "20"]);
         let answering = node(cloud, &on_cloud, answering);
@@ -96,12 +96,12 @@ impl RosOverWire {
 
     /// Starts the agent on the cloud, with these tables.
     fn cloud(&self, tables: &str) -> Process {
-        self.testbed.cloud_with(tables, &borrowed(&self.variables[1]))
+        self.testbed.start_cloud_with(tables, &as_str_pairs(&self.variables[1]))
     }
 
     /// Starts the agent on the edge, with these tables.
     fn edge(&self, tables: &str) -> Process {
-        self.testbed.edge(tables, &borrowed(&self.variables[0]))
+        self.testbed.start_edge(tables, &as_str_pairs(&self.variables[0]))
     }
 
     /// Compares stored delays with the truth and with the delays of the wire, and the node's share with its own
@@ -115,7 +115,7 @@ impl RosOverWire {
     ) {
         let (up, down) = compare(iterations, clocks[0], clocks[1]);
         for (direction, comparison) in [("upload", &up), ("download", &down)] {
-            say(&format!("{what}, {direction}: {}", comparison.in_words()));
+            print_line(&format!("{what}, {direction}: {}", comparison.in_words()));
             assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
             assert!(comparison.compared >= 250, "{direction}: {}", comparison.in_words());
             // An asymmetric network cannot be distinguished from an offset: the estimate is wrong by half of the
@@ -152,7 +152,7 @@ fn observed_delays_contain_truth_despite_clock_errors() {
     let _cloud = scene.cloud(&(stepped + &model("/camera", "/result")));
     let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&testbed.peer(), KEYS)));
     let clocks = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
-    let (run, detail) = finished(&testbed.api);
+    let (run, detail) = wait_for_finished_run(&testbed.api);
     scene.assert_delays_contain_truth(
         "observed together",
         run,
@@ -190,7 +190,7 @@ fn equal_sequence_numbers_keep_delays_true() {
     let _cloud = scene.cloud(&(ahead.to_owned() + &by_sequence(model("/camera", "/result"))));
     let agent = scene.edge(&by_sequence(robot(&testbed.peer(), KEYS)));
     let cloud = testbed.clock_of("cloud");
-    let (run, detail) = finished(&testbed.api);
+    let (run, detail) = wait_for_finished_run(&testbed.api);
     scene.assert_delays_contain_truth(
         "observed together by sequence",
         run,
@@ -211,20 +211,20 @@ fn equal_sequence_numbers_keep_delays_true() {
 #[test]
 fn messages_that_the_peer_missed_are_counted() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let _nodes = [
-        ros.node(&["relay", "copy", "/camera", "/copied", "0", "4"]),
-        ros.node(&["relay", "model", "/camera", "/result", "10", "0"]),
+        ros.start_node(&["relay", "copy", "/camera", "/copied", "0", "4"]),
+        ros.start_node(&["relay", "model", "/camera", "/result", "10", "0"]),
     ];
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\ncalibration = false\n";
-    let _rack = ros.agent(&deployment, "rack", &format!("{serve}{}", model("/copied", "/result")));
+    let _rack = ros.start_agent(&deployment, "rack", &format!("{serve}{}", model("/copied", "/result")));
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 60 }";
-    let agent = ros.agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", keys));
-    api.until("/api/v1/pipelines/robot/detector", |pipeline| {
+    let agent = ros.start_agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", keys));
+    api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| {
         pipeline.to_string().contains("no node publishes /camera").then_some(())
     });
-    let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
-    let (run, detail) = finished(&api);
+    let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
+    let (run, detail) = wait_for_finished_run(&api);
     let ok = detail["counts"]["ok"].as_u64().expect("a count");
     let (missing, known) = (count(&api, run, "peer-input-missing"), count(&api, run, "inference"));
     // The rack's run may begin some messages after the robot's.
@@ -237,24 +237,27 @@ fn messages_that_the_peer_missed_are_counted() {
 #[test]
 fn missing_peer_or_pipeline_is_named() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let _nodes = [
-        ros.node(&["camera", "camera", "/camera", "20"]),
-        ros.node(&["relay", "model", "/camera", "/result", "5", "0"]),
+        ros.start_node(&["camera", "camera", "/camera", "20"]),
+        ros.start_node(&["relay", "model", "/camera", "/result", "5", "0"]),
     ];
     let state = |parts: &[&str]| {
-        api.until("/api/v1/pipelines/robot/detector", |pipeline| {
+        api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| {
             let text = pipeline.to_string();
             parts.iter().all(|part| text.contains(part)).then_some(())
         });
     };
-    let agent =
-        ros.agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"));
+    let agent = ros.start_agent(
+        &deployment,
+        "robot",
+        &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"),
+    );
     let address = format!("tcp://127.0.0.1:{}", deployment.data);
     state(&["cannot reach a cloud at", &address]);
 
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
-    let rack = |pipeline: &str| ros.agent(&deployment, "rack", &format!("{serve}{pipeline}"));
+    let rack = |pipeline: &str| ros.start_agent(&deployment, "rack", &format!("{serve}{pipeline}"));
     let blind = rack("");
     state(&["refused the session: host rack observes no topics", "kind = \\\"observe\\\""]);
     assert_eq!(blind.stop().code(), 0);
@@ -268,17 +271,17 @@ fn missing_peer_or_pipeline_is_named() {
     let right = model("/camera", "/result");
     let here = rack(&right);
     state(&["running"]);
-    let run = api.until("/api/v1/pipelines/robot/detector", |pipeline| pipeline["run"].as_i64());
-    until("iterations with the peer's stamps", || (count(&api, run, "inference") > 10).then_some(()));
+    let run = api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| pipeline["run"].as_i64());
+    wait_until("iterations with the peer's stamps", || (count(&api, run, "inference") > 10).then_some(()));
 
     // The run continues without the peer, and with it again.
     here.kill();
-    until("iterations without the peer's stamps", || {
+    wait_until("iterations without the peer's stamps", || {
         (count(&api, run, "peer-unanswered") > 10).then_some(())
     });
     let before = count(&api, run, "inference");
     let _again = rack(&right);
-    until("iterations with the peer's stamps again", || {
+    wait_until("iterations with the peer's stamps again", || {
         (count(&api, run, "inference") > before + 10).then_some(())
     });
     let incidents = api.json("/api/v1/incidents").to_string();
@@ -298,7 +301,7 @@ fn check_refuses_peer_without_message_key() {
     let check = |pipeline: &str| {
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
+        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
         (ended.code(), ended.log)
     };
     let with_peer = robot("tcp://rack:5551", "");

@@ -32,7 +32,8 @@ fn folders() -> LoopbackDeployment {
 }
 
 fn compare(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
-    Process::start(&program("peernet"), &[&["compare"], arguments].concat(), deployment.folder(), &[]).ended()
+    Process::start(&program("peernet"), &[&["compare"], arguments].concat(), deployment.folder(), &[])
+        .wait_for_end()
 }
 
 #[test]

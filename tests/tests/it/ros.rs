@@ -12,7 +12,7 @@ use peernet_ros::ros1::{
     Environment, Node, Publisher, PublisherOptions, RpcUri, Subscriber, SubscriberOptions, TopicType,
     topic_types,
 };
-use peernet_tests::{LoopbackDeployment, Process, until};
+use peernet_tests::{LoopbackDeployment, Process, wait_until};
 use tokio::runtime::Runtime;
 
 /// A master, and a node that stands for the robot's.
@@ -48,7 +48,7 @@ impl Robot {
             Process::start(Path::new("rosmaster"), &arguments, deployment.folder(), &[("ROS_HOME", &home)]);
         let runtime = Runtime::new().expect("a runtime");
         let environment = environment(port);
-        until("the ROS master", || runtime.block_on(topic_types(&environment)).ok());
+        wait_until("the ROS master", || runtime.block_on(topic_types(&environment)).ok());
         let node = runtime.block_on(Node::new(&environment, "robot", Arc::new(clock())));
         Self { node: node.expect("the master answers"), runtime, _master: master }
     }
@@ -101,7 +101,7 @@ limit = { total = 10 }
 #[test]
 fn topic_is_sensed_and_answers_are_published() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let robot = Robot::start(&deployment);
     let camera = robot.publish::<CompressedImage>("/camera");
     let mut seen = robot.subscribe::<UInt8MultiArray>("/seen");
@@ -117,7 +117,7 @@ fn topic_is_sensed_and_answers_are_published() {
         let answer = UInt8MultiArray::decode(WireForm::Ros1, answer).expect("is one");
         assert_eq!((answer.data.len(), answer.data[999_999]), (1_000_000, number));
     }
-    let run = api.finished_run();
+    let run = api.wait_for_finished_run();
     assert_eq!(api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_u64(), Some(10));
     assert_eq!((api.mean(run, "dropped-samples"), api.mean(run, "dropped-answers")), (0.0, 0.0));
     // It was stamped 20 ms before it was published.
@@ -143,7 +143,7 @@ limit = { total = 2 }
 #[test]
 fn busy_pipeline_counts_dropped_messages() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let robot = Robot::start(&deployment);
     let words = robot.publish::<StringMessage>("/words");
     let edge = agent(&deployment, BUSY);
@@ -151,7 +151,7 @@ fn busy_pipeline_counts_dropped_messages() {
     for number in 0..10 {
         robot.send(&words, &StringMessage { data: format!("word {number}") });
     }
-    let run = api.finished_run();
+    let run = api.wait_for_finished_run();
     // One or two messages were sensed, the newest among them: the first one may have been replaced before the sensor
     // read it.
     let taken = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
@@ -172,17 +172,17 @@ warm_up = { iterations = 0 }
 #[test]
 fn pipeline_waits_for_late_master() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let edge = agent(&deployment, ALONE);
     let incident = |text: &str| {
-        api.until("/api/v1/incidents", |found| found.to_string().contains(text).then_some(()));
+        api.wait_until("/api/v1/incidents", |found| found.to_string().contains(text).then_some(()));
     };
     incident("start roscore there, or set ROS_MASTER_URI");
     let robot = Robot::start(&deployment);
     let words = robot.publish::<StringMessage>("/words");
     robot.wait_for_subscriber(&words);
     robot.send(&words, &StringMessage { data: "at last".into() });
-    api.until("/api/v1/runs", |runs| (runs["runs"][0]["counts"]["ok"].as_u64()? > 0).then_some(()));
+    api.wait_until("/api/v1/runs", |runs| (runs["runs"][0]["counts"]["ok"].as_u64()? > 0).then_some(()));
     assert_eq!(edge.stop().code(), 0);
 }
 
@@ -197,7 +197,7 @@ fn check(deployment: &LoopbackDeployment, sensor: &str, actuator: &str) -> (i32,
     let uri = uri(deployment.data);
     let environment = [("ROS_MASTER_URI", uri.as_str()), ("ROS_IP", "127.0.0.1")];
     let program = peernet_tests::program("peernetd");
-    let ended = Process::start(&program, &["check", &file], deployment.folder(), &environment).ended();
+    let ended = Process::start(&program, &["check", &file], deployment.folder(), &environment).wait_for_end();
     (ended.code(), ended.log)
 }
 

@@ -20,7 +20,7 @@ postprocessing_ms = 0
 "#;
 
 fn edge(deployment: &LoopbackDeployment, name: &str, model: &str) -> Process {
-    deployment.agent(name, &EDGE.replace("MODEL", model))
+    deployment.start_agent(name, &EDGE.replace("MODEL", model))
 }
 
 const EDGE: &str = r#"
@@ -32,7 +32,7 @@ load = { mode = "rate", hz = 50.0 }
 "#;
 
 fn cloud(deployment: &LoopbackDeployment) -> Process {
-    deployment.agent("cloud", CLOUD)
+    deployment.start_agent("cloud", CLOUD)
 }
 
 /// Returns the iterations of a host's newest run by outcome.
@@ -48,21 +48,21 @@ fn count(api: &Api, host: &str, outcome: &str) -> u64 {
 #[test]
 fn pipeline_survives_late_and_restarted_cloud() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let edge = edge(&deployment, "edge", "slow");
     let said = edge.wait_for("cannot reach a cloud");
     assert!(said.contains("goes on by itself"), "{said}");
 
     let first = cloud(&deployment);
-    peernet_tests::until("answers", || (count(&api, "edge", "ok") > 20).then_some(()));
+    peernet_tests::wait_until("answers", || (count(&api, "edge", "ok") > 20).then_some(()));
     assert_eq!(edge.log().matches("cannot reach a cloud").count(), 1, "said once:\n{}", edge.log());
 
     first.kill();
     let lost =
-        peernet_tests::until("lost iterations", || Some(count(&api, "edge", "lost")).filter(|n| *n > 0));
+        peernet_tests::wait_until("lost iterations", || Some(count(&api, "edge", "lost")).filter(|n| *n > 0));
     let answered = count(&api, "edge", "ok");
     let second = cloud(&deployment);
-    peernet_tests::until("answers again", || (count(&api, "edge", "ok") > answered + 20).then_some(()));
+    peernet_tests::wait_until("answers again", || (count(&api, "edge", "ok") > answered + 20).then_some(()));
 
     let runs = api.json("/api/v1/runs");
     assert_eq!(runs["runs"].as_array().map(Vec::len), Some(1), "the same run goes on: {runs}");
@@ -93,14 +93,14 @@ fn agents_deliver_to_late_aggregator() {
     let edge = edge(&deployment, "edge", "echo");
     edge.wait_for("connected to cloud");
     edge.wait_for("aggregator");
-    let (aggregator, api) = deployment.aggregator();
-    peernet_tests::until("stored iterations", || (count(&api, "edge", "ok") > 100).then_some(()));
+    let (aggregator, api) = deployment.start_aggregator();
+    peernet_tests::wait_until("stored iterations", || (count(&api, "edge", "ok") > 100).then_some(()));
 
     // It is killed and comes back with the same file: no iteration is stored twice or missing.
     aggregator.kill();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let before = count(&api, "edge", "ok");
-    peernet_tests::until("more iterations", || (count(&api, "edge", "ok") > before + 100).then_some(()));
+    peernet_tests::wait_until("more iterations", || (count(&api, "edge", "ok") > before + 100).then_some(()));
     assert_eq!(edge.stop().code(), 0);
     let iterations = api.json("/api/v1/runs/1/iterations?limit=100");
     let numbers: Vec<u64> = iterations["iterations"]
@@ -118,10 +118,10 @@ fn agents_deliver_to_late_aggregator() {
 #[test]
 fn duplicate_host_name_and_crashed_host_are_reported() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let cloud = cloud(&deployment);
     let first = edge(&deployment, "edge", "echo");
-    peernet_tests::until("stored iterations", || (count(&api, "edge", "ok") > 0).then_some(()));
+    peernet_tests::wait_until("stored iterations", || (count(&api, "edge", "ok") > 0).then_some(()));
 
     // The same file with another folder for its state.
     let file = std::fs::read_to_string(deployment.folder().join("edge.toml")).expect("it was written");
@@ -134,7 +134,7 @@ fn duplicate_host_name_and_crashed_host_are_reported() {
 
     first.kill();
     let again = edge(&deployment, "edge", "echo");
-    peernet_tests::until("the second run", || {
+    peernet_tests::wait_until("the second run", || {
         let runs = api.json("/api/v1/runs");
         (runs["runs"].as_array()?.len() == 2).then_some(())
     });
@@ -145,7 +145,7 @@ fn duplicate_host_name_and_crashed_host_are_reported() {
 #[test]
 fn a_broken_picture_is_one_failed_iteration() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let pictures = deployment.folder().join("pictures");
     std::fs::create_dir(&pictures).expect("the temporary folder is writable");
     let good = peernet_tests::root().join("models/quality-control/pictures/part-0001.jpg");
@@ -153,7 +153,7 @@ fn a_broken_picture_is_one_failed_iteration() {
     std::fs::write(pictures.join("2.jpg"), b"this is not a picture")
         .expect("the temporary folder is writable");
     std::fs::copy(&good, pictures.join("3.jpg")).expect("the demo's pictures are there");
-    let edge = deployment.agent(
+    let edge = deployment.start_agent(
         "edge",
         r#"
 [[model]]
@@ -168,7 +168,7 @@ placement = { kind = "local", model = "quality-control" }
 warm_up = { iterations = 0 }
 "#,
     );
-    let run = api.finished_run();
+    let run = api.wait_for_finished_run();
     let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
     assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(2), Some(1)), "{counts}");
     let failed = api.json(&format!("/api/v1/runs/{run}/iterations?unsuccessful=true"));

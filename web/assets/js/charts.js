@@ -1,22 +1,22 @@
-// What all charts share: the tokens of app.css, axes, tooltips, gaps and marks. Drawn again when the theme changes.
+// Parts that all charts share: colours of app.css, axes, tooltips, gaps and marks. Charts are redrawn when the theme changes.
 const PEER = (() => {
-  // In the order of every stack, key and table, which the server knows.
+  // Stages in the order of every stack, key and table. The server sets the attribute.
   const STAGES = document.documentElement.dataset.stages.split(" ");
   const PALE = new Set(["encode", "queue", "preprocessing", "unattributed"]);
   const drawn = new Set();
   let probe = null;
 
-  // What the style sheets say, kept until they say something else: reading it makes the browser compute styles.
+  // Values of the style sheets, cached until the theme or the size changes: reading them makes the browser compute styles.
   const kept = new Map();
   function once(key, read) {
     if (!kept.has(key)) kept.set(key, read());
     return kept.get(key);
   }
-  // Both before the charts are told, which are drawn again with what is read then.
+  // These listeners run before those that redraw the charts, so that the charts read the new values.
   document.addEventListener("peer-theme", () => kept.clear());
   addEventListener("resize", () => kept.clear());
 
-  // light-dark() is resolved by the browser, not by us
+  // The browser resolves light-dark() in a computed colour.
   const css = (name) => once(name, () => {
     if (!probe || !probe.isConnected) { probe = document.createElement("i"); probe.hidden = true; document.body.appendChild(probe); }
     probe.style.color = `var(${name})`;
@@ -40,7 +40,7 @@ const PEER = (() => {
     }
     return { image: canvas, repeat: "repeat", scaleX: 1 / ratio, scaleY: 1 / ratio };
   }
-  // Both directions at once: narrow rows of either colour.
+  // Fill for both directions together: narrow rows of both colours.
   function both(up, down) {
     const canvas = document.createElement("canvas");
     canvas.width = 1;
@@ -64,14 +64,14 @@ const PEER = (() => {
   const clock = (time, seconds) => new Date(time + offset()).toISOString().slice(11, seconds ? 19 : 16);
   const FONT = "Inter, system-ui, sans-serif";
   const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
-  // Width of the widest of these labels.
+  // Returns the width of the widest of some labels.
   const ruler = document.createElement("canvas").getContext("2d");
   function room(labels) {
     const { fontSize, fontFamily } = text();
     ruler.font = `${fontSize}px ${fontFamily}`;
     return Math.ceil(Math.max(0, ...labels.map((label) => ruler.measureText(label).width)));
   }
-  // What stays free beside a plot: for its values on the left, for the half of a time on the right.
+  // Margins of a plot: on the left for the labels of its values, on the right for half a label of the time axis.
   const sides = (values, seconds) => ({ left: Math.max(px(2.25), px(0.375) + room(values)), right: room([clock(0, seconds)]) / 2 });
   function timeAxis(more) {
     return {
@@ -95,13 +95,13 @@ const PEER = (() => {
       trigger: "axis", confine: false, transitionDuration: 0, backgroundColor: css("--surface"), borderColor: css("--line-strong"), borderWidth: 1,
       padding: [px(0.5), px(0.75)], extraCssText: "box-shadow:none;border-radius:6px;z-index:4",
       axisPointer: { type: "line", lineStyle: { color: css("--ink-3"), width: 1, type: "solid" } },
-      // It opens under the plot, so that it never hides the data it explains.
+      // It opens below the plot, so that it never covers the data.
       position: (point, _params, _node, _rect, size) => [Math.max(0, Math.min(size.viewSize[0] - size.contentSize[0], point[0] - size.contentSize[0] / 2)), size.viewSize[1] - px(0.25)],
       formatter,
     };
   }
 
-  // --- tooltips as nodes with classes: no markup in strings, no inline style
+  // --- tooltips are nodes with classes, because the content security policy forbids inline styles
   function element(tag, name, content) {
     const node = document.createElement(tag);
     if (name) node.className = name;
@@ -128,7 +128,7 @@ const PEER = (() => {
     return box;
   }
 
-  // --- marks on the time axis: a dashed line down the plot, its sign on the rail above; a gap is a hatched span
+  // --- marks on the time axis: a dashed line across the plot with a sign above it; a gap is a hatched span
   const SIGNS = {
     model: "M6 1.2 10.4 3.6v4.8L6 10.8 1.6 8.4V3.6zM1.6 3.6 6 6l4.4-2.4M6 6v4.8",
     reconnect: "M10.3 5A4.5 4.5 0 1 0 10 8M10.5 1.8V5H7.3",
@@ -139,7 +139,8 @@ const PEER = (() => {
     run: "M3 1.8v8.4L10 6z",
   };
   const TOUCHING = 6;
-  // Gaps as they stand on the axis now: neighbours closer than TOUCHING px are drawn as one. `said` stands once for all.
+  // Returns the visible gaps in pixels. Neighbours closer than TOUCHING px are merged. If `said` is given, only the widest gap has it as its
+  // text.
   function spans(gaps, api, area, said) {
     const found = [];
     gaps.forEach((gap, index) => {
@@ -150,7 +151,7 @@ const PEER = (() => {
       else found.push({ index, from, to, text: gap.text });
     });
     const widest = found.reduce((best, span) => (best && best.to - best.from >= span.to - span.from ? best : span), null);
-    // A short gap beside a sign would write over it: its hatching says enough.
+    // The text of a short gap could overlap a sign, so short gaps have none.
     for (const span of found) span.said = said ? (span === widest ? said : "") : span.to - span.from >= px(0.75) || gaps.length === 1 ? span.text : "";
     return new Map(found.map((span) => [span.index, span]));
   }
@@ -167,7 +168,7 @@ const PEER = (() => {
           const span = params.context.spans.get(params.dataIndex);
           if (!span) return null;
           const { from, to, said: note } = span;
-          // Where one word stands for many, narrow ones are bands without edges: edges alone would look like marks.
+          // With one text for all gaps, narrow gaps are bands without edges, because edges alone would look like marks.
           const band = Boolean(said) && to - from < px(0.75);
           const style = band ? { fill: css("--line-strong"), opacity: 0.35 } : { fill: shade };
           const shades = plots.map(([top, bottom]) => ({ type: "rect", shape: { x: from, y: top, width: Math.max(to - from, 2), height: bottom - top }, style }));
@@ -182,7 +183,7 @@ const PEER = (() => {
     };
   }
 
-  // Warm-up as a shade, borders of episodes as dashed lines, what had no answer as crosses on the rail above.
+  // Draws the warm-up as a shade, borders of episodes as dashed lines, and iterations without an answer as crosses above the plot.
   function parts({ borders, warmUp, unanswered }, [top, bottom]) {
     const rows = (warmUp ? [[...warmUp, "warm-up"]] : []).concat(borders.map((at) => [at, at, "border"]), unanswered.map((at) => [at, at, "cross"]));
     const ink = css("--ink"), bad = css("--bad"), size = px(0.5) / 12;
@@ -194,7 +195,7 @@ const PEER = (() => {
         if (to < area.x || from > end) return null;
         if (kind === "warm-up") return { type: "rect", shape: { x: Math.max(from, area.x), y: top, width: Math.min(to, end) - Math.max(from, area.x), height: bottom - top }, style: { fill: ink, opacity: 0.12 } };
         if (kind === "border") return { type: "line", shape: { x1: from, x2: from, y1: top, y2: bottom }, style: { stroke: ink, lineWidth: 1, lineDash: [4, 3] } };
-        // Those that would lie on one another are one.
+        // Crosses that would overlap are drawn as one.
         if (from - (params.context.cross ?? -Infinity) < TOUCHING) return null;
         params.context.cross = from;
         return { type: "path", x: from - 6 * size, y: top - 13 * size, scaleX: size, scaleY: size, shape: { pathData: SIGNS.failed }, style: { fill: "none", stroke: bad, lineWidth: 1.5, strokeNoScale: true } };
@@ -202,12 +203,12 @@ const PEER = (() => {
     };
   }
 
-  // --- the bucket of a mean follows the time range and the rate alone, so that every screen shows the same figures:
-  // the shortest one that holds an iteration even by bad luck, and of which the range has no more than a small screen shows
+  // --- length of the buckets of means. It depends only on time range and rate, so that every screen shows the same figures. It is the
+  // shortest one that contains an iteration even with jitter, and of which the range has at most MOST, as many as a small screen shows.
   const BUCKETS = [1, 2, 5, 10, 30, 60], MOST = 150;
   const bucket = (range, rate) => BUCKETS.find((size) => range / size <= MOST && (!(rate > 0) || rate * size >= 1.5)) || 60;
   const ticks = ({ max, interval }) => Array.from({ length: Math.round(max / interval) + 1 }, (_, step) => NUMBERS.tick(step * interval));
-  // A round end of an axis that holds a value in at most five steps of 1, 2 or 5 times a power of ten.
+  // Returns a round end of an axis above a value, in at most five steps of 1, 2 or 5 times a power of ten.
   function steps(value) {
     if (!(value > 0)) return { max: 1, interval: 0.5 };
     const rough = value / 5, power = 10 ** Math.floor(Math.log10(rough));
@@ -215,7 +216,7 @@ const PEER = (() => {
     return { max: Math.ceil(value / interval - 1e-9) * interval, interval };
   }
 
-  // --- drawing: only what can be seen, again when size or theme change
+  // --- drawing of visible charts, repeated when size or theme change
   let hovered = null;
   document.addEventListener("pointerover", (event) => { hovered = event.target.closest?.(".chart") || null; });
   const sight = new IntersectionObserver((entries) => {
@@ -230,17 +231,17 @@ const PEER = (() => {
     one.stale = !unseen && (!one.seen || document.hidden);
     if (one.stale || !one.node.clientWidth) { one.stale = true; return; }
     const option = { animation: false, ...one.make(one.chart) };
-    // Of its own accord ECharts makes a plot narrower as soon as one of its labels comes near the edge, and leaves those
-    // above it as they are: one time would then stand at two places.
+    // By default ECharts narrows a plot when one of its labels comes near the edge, but not the plots above it. One time would then
+    // have two positions.
     option.grid = option.grid.map((place) => ({ outerBoundsMode: "none", ...place }));
-    // Merged where only figures changed: an open tooltip then stays and follows them.
+    // Options are merged if only figures changed, so that an open tooltip stays and is updated.
     const shape = option.series.map((series) => `${series.type} ${series.name}`).join() + option.grid.length;
     one.chart.setOption(option, { notMerge: shape !== one.shape });
     one.shape = shape;
   }
   function draw(node, make) {
     const one = { node, make, chart: echarts.init(node, null, { renderer: "canvas" }), seen: true, stale: false };
-    // It asks for frames as long as something moves, and by itself goes on for ten more after each drawing.
+    // By default it requests ten more animation frames after each drawing, which cost processor time.
     one.chart.getZr().setSleepAfterStill(1);
     node.peer = one;
     drawn.add(one);

@@ -1,10 +1,10 @@
 // Live charts of pipelines: stages stacked over the last minutes, the 95th percentile above, throughputs below.
-// Means are added up here, percentiles are computed by the aggregator: a mean of percentiles is none.
+// Means are combined here. The aggregator computes percentiles, because a mean of percentiles is not a percentile.
 (() => {
   const KEPT = 600, RETRY = 2000;
-  // Seconds between two figures of a host, which come every five, that mean that it was away.
+  // Seconds between two figures of a host, which reports every five seconds, from which on it counts as disconnected.
   const SILENT = 15;
-  // Shortest time between two drawings of what arrives. The newest bucket alone moves meanwhile, by less than can be seen.
+  // Minimum time between two drawings of new data. Only the newest bucket changes meanwhile, too little to be visible.
   const PACE = 1000;
   let cards = [], range = 600, alone = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = 0, drawnAt = 0;
 
@@ -55,7 +55,7 @@
     card.last = card.from + card.n.length - 1;
   }
 
-  // Takes in percentiles that arrive; false where those of other buckets are missing now.
+  // Stores received percentiles. Returns false if percentiles of other buckets are missing now.
   function putPercentiles(card, { bucket_s: size, points }, complete) {
     state++;
     const same = size === card.p95.size, fresh = points.map(({ at, p95 }) => [at, p95 * 1e3]), times = new Set(points.map(({ at }) => at));
@@ -63,14 +63,14 @@
     card.p95 = { size, points: kept.concat(fresh).sort((one, other) => one[0] - other[0]) };
     return complete || same;
   }
-  // Percentiles within the range as (begin, end, ms); none where the range is shorter than one bucket.
+  // Returns the percentiles within the range as (start, end, ms); none if the range is shorter than one bucket.
   function percentiles(card, start, end) {
     const { size, points } = card.p95;
     if (!size || size > end - start) return [];
     return points.filter(([at]) => at < end && at + size > start).map(([at, value]) => [Math.max(at, start) * 1e3, Math.min(at + size, end) * 1e3, value]);
   }
 
-  // The buckets of a card, made once for each state of all cards: the charts share their end and their scale.
+  // Returns the buckets of a card, cached for each state of all cards: the charts share the end of their range and their scale.
   let state = 0;
   function bucketed(card) {
     const key = `${state} ${range}`;
@@ -82,7 +82,7 @@
     const known = card.n.filter((count) => count != null), rate = known.reduce((sum, count) => sum + count, 0) / Math.max(1, known.length);
     const size = PEER.bucket(range, rate);
     const stages = PEER.STAGES.filter((stage) => stage !== "unattributed" && card.means[stage]);
-    // Clocks that were never related: neither direction is known, their sum is.
+    // With unrelated clocks neither direction is known, but their sum is.
     const both = card.remote && !card.means.upload && !card.means.download && card.means.unattributed;
     const place = (stage) => PEER.STAGES.indexOf(stage);
     if (both) stages.splice(stages.filter((stage) => place(stage) < place("upload")).length, 0, "network");
@@ -101,7 +101,7 @@
         for (const index of seconds) if (list?.[index] != null) { sum += list[index] * card.n[index]; any = true; }
         return any ? sum / row.n : null;
       };
-      // Bytes over the time that they were on their way; bytes per microsecond are MB/s.
+      // Speed is bytes divided by transfer time; bytes per microsecond are MB/s.
       const speed = (list) => {
         let bytes = 0, time = 0;
         for (const index of seconds) if (list[index]) { bytes += list[index][0]; time += list[index][1]; }
@@ -133,7 +133,7 @@
     return found;
   }
 
-  // One scale for all charts that are compared; it grows at once and shrinks after half a minute.
+  // Returns one scale for all charts, so that they can be compared. It grows at once and shrinks after half a minute.
   function shared() {
     let highest = 0;
     for (const card of cards) {
@@ -149,7 +149,7 @@
     return { max: scale.max, interval: scale.interval };
   }
 
-  // Of a host that was away nothing is known: the line stops.
+  // The line is interrupted while the host was disconnected.
   function parted(list) {
     const points = [];
     list.forEach(([at, value], index) => {
@@ -159,13 +159,13 @@
     return points;
   }
 
-  // A point between nothing and nothing is no line: it is drawn as a dot.
+  // A single point between gaps is no visible line, so it is drawn as a dot.
   function dotted(points) {
     const isNone = (point) => point?.[1] == null;
     return points.map((point, index) => (!isNone(point) && isNone(points[index - 1]) && isNone(points[index + 1]) ? { value: point, symbol: "circle", symbolSize: PEER.px(0.3125) } : point));
   }
 
-  // Each percentile is a level line as long as its bucket; buckets without one part the line.
+  // Each percentile is a horizontal line as long as its bucket. Buckets without a percentile interrupt the line.
   function levels(p95) {
     const points = [];
     p95.forEach(([from, to, value], index) => {
@@ -175,7 +175,7 @@
     return points;
   }
 
-  // Means of one bucket between buckets with none: an area as wide as the bucket.
+  // A single bucket between empty ones is drawn as wide as the bucket; otherwise its area would be invisible.
   function areas(rows, stage, size) {
     const points = [];
     rows.forEach((row, index) => {
@@ -238,7 +238,7 @@
     };
   }
 
-  // Draws at once what somebody asked for, and what arrives at its pace.
+  // Draws at once after an action of the user, and at most once per PACE for new data.
   function refresh() {
     clearTimeout(queued);
     queued = 0;
@@ -248,12 +248,12 @@
   }
   function arrived() {
     if (queued || paused || document.hidden) return;
-    // Until a bucket ends, nothing but the newest one changes.
+    // Until a bucket ends, only the newest one changes.
     const pace = Math.max(PACE, ...cards.map((card) => (card.view?.size ?? 0) * 1000));
     queued = setTimeout(refresh, Math.max(0, pace - (performance.now() - drawnAt)));
   }
 
-  // --- what arrives
+  // --- new data
   document.addEventListener("peer-picture", ({ detail }) => {
     for (const pipeline of detail.pipelines) {
       const card = cards.find((other) => other.host === pipeline.host && other.pipeline === pipeline.name);
@@ -272,7 +272,7 @@
     }
     arrived();
   });
-  // Seconds that went by unseen are fetched; those that were never reported stay a gap.
+  // Seconds that this page missed are fetched; seconds that were never reported remain a gap.
   async function catchUp(card) {
     card.missed = true;
     if (performance.now() - (card.asked ?? -RETRY) < RETRY) return;

@@ -1,15 +1,15 @@
-// Keeps a page live: one stream of events, figures replaced in place, a word about it when the stream is away.
+// Updates a page from the live stream: replaces figures in place, and shows when the stream is disconnected.
 (() => {
-  const RETRY = 2000, SILENCE = 6500;
+  const RETRY_MS = 2000, SILENCE_MS = 6500;
   const $ = (id) => document.getElementById(id);
-  const tell = (name, detail) => document.dispatchEvent(new CustomEvent(name, { detail }));
-  const calm = matchMedia("(prefers-reduced-motion: reduce)");
-  let source = null, newest = "", heard = 0, away = false, paused = false, pending = null, shown = 0, timer = 0, status = null;
+  const dispatch = (name, detail) => document.dispatchEvent(new CustomEvent(name, { detail }));
+  const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)");
+  let source = null, lastEventId = "", lastEventAt = 0, isDisconnected = false, paused = false, pending = null, lastUpdateAt = 0, timer = 0, status = null;
 
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
   const clock = (time) => new Date(time + offset()).toISOString().slice(11, 19);
 
-  // --- replacing parts: nodes stay where they are, so that focus and selection survive
+  // --- replacement of parts: nodes are changed in place, so that focus and selection survive
   function morph(from, to) {
     const old = Array.from(from.childNodes), fresh = Array.from(to.childNodes);
     fresh.forEach((node, index) => {
@@ -25,8 +25,8 @@
     old.slice(fresh.length).forEach((node) => node.remove());
   }
 
-  // Only parts that changed are sent: one that was not shown yet stays until there is a newer one.
-  function merged(before, update) {
+  // The server sends only changed parts, so a part that was not shown yet is kept until a newer one replaces it.
+  function mergeUpdates(before, update) {
     if (!before) return update;
     const parts = new Map([...before.parts, ...update.parts]);
     return { ...update, parts: Array.from(parts) };
@@ -37,39 +37,39 @@
     if (!pending || paused || document.hidden) return;
     const update = pending;
     pending = null;
-    shown = performance.now();
-    if ((document.querySelector("main").dataset.layout || "") !== update.layout) { renew(); return; }
+    lastUpdateAt = performance.now();
+    if ((document.querySelector("main").dataset.layout || "") !== update.layout) { reloadMain(); return; }
     document.title = `${update.title} · PEERNet`;
-    for (const [id, html] of update.parts) waiting.set(`part-${id}`, html);
+    for (const [id, html] of update.parts) pendingParts.set(`part-${id}`, html);
     replace();
-    tell("peer-updated", update);
+    dispatch("peer-updated", update);
   }
 
-  // --- parts out of sight wait until they come into it, or are printed
-  const waiting = new Map(), unseen = new Set();
-  const sight = new IntersectionObserver((entries) => {
+  // --- parts outside the viewport are replaced when they scroll into it, or before printing
+  const pendingParts = new Map(), hiddenParts = new Set();
+  const visibility = new IntersectionObserver((entries) => {
     for (const { target, isIntersecting } of entries) {
-      if (isIntersecting) unseen.delete(target.id);
-      else unseen.add(target.id);
+      if (isIntersecting) hiddenParts.delete(target.id);
+      else hiddenParts.add(target.id);
     }
-    if (replace()) tell("peer-updated", { marks: [], obstacles: [] });
+    if (replace()) dispatch("peer-updated", { marks: [], obstacles: [] });
   });
-  function watch() {
-    sight.disconnect();
-    waiting.clear();
-    unseen.clear();
-    for (const part of document.querySelectorAll("[id^=part-]")) sight.observe(part);
+  function observeParts() {
+    visibility.disconnect();
+    pendingParts.clear();
+    hiddenParts.clear();
+    for (const part of document.querySelectorAll("[id^=part-]")) visibility.observe(part);
   }
   function replace(all = false) {
     let any = false;
-    for (const [id, html] of waiting) {
-      if ((unseen.has(id) && !all) || paused) continue;
-      waiting.delete(id);
+    for (const [id, html] of pendingParts) {
+      if ((hiddenParts.has(id) && !all) || paused) continue;
+      pendingParts.delete(id);
       const part = $(id);
       if (!part) continue;
       const template = document.createElement("template");
       template.innerHTML = html;
-      // A part may share its element with something that is not live: only as many nodes as it has are its own.
+      // The element of a part may also contain nodes that are not live. The first nodes are those of the part.
       morph(part, template.content);
       any = true;
     }
@@ -78,20 +78,20 @@
   addEventListener("beforeprint", () => replace(true));
   function schedule() {
     if (timer || paused || document.hidden) return;
-    timer = setTimeout(apply, calm.matches ? Math.max(0, 1000 - (performance.now() - shown)) : 0);
+    timer = setTimeout(apply, reducedMotion.matches ? Math.max(0, 1000 - (performance.now() - lastUpdateAt)) : 0);
   }
 
-  // --- other pipelines than before: the page is fetched again and its middle exchanged
-  let renewing = false;
-  async function renew() {
-    if (renewing) return;
-    renewing = true;
+  // --- a changed layout, such as other pipelines: the page is fetched again and its <main> replaced
+  let isReloading = false;
+  async function reloadMain() {
+    if (isReloading) return;
+    isReloading = true;
     try {
       const answer = await fetch(location.href);
       if (!answer.ok) throw new Error(`status ${answer.status}`);
       const page = new DOMParser().parseFromString(await answer.text(), "text/html");
       document.querySelector("main").replaceWith(page.querySelector("main"));
-      watch();
+      observeParts();
       $("data")?.remove();
       if (page.getElementById("data")) document.body.appendChild(page.getElementById("data"));
       const known = new Set(Array.from(document.scripts, (script) => script.getAttribute("src")));
@@ -102,29 +102,29 @@
         added.async = false;
         document.body.appendChild(added);
       }
-      // A new stream sends every part anew: what came while the page was fetched may be older or newer than it.
+      // A new stream sends every part again: updates from the time of the fetch may be older or newer than the page.
       connect();
-      tell("peer-renewed");
-    } catch { /* tried again with the next update; that the aggregator is away is said by its stream */
+      dispatch("peer-renewed");
+    } catch { /* The next update tries again; the stream shows that the aggregator is unreachable. */
     } finally {
-      renewing = false;
+      isReloading = false;
     }
   }
 
   // --- the top bar
-  function say(word, dot) {
+  function showState(word, dot) {
     if ($("livetext").textContent !== word) $("livetext").textContent = word;
     $("livedot").className = `dot ${dot}`;
   }
-  function lag() {
-    const silent = (performance.now() - heard) / 1000;
+  function showLag() {
+    const silent = (performance.now() - lastEventAt) / 1000;
     let text = "";
-    if (away) text = `last data ${Math.round(silent)}\u202fs ago`;
+    if (isDisconnected) text = `last data ${Math.round(silent)}\u202fs ago`;
     else if (status && status.behind_s != null) text = `${NUMBERS.fixed(status.behind_s, 1)}\u202fs behind`;
     if ($("livelag").textContent !== text) $("livelag").textContent = text;
   }
-  // Clocks that are made wrong on purpose: said on every page for as long as they are.
-  function rehearsals(sentences) {
+  // Injected clock faults are shown on every page while they last.
+  function showClockFaults(sentences) {
     const banner = $("rehearsal");
     if (Array.from(banner.children, (line) => line.textContent).join("\n") === sentences.join("\n")) return;
     banner.replaceChildren(...sentences.map((sentence) => {
@@ -134,23 +134,23 @@
     }));
     banner.hidden = sentences.length === 0;
   }
-  // Events are not being stored: said for as long as it is so.
-  function storing(sentence) {
+  // Every page shows while events are not being stored.
+  function showNotStoring(sentence) {
     const banner = $("storing");
     if (banner.textContent !== (sentence || "")) banner.textContent = sentence || "";
     banner.hidden = !sentence;
   }
-  function state() {
-    if (away) say("Reconnecting", "warn");
-    else if (paused) say("Paused", "off");
-    else if (!status || status.hosts === 0) say(status ? "Waiting" : "Live", status ? "off" : "");
-    else if (status.connected === 0) say("No host reports", "warn");
-    else say("Live", "");
-    lag();
+  function updateState() {
+    if (isDisconnected) showState("Reconnecting", "warn");
+    else if (paused) showState("Paused", "off");
+    else if (!status || status.hosts === 0) showState(status ? "Waiting" : "Live", status ? "off" : "");
+    else if (status.connected === 0) showState("No host reports", "warn");
+    else showState("Live", "");
+    showLag();
   }
 
-  // --- the stream: open while the page can be seen, because a browser has six connections for all pages of a server
-  function wanted() {
+  // --- the stream is open only while the page is visible, because a browser has six connections for all pages of a server
+  function requestedTopics() {
     const topics = document.body.dataset.topic ? [document.body.dataset.topic] : [];
     if (document.querySelector(".live-chart")) topics.push("picture");
     return topics.join(",");
@@ -162,56 +162,56 @@
   function connect() {
     disconnect();
     if (document.hidden) return;
-    // A new EventSource cannot send Last-Event-ID by itself: as a parameter.
-    const after = newest && `&last_event_id=${encodeURIComponent(newest)}`;
-    source = new EventSource(`/api/v1/live?topics=${encodeURIComponent(wanted())}${after}`);
+    // A new EventSource cannot send the header Last-Event-ID, so a parameter has it.
+    const after = lastEventId && `&last_event_id=${encodeURIComponent(lastEventId)}`;
+    source = new EventSource(`/api/v1/live?topics=${encodeURIComponent(requestedTopics())}${after}`);
     const on = (name, handle) => source.addEventListener(name, (event) => {
-      heard = performance.now();
-      newest = event.lastEventId || newest;
-      back();
+      lastEventAt = performance.now();
+      lastEventId = event.lastEventId || lastEventId;
+      handleReconnect();
       handle(event.data);
     });
-    on("status", (data) => { status = JSON.parse(data); rehearsals(status.rehearsals); storing(status.not_storing); state(); });
-    on("page", (data) => { pending = merged(pending, JSON.parse(data)); schedule(); });
-    on("picture", (data) => tell("peer-picture", JSON.parse(data)));
+    on("status", (data) => { status = JSON.parse(data); showClockFaults(status.rehearsals); showNotStoring(status.not_storing); updateState(); });
+    on("page", (data) => { pending = mergeUpdates(pending, JSON.parse(data)); schedule(); });
+    on("picture", (data) => dispatch("peer-picture", JSON.parse(data)));
     on("heartbeat", () => {});
-    source.addEventListener("error", lost);
+    source.addEventListener("error", handleDisconnect);
   }
-  // The silence of a stream begins with it.
+  // The timeout of silence starts with the stream.
   function resume() {
-    heard = performance.now();
+    lastEventAt = performance.now();
     connect();
   }
-  function lost() {
+  function handleDisconnect() {
     disconnect();
-    if (leaving) return;
-    setTimeout(() => { if (!source && !leaving) connect(); }, RETRY);
-    if (away) return;
-    away = true;
+    if (isLeaving) return;
+    setTimeout(() => { if (!source && !isLeaving) connect(); }, RETRY_MS);
+    if (isDisconnected) return;
+    isDisconnected = true;
     const at = clock(Date.now());
     document.body.classList.add("away");
     $("banner").textContent = `Connection to the aggregator lost at ${at}. Trying again every 2\u202fs; the figures below are the last ones received.`;
     $("banner").hidden = false;
-    // What is live says of when it is; what is stored stays as true as it was.
+    // Live titles get the time of the last data; titles of stored data stay valid.
     const title = document.querySelector("h1[data-past], [id^=part-] h1");
     if (title) title.textContent = title.dataset.past ? `${title.dataset.past} at ${at}` : `${title.textContent} (as of ${at})`;
-    state();
+    updateState();
   }
-  function back() {
-    if (!away) return;
-    away = false;
+  function handleReconnect() {
+    if (!isDisconnected) return;
+    isDisconnected = false;
     document.body.classList.remove("away");
     $("banner").hidden = true;
-    state();
-    tell("peer-back");
+    updateState();
+    dispatch("peer-back");
   }
 
-  let leaving = false;
-  addEventListener("pagehide", () => { leaving = true; disconnect(); });
-  addEventListener("pageshow", (event) => { if (event.persisted) { leaving = false; resume(); } });
+  let isLeaving = false;
+  addEventListener("pagehide", () => { isLeaving = true; disconnect(); });
+  addEventListener("pageshow", (event) => { if (event.persisted) { isLeaving = false; resume(); } });
   setInterval(() => {
-    if (source && performance.now() - heard > SILENCE) lost();
-    if (away) lag();
+    if (source && performance.now() - lastEventAt > SILENCE_MS) handleDisconnect();
+    if (isDisconnected) showLag();
   }, 1000);
 
   document.addEventListener("peer-toggle-pause", () => {
@@ -221,15 +221,15 @@
       button.setAttribute("aria-pressed", String(paused));
       button.querySelector("span").textContent = paused ? "Resume" : "Pause";
     }
-    state();
-    tell("peer-pause", paused);
+    updateState();
+    dispatch("peer-pause", paused);
     schedule();
   });
   document.addEventListener("visibilitychange", () => {
     if (document.hidden) disconnect();
-    else if (!leaving) { resume(); schedule(); }
+    else if (!isLeaving) { resume(); schedule(); }
   });
 
-  watch();
+  observeParts();
   resume();
 })();

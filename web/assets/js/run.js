@@ -1,4 +1,4 @@
-// A run over time: median and 95th percentile per bucket, the slowest iterations as points to open.
+// Chart of a run over time: median and 95th percentile per bucket, and the slowest iterations as links.
 (() => {
   const node = document.getElementById("run-chart");
   if (!node) return;
@@ -14,7 +14,7 @@
 
   const TOP = () => PEER.px(2.25), plotBottom = () => node.clientHeight - PEER.px(3.5);
 
-  // Where buckets are missing the line stops.
+  // The line is interrupted where buckets are missing.
   function line(index) {
     const points = [];
     data.points.forEach((point, at) => {
@@ -67,7 +67,7 @@
   const one = PEER.draw(node, options);
   one.chart.on("click", (event) => { if (event.data?.number) location.href = `/runs/${data.run}/iterations/${event.data.number}`; });
 
-  // --- slider, wheel with ctrl, or a drag across the plot select a time range; double click goes back
+  // --- a slider, Ctrl and the wheel, or a drag across the plot select a time range; a double click resets it
   function select(next) {
     range = next;
     history.replaceState(null, "", next ? `#t=${Math.round(next[0])}-${Math.round(next[1])}` : location.pathname + location.search);

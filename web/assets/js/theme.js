@@ -5,5 +5,5 @@
   try {
     const theme = localStorage.getItem("theme");
     if (theme === "light" || theme === "dark") root.dataset.theme = theme;
-  } catch { /* storage may be forbidden: the system's theme it is */ }
+  } catch { /* Storage may be forbidden: the page then has the system's theme. */ }
 })();

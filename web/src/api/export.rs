@@ -21,10 +21,10 @@ use crate::state::App;
 
 /// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(table))
+    OpenApiRouter::new().routes(routes!(export))
 }
 
-/// The form of a table.
+/// File format of an export.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 enum Format {
@@ -38,19 +38,19 @@ enum Format {
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct Query {
-    /// `csv`, the only one so far.
+    /// File format; only `csv`.
     #[param(inline)]
     format: Format,
 }
 
-/// All iterations of a run as a table, in the format of the `data.csv` that a run writes (docs/results.md): one row each, the published
-/// columns first, in seconds, bytes and bits per second. `peernet compare` and `peernet plot` read it. For a run that has not ended, the
-/// table holds the iterations stored at the time of the request.
+/// All iterations of a run as a table, one row each, in the format of the `data.csv` of a result folder (docs/results.md).
+/// Columns of the published program come first. Values are in seconds, bytes and bits per second. `peernet compare` and `peernet plot`
+/// read the table. For a run that has not ended, it holds the iterations that were stored at the time of the request.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/export", operation_id = "exportRun", tag = "runs", params(("run" = i64, Path), Query), responses(
     (status = 200, body = String, content_type = "text/csv"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-async fn table(
+async fn export(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
     Parameters(Query { format: Format::Csv }): Parameters<Query>,
@@ -58,27 +58,25 @@ async fn table(
     let number = path(number)?;
     let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     let name = format!("{}-{number}.csv", run.summary.pipeline);
-    // The next chunk is read only when the reader has taken the one before, so that a long run never lies in memory as a whole. The first
-    // chunk holds the names of the columns, for which all iterations of the run are scanned.
-    let chunks = stream::try_unfold(None, move |begun| {
+    // A chunk is read from the store only when the client has taken the one before, so that a long run is never in memory as a whole.
+    // The first chunk is the header row. Its columns are known only after a scan of all iterations, since each may add one.
+    let chunks = stream::try_unfold(None, move |progress| {
         let (app, run) = (app.clone(), run.summary.clone());
         async move {
             let mut text = Vec::new();
-            let Some(Begun { header, after, through }) = begun else {
-                let (header, through) = columns(app.store(), &run).await?;
+            let Some(ExportProgress { header, after, last_number }) = progress else {
+                let (header, last_number) = scan_columns(app.store(), &run).await?;
                 header.write_header(&mut text);
-                return Ok(Some((Bytes::from(text), Some(Begun { header, after: 0, through }))));
+                return Ok(Some((Bytes::from(text), Some(ExportProgress { header, after: 0, last_number }))));
             };
-            if after >= through {
+            if after >= last_number {
                 return Ok::<_, WebError>(None);
             }
-            let Some((last, iterations)) = app.store().full_iterations(&run, after).await? else {
-                return Ok(None);
-            };
-            for iteration in iterations.iter().filter(|iteration| iteration.number <= through) {
+            let Some((last, iterations)) = app.store().full_iterations(&run, after).await? else { return Ok(None) };
+            for iteration in iterations.iter().filter(|iteration| iteration.number <= last_number) {
                 header.write_row(&mut text, &Row::from_iteration(iteration));
             }
-            Ok(Some((Bytes::from(text), Some(Begun { header, after: last, through }))))
+            Ok(Some((Bytes::from(text), Some(ExportProgress { header, after: last, last_number }))))
         }
     });
     let head = [
@@ -88,20 +86,21 @@ async fn table(
     Ok((head, Body::from_stream(chunks)).into_response())
 }
 
-/// State of a table whose header was sent.
-struct Begun {
+/// Progress of an export whose header row was sent.
+struct ExportProgress {
     header: Header,
-    /// Number of the last iteration that was sent, and of the last one to send.
+    /// Number of the last iteration that was sent.
     after: u64,
-    through: u64,
+    /// Number of the last iteration to send: later ones may have columns that the header lacks.
+    last_number: u64,
 }
 
-/// Returns the columns that a run needs, and the number of its last iteration.
-async fn columns(store: &Store, run: &RunSummary) -> Result<(Header, u64), WebError> {
-    let (mut header, mut through) = (Header::default(), 0);
-    while let Some((last, firsts)) = store.iterations_by_shape(run, through).await? {
+/// Returns the columns of all iterations of a run, and the number of its last iteration.
+async fn scan_columns(store: &Store, run: &RunSummary) -> Result<(Header, u64), WebError> {
+    let (mut header, mut last_number) = (Header::default(), 0);
+    while let Some((last, firsts)) = store.iterations_by_shape(run, last_number).await? {
         firsts.iter().for_each(|iteration| header.add(&Row::from_iteration(iteration)));
-        through = last;
+        last_number = last;
     }
-    Ok((header, through))
+    Ok((header, last_number))
 }

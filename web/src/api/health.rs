@@ -5,7 +5,7 @@ use axum::extract::State;
 use axum::http::header::{ACCEPT, RETRY_AFTER};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{AppendHeaders, IntoResponse, Response};
-use peernet_aggregator::Readiness as Told;
+use peernet_aggregator::Readiness as AggregatorReadiness;
 use serde::Serialize;
 use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
@@ -18,13 +18,13 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(alive)).routes(routes!(ready))
 }
 
-/// Returns whether the process answers.
+/// Answers `alive` as long as the process serves requests.
 #[utoipa::path(get, path = "/healthz", operation_id = "isAlive", tag = "health", responses((status = 200, body = String, content_type = "text/plain")))]
 async fn alive() -> &'static str {
     "alive\n"
 }
 
-/// Readiness to store events, for programs.
+/// Whether the aggregator stores events.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 struct Readiness {
     /// `true` if batches are stored and acknowledged.
@@ -33,15 +33,15 @@ struct Readiness {
     reason: Option<String>,
 }
 
-/// Readiness to store events; as JSON where the request accepts `application/json`, else as text.
+/// Whether the aggregator stores events. The answer is JSON if the request accepts `application/json`, else text.
 #[utoipa::path(get, path = "/readyz", operation_id = "isReady", tag = "health", responses(
     (status = 200, description = "batches are stored and acknowledged", content((String = "text/plain"), (Readiness = "application/json"))),
-    (status = 503, description = "batches are not acknowledged, agents keep their events; the answer says why", content((String = "text/plain"), (Readiness = "application/json"))),
+    (status = 503, description = "batches are not acknowledged and agents keep their events; the answer gives the reason", content((String = "text/plain"), (Readiness = "application/json"))),
 ))]
 async fn ready(State(app): State<App>, headers: HeaderMap) -> Response {
     let reason = match app.aggregator.current_readiness() {
-        Told::Ready => None,
-        Told::NotStoring(reason) => Some(reason),
+        AggregatorReadiness::Ready => None,
+        AggregatorReadiness::NotStoring(reason) => Some(reason),
     };
     let answer = if accepts_json(&headers) {
         Json(Readiness { ready: reason.is_none(), reason: reason.clone() }).into_response()
@@ -57,7 +57,7 @@ async fn ready(State(app): State<App>, headers: HeaderMap) -> Response {
     }
 }
 
-/// Returns whether JSON is named among what the request takes.
+/// Returns whether an `Accept` header names `application/json` with a quality above zero.
 fn accepts_json(headers: &HeaderMap) -> bool {
     let named = headers.get_all(ACCEPT).iter().filter_map(|value| value.to_str().ok());
     named.flat_map(|value| value.split(',')).any(|kind| {
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn json_is_for_those_who_name_it() {
+    fn json_is_sent_only_if_accept_names_it() {
         let takes = |accept: &'static str| {
             let mut headers = HeaderMap::new();
             headers.insert(ACCEPT, HeaderValue::from_static(accept));

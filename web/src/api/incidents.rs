@@ -1,4 +1,4 @@
-//! `GET /api/incidents`: events beside the measurements, such as a lost connection or a clock step.
+//! `GET /api/v1/incidents`: occurrences beside the measurements, such as a lost connection or a clock step.
 
 use axum::Json;
 use axum::extract::State;
@@ -10,7 +10,7 @@ use utoipa_axum::routes;
 
 use super::schema::time;
 use crate::error::{ProblemDetails, WebError};
-use crate::parameters::{Parameters, bounded};
+use crate::parameters::{Parameters, parse_bounded};
 use crate::state::App;
 
 /// Returns the operations of this resource.
@@ -23,7 +23,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct Query {
-    /// Largest number of incidents returned, 1 to 1,000; 100 unless given.
+    /// Maximum number of incidents returned, 1 to 1,000; 100 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
     /// Incidents before this id: `next` of the previous page.
@@ -43,7 +43,7 @@ async fn list(
     State(app): State<App>,
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<IncidentList>, WebError> {
-    let limit = bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
+    let limit = parse_bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
     let Query { before, kind, host, .. } = query;
     let rows = app.store().incidents(&IncidentFilter { limit, before, kind, host }).await?;
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.id);
@@ -58,7 +58,7 @@ pub(crate) struct IncidentList {
     pub next: Option<i64>,
 }
 
-/// An event beside the measurements.
+/// An occurrence beside the measurements, such as a lost connection or a clock step.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Incident {
     pub id: i64,
@@ -67,7 +67,7 @@ pub(crate) struct Incident {
     /// Kind of incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or
     /// `control`; of the aggregator: `clock-step`, `retention` or `storage`.
     pub kind: String,
-    /// Name of the reporting host; null: the aggregator itself.
+    /// Name of the reporting host; null for an incident of the aggregator.
     pub host: Option<String>,
     pub pipeline: Option<String>,
     pub run: Option<i64>,

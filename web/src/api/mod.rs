@@ -1,7 +1,7 @@
 //! The REST API, `/api/v1`: one file or folder per resource, which holds its handlers, its schema types and its part of
 //! the OpenAPI document.
 //!
-//! This file registers them: a resource is named here twice, as a module and in `described`, and nowhere else in the program.
+//! This file registers them: a resource is named here twice, as a module and in `describe_routes`, and nowhere else in the program.
 
 mod compare;
 mod export;
@@ -25,9 +25,9 @@ use utoipa_axum::router::OpenApiRouter;
 use crate::metrics;
 use crate::state::App;
 
-/// Returns all resources with their description.
-fn described() -> OpenApiRouter<App> {
-    OpenApiRouter::with_openapi(openapi::head())
+/// Returns the routes of all resources with their OpenAPI descriptions.
+fn describe_routes() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(openapi::document_head())
         .merge(hosts::routes())
         .merge(links::routes())
         .merge(pipelines::routes())
@@ -46,16 +46,17 @@ fn described() -> OpenApiRouter<App> {
 /// Returns the OpenAPI document.
 #[cfg(test)]
 fn document() -> utoipa::openapi::OpenApi {
-    parts().1
+    router_and_document().1
 }
 
-fn parts() -> (Router<App>, utoipa::openapi::OpenApi) {
-    let (router, mut document) = described().split_for_parts();
-    openapi::complete(&mut document);
+/// Returns the routes, and the complete OpenAPI document.
+fn router_and_document() -> (Router<App>, utoipa::openapi::OpenApi) {
+    let (router, mut document) = describe_routes().split_for_parts();
+    openapi::add_common_responses(&mut document);
     (router, document)
 }
 
 pub(crate) fn routes() -> Router<App> {
-    let (router, document) = parts();
+    let (router, document) = router_and_document();
     router.route("/api/openapi.json", get(|| openapi::serve(document)))
 }

@@ -5,59 +5,59 @@ use utoipa::OpenApi;
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::{Content, HeaderBuilder, Ref, RefOr, Response, ResponseBuilder};
 
-/// Head of the document: title, description and tags.
+/// Title and description of the document, and the schema of errors.
 #[derive(OpenApi)]
 #[openapi(
     info(
         title = "PEERNet",
-        description = "Where an edge-cloud loop spends its time: live and stored measurements of all hosts. Values are in SI base units (seconds, bytes, bits per second), times in RFC 3339 and UTC. Errors are problem+json (RFC 9457). A request names the server in one Host header: by an IP address, localhost, the machine's host name, or one of server_names in the table [web]. Its first line and headers take at most 64 KiB, and there are at most 100 headers."
+        description = "Live and stored latency measurements of all hosts of edge-cloud control loops. Values are in units without prefixes (seconds, bytes, bits per second), times in RFC 3339 and UTC. Errors are problem+json (RFC 9457). A request has exactly one Host header. It names the server by an IP address, localhost, the machine's host name, or one of server_names in the table [web]. The request line and all headers together are limited to 64 KiB, and there may be at most 100 headers."
     ),
     components(schemas(crate::error::ProblemDetails))
 )]
-struct Head;
+struct DocumentHead;
 
-pub(crate) fn head() -> utoipa::openapi::OpenApi {
-    Head::openapi()
+pub(crate) fn document_head() -> utoipa::openapi::OpenApi {
+    DocumentHead::openapi()
 }
 
 pub(crate) async fn serve(document: utoipa::openapi::OpenApi) -> Json<utoipa::openapi::OpenApi> {
     Json(document)
 }
 
-/// Errors of every operation: status, name among the components, description.
+/// Error responses of every operation: status, name of the component, description.
 const ERRORS: [(&str, &str, &str); 4] = [
-    ("400", "BadRequest", "a parameter or the Host header is wrong; the detail names it"),
+    ("400", "BadRequest", "a parameter or the Host header is invalid; the detail names it"),
     ("421", "MisdirectedRequest", "the Host header names another server"),
-    ("500", "InternalServerError", "the cause is in the aggregator's log under the id"),
+    ("500", "InternalServerError", "internal error; the aggregator's log has the cause under this id"),
     (
         "503",
         "ServiceUnavailable",
-        "no answer in time, or too many questions or live streams at once; try again",
+        "the answer timed out, or there are too many concurrent queries or live streams; try again",
     ),
 ];
-/// Response of operations that change something: status, name and description.
+/// Error response of operations that change something: status, name, description.
 const FORBIDDEN: (&str, &str, &str) = ("403", "Forbidden", "the request comes from a page of another site");
-/// Response of operations on one item: status, name and description.
-const NOT_FOUND: (&str, &str, &str) = ("404", "NotFound", "there is no such thing");
-/// Response that the server sends, without a body, before it has read a request: status, name and description.
+/// Error response of operations on one item: status, name, description.
+const NOT_FOUND: (&str, &str, &str) = ("404", "NotFound", "the requested item does not exist");
+/// Error response that the server sends before it has read a request, without a body: status, name, description.
 const TOO_LARGE: (&str, &str, &str) = (
     "431",
     "RequestHeaderFieldsTooLarge",
-    "the first line and headers take more than 64 KiB, or there are too many",
+    "the request line and headers exceed 64 KiB, or there are more than 100 headers",
 );
 
-/// Adds the errors that do not depend on the operation.
-pub(crate) fn complete(document: &mut utoipa::openapi::OpenApi) {
+/// Adds the error responses that do not depend on the operation.
+pub(crate) fn add_common_responses(document: &mut utoipa::openapi::OpenApi) {
     let components = document.components.get_or_insert_default();
     for (_, name, description) in ERRORS.into_iter().chain([FORBIDDEN, NOT_FOUND]) {
-        components.responses.insert(name.to_owned(), problem(name, description).into());
+        components.responses.insert(name.to_owned(), problem_response(name, description).into());
     }
     let (_, name, description) = TOO_LARGE;
     components
         .responses
         .insert(name.to_owned(), ResponseBuilder::new().description(description).build().into());
     for (path, item) in &mut document.paths.paths {
-        // Errors of pages are sent as pages.
+        // Only the API answers errors with these responses.
         if !path.starts_with("/api/") {
             continue;
         }
@@ -66,28 +66,28 @@ pub(crate) fn complete(document: &mut utoipa::openapi::OpenApi) {
         let reads = reads.into_iter().flatten().map(|operation| (operation, false));
         let changes = changes.into_iter().flatten().map(|operation| (operation, true));
         for (operation, changes) in reads.chain(changes) {
-            ERRORS.into_iter().chain([TOO_LARGE]).for_each(|error| add(operation, error));
+            ERRORS.into_iter().chain([TOO_LARGE]).for_each(|error| add_response(operation, error));
             if changes {
-                add(operation, FORBIDDEN);
+                add_response(operation, FORBIDDEN);
             }
             if path.contains('{') {
-                add(operation, NOT_FOUND);
+                add_response(operation, NOT_FOUND);
             }
         }
     }
 }
 
-fn add(operation: &mut Operation, (status, name, _): (&str, &str, &str)) {
+fn add_response(operation: &mut Operation, (status, name, _): (&str, &str, &str)) {
     let reference = RefOr::Ref(Ref::new(format!("#/components/responses/{name}")));
     operation.responses.responses.entry(status.to_owned()).or_insert(reference);
 }
 
-fn problem(name: &str, description: &str) -> Response {
+fn problem_response(name: &str, description: &str) -> Response {
     let content = Content::new(Some(Ref::from_schema_name("ProblemDetails")));
     let response =
         ResponseBuilder::new().description(description).content("application/problem+json", content);
     if name == "ServiceUnavailable" {
-        let header = HeaderBuilder::new().description(Some("seconds until it is worth trying again")).build();
+        let header = HeaderBuilder::new().description(Some("seconds after which to try again")).build();
         return response.header("Retry-After", header).build();
     }
     response.build()
@@ -117,17 +117,17 @@ mod tests {
         assert!(found.len() > 100, "{}", found.len());
         for reference in found {
             let pointer = reference.strip_prefix('#').expect("a reference into the document");
-            assert!(document.pointer(pointer).is_some(), "{reference} leads nowhere");
+            assert!(document.pointer(pointer).is_some(), "{reference} does not resolve");
         }
     }
 
     #[test]
-    fn every_operation_of_the_api_tells_of_the_standard_errors() {
+    fn every_operation_documents_the_standard_errors() {
         let mut document = super::super::document();
         let item = document.paths.paths.get_mut("/api/v1/runs").expect("a resource");
         // Operations that the document does not have yet.
         (item.post, item.patch) = (item.get.clone(), item.get.clone());
-        super::complete(&mut document);
+        super::add_common_responses(&mut document);
         let document = serde_json::to_value(document).expect("JSON");
         let paths = document["paths"].as_object().expect("paths");
         for (path, item) in paths.iter().filter(|(path, _)| path.starts_with("/api/")) {
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn every_number_of_a_request_has_its_limits() {
+    fn every_numeric_parameter_documents_its_limits() {
         let document = serde_json::to_value(super::super::document()).expect("JSON");
         let paths = document["paths"].as_object().expect("paths");
         for (path, item) in paths {

@@ -1,4 +1,4 @@
-//! Pinned runs: retention deletes nothing of them.
+//! Pinning of runs. Retention deletes nothing of a pinned run.
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
@@ -15,31 +15,31 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(put, delete))
 }
 
-/// Keeps (pins) a run: retention deletes nothing of it.
+/// Pins a run. Retention deletes nothing of a pinned run.
 #[utoipa::path(put, path = "/api/v1/runs/{run}/pin", operation_id = "pinRun", tag = "runs", params(("run" = i64, Path)), responses(
-    (status = 204, description = "it is kept"),
+    (status = 204, description = "the run is pinned"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
 async fn put(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
 ) -> Result<StatusCode, WebError> {
-    set(&app, path(number)?, true).await
+    set_pinned(&app, path(number)?, true).await
 }
 
-/// Unpins a run: retention deletes it like others.
+/// Unpins a run. Retention deletes its data by age again.
 #[utoipa::path(delete, path = "/api/v1/runs/{run}/pin", operation_id = "unpinRun", tag = "runs", params(("run" = i64, Path)), responses(
-    (status = 204, description = "it is kept no longer than others"),
+    (status = 204, description = "the run is no longer pinned"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
 async fn delete(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
 ) -> Result<StatusCode, WebError> {
-    set(&app, path(number)?, false).await
+    set_pinned(&app, path(number)?, false).await
 }
 
-async fn set(app: &AppState, run: i64, pinned: bool) -> Result<StatusCode, WebError> {
-    let known = app.aggregator.pin(run, pinned).await?;
-    if known { Ok(StatusCode::NO_CONTENT) } else { Err(WebError::no_run(run)) }
+async fn set_pinned(app: &AppState, run: i64, pinned: bool) -> Result<StatusCode, WebError> {
+    let exists = app.aggregator.pin(run, pinned).await?;
+    if exists { Ok(StatusCode::NO_CONTENT) } else { Err(WebError::no_run(run)) }
 }

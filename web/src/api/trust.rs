@@ -1,4 +1,4 @@
-//! Trust in a run: whether it can be published.
+//! `GET /api/v1/runs/{run}/trust`: whether a run can be published.
 
 use axum::Json;
 use axum::extract::rejection::PathRejection;
@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::schema::word;
+use super::schema::grade_name;
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::path;
 use crate::state::App;
@@ -19,7 +19,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(get))
 }
 
-/// "Can I publish this run?": observations before, during and after the run, in sentences, the most harmful first.
+/// Whether a run can be published, with the findings from before, during and after the run, the most harmful first.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/trust", operation_id = "getRunTrust", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 200, body = Trust),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -34,20 +34,21 @@ async fn get(
     Ok(Json(Trust::from(&Report::new(&store.trust_input(&run).await?))))
 }
 
-/// The answer to "can I publish this run?".
+/// Whether a run can be published.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Trust {
     /// `yes`, `with-remarks` or `no`.
     pub verdict: &'static str,
     /// The answer in a sentence.
     pub answer: String,
-    /// Observations, the most harmful first.
+    /// Findings, the most harmful first.
     pub sentences: Vec<Sentence>,
 }
 
-/// One observation.
+/// One finding about a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Sentence {
+    /// Subject of the finding.
     pub about: String,
     /// `good`, `unknown`, `doubtful` or `bad`.
     pub grade: &'static str,
@@ -60,7 +61,7 @@ impl From<&Report> for Trust {
     fn from(report: &Report) -> Self {
         let sentence = |sentence: &Finding| Sentence {
             about: sentence.about.clone(),
-            grade: word(sentence.grade),
+            grade: grade_name(sentence.grade),
             text: sentence.text.clone(),
             advice: sentence.advice.clone(),
         };

@@ -2,21 +2,21 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Problem;
+use super::ConfigProblem;
 
-/// Limits beyond which the overview warns. An infinite one never does.
+/// Limits beyond which the overview warns. An infinite limit disables its warning.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WarnConfig {
-    /// p99 of a pipeline's total, as a multiple of its median, over the last minute.
+    /// p99 of a pipeline's `total` over the last minute, as a multiple of its median.
     pub p99_over_median: f64,
     /// Busy share of a host's cores in percent, exceeded for ten seconds.
     pub cpu_percent: f64,
-    /// Time of the total that no stage accounts for, without lateness, in percent of the total over the last minute.
+    /// Time that no stage accounts for, without late starts, in percent of `total` over the last minute.
     pub unattributed_percent: f64,
-    /// Starts that were skipped, in percent of those that came due in the last minute.
+    /// Skipped starts in percent of the starts that were due in the last minute.
     pub skipped_percent: f64,
-    /// Lateness of the starts in percent of the total over the last minute.
+    /// Delay of late starts in percent of `total` over the last minute.
     pub late_percent: f64,
 }
 
@@ -33,8 +33,8 @@ impl Default for WarnConfig {
 }
 
 impl WarnConfig {
-    /// Returns a problem for each value that cannot be a limit.
-    pub(crate) fn check(&self) -> Vec<Problem> {
+    /// Returns a problem for each limit that is negative or not a number.
+    pub(crate) fn check(&self) -> Vec<ConfigProblem> {
         let Self { p99_over_median, cpu_percent, unattributed_percent, skipped_percent, late_percent } =
             *self;
         let limits = [
@@ -45,11 +45,11 @@ impl WarnConfig {
             ("warn.late_percent", late_percent),
         ];
         let wrong = limits.into_iter().filter(|(_, limit)| limit.is_nan() || *limit < 0.0);
-        let problem = |(key, limit)| Problem {
+        let new_problem = |(key, limit)| ConfigProblem {
             key,
-            message: format!("{limit} is no limit: write 0 or more, or inf for no warning"),
+            message: format!("{limit} is not a valid limit: write 0 or more, or inf for no warning"),
         };
-        wrong.map(problem).collect()
+        wrong.map(new_problem).collect()
     }
 }
 
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn limits_are_positive_numbers_or_infinite() {
+    fn negative_or_nan_limit_is_rejected() {
         assert_eq!(WarnConfig::default().check(), []);
         let never = WarnConfig { cpu_percent: f64::INFINITY, ..WarnConfig::default() };
         assert_eq!(never.check(), []);

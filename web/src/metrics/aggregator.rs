@@ -9,30 +9,30 @@ use super::table::{Sample, Sink};
 #[derive(Debug)]
 pub(super) struct AggregatorFigures {
     pub(super) ready: bool,
-    /// Hosts that report.
+    /// Number of hosts that report.
     pub(super) connected: u64,
-    /// Hosts of the picture.
+    /// Number of hosts in the live state.
     pub(super) known: u64,
-    /// Hosts whose connections were refused recently.
+    /// Number of hosts whose connections were refused in the last ten minutes.
     pub(super) refused: u64,
     /// Size of the database's files; `None` if there are none.
     pub(super) database_bytes: Option<u64>,
-    /// Refused connections, by reason.
+    /// Number of refused connections by reason.
     pub(super) rejected: Vec<(&'static str, u64)>,
     pub(super) totals: Totals,
 }
 
 impl AggregatorFigures {
-    /// Returns the figures of a picture, for an aggregator that is not ready and has no database.
-    pub(super) fn of(picture: &LiveState) -> Self {
+    /// Returns the figures of the live state. The others are those of an aggregator that is not ready and has no database.
+    pub(super) fn from_live_state(live_state: &LiveState) -> Self {
         Self {
             ready: false,
-            connected: picture.hosts.iter().filter(|host| host.connected).count() as u64,
-            known: picture.hosts.len() as u64,
-            refused: picture.refused.len() as u64,
+            connected: live_state.hosts.iter().filter(|host| host.connected).count() as u64,
+            known: live_state.hosts.len() as u64,
+            refused: live_state.refused.len() as u64,
             database_bytes: None,
             rejected: Vec::new(),
-            totals: picture.totals,
+            totals: live_state.totals,
         }
     }
 
@@ -43,12 +43,12 @@ impl AggregatorFigures {
     }
 
     /// Writes the size of the database.
-    pub(super) fn database(&self, to: &mut Sink<'_>) {
-        self.database_bytes.into_iter().for_each(|bytes| to(&[], Sample::Size(bytes)));
+    pub(super) fn write_database(&self, sink: &mut Sink<'_>) {
+        self.database_bytes.into_iter().for_each(|bytes| sink(&[], Sample::Size(bytes)));
     }
 
     /// Writes the refused connections, by reason.
-    pub(super) fn rejected(&self, to: &mut Sink<'_>) {
-        self.rejected.iter().for_each(|(reason, count)| to(&[reason], Sample::Count(*count)));
+    pub(super) fn write_rejected(&self, sink: &mut Sink<'_>) {
+        self.rejected.iter().for_each(|(reason, count)| sink(&[reason], Sample::Count(*count)));
     }
 }

@@ -7,11 +7,11 @@ use super::scrape::Scrape;
 use super::table::{Sample, Sink};
 
 /// Writes a sample of each host.
-pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&HostSnapshot) -> Sample) {
-    scrape.hosts.iter().for_each(|host| to(&[host.description.name.as_str()], of(host)));
+pub(super) fn write_each(scrape: &Scrape, sink: &mut Sink<'_>, sample_of: impl Fn(&HostSnapshot) -> Sample) {
+    scrape.hosts.iter().for_each(|host| sink(&[host.description.name.as_str()], sample_of(host)));
 }
 
-/// Returns the delay of storing behind measuring, seconds.
+/// Returns the lag of storage behind measurement, seconds.
 pub(super) fn lag(host: &HostSnapshot) -> Sample {
     Sample::Value(host.behind.map_or(0.0, Span::seconds))
 }

@@ -11,11 +11,15 @@ use super::table::{Sample, Sink};
 const WINDOW: Span = Span::from_seconds(60);
 
 /// Writes a sample of each link that has one.
-pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&LinkSnapshot) -> Option<Sample>) {
+pub(super) fn write_each(
+    scrape: &Scrape,
+    sink: &mut Sink<'_>,
+    sample_of: impl Fn(&LinkSnapshot) -> Option<Sample>,
+) {
     for link in &scrape.links {
-        if let Some(sample) = of(link) {
+        if let Some(sample) = sample_of(link) {
             let live = &link.live;
-            to(&[link.edge_name.as_str(), live.peer_name.as_str(), live.network().as_str()], sample);
+            sink(&[link.edge_name.as_str(), live.peer_name.as_str(), live.network().as_str()], sample);
         }
     }
 }
@@ -37,7 +41,7 @@ pub(super) fn loss(link: &LinkSnapshot) -> Option<Sample> {
     (all > 0).then(|| Sample::Value(lost as f64 / all as f64))
 }
 
-/// Number of packets that were refused as answers to probes.
+/// Returns the number of packets that were refused as answers to probes.
 pub(super) fn refused(link: &LinkSnapshot) -> Option<Sample> {
     let newest = link.history.last()?.at;
     let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
@@ -45,7 +49,7 @@ pub(super) fn refused(link: &LinkSnapshot) -> Option<Sample> {
     Some(Sample::Value(refused as f64))
 }
 
-/// The end of a connection that counts.
+/// The end of a connection whose counts are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum End {
     Edge,
@@ -71,35 +75,35 @@ impl End {
     }
 }
 
-/// Writes a total of each direction of each connection that an end knows.
-pub(super) fn directions(
+/// Writes a total of each direction of each connection, as one end counts it.
+pub(super) fn write_directions(
     scrape: &Scrape,
-    to: &mut Sink<'_>,
+    sink: &mut Sink<'_>,
     end: End,
-    of: fn(&DirectionStatistics) -> Option<u64>,
+    total_of: fn(&DirectionStatistics) -> Option<u64>,
 ) {
     for (link, connection) in scrape.connections() {
         let [edge, cloud, network, pipeline] = names(link, connection);
         let Some(account) = end.account(connection) else { continue };
-        for (direction, known) in end.directions(account) {
-            if let Some(total) = of(known) {
-                to(&[edge, cloud, network, pipeline, direction], Sample::Count(total));
+        for (direction, statistics) in end.directions(account) {
+            if let Some(total) = total_of(statistics) {
+                sink(&[edge, cloud, network, pipeline, direction], Sample::Count(total));
             }
         }
     }
 }
 
-/// Smoothed round trips of the transports' own packets, as an end measures them.
-pub(super) fn transport_round_trips(scrape: &Scrape, to: &mut Sink<'_>, end: End) {
+/// Writes the smoothed round trips of the transports' own packets, as an end measures them.
+pub(super) fn write_transport_round_trips(scrape: &Scrape, sink: &mut Sink<'_>, end: End) {
     for (link, connection) in scrape.connections() {
         if let Some(trip) = end.account(connection).and_then(|account| account.round_trip) {
-            to(&names(link, connection), Sample::Value(trip.smoothed.seconds()));
+            sink(&names(link, connection), Sample::Value(trip.smoothed.seconds()));
         }
     }
 }
 
-/// MTUs of the interfaces that connections leave by.
-pub(super) fn interfaces(scrape: &Scrape, to: &mut Sink<'_>) {
+/// Writes the MTU of each interface that a connection uses.
+pub(super) fn write_interfaces(scrape: &Scrape, sink: &mut Sink<'_>) {
     for (link, connection) in scrape.connections() {
         let Some(interface) = &connection.interface else { continue };
         let (Some(mtu), [edge, cloud, network, pipeline]) = (interface.mtu_bytes, names(link, connection))
@@ -107,7 +111,7 @@ pub(super) fn interfaces(scrape: &Scrape, to: &mut Sink<'_>) {
             continue;
         };
         let kind = interface.kind.as_deref().unwrap_or_default();
-        to(&[edge, cloud, network, pipeline, &interface.name, kind], Sample::Size(mtu.into()));
+        sink(&[edge, cloud, network, pipeline, &interface.name, kind], Sample::Size(mtu.into()));
     }
 }
 

@@ -1,4 +1,4 @@
-//! `GET /metrics`: the live picture as OpenMetrics text, for Prometheus and other readers of its format.
+//! `GET /metrics`: the live state as OpenMetrics text, for Prometheus and other readers of this format.
 //!
 //! Each metric is an entry of [`table`]; all samples of an answer come from one snapshot.
 
@@ -29,8 +29,8 @@ use self::table::{Kind, METRICS, Sample};
 use crate::error::WebError;
 use crate::state::App;
 
-/// <https://prometheus.io/docs/specs/om/open_metrics_spec/>
-const FORM: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+/// Content type of the [OpenMetrics text format](https://prometheus.io/docs/specs/om/open_metrics_spec/).
+const CONTENT_TYPE_OPENMETRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Returns the operations of this resource.
 pub(crate) fn routes() -> OpenApiRouter<App> {
@@ -42,14 +42,14 @@ pub(crate) fn routes() -> OpenApiRouter<App> {
     (status = 200, body = String, content_type = "application/openmetrics-text"),
 ))]
 async fn serve(State(app): State<App>) -> Result<Response, WebError> {
-    let picture = app.picture();
+    let snapshot = app.live_state();
     let figures = AggregatorFigures {
         ready: app.aggregator.ready() == Readiness::Ready,
         database_bytes: app.aggregator.database_bytes(),
-        ..AggregatorFigures::of(&picture).with_rejections(app.aggregator.rejections())
+        ..AggregatorFigures::from_live_state(&snapshot).with_rejections(app.aggregator.rejections())
     };
-    let text = render(Scrape::of(&picture, figures))?;
-    Ok(([(CONTENT_TYPE, FORM)], text).into_response())
+    let text = render(Scrape::from_live_state(&snapshot, figures))?;
+    Ok(([(CONTENT_TYPE, CONTENT_TYPE_OPENMETRICS)], text).into_response())
 }
 
 fn render(scrape: Scrape) -> Result<String, WebError> {
@@ -69,21 +69,21 @@ impl Collector for Scrape {
                 Kind::Gauge => MetricType::Gauge,
             };
             let mut family = encoder.encode_descriptor(metric.name, metric.help, Some(&unit), kind)?;
-            let mut written = Ok(());
+            let mut result = Ok(());
             (metric.samples)(self, &mut |values, sample| {
-                if written.is_err() {
+                if result.is_err() {
                     return;
                 }
                 let labels: Vec<(&str, &str)> =
                     metric.labels.iter().copied().zip(values.iter().copied()).collect();
                 // An empty set of labels would leave its braces in the text.
-                written = if labels.is_empty() {
+                result = if labels.is_empty() {
                     write(&mut family, sample)
                 } else {
                     family.encode_family(&labels).and_then(|mut line| write(&mut line, sample))
                 };
             });
-            written?;
+            result?;
         }
         Ok(())
     }

@@ -8,22 +8,22 @@ use peernet_stream::PipelineState;
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
 
-/// Windows in seconds, with the values of their label.
+/// Lengths of the windows in seconds, with the values of their label.
 const WINDOWS: [(u32, &str); 2] = [(10, "10s"), (60, "60s")];
 
 fn names(one: &PipelineSnapshot) -> [&str; 2] {
     [one.host_name.as_str(), one.pipeline.as_str()]
 }
 
-/// Returns whether each measures.
-pub(super) fn running(scrape: &Scrape, to: &mut Sink<'_>) {
+/// Writes whether each pipeline measures.
+pub(super) fn write_running(scrape: &Scrape, sink: &mut Sink<'_>) {
     for one in &scrape.pipelines {
-        to(&names(one), Sample::truth(one.state == PipelineState::Running));
+        sink(&names(one), Sample::from_bool(one.state == PipelineState::Running));
     }
 }
 
-/// Iterations by outcome.
-pub(super) fn iterations(scrape: &Scrape, to: &mut Sink<'_>) {
+/// Writes the number of iterations by outcome.
+pub(super) fn write_iterations(scrape: &Scrape, sink: &mut Sink<'_>) {
     for one in &scrape.pipelines {
         let [host, name] = names(one);
         for (seconds, label) in WINDOWS {
@@ -35,39 +35,39 @@ pub(super) fn iterations(scrape: &Scrape, to: &mut Sink<'_>) {
                 ("lost", counts.lost),
                 ("timeout", counts.timeout),
             ];
-            for (outcome, many) in outcomes {
-                to(&[host, name, outcome, label], Sample::Size(many));
+            for (outcome, count) in outcomes {
+                sink(&[host, name, outcome, label], Sample::Size(count));
             }
         }
     }
 }
 
-/// Iterations per second.
-pub(super) fn rate(scrape: &Scrape, to: &mut Sink<'_>) {
+/// Writes the iterations per second.
+pub(super) fn write_rate(scrape: &Scrape, sink: &mut Sink<'_>) {
     for one in &scrape.pipelines {
         let [host, name] = names(one);
         for (seconds, label) in WINDOWS {
             if let Some(window) = one.window(seconds) {
-                to(&[host, name, label], Sample::Value(window.rate_hz));
+                sink(&[host, name, label], Sample::Value(window.rate_hz));
             }
         }
     }
 }
 
-/// Shares of missed deadlines.
-pub(super) fn missed(scrape: &Scrape, to: &mut Sink<'_>) {
+/// Writes the shares of missed deadlines.
+pub(super) fn write_missed(scrape: &Scrape, sink: &mut Sink<'_>) {
     for one in &scrape.pipelines {
         let [host, name] = names(one);
         for (seconds, label) in WINDOWS {
             if let Some(rate) = one.window(seconds).and_then(|window| window.miss_rate) {
-                to(&[host, name, label], Sample::Value(rate));
+                sink(&[host, name, label], Sample::Value(rate));
             }
         }
     }
 }
 
-/// Quantiles per stage. Names that users added are left out: they are not bounded.
-pub(super) fn stages(scrape: &Scrape, to: &mut Sink<'_>) {
+/// Writes the quantiles of each standard stage. User-defined names are omitted, because their number is not bounded.
+pub(super) fn write_stages(scrape: &Scrape, sink: &mut Sink<'_>) {
     for one in &scrape.pipelines {
         let [host, name] = names(one);
         let Some(window) = one.window(60) else { continue };
@@ -76,30 +76,34 @@ pub(super) fn stages(scrape: &Scrape, to: &mut Sink<'_>) {
             let quantiles = [("0.5", Some(figures.p50)), ("0.95", figures.p95), ("0.99", figures.p99)];
             for (quantile, value) in quantiles {
                 if let Some(value) = value {
-                    to(&[host, name, stage, quantile], Sample::Value(value));
+                    sink(&[host, name, stage, quantile], Sample::Value(value));
                 }
             }
         }
     }
 }
 
-/// Speeds while sending.
-pub(super) fn speed(scrape: &Scrape, to: &mut Sink<'_>) {
-    each_way(scrape, to, |_, transfer| transfer.speed());
+/// Writes the speeds while sending.
+pub(super) fn write_speed(scrape: &Scrape, sink: &mut Sink<'_>) {
+    write_directions(scrape, sink, |_, transfer| transfer.speed());
 }
 
-/// Traffic over wall time.
-pub(super) fn traffic(scrape: &Scrape, to: &mut Sink<'_>) {
-    each_way(scrape, to, |window, transfer| transfer.traffic(window.covered_s));
+/// Writes the traffic over wall time.
+pub(super) fn write_traffic(scrape: &Scrape, sink: &mut Sink<'_>) {
+    write_directions(scrape, sink, |window, transfer| transfer.traffic(window.covered_s));
 }
 
-fn each_way(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&Window, Transfer) -> Option<f64>) {
+fn write_directions(
+    scrape: &Scrape,
+    sink: &mut Sink<'_>,
+    value_of: impl Fn(&Window, Transfer) -> Option<f64>,
+) {
     for one in &scrape.pipelines {
         let [host, name] = names(one);
         let Some(window) = one.window(60) else { continue };
-        for (way, transfer) in [("upload", window.transfers.up), ("download", window.transfers.down)] {
-            if let Some(value) = transfer.and_then(|transfer| of(window, transfer)) {
-                to(&[host, name, way], Sample::Value(value));
+        for (direction, transfer) in [("upload", window.transfers.up), ("download", window.transfers.down)] {
+            if let Some(value) = transfer.and_then(|transfer| value_of(window, transfer)) {
+                sink(&[host, name, direction], Sample::Value(value));
             }
         }
     }

@@ -18,11 +18,11 @@ use crate::state::App;
 use crate::svg::Scatter;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
-    Address, Axes, BoxRow, Changed, CompareSelection, Comparison, Configuration, Differences, Distributions,
-    LeftOut, Lengths, MOST_RUNS, OverTime, Pair, PairwiseRow, RunMeans, Setting, StackRow, StageDifference,
-    Table, Throughput, UsersRow, accuracy, answers, boxes, commands, distributions, doubts, gather, lengths,
-    over_time, pairs, pairwise, payload, run_courses, run_means, stacks, throughput, title, unknown_labels,
-    users,
+    Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
+    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, Pair, PairwiseRow, RunMeans, Setting,
+    StackRow, StageDifference, Table, Throughput, UsersRow, accuracy, answers, boxes, caveats, commands,
+    distributions, lengths, load_comparison, over_time, pairs, pairwise, payload, run_courses, run_means,
+    stacks, throughput, title, unknown_labels, users,
 };
 use crate::view::counted;
 
@@ -53,7 +53,7 @@ struct Compare {
     crumb: String,
     facts: Vec<String>,
     cut: Option<u32>,
-    left_out: Vec<LeftOut>,
+    left_out: Vec<ExcludedRun>,
     table: Table,
     /// Caveats about the means.
     doubts: Option<(Chip, String)>,
@@ -100,10 +100,10 @@ struct Baseline {
 /// Difference of a configuration from the baseline.
 struct OtherRow {
     name: String,
-    total: Option<Changed>,
+    total: Option<DifferenceRow>,
     /// Iterations against those of the baseline.
     pairs: Option<PairwiseRow>,
-    stages: Vec<Changed>,
+    stages: Vec<DifferenceRow>,
 }
 
 #[derive(Template)]
@@ -119,18 +119,19 @@ async fn show(
     headers: HeaderMap,
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Page {
-    let (store, picture) = (app.store(), app.picture());
-    let shell = |title: &str| Shell::new(&app, &picture, "/compare", title);
+    let (store, snapshot) = (app.store(), app.live_state());
+    let shell = |title: &str| Shell::new(&app, &snapshot, "/compare", title);
     let (asked, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
     let asked = asked.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
     let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == BASELINE);
     let baseline = baseline.last().map(|(_, run)| run.as_str());
-    let Some(which) = CompareSelection::of(&query, "runs or experiment, and with either stage and baseline")?
+    let Some(which) =
+        CompareSelection::parse(&query, "runs or experiment, and optionally stage and baseline")?
     else {
         let experiments = store.experiments(OFFERED).await?;
         return page(&Empty { shell: shell("Compare"), experiments });
     };
-    let comparison = gather(store, &which).await?;
+    let comparison = load_comparison(store, &which).await?;
     let distributions = distributions(&comparison, asked)?;
     let baseline = comparison.baseline(baseline)?;
     let means = run_means(store, &comparison).await?;
@@ -167,10 +168,10 @@ fn assemble(
         title: title(comparison, &differences),
         crumb,
         facts,
-        cut: comparison.cut.then_some(MOST_RUNS),
+        cut: comparison.cut.then_some(MAX_EXPERIMENT_RUNS),
         left_out: comparison.left_out.clone(),
         table: Table::of(comparison, &differences),
-        doubts: Some(doubts(comparison).join(" "))
+        doubts: Some(caveats(comparison).join(" "))
             .filter(|said| !said.is_empty())
             .map(|said| (Chip::new(Tone::Warn, "remark", "to be said"), said)),
         also: comparison.also.join(", "),
@@ -204,9 +205,9 @@ impl Baseline {
         let mut pairs = pairwise(comparison, differences).into_iter();
         let mut other = |(place, stages): &(usize, Vec<StageDifference>)| OtherRow {
             name: all[*place].name.clone(),
-            total: differences.total(*place).map(Changed::of),
+            total: differences.total(*place).map(DifferenceRow::of),
             pairs: pairs.next().flatten(),
-            stages: Changed::of_stages(stages),
+            stages: DifferenceRow::of_stages(stages),
         };
         let is_known = |stages: &[StageDifference]| stages.iter().any(|stage| stage.found.is_some());
         let others = differences.others.iter();

@@ -15,6 +15,6 @@ struct ErrorPage<'a> {
 
 /// Returns the page of a problem; its bare text if even that cannot be rendered.
 pub(crate) fn render(app: &AppState, problem: &ProblemDetails) -> String {
-    let shell = Shell::new(app, &app.picture(), "", problem.title());
+    let shell = Shell::new(app, &app.live_state(), "", problem.title());
     ErrorPage { shell, problem }.render().unwrap_or_else(|_| problem.detail().to_owned())
 }

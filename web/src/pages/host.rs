@@ -1,4 +1,4 @@
-//! Page of one host: its description, its clock, the account of its events.
+//! Page of one host: its hardware, its clock, and the counts of its events.
 
 use std::future::ready;
 
@@ -22,7 +22,7 @@ use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::Subject;
 use crate::view::link::panels::{claims, discipline};
 use crate::view::now::{NowRow, NowTable};
-use crate::view::{cut, rehearsal};
+use crate::view::{list_limits, rehearsal};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
@@ -31,7 +31,7 @@ pub(super) const PAGE: PageKind = PageKind {
     entry: None,
     topic: Some(LiveTopic {
         form: "host/HOST",
-        update: |app, picture, rest| Box::pin(ready(update(app, picture, rest))),
+        update: |app, snapshot, rest| Box::pin(ready(update(app, snapshot, rest))),
     }),
 };
 
@@ -57,7 +57,7 @@ struct Host {
     pipelines: Vec<NowRow>,
 }
 
-/// A host that is stored but not in the live picture.
+/// A host that is stored but not in the live state.
 #[derive(Template)]
 #[template(path = "pages/host_past.html")]
 struct PastHost {
@@ -74,21 +74,23 @@ struct PastHost {
 /// `GET /hosts/{host}`.
 async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Page {
     let name = path(name)?;
-    let picture = app.picture();
-    if let Some(host) = live(&picture, &name) {
-        return page(&host_page(&app, &picture, host));
+    let snapshot = app.live_state();
+    if let Some(host) = find_live(&snapshot, &name) {
+        return page(&host_page(&app, &snapshot, host));
     }
     let stored = app.store().hosts().await?;
     let row = stored.into_iter().find(|row| row.name.as_str() == name || row.id.to_string() == name);
-    let row = row.ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported here")))?;
-    page(&past_page(&app, &picture, &row))
+    let row = row
+        .ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported to this aggregator")))?;
+    page(&past_page(&app, &snapshot, &row))
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState, name: &str) -> Result<Update, WebError> {
-    let host =
-        live(picture, name).ok_or_else(|| WebError::NotFound(format!("no host {name} reports here")))?;
-    let page = host_page(app, picture, host);
+pub(super) fn update(app: &AppState, snapshot: &LiveState, name: &str) -> Result<Update, WebError> {
+    let host = find_live(snapshot, name).ok_or_else(|| {
+        WebError::NotFound(format!("no host {name} is in the live state of this aggregator"))
+    })?;
+    let page = host_page(app, snapshot, host);
     let parts = vec![
         ("title", page.as_title().render()?),
         ("now", page.as_now().render()?),
@@ -100,10 +102,10 @@ pub(super) fn update(app: &AppState, picture: &LiveState, name: &str) -> Result<
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn live<'a>(picture: &'a LiveState, name: &str) -> Option<&'a HostSnapshot> {
+fn find_live<'a>(snapshot: &'a LiveState, name: &str) -> Option<&'a HostSnapshot> {
     let matches =
         |host: &&HostSnapshot| host.description.name.as_str() == name || host.id.to_string() == name;
-    picture.hosts.iter().map(|host| &**host).find(matches)
+    snapshot.hosts.iter().map(|host| &**host).find(matches)
 }
 
 fn hardware(description: &HostDescription) -> Pairs {
@@ -129,8 +131,8 @@ fn agent(description: &HostDescription) -> Pairs {
     ]
 }
 
-/// Returns the number of clock steps found, in words.
-fn steps(clock: &HostClock) -> String {
+/// Returns the number of detected clock steps as text.
+fn step_count(clock: &HostClock) -> String {
     match clock.epoch {
         0 => "none since the agent started".to_owned(),
         1 => "1 since the agent started".to_owned(),
@@ -139,18 +141,19 @@ fn steps(clock: &HostClock) -> String {
 }
 
 /// Returns the links of a host with the addresses of their pages.
-fn links(picture: &LiveState, name: &str) -> Vec<(String, String)> {
-    let mine = picture.links.iter().map(|link| Subject::live(link));
+fn links(snapshot: &LiveState, name: &str) -> Vec<(String, String)> {
+    let mine = snapshot.links.iter().map(|link| Subject::live(link));
     let mine = mine.filter(|link| link.edge == name || link.cloud == name);
-    mine.map(|link| (link.route(), link.href())).take(cut::LIST).collect()
+    mine.map(|link| (link.route(), link.href())).take(list_limits::MAX_IN_LIST).collect()
 }
 
-fn host_page(app: &AppState, picture: &LiveState, host: &HostSnapshot) -> Host {
+fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host {
     let description = &host.description;
     let name = description.name.to_string();
-    let mine: Vec<_> = picture.pipelines.iter().filter(|one| one.host == host.id).map(|one| &**one).collect();
+    let mine: Vec<_> =
+        snapshot.pipelines.iter().filter(|one| one.host == host.id).map(|one| &**one).collect();
     let serving =
-        picture.pipelines.iter().filter(|one| one.placement.peer.as_ref() == Some(&description.name));
+        snapshot.pipelines.iter().filter(|one| one.placement.peer.as_ref() == Some(&description.name));
     let title = match (host.connected, mine.len(), serving.count()) {
         (false, ..) if host.has_left => {
             format!("{name} took its leave at {}", app.zone.moment(host.last_seen).clock())
@@ -171,14 +174,14 @@ fn host_page(app: &AppState, picture: &LiveState, host: &HostSnapshot) -> Host {
         .agent_cpu
         .map(|share| format!("agent takes {}{SPACE}% of a core", fixed(share * 100.0, 1)));
     Host {
-        shell: Shell::new(app, picture, "/hosts", name.as_str()).live(format!("{TOPIC}/{name}")),
+        shell: Shell::new(app, snapshot, "/hosts", name.as_str()).live(format!("{TOPIC}/{name}")),
         title,
         facts: [Some(hardware_name(&description.hardware)), cpu, memory]
             .into_iter()
             .flatten()
             .filter(|fact| !fact.is_empty())
             .collect(),
-        links: links(picture, &name),
+        links: links(snapshot, &name),
         line: HostLine::new(host, ours, app.zone),
         agent: agent(description),
         hardware: hardware(description),
@@ -187,7 +190,7 @@ fn host_page(app: &AppState, picture: &LiveState, host: &HostSnapshot) -> Host {
             ("Known from", hint),
             ("Synchronised by", discipline(&host.clock)),
             ("It claims to be", claims(&host.clock)),
-            ("Steps noticed", steps(&host.clock)),
+            ("Steps noticed", step_count(&host.clock)),
             ("Rehearsal", host.clock.rehearsal.as_ref().map_or_else(|| "none".to_owned(), rehearsal::words)),
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),
@@ -199,12 +202,12 @@ fn host_page(app: &AppState, picture: &LiveState, host: &HostSnapshot) -> Host {
     }
 }
 
-fn past_page(app: &AppState, picture: &LiveState, row: &HostRow) -> PastHost {
+fn past_page(app: &AppState, snapshot: &LiveState, row: &HostRow) -> PastHost {
     let name = row.name.to_string();
     let seen = app.zone.moment(row.last_seen);
     let description = &row.description;
     PastHost {
-        shell: Shell::new(app, picture, "/hosts", name.as_str()),
+        shell: Shell::new(app, snapshot, "/hosts", name.as_str()),
         title: format!("{name} was last seen on {}, {}", seen.date(), seen.clock()),
         first_seen: app.zone.moment(row.first_seen),
         agent: agent(description),

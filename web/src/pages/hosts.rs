@@ -17,14 +17,14 @@ use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::events::EventLine;
 use crate::view::hosts::{HostLine, RefusedLine};
-use crate::view::{awaited, cut};
+use crate::view::{list_limits, startup};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/hosts", get(show)),
     entry: Some(NavigationEntry { name: "Hosts", address: "/hosts", key: "h" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
 };
 
 /// Name of its topic of the live stream.
@@ -39,27 +39,27 @@ struct Hosts {
     past_title: String,
     hosts: Vec<HostLine>,
     events: Vec<EventLine>,
-    /// Sentence shown where the list is cut.
-    cut: Option<String>,
+    /// Sentence shown if the list is truncated.
+    truncation_note: Option<String>,
     /// Sentence about hosts that connected before, shown while none reports.
     known: Option<String>,
     /// Hosts whose connections were refused recently.
     refused: Vec<RefusedLine>,
-    /// Hosts that are stored but not in the live picture: name and time of the last report.
+    /// Hosts that are stored but not in the live state: name and time of the last report.
     past: Vec<(String, ZonedTime)>,
-    /// Sentence shown where the list of past hosts is cut.
-    past_cut: Option<String>,
+    /// Sentence shown if the list of past hosts is truncated.
+    past_truncation_note: Option<String>,
 }
 
 /// `GET /hosts`.
 async fn show(State(app): State<App>) -> Page {
-    let stored = AppState::beside_live(app.store().hosts().await)?;
-    page(&hosts(&app, &app.picture(), &stored))
+    let stored = AppState::empty_while_closed(app.store().hosts().await)?;
+    page(&hosts(&app, &app.live_state(), &stored))
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-    let page = hosts(app, picture, &[]);
+pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    let page = hosts(app, snapshot, &[]);
     let parts = vec![
         ("title", page.as_title().render()?),
         ("list", page.as_list().render()?),
@@ -68,35 +68,40 @@ pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebE
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn hosts(app: &AppState, picture: &LiveState, stored: &[HostRow]) -> Hosts {
-    let connected = picture.hosts.iter().filter(|host| host.connected).count();
-    let title = match picture.hosts.len() {
-        0 if picture.absent > 0 => awaited::WAITING.to_owned(),
+fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
+    let connected = snapshot.hosts.iter().filter(|host| host.connected).count();
+    let title = match snapshot.hosts.len() {
+        0 if snapshot.absent > 0 => startup::WAITING.to_owned(),
         0 => "No host has reported yet".to_owned(),
         1 => format!("1 host, {}connected", if connected == 1 { "" } else { "not " }),
         all if all == connected => format!("{all} hosts, all connected"),
         all => format!("{connected} of {all} hosts are connected"),
     };
-    let past_title = match picture.hosts.len() {
+    let past_title = match snapshot.hosts.len() {
         0 => "No host had reported".to_owned(),
         1 => format!("{connected} of 1 host was connected"),
         all => format!("{connected} of {all} hosts were connected"),
     };
-    let live: HashSet<_> = picture.hosts.iter().map(|host| host.id).collect();
+    let live: HashSet<_> = snapshot.hosts.iter().map(|host| host.id).collect();
     let past: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
     Hosts {
-        shell: Shell::new(app, picture, "/hosts", "Hosts").live(TOPIC),
+        shell: Shell::new(app, snapshot, "/hosts", "Hosts").live(TOPIC),
         title,
         past_title,
-        hosts: HostLine::first(cut::LIST, picture, app.clock.identity(), app.zone),
-        events: picture.hosts.iter().take(cut::LIST).map(|host| EventLine::new(host)).collect(),
-        cut: cut::words(cut::LIST, picture.hosts.len()),
-        known: awaited::known(picture),
-        refused: RefusedLine::all(picture, app.zone),
-        past_cut: cut::words(cut::LIST, past.len()),
+        hosts: HostLine::first(list_limits::MAX_IN_LIST, snapshot, app.clock.identity(), app.zone),
+        events: snapshot
+            .hosts
+            .iter()
+            .take(list_limits::MAX_IN_LIST)
+            .map(|host| EventLine::new(host))
+            .collect(),
+        truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, snapshot.hosts.len()),
+        known: startup::absent_hosts_sentence(snapshot),
+        refused: RefusedLine::all(snapshot, app.zone),
+        past_truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, past.len()),
         past: past
             .iter()
-            .take(cut::LIST)
+            .take(list_limits::MAX_IN_LIST)
             .map(|row| (row.name.to_string(), app.zone.moment(row.last_seen)))
             .collect(),
     }

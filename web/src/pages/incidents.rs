@@ -1,4 +1,4 @@
-//! Page of incidents: events beside the measurements.
+//! Page of incidents: occurrences beside the measurements.
 
 use askama::Template;
 use axum::Router;
@@ -76,7 +76,7 @@ async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> P
     let more = rows.len() > ROWS as usize;
     rows.truncate(ROWS as usize);
     page(&Incidents {
-        shell: Shell::new(&app, &app.picture(), "/incidents", "Incidents"),
+        shell: Shell::new(&app, &app.live_state(), "/incidents", "Incidents"),
         title: match (rows.is_empty(), is_filtered) {
             (true, true) => "No such incident is stored",
             (true, false) => "Nothing out of the ordinary has happened",

@@ -120,7 +120,7 @@ fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<Stri
 
 fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Iteration {
     let (run, row) = (&stored.summary, &detail.row);
-    let picture = app.picture();
+    let snapshot = app.live_state();
     let timeline = Timeline::of(detail);
     let scale = Scale::fit(timeline.end * 1e3, 6);
     let host = |index: usize| {
@@ -134,7 +134,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
     Iteration {
         shell: Shell::new(
             app,
-            &picture,
+            &snapshot,
             "/runs",
             format!("Iteration {} of {}", count(row.number), place::run_name(run)),
         ),
@@ -145,7 +145,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         facts: facts(app, run, detail),
         warm_up: row.warm_up,
         rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
-        link: link::of_placement(&picture, run.host_name.as_str(), &run.placement),
+        link: link::of_placement(&snapshot, run.host_name.as_str(), &run.placement),
         previous: neighbour(detail.previous),
         next: neighbour(detail.next),
         slower: detail.slower,

@@ -10,20 +10,20 @@ use super::Update;
 use crate::error::WebError;
 use crate::state::{App, AppState};
 
-/// A page: the file of each holds one, and the list in `pages/mod.rs` names it.
+/// Registration of a page. Each page's file has one, and the list in `pages/mod.rs` names it.
 pub(crate) struct PageKind {
     /// Routes of the page.
     pub routes: fn() -> Router<App>,
-    /// Entry in the navigation; `None` for a page that belongs to the entry of another.
+    /// Entry in the navigation; `None` for a page below the entry of another.
     pub entry: Option<NavigationEntry>,
-    /// Topic that updates the page while it is shown; `None` for a page that is not updated.
+    /// Topic that updates the page while it is open; `None` for a page without live updates.
     pub topic: Option<LiveTopic>,
 }
 
 /// An entry of the navigation.
 pub(crate) struct NavigationEntry {
     pub name: &'static str,
-    /// Address of the page; those of the pages that belong to it begin with it.
+    /// Address of the page; the addresses of pages below it begin with it.
     pub address: &'static str,
     /// Key that opens it, pressed after `g`.
     pub key: &'static str,
@@ -33,7 +33,7 @@ pub(crate) struct NavigationEntry {
 pub(crate) struct LiveTopic {
     /// Form of the topic: `hosts`, or `host/HOST` where the text after the first slash identifies the page.
     pub form: &'static str,
-    /// Renders the changed parts, from a picture and the text after the first slash.
+    /// Renders the changed parts, from a snapshot and the text after the first slash of the topic.
     pub update: for<'a> fn(&'a AppState, &'a LiveState, &'a str) -> UpdateFuture<'a>,
 }
 
@@ -51,16 +51,16 @@ impl PageTopic {
     /// Finds the topic of a text among those of the pages.
     pub(crate) fn find(text: &str, mut topics: impl Iterator<Item = &'static LiveTopic>) -> Option<Self> {
         let (name, rest) = parts(text);
-        let is_meant = |topic: &&LiveTopic| {
+        let matches = |topic: &&LiveTopic| {
             let (known, form) = parts(topic.form);
             known == name && form.is_some() == rest.is_some()
         };
-        topics.find(is_meant).map(|topic| Self { topic, rest: rest.unwrap_or_default().to_owned() })
+        topics.find(matches).map(|topic| Self { topic, rest: rest.unwrap_or_default().to_owned() })
     }
 
     /// Renders the changed parts of the page.
-    pub(crate) async fn update(&self, app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-        (self.topic.update)(app, picture, &self.rest).await
+    pub(crate) async fn update(&self, app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+        (self.topic.update)(app, snapshot, &self.rest).await
     }
 }
 

@@ -1,4 +1,4 @@
-//! Page of one link: whether one-way delays between its hosts can be trusted, and the state of the network.
+//! Page of one link: the accuracy of one-way delays between its hosts, and the state of the network.
 
 use askama::Template;
 use axum::Router;
@@ -38,17 +38,18 @@ pub(super) const PAGE: PageKind = PageKind {
     entry: None,
     topic: Some(LiveTopic {
         form: "link/EDGE~CLOUD/RANGE/OFFSET",
-        update: |app, picture, rest| Box::pin(update(app, picture, rest)),
+        update: |app, snapshot, rest| Box::pin(update(app, snapshot, rest)),
     }),
 };
 
 /// Name of its topic of the live stream.
 const TOPIC: &str = "link";
-/// Largest number of points of a picture.
-const POINTS: u32 = 360;
-/// Number of incidents searched for those of the link, and number of incidents listed.
-const INCIDENTS: u32 = 1_000;
-const LISTED: usize = 8;
+/// Maximum number of points of the chart.
+const MAX_POINTS: u32 = 360;
+/// Number of newest incidents that are searched for those of the link.
+const SEARCHED_INCIDENTS: u32 = 1_000;
+/// Maximum number of incidents that are listed.
+const MAX_INCIDENTS: usize = 8;
 
 /// Query parameters.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
@@ -60,7 +61,7 @@ pub(crate) struct Query {
     offset: OffsetView,
 }
 
-/// Time range of the picture.
+/// Time range of the chart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 enum Range {
     #[default]
@@ -75,7 +76,7 @@ enum Range {
 impl Range {
     const ALL: [Self; 3] = [Self::Minutes, Self::Hour, Self::Day];
 
-    const fn word(self) -> &'static str {
+    const fn query_value(self) -> &'static str {
         match self {
             Self::Minutes => "10min",
             Self::Hour => "1h",
@@ -124,7 +125,7 @@ pub(super) struct Link {
     rehearsal: Option<Chip>,
     same_clock: bool,
     heading: &'static str,
-    /// Address, name, whether it is chosen.
+    /// Address, name, and whether it is selected.
     ranges: Vec<(String, &'static str, bool)>,
     views: Vec<(String, &'static str, bool)>,
     stats: Vec<Stat>,
@@ -132,7 +133,7 @@ pub(super) struct Link {
     rows: Vec<Row>,
     meanings: Vec<Meaning>,
     origin: Origin,
-    /// Conditions under which the bounds hold; `None` where both hosts read one clock.
+    /// Conditions under which the bounds hold; `None` if both hosts read one clock.
     promise: Option<String>,
     assumptions: Pairs,
     probes: Pairs,
@@ -152,52 +153,56 @@ async fn show(
     Parameters(query): Parameters<Query>,
 ) -> Page {
     let wanted = canonical(path(link)?);
-    let picture = app.picture();
-    let incidents = AppState::beside_live(app.store().incidents(&IncidentFilter::newest(INCIDENTS)).await)?;
-    if let Some(link) = find(&picture, &wanted) {
+    let snapshot = app.live_state();
+    let incidents = AppState::empty_while_closed(
+        app.store().incidents(&IncidentFilter::newest(SEARCHED_INCIDENTS)).await,
+    )?;
+    if let Some(link) = find(&snapshot, &wanted) {
         let subject = Subject::live(link);
         let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());
         let shown = match query.range {
             Range::Minutes => None,
             range => Some(stored(&app, &subject, range).await?),
         };
-        return page(&link_page(&app, &picture, &subject, &now, shown.as_ref(), query, &incidents));
+        return page(&link_page(&app, &snapshot, &subject, &now, shown.as_ref(), query, &incidents));
     }
     let rows = app.store().links().await?;
     let mut stored_links = rows.iter().map(Subject::past);
     let subject = stored_links.find(|link| link.name() == wanted).ok_or_else(|| no_link(&wanted))?;
     let course = stored(&app, &subject, query.range).await?;
     let assumptions = app.store().link_assumptions(&subject.key).await?;
-    let subject = subject.remembering(&course).assuming(assumptions);
-    page(&link_page(&app, &picture, &subject, &course, None, query, &incidents))
+    let subject = subject.with_last_offset(&course).with_assumptions(assumptions);
+    page(&link_page(&app, &snapshot, &subject, &course, None, query, &incidents))
 }
 
 async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<Course, WebError> {
     let (from, to) = (subject.end - Span::from_seconds(range.seconds()), subject.end);
-    let series = app.store().clock_series(&subject.key, from, to, POINTS).await?;
+    let series = app.store().clock_series(&subject.key, from, to, MAX_POINTS).await?;
     Ok(Course::stored(series, from, to))
 }
 
 /// Renders the changed parts of the page.
-pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<Update, WebError> {
+pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(wanted), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
-            "topics: a link's topic is link/EDGE~CLOUD/RANGE/OFFSET".to_owned(),
+            "query parameter topics: the topic of a link has the form link/EDGE~CLOUD/RANGE/OFFSET"
+                .to_owned(),
         ));
     };
-    let range = Range::ALL.into_iter().find(|known| known.word() == range);
+    let range = Range::ALL.into_iter().find(|known| known.query_value() == range);
     let view = [OffsetView::Removed, OffsetView::Measured].into_iter().find(|known| known.word() == view);
     let (Some(range), Some(offset)) = (range, view) else {
         return Err(WebError::BadRequest(
-            "topics: a link's range is 10min, 1h or 24h, its offset removed or measured".to_owned(),
+            "query parameter topics: the range of a link is 10min, 1h or 24h, its offset removed or measured"
+                .to_owned(),
         ));
     };
-    let link = find(picture, wanted).ok_or_else(|| no_link(wanted))?;
+    let link = find(snapshot, wanted).ok_or_else(|| no_link(wanted))?;
     let incidents = app.recent_incidents().await?;
     let subject = Subject::live(link);
     let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());
-    let page = link_page(app, picture, &subject, &now, None, Query { range, offset }, &incidents);
+    let page = link_page(app, snapshot, &subject, &now, None, Query { range, offset }, &incidents);
     let mut parts = vec![
         ("title", page.as_title().render()?),
         ("figures", page.as_figures().render()?),
@@ -209,7 +214,7 @@ pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> R
         ("connections", page.as_connections().render()?),
         ("clocks", page.as_clocks().render()?),
     ];
-    // Pictures of longer ranges are read from the store and do not change with the stream.
+    // Charts of longer ranges are read from the store, so the live stream does not update them.
     if range == Range::Minutes {
         parts.extend([
             ("chart", page.as_chart().render()?),
@@ -220,16 +225,16 @@ pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> R
     Ok(Update::new(page.shell.title, parts))
 }
 
-/// Returns the incidents of both hosts that fall into a course, at their times on the edge's clock, newest first.
-fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> Vec<IncidentRow> {
+/// Returns the incidents of both hosts within the time range, newest first. Their times are converted to the edge's clock.
+fn incidents_of_link(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> Vec<IncidentRow> {
     let names = [subject.edge.as_str(), subject.cloud.as_str()];
-    let known = |name: &str| names.contains(&name);
+    let is_end = |name: &str| names.contains(&name);
     // Other incidents of the two hosts say nothing about the network between them.
-    let beside = |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "control");
-    let ours = rows.iter().filter(beside);
+    let concerns_network = |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "control");
+    let ours = rows.iter().filter(concerns_network);
     let ours = ours.filter(|row| {
-        row.host_name.as_ref().is_some_and(|name| known(name.as_str()))
-            && row.peer.as_deref().is_none_or(known)
+        row.host_name.as_ref().is_some_and(|name| is_end(name.as_str()))
+            && row.peer.as_deref().is_none_or(is_end)
     });
     let placed = ours.map(|row| {
         let reported_by = row.host_name.as_ref().map(peernet_logger::Slug::as_str);
@@ -241,12 +246,12 @@ fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> V
     placed
 }
 
-fn facts(subject: &Subject<'_>, picture: &LiveState) -> Vec<String> {
+fn facts(subject: &Subject<'_>, snapshot: &LiveState) -> Vec<String> {
     let mut facts = vec![subject.key.network.to_string()];
     if let Some(link) = subject.live {
         facts.push(panels::probing(&link.live.probing));
         if !link.connected {
-            let ago = peernet_statistics::number::length((picture.at - link.last_seen).seconds().max(0.0));
+            let ago = peernet_statistics::number::length((snapshot.at - link.last_seen).seconds().max(0.0));
             facts.push(format!("told of {ago} ago"));
         }
     }
@@ -257,7 +262,7 @@ fn facts(subject: &Subject<'_>, picture: &LiveState) -> Vec<String> {
 
 pub(super) fn link_page(
     app: &AppState,
-    picture: &LiveState,
+    snapshot: &LiveState,
     subject: &Subject<'_>,
     now: &Course,
     shown: Option<&Course>,
@@ -266,18 +271,18 @@ pub(super) fn link_page(
 ) -> Link {
     let course = shown.unwrap_or(now);
     let name = subject.name();
-    let mine = concerning(subject, course, incidents);
+    let mine = incidents_of_link(subject, course, incidents);
     let address =
-        |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.word(), offset.word());
-    let shell = Shell::new(app, picture, "/links", subject.route());
-    let topic = format!("{TOPIC}/{name}/{}/{}", query.range.word(), query.offset.word());
-    let rehearsed = Rehearsed::of(picture).concerns(&[&subject.edge, &subject.cloud]);
+        |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.query_value(), offset.word());
+    let shell = Shell::new(app, snapshot, "/links", subject.route());
+    let topic = format!("{TOPIC}/{name}/{}/{}", query.range.query_value(), query.offset.word());
+    let rehearsed = Rehearsed::of(snapshot).concerns(&[&subject.edge, &subject.cloud]);
     Link {
         shell: if subject.live.is_some() { shell.live(topic) } else { shell },
         edge: subject.edge.clone(),
         route: subject.route(),
         title: title(subject, app.zone),
-        facts: facts(subject, picture),
+        facts: facts(subject, snapshot),
         pipelines: subject.pipelines(),
         rehearsal: rehearsed.then_some(rehearsal::CHIP),
         same_clock: subject.same_clock(),
@@ -297,12 +302,12 @@ pub(super) fn link_page(
         assumptions: basis::pairs(subject, now),
         probes: panels::probes(subject, now),
         reflector: panels::reflector(subject),
-        carried: CarriedRow::all(picture, subject),
+        carried: CarriedRow::all(snapshot, subject),
         directions: connections::rows(subject),
         connections: connections::routes(subject),
         hosts: panels::hosts(subject),
         exchanges: panels::exchanges(subject),
-        incidents: IncidentLine::all(&mine[..mine.len().min(LISTED)], app.zone),
+        incidents: IncidentLine::all(&mine[..mine.len().min(MAX_INCIDENTS)], app.zone),
         name,
     }
 }

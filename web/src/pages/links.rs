@@ -14,14 +14,14 @@ use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::cut;
 use crate::view::link::list::{LinkLine, PastLine, title};
+use crate::view::list_limits;
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/links", get(show)),
     entry: Some(NavigationEntry { name: "Links", address: "/links", key: "l" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
 };
 
 /// Name of its topic of the live stream.
@@ -33,33 +33,33 @@ struct Links {
     shell: Shell,
     title: String,
     lines: Vec<LinkLine>,
-    /// Sentence shown where the list is cut.
-    cut: Option<String>,
-    /// Links that are stored but not in the live picture.
+    /// Sentence shown if the list is truncated.
+    truncation_note: Option<String>,
+    /// Links that are stored but not in the live state.
     past: Vec<PastLine>,
 }
 
 /// `GET /links`.
 async fn show(State(app): State<App>) -> Page {
-    let stored = AppState::beside_live(app.store().links().await)?;
-    page(&links(&app, &app.picture(), &stored))
+    let stored = AppState::empty_while_closed(app.store().links().await)?;
+    page(&links(&app, &app.live_state(), &stored))
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-    let page = links(app, picture, &[]);
+pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    let page = links(app, snapshot, &[]);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn links(app: &AppState, picture: &LiveState, stored: &[LinkRow]) -> Links {
-    let mut past = PastLine::all(stored, picture, app.zone);
-    past.truncate(cut::LIST);
+fn links(app: &AppState, snapshot: &LiveState, stored: &[LinkRow]) -> Links {
+    let mut past = PastLine::all(stored, snapshot, app.zone);
+    past.truncate(list_limits::MAX_IN_LIST);
     Links {
-        shell: Shell::new(app, picture, "/links", "Links").live(TOPIC),
-        title: title(picture),
-        lines: LinkLine::first(cut::LIST, picture, app.zone),
-        cut: cut::words(cut::LIST, picture.links.len()),
+        shell: Shell::new(app, snapshot, "/links", "Links").live(TOPIC),
+        title: title(snapshot),
+        lines: LinkLine::first(list_limits::MAX_IN_LIST, snapshot, app.zone),
+        truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, snapshot.links.len()),
         past,
     }
 }

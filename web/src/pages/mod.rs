@@ -1,5 +1,6 @@
-//! The dashboard: one file per page, its template next to it. A page is complete when it arrives; its live parts are blocks of its
-//! template, which the live stream sends again.
+//! The dashboard: one file per page, with its template next to it.
+//!
+//! A page is complete when it is loaded. Its live parts are blocks of its template, which the live stream sends again.
 //!
 //! This file registers them: a page is named here twice, as a module and in [`PAGES`], and nowhere else in the program.
 
@@ -60,7 +61,7 @@ pub(crate) fn routes() -> Router<App> {
 }
 
 /// Returns the entries of the navigation.
-fn entries() -> impl Iterator<Item = &'static NavigationEntry> {
+fn navigation_entries() -> impl Iterator<Item = &'static NavigationEntry> {
     PAGES.iter().filter_map(|page| page.entry.as_ref())
 }
 
@@ -82,7 +83,7 @@ fn page(template: &impl Template) -> Page {
     Ok(Html(template.render()?))
 }
 
-/// Returns the values of a path; nonsense in it is an address that does not exist.
+/// Returns the values of a path, or `NotFound` if one of them is invalid: such a page does not exist.
 fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| WebError::NotFound(rejection.body_text()))
 }
@@ -90,7 +91,7 @@ fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
 /// Changed parts of a live page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Update {
-    /// Identifier of the layout; when it changes, the page must be fetched again, because it has other parts.
+    /// Identifier of the layout. When it changes, the script reloads the page, because the page has other parts.
     pub layout: String,
     /// Title of the window.
     pub title: String,

@@ -13,21 +13,21 @@ use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::awaited;
 use crate::view::chart::{ChartCard, Mark};
-use crate::view::cut;
 use crate::view::data::JsonBlock;
 use crate::view::health::Health;
 use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::incidents::IncidentLine;
+use crate::view::list_limits;
 use crate::view::now::NowTable;
+use crate::view::startup;
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/", get(show)),
     entry: Some(NavigationEntry { name: "Overview", address: "/", key: "o" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(update(app, picture)) }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(update(app, snapshot)) }),
 };
 
 /// Name of its topic of the live stream.
@@ -42,8 +42,8 @@ pub(super) struct Overview {
     now: NowTable,
     charts: Vec<ChartCard>,
     hosts: Vec<HostLine>,
-    /// Sentences shown where the lists of pipelines and of hosts are cut.
-    cut: [Option<String>; 2],
+    /// Sentences shown if the lists of pipelines and of hosts are truncated.
+    truncation_note: [Option<String>; 2],
     /// `Err` holds the id under which the failure was logged.
     incidents: Result<Vec<IncidentLine>, String>,
     data: JsonBlock,
@@ -64,24 +64,24 @@ pub(super) struct Empty {
 
 /// `GET /`.
 async fn show(State(app): State<App>) -> Page {
-    let picture = app.picture();
-    if picture.hosts.is_empty() && picture.pipelines.is_empty() {
-        return page(&empty(&app, &picture));
+    let snapshot = app.live_state();
+    if snapshot.hosts.is_empty() && snapshot.pipelines.is_empty() {
+        return page(&empty(&app, &snapshot));
     }
     let incidents = incidents(&app).await;
-    page(&overview(&app, &picture, incidents)?)
+    page(&overview(&app, &snapshot, incidents)?)
 }
 
 /// Renders the changed parts of the page.
-pub(super) async fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-    if picture.hosts.is_empty() && picture.pipelines.is_empty() {
-        let page = empty(app, picture);
+pub(super) async fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    if snapshot.hosts.is_empty() && snapshot.pipelines.is_empty() {
+        let page = empty(app, snapshot);
         let parts = vec![("seen", page.as_seen().render()?)];
         return Ok(Update { layout: page.layout, ..Update::new(page.shell.title, parts) });
     }
     let incidents = incidents(app).await;
     let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
-    let page = overview(app, picture, incidents)?;
+    let page = overview(app, snapshot, incidents)?;
     let parts = vec![
         ("health", page.as_health().render()?),
         ("now", page.as_now().render()?),
@@ -95,49 +95,51 @@ pub(super) async fn update(app: &AppState, picture: &LiveState) -> Result<Update
 
 type Incidents = Result<Vec<IncidentRow>, String>;
 
-/// Returns the newest incidents. A store that fails breaks its panel and nothing else.
+/// Returns the newest incidents, or the id of the logged error: a failing store affects only its own panel.
 async fn incidents(app: &AppState) -> Incidents {
     let rows = app.newest_incidents().await;
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
 }
 
-pub(super) fn empty(app: &AppState, picture: &LiveState) -> Empty {
-    let known = awaited::known(picture);
-    let title = if known.is_some() { awaited::WAITING } else { "No host has reported yet" };
+pub(super) fn empty(app: &AppState, snapshot: &LiveState) -> Empty {
+    let known = startup::absent_hosts_sentence(snapshot);
+    let title = if known.is_some() { startup::WAITING } else { "No host has reported yet" };
     Empty {
-        shell: Shell::new(app, picture, "/", title).live(TOPIC),
+        shell: Shell::new(app, snapshot, "/", title).live(TOPIC),
         title,
         known,
         layout: "empty".to_owned(),
-        listening: picture.listening.clone(),
-        since: app.zone.moment(app.since),
-        refused: RefusedLine::all(picture, app.zone),
+        listening: snapshot.listening.clone(),
+        since: app.zone.moment(app.started_at),
+        refused: RefusedLine::all(snapshot, app.zone),
     }
 }
 
-/// Pipelines that run, or did and are still remembered, come first; as many as are shown.
-fn ordered(picture: &LiveState) -> Vec<&PipelineSnapshot> {
-    let mut pipelines: Vec<&PipelineSnapshot> = picture.pipelines.iter().map(|one| &**one).collect();
+/// Returns the pipelines to show, running ones first.
+fn shown_pipelines(snapshot: &LiveState) -> Vec<&PipelineSnapshot> {
+    let mut pipelines: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|one| &**one).collect();
     pipelines.sort_by_key(|one| one.state != PipelineState::Running);
-    pipelines.truncate(cut::OVERVIEW);
+    pipelines.truncate(list_limits::MAX_ON_OVERVIEW);
     pipelines
 }
 
 pub(super) fn overview(
     app: &AppState,
-    picture: &LiveState,
+    snapshot: &LiveState,
     incidents: Incidents,
 ) -> Result<Overview, WebError> {
-    let health = Health::of(picture, app.zone, app.since, &app.warn);
-    let pipelines = ordered(picture);
-    let charts: Vec<ChartCard> = pipelines.iter().map(|one| ChartCard::new(one, picture, app.zone)).collect();
+    let health = Health::of(snapshot, app.zone, app.started_at, &app.warn);
+    let pipelines = shown_pipelines(snapshot);
+    let charts: Vec<ChartCard> =
+        pipelines.iter().map(|one| ChartCard::new(one, snapshot, app.zone)).collect();
     let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
     Ok(Overview {
-        shell: Shell::new(app, picture, "/", health.title.clone()).live(TOPIC),
+        shell: Shell::new(app, snapshot, "/", health.title.clone()).live(TOPIC),
         layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
         now: NowTable::new(&pipelines),
-        hosts: HostLine::first(cut::OVERVIEW, picture, app.clock.identity(), app.zone),
-        cut: [picture.pipelines.len(), picture.hosts.len()].map(|all| cut::words(cut::OVERVIEW, all)),
+        hosts: HostLine::first(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone),
+        truncation_note: [snapshot.pipelines.len(), snapshot.hosts.len()]
+            .map(|all| list_limits::truncation_note(list_limits::MAX_ON_OVERVIEW, all)),
         incidents: incidents.map(|rows| IncidentLine::all(&rows, app.zone)),
         data: ChartCard::data(&charts, &marks)?,
         charts,

@@ -42,7 +42,7 @@ pub(super) const PAGE: PageKind = PageKind {
     entry: None,
     topic: Some(LiveTopic {
         form: "pipeline/HOST/PIPELINE/SECONDS",
-        update: |app, picture, rest| Box::pin(ready(update(app, picture, rest))),
+        update: |app, snapshot, rest| Box::pin(ready(update(app, snapshot, rest))),
     }),
 };
 
@@ -55,7 +55,7 @@ const RUNS: u32 = 20;
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
-    /// Seconds over which figures are taken: 1, 10 or 60.
+    /// Length of the window of the statistics, seconds: 1, 10 or 60.
     window: Option<u32>,
 }
 
@@ -80,18 +80,18 @@ struct PipelinePage {
     bar: Bar,
     stages: Vec<StageRow>,
     name: String,
-    /// One: the page shares the template of charts with the overview.
+    /// Always one chart. It is a list because the page shares the template of charts with the overview.
     charts: Vec<ChartCard>,
     runs: Vec<RunLine>,
     data: JsonBlock,
 }
 
-/// A quiet name, a figure and its unit.
+/// A figure with its name and unit.
 struct Stat {
     name: &'static str,
     number: String,
     unit: &'static str,
-    /// Reason why there is no figure; empty if there is one.
+    /// Reason for a missing figure; empty if the figure is present.
     title: String,
 }
 
@@ -102,24 +102,25 @@ async fn show(
     Parameters(query): Parameters<Query>,
 ) -> Page {
     let (host, name) = path(names)?;
-    let picture = app.picture();
-    let pipeline = find(&picture, &host, &name)?;
+    let snapshot = app.live_state();
+    let pipeline = find(&snapshot, &host, &name)?;
     let runs = runs(&app, pipeline).await?;
     let incidents = app.newest_incidents().await?;
     let marks = Mark::all(&incidents);
-    page(&pipeline_page(&app, &picture, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
+    page(&pipeline_page(&app, &snapshot, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(host), Some(name), Some(seconds)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
-            "topics: a pipeline's topic is pipeline/HOST/PIPELINE/SECONDS".to_owned(),
+            "query parameter topics: the topic of a pipeline has the form pipeline/HOST/PIPELINE/SECONDS"
+                .to_owned(),
         ));
     };
-    let pipeline = find(picture, host, name)?;
-    let page = pipeline_page(app, picture, pipeline, seconds.parse().unwrap_or(10), &[], &[])?;
+    let pipeline = find(snapshot, host, name)?;
+    let page = pipeline_page(app, snapshot, pipeline, seconds.parse().unwrap_or(10), &[], &[])?;
     let parts = vec![
         ("title", page.as_title().render()?),
         ("figures", page.as_figures().render()?),
@@ -129,11 +130,11 @@ pub(super) fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<
     Ok(Update { layout: page.layout, obstacles, ..Update::new(page.shell.title, parts) })
 }
 
-fn find<'a>(picture: &'a LiveState, host: &str, name: &str) -> Result<&'a PipelineSnapshot, WebError> {
+fn find<'a>(snapshot: &'a LiveState, host: &str, name: &str) -> Result<&'a PipelineSnapshot, WebError> {
     let matches = |one: &&PipelineSnapshot| one.host_name.as_str() == host && one.pipeline.as_str() == name;
-    picture.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
+    snapshot.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
         WebError::NotFound(format!(
-            "no pipeline {name} of host {host} has reported; what was stored of it is among the runs"
+            "host {host} has not reported a pipeline {name}; its stored runs are listed under /runs"
         ))
     })
 }
@@ -145,7 +146,7 @@ async fn runs(app: &AppState, pipeline: &PipelineSnapshot) -> Result<Vec<RunSumm
         limit: RUNS,
         ..RunFilter::default()
     };
-    Ok(AppState::beside_live(app.store().runs(&filter).await)?)
+    Ok(AppState::empty_while_closed(app.store().runs(&filter).await)?)
 }
 
 /// Returns the title of the page: latency and longest stage.
@@ -224,14 +225,14 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
 
 fn pipeline_page(
     app: &AppState,
-    picture: &LiveState,
+    snapshot: &LiveState,
     pipeline: &PipelineSnapshot,
     seconds: u32,
     runs: &[RunSummary],
     marks: &[Mark],
 ) -> Result<PipelinePage, WebError> {
     let window = pipeline.window(seconds).ok_or_else(|| {
-        WebError::BadRequest(format!("window: figures are taken over 1, 10 or 60 seconds, not {seconds}"))
+        WebError::BadRequest(format!("query parameter window: {seconds} is not one of 1, 10 and 60"))
     })?;
     let stack = Stack::of_window(window);
     let host = pipeline.host_name.to_string();
@@ -239,18 +240,18 @@ fn pipeline_page(
     let mut facts = vec![place::route(&host, placement)];
     facts.extend(placement.network.clone());
     facts.extend([place::model(placement), pipeline.load.clone()]);
-    facts.push(format!("heard of {} ago", length((picture.at - pipeline.last_seen).seconds().max(0.0))));
-    let charts = vec![ChartCard::new(pipeline, picture, app.zone)];
-    let link = link::of_placement(picture, &host, placement);
+    facts.push(format!("heard of {} ago", length((snapshot.at - pipeline.last_seen).seconds().max(0.0))));
+    let charts = vec![ChartCard::new(pipeline, snapshot, app.zone)];
+    let link = link::of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
-    let rehearsed = Rehearsed::of(picture).concerns(&[&host, cloud]);
+    let rehearsed = Rehearsed::of(snapshot).concerns(&[&host, cloud]);
     Ok(PipelinePage {
-        shell: Shell::new(app, picture, "/pipelines", format!("{} on {host}", pipeline.pipeline))
+        shell: Shell::new(app, snapshot, "/pipelines", format!("{} on {host}", pipeline.pipeline))
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),
         rehearsal: rehearsed.then_some(rehearsal::CHIP),
-        notes: Note::of_delays(pipeline.pipeline.as_str(), "", link.as_deref(), &window.bounds, |name| {
+        notes: Note::delay_notes(pipeline.pipeline.as_str(), "", link.as_deref(), &window.bounds, |name| {
             window.value(name).copied()
         }),
         link,
@@ -262,7 +263,7 @@ fn pipeline_page(
         clock: ClockCell::of(placement.kind, &window.bounds),
         bar: stack.whole("big"),
         stages: StageRow::of_window(window),
-        runs: runs.iter().map(|run| RunLine::new(run, picture, app.zone)).collect(),
+        runs: runs.iter().map(|run| RunLine::new(run, snapshot, app.zone)).collect(),
         layout: format!("{host}/{}", pipeline.pipeline),
         name: pipeline.pipeline.to_string(),
         data: ChartCard::data(&charts, marks)?,

@@ -16,13 +16,13 @@ use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::now::{NowRow, NowTable};
 use crate::view::place;
-use crate::view::{awaited, cut};
+use crate::view::{list_limits, startup};
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/pipelines", get(show)),
     entry: Some(NavigationEntry { name: "Pipelines", address: "/pipelines", key: "p" }),
-    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, snapshot, _| Box::pin(ready(update(app, snapshot))) }),
 };
 
 /// Name of its topic of the live stream.
@@ -36,8 +36,8 @@ struct Pipelines {
     /// The title in the past tense, for when the connection is lost.
     past: String,
     lines: Vec<Line>,
-    /// Sentence shown where the list is cut.
-    cut: Option<String>,
+    /// Sentence shown if the list is truncated.
+    truncation_note: Option<String>,
 }
 
 struct Line {
@@ -62,21 +62,21 @@ fn state(pipeline: &PipelineSnapshot) -> String {
 
 /// `GET /pipelines`.
 async fn show(State(app): State<App>) -> Page {
-    page(&pipelines(&app, &app.picture()))
+    page(&pipelines(&app, &app.live_state()))
 }
 
 /// Renders the changed parts of the page.
-pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
-    let page = pipelines(app, picture);
+pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    let page = pipelines(app, snapshot);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn pipelines(app: &AppState, picture: &LiveState) -> Pipelines {
-    let all: Vec<&PipelineSnapshot> = picture.pipelines.iter().map(|one| &**one).collect();
+fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
+    let all: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|one| &**one).collect();
     let running = all.iter().filter(|one| one.state == PipelineState::Running).count();
     let title = match all.len() {
-        0 if awaited::starting(picture, app.since) => awaited::WAITING.to_owned(),
+        0 if startup::is_waiting_for_agents(snapshot, app.started_at) => startup::WAITING.to_owned(),
         0 => "No pipeline has reported yet".to_owned(),
         1 => format!("1 pipeline, {running} running"),
         many => format!("{many} pipelines, {running} running"),
@@ -85,7 +85,7 @@ fn pipelines(app: &AppState, picture: &LiveState) -> Pipelines {
         0 => "No pipeline had reported".to_owned(),
         many => format!("{running} of {many} pipelines ran"),
     };
-    let shown = &all[..all.len().min(cut::LIST)];
+    let shown = &all[..all.len().min(list_limits::MAX_IN_LIST)];
     let rows = NowTable::new(shown).rows;
     let lines = shown.iter().zip(rows).map(|(pipeline, figures)| Line {
         figures,
@@ -97,10 +97,10 @@ fn pipelines(app: &AppState, picture: &LiveState) -> Pipelines {
         run: pipeline.run_number,
     });
     Pipelines {
-        shell: Shell::new(app, picture, "/pipelines", "Pipelines").live(TOPIC),
+        shell: Shell::new(app, snapshot, "/pipelines", "Pipelines").live(TOPIC),
         title,
         past,
         lines: lines.collect(),
-        cut: cut::words(cut::LIST, all.len()),
+        truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, all.len()),
     }
 }

@@ -1,4 +1,4 @@
-//! Page of one run: the speed of its configuration, the certainty of that, and unusual iterations.
+//! Page of one run: latency by stage, its accuracy, and unusual iterations.
 
 use askama::Template;
 use axum::Router;
@@ -36,13 +36,13 @@ use crate::zone::Zone;
 pub(super) const PAGE: PageKind =
     PageKind { routes: || Router::new().route("/runs/{run}", get(show)), entry: None, topic: None };
 
-/// Bins of a distribution.
+/// Number of bins of a distribution.
 const BINS: usize = 48;
-/// Points of the line over time.
+/// Maximum number of points of the line over time.
 const POINTS: usize = 240;
-/// Slowest iterations, as points over time.
+/// Number of slowest iterations that are drawn over time.
 const OUTLIERS: u32 = 40;
-/// Rows of the table of iterations without an answer.
+/// Number of rows of the table of iterations without an answer.
 const UNANSWERED: u32 = 8;
 
 /// Reason why a run has no rate.
@@ -85,9 +85,9 @@ struct Run {
     stats: Vec<(&'static str, String, &'static str)>,
     iterations: (String, String),
     lost: (String, String),
-    /// Miss rate, and its base, where there is a deadline.
+    /// Miss rate and its base; `None` without a deadline.
     missed: Option<(String, String)>,
-    /// Starts that were skipped, and their share, where there are any.
+    /// Number of skipped starts and their share; `None` if no start was skipped.
     skipped: Option<(String, String)>,
     clock: ClockCell,
     directions: Vec<(String, Chip)>,
@@ -97,9 +97,9 @@ struct Run {
     distribution: Distribution,
     bucket: u32,
     buckets: Vec<Bucket>,
-    /// Sentences about episodes, and about iterations without an answer.
+    /// Sentences about episodes and about iterations without an answer.
     parted: Vec<String>,
-    /// Marks in the picture over time.
+    /// Kinds of marks that the chart over time has.
     marked: Marked,
     /// `true` if any bucket has enough samples for a 95th percentile.
     has_p95: bool,
@@ -115,7 +115,7 @@ struct Run {
     data: JsonBlock,
 }
 
-/// Kinds of marks in the picture over time.
+/// Kinds of marks in the chart over time.
 struct Marked {
     borders: bool,
     warm_up: bool,
@@ -202,7 +202,7 @@ fn missed(run: &RunSummary) -> Option<(String, String)> {
     Some((rate, words))
 }
 
-/// Returns the number of skipped starts, and their share of all starts that came due.
+/// Returns the number of skipped starts and their share of all due starts; `None` if no start was skipped.
 fn skipped(starts: &Starts) -> Option<(String, String)> {
     let share = percent(starts.skipped_share());
     (starts.skipped > 0).then(|| (count(starts.skipped), format!("{share}{SPACE}% of those that came due")))
@@ -238,13 +238,13 @@ fn assemble(
     let quantile =
         |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |seconds| figure(seconds * 1e3));
     let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
-    let (zone, picture) = (app.zone, app.picture());
-    let link = link::of_placement(&picture, summary.host_name.as_str(), &summary.placement);
-    let of_delays = Note::of_delays(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
+    let (zone, snapshot) = (app.zone, app.live_state());
+    let link = link::of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
+    let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
     });
     Ok(Run {
-        shell: Shell::new(app, &picture, "/runs", place::run_name(summary)),
+        shell: Shell::new(app, &snapshot, "/runs", place::run_name(summary)),
         number: summary.number,
         pipeline: summary.pipeline.to_string(),
         facts: facts(run, zone),
@@ -253,9 +253,9 @@ fn assemble(
         notes: runs::unrecorded(&run.gaps, zone)
             .into_iter()
             .chain(runs::trimmed(summary, app.aggregator.retention()))
-            .chain(of_delays)
+            .chain(delay_notes)
             .collect(),
-        end: End::of(summary, &picture, zone),
+        end: End::of(summary, &snapshot, zone),
         lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
         stats: vec![
             ("Median", quantile(total.map(|total| total.p50)), "ms"),
@@ -307,7 +307,7 @@ fn assemble(
     })
 }
 
-/// Returns the accuracy of the model, where samples had labels.
+/// Returns the accuracies of the model; empty if samples had no labels.
 fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
     let known = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
         let figures = stages.iter().find(|stage| stage.stage == *name)?.figures;

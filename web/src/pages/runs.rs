@@ -49,7 +49,8 @@ struct Runs {
 
 /// `GET /runs`.
 async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
-    let pipeline = query.pipeline.as_deref().map(|name| parameters::slug("pipeline", name)).transpose()?;
+    let pipeline =
+        query.pipeline.as_deref().map(|name| parameters::parse_slug("pipeline", name)).transpose()?;
     let filter = RunFilter { pipeline, limit: ROWS + 1, before: query.before, ..RunFilter::default() };
     let mut found = app.store().runs(&filter).await?;
     let more = found.len() > ROWS as usize;
@@ -69,13 +70,13 @@ async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> P
         (_, None, None) => format!("{} runs", count(newest)),
     };
     let window = query.pipeline.as_ref().map_or_else(|| "Runs".to_owned(), |name| format!("Runs of {name}"));
-    let picture = app.picture();
+    let snapshot = app.live_state();
     page(&Runs {
-        shell: Shell::new(&app, &picture, "/runs", window),
+        shell: Shell::new(&app, &snapshot, "/runs", window),
         title,
         paged: query.before.is_some(),
         pipeline: query.pipeline,
-        runs: found.iter().map(|run| RunLine::new(run, &picture, app.zone)).collect(),
+        runs: found.iter().map(|run| RunLine::new(run, &snapshot, app.zone)).collect(),
         older,
     })
 }

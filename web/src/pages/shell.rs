@@ -11,7 +11,7 @@ use crate::view::storing;
 /// Head, top bar and foot of a page.
 #[derive(Clone, Debug)]
 pub(crate) struct Shell {
-    /// Address of the entry of the navigation that is marked; empty for a page that belongs to none.
+    /// Address of the navigation entry that is marked; empty for a page that belongs to none.
     pub section: &'static str,
     /// Title of the window.
     pub title: String,
@@ -19,13 +19,13 @@ pub(crate) struct Shell {
     pub statics: String,
     /// Name of the zone of all times.
     pub zone: String,
-    /// Seconds east of UTC, for the scripts.
+    /// Offset of the zone from UTC in seconds east, for the scripts.
     pub offset: i32,
     /// Name of the aggregator.
     pub aggregator: String,
-    /// Topic whose live updates change this page, if any.
+    /// Topic of the live stream that updates this page, if any.
     pub topic: Option<String>,
-    /// `true` if any host ever reported.
+    /// `true` if no host has reported yet.
     pub waiting: bool,
     /// Sentences about injected clock faults, one per host.
     pub rehearsals: Vec<String>,
@@ -39,31 +39,31 @@ impl Shell {
 
     /// Returns the entries of the navigation.
     pub(crate) fn navigation() -> impl Iterator<Item = &'static NavigationEntry> {
-        super::entries()
+        super::navigation_entries()
     }
 
     /// Returns the shell of a page that live updates do not change.
     pub(crate) fn new(
         app: &AppState,
-        picture: &LiveState,
+        snapshot: &LiveState,
         section: &'static str,
         title: impl Into<String>,
     ) -> Self {
         debug_assert!(
             section.is_empty() || Self::navigation().any(|entry| entry.address == section),
-            "{section} is no entry of the navigation"
+            "{section} is not an entry of the navigation"
         );
         let now = app.clock.wall();
         Self {
             section,
             title: title.into(),
-            statics: assets::folder(),
+            statics: assets::base_path(),
             zone: app.zone.name(now),
             offset: app.zone.offset_seconds(now),
-            aggregator: picture.aggregator.to_string(),
+            aggregator: snapshot.aggregator.to_string(),
             topic: None,
-            waiting: picture.hosts.is_empty(),
-            rehearsals: Rehearsed::of(picture).banner(),
+            waiting: snapshot.hosts.is_empty(),
+            rehearsals: Rehearsed::of(snapshot).banner(),
             not_storing: storing::notice(&app.aggregator.ready()),
         }
     }

@@ -12,7 +12,7 @@ use peernet_stream::{PipelineState, PlacementKind};
 
 use self::clocks::linked;
 use super::*;
-use crate::tests::samples::{self, HOSTILE, figures, host, incident, picture, pipeline, placement, refused};
+use crate::tests::samples::{self, HOSTILE, figures, host, incident, pipeline, placement, refused, snapshot};
 use crate::view::now::{Cell, NowTable};
 
 /// Checks what holds for every page.
@@ -32,11 +32,11 @@ fn check(html: &str) {
 }
 
 async fn overview_of(
-    picture: &peernet_aggregator::LiveState,
+    snapshot: &peernet_aggregator::LiveState,
     incidents: Vec<peernet_store::IncidentRow>,
 ) -> String {
     let (app, _folder) = samples::app().await;
-    let page = overview::overview(&app, picture, Ok(incidents)).expect("assembles");
+    let page = overview::overview(&app, snapshot, Ok(incidents)).expect("assembles");
     let html = askama::Template::render(&page).expect("renders");
     check(&html);
     html
@@ -44,7 +44,7 @@ async fn overview_of(
 
 #[tokio::test]
 async fn one_pipeline_that_is_well() {
-    let shown = picture(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let shown = snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
     let html = overview_of(&shown, vec![incident("connected", "reconnected to rack-a")]).await;
     assert!(html.contains(">1 pipeline running</h1>"), "{html}");
     assert!(html.contains("cam-1 → rack-a · zmq-tcp"));
@@ -57,7 +57,7 @@ async fn one_pipeline_that_is_well() {
 #[tokio::test]
 async fn miss_rates_are_column_where_a_pipeline_has_a_deadline() {
     let line = || pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
-    let of = |lines| picture(vec![host("cam-1", "Orin")], lines);
+    let of = |lines| snapshot(vec![host("cam-1", "Orin")], lines);
     assert!(!overview_of(&of(vec![line()]), Vec::new()).await.contains("missed"));
     let mut late = line();
     late.windows[2].miss_rate = Some(0.012);
@@ -80,7 +80,7 @@ async fn latencies_that_spread_and_busy_processors_are_to_be_looked_at() {
             std::sync::Arc::new(peernet_aggregator::MetricsPoint { at, metrics: busy.metrics.clone() })
         })
         .to_vec();
-    let html = overview_of(&picture(vec![busy], vec![line]), Vec::new()).await;
+    let html = overview_of(&snapshot(vec![busy], vec![line]), Vec::new()).await;
     assert!(html.contains("1 pipeline running, 2 to look at"), "{html}");
     assert!(html.contains("has a p99 of 311\u{202f}ms in the last minute"), "{html}");
     assert!(html.contains("has had busy processors for 10\u{202f}s, never below 94\u{202f}%"), "{html}");
@@ -91,7 +91,7 @@ async fn thirty_pipelines() {
     let pipelines = (0..30).map(|index| {
         pipeline(&format!("line-{index:02}"), 5.0, 1.0 + f64::from(index), Verdict::Limited, &[])
     });
-    let html = overview_of(&picture(vec![host("cam-1", "Orin")], pipelines.collect()), Vec::new()).await;
+    let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], pipelines.collect()), Vec::new()).await;
     assert!(html.contains("30 pipelines running, 60 to look at"), "both directions of each are limited");
     assert!(html.contains("and 55 more"));
     assert_eq!(html.matches("class=\"chart live-chart").count(), 30);
@@ -103,7 +103,7 @@ async fn thousands_of_pipelines_and_hosts_are_cut_off_where_the_page_says() {
         pipeline(&format!("line-{index:04}"), 5.0, 1.0 + f64::from(index), Verdict::Limited, &[])
     });
     let hosts = (0..2_000).map(|index| host(&format!("cam-{index:04}"), "Orin"));
-    let shown = picture(hosts.collect(), pipelines.collect());
+    let shown = snapshot(hosts.collect(), pipelines.collect());
     let html = overview_of(&shown, Vec::new()).await;
     assert_eq!(html.matches("class=\"chart live-chart").count(), 100);
     assert_eq!(html.matches("the first 100 of 2,000").count(), 2);
@@ -122,7 +122,7 @@ async fn thousands_of_pipelines_and_hosts_are_cut_off_where_the_page_says() {
 #[tokio::test]
 async fn hosts_that_were_turned_away_stand_on_the_page_of_hosts() {
     let (app, _folder) = samples::app().await;
-    let mut shown = picture(Vec::new(), Vec::new());
+    let mut shown = snapshot(Vec::new(), Vec::new());
     shown.refused.push(refused("its name is taken"));
     let update = hosts::update(&app, &shown).expect("renders");
     let (_, html) = &update.parts[0];
@@ -133,7 +133,7 @@ async fn hosts_that_were_turned_away_stand_on_the_page_of_hosts() {
 #[tokio::test]
 async fn hosts_that_are_known_from_before_are_waited_for() {
     let (app, _folder) = samples::app().await;
-    let mut shown = picture(Vec::new(), Vec::new());
+    let mut shown = snapshot(Vec::new(), Vec::new());
     shown.absent = 2;
     let html = askama::Template::render(&overview::empty(&app, &shown)).expect("renders");
     check(&html);
@@ -152,11 +152,11 @@ async fn hosts_that_are_known_from_before_are_waited_for() {
 #[tokio::test]
 async fn too_few_samples_give_no_quantile_but_a_reason() {
     let html =
-        overview_of(&picture(Vec::new(), vec![pipeline("slow", 0.5, 1.0, Verdict::Ok, &[])]), Vec::new())
+        overview_of(&snapshot(Vec::new(), vec![pipeline("slow", 0.5, 1.0, Verdict::Ok, &[])]), Vec::new())
             .await;
     assert!(html.contains("needs 300 iterations; the last minute has 30"), "{html}");
     let html =
-        overview_of(&picture(Vec::new(), vec![pipeline("still", 0.0, 1.0, Verdict::Ok, &[])]), Vec::new())
+        overview_of(&snapshot(Vec::new(), vec![pipeline("still", 0.0, 1.0, Verdict::Ok, &[])]), Vec::new())
             .await;
     assert!(html.contains("no successful iteration in this time"), "{html}");
 }
@@ -172,7 +172,7 @@ async fn bars_quantiles_and_whiskers_are_of_one_window() {
     assert!(number(&row.p50) <= number(&row.p95) && number(&row.p95) <= number(&row.p99), "{row:?}");
     let bar: f64 = row.total.parse().expect("a figure");
     assert!((bar - number(&row.p50)).abs() < 0.1, "the sample's mean is its median: {row:?}");
-    let html = overview_of(&picture(Vec::new(), vec![line]), Vec::new()).await;
+    let html = overview_of(&snapshot(Vec::new(), vec![line]), Vec::new()).await;
     assert!(html.contains("all figures: last 60&#x202f;s"), "{html}");
 }
 
@@ -180,7 +180,7 @@ async fn bars_quantiles_and_whiskers_are_of_one_window() {
 async fn gaps_stay_gaps() {
     let (app, _folder) = samples::app().await;
     let gap: Vec<i64> = (20..50).collect();
-    let shown = picture(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &gap)]);
+    let shown = snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &gap)]);
     let page = overview::overview(&app, &shown, Ok(Vec::new())).expect("assembles");
     let html = askama::Template::render(&page).expect("renders");
     let data =
@@ -193,7 +193,7 @@ async fn gaps_stay_gaps() {
 #[tokio::test]
 async fn unrelated_clocks_show_a_dash_with_the_reason_and_the_exact_sum() {
     let html = overview_of(
-        &picture(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Unsynchronised, &[])]),
+        &snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Unsynchronised, &[])]),
         Vec::new(),
     )
     .await;
@@ -206,7 +206,7 @@ async fn unrelated_clocks_show_a_dash_with_the_reason_and_the_exact_sum() {
 async fn huge_numbers_keep_their_place() {
     let mut one = pipeline("line", 30_000.0, 5e6, Verdict::Ok, &[]);
     one.windows[2].values.push((Name::from("gripper"), figures(1e300, 5)));
-    let html = overview_of(&picture(vec![host("cam-1", "Orin")], vec![one]), Vec::new()).await;
+    let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], vec![one]), Vec::new()).await;
     assert!(html.contains("80,200,000.0"), "{html}");
 }
 
@@ -220,7 +220,7 @@ async fn hostile_texts_are_escaped_everywhere() {
     remote.windows[1].values.insert(0, (Name::from(HOSTILE), figures(0.1, 300)));
     let mut failed = pipeline("failed", 30.0, 1.0, Verdict::Ok, &[]);
     failed.state = PipelineState::Failed(HOSTILE.into());
-    let mut shown = picture(vec![host("cam-1", HOSTILE)], vec![remote, failed]);
+    let mut shown = snapshot(vec![host("cam-1", HOSTILE)], vec![remote, failed]);
     shown.refused.push(refused(HOSTILE));
     let html = overview_of(&shown, vec![incident(HOSTILE, HOSTILE)]).await;
     assert!(html.contains("&#60;b&#62;"), "{html}");
@@ -255,7 +255,7 @@ async fn what_wants_to_be_looked_at_comes_worst_first() {
     waiting.state = PipelineState::Waiting("rack-a does not answer".into());
     let mut failed = pipeline("failed", 0.0, 1.0, Verdict::Ok, &[]);
     failed.state = PipelineState::Failed("no pictures in /data".into());
-    let html = overview_of(&picture(vec![away], vec![waiting, failed]), Vec::new()).await;
+    let html = overview_of(&snapshot(vec![away], vec![waiting, failed]), Vec::new()).await;
     assert!(html.contains("No pipeline is running, 5 to look at"), "{html}");
     let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
     assert!(at("stopped: no pictures in /data") < at("has not reported since 12:01:07"));
@@ -269,7 +269,7 @@ async fn a_host_that_took_its_leave_is_nothing_to_look_at() {
     (left.connected, left.has_left) = (false, true);
     let mut ended = pipeline("line", 0.0, 1.0, Verdict::Ok, &[]);
     ended.state = PipelineState::Finished;
-    let shown = picture(vec![left], vec![ended]);
+    let shown = snapshot(vec![left], vec![ended]);
     let html = overview_of(&shown, Vec::new()).await;
     assert!(!html.contains("to look at") && !html.contains("has not reported"), "{html}");
     let (app, _folder) = samples::app().await;
@@ -284,7 +284,7 @@ async fn a_host_that_took_its_leave_is_nothing_to_look_at() {
 #[tokio::test]
 async fn a_store_that_fails_breaks_its_panel_alone() {
     let (app, _folder) = samples::app().await;
-    let shown = picture(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let shown = snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
     let page = overview::overview(&app, &shown, Err("abc123".into())).expect("assembles");
     let html = askama::Template::render(&page).expect("renders");
     check(&html);
@@ -295,7 +295,7 @@ async fn a_store_that_fails_breaks_its_panel_alone() {
 async fn a_local_pipeline_has_nothing_to_bound() {
     let mut local = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
     local.placement = placement(PlacementKind::Local);
-    let html = overview_of(&picture(vec![host("cam-1", "Orin")], vec![local]), Vec::new()).await;
+    let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], vec![local]), Vec::new()).await;
     assert!(html.contains("one host: nothing crosses between clocks"), "{html}");
     assert!(html.contains("one host: nothing is sent"), "{html}");
 }
@@ -304,7 +304,7 @@ async fn a_local_pipeline_has_nothing_to_bound() {
 async fn a_sensor_alone_is_called_so_and_has_no_model() {
     let mut alone = pipeline("study", 30.0, 1.0, Verdict::Ok, &[]);
     alone.placement = peernet_stream::Placement::sensor_alone();
-    let html = overview_of(&picture(vec![host("cam-1", "Orin")], vec![alone]), Vec::new()).await;
+    let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], vec![alone]), Vec::new()).await;
     assert!(html.contains("sensor alone") && !html.contains("none on board"), "{html}");
     assert!(html.contains("one host: nothing is sent"), "{html}");
 }
@@ -312,7 +312,8 @@ async fn a_sensor_alone_is_called_so_and_has_no_model() {
 #[tokio::test]
 async fn accuracy_stands_beside_latency_where_samples_have_labels() {
     let (app, _folder) = samples::app().await;
-    let mut shown = picture(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let mut shown =
+        snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
     let html = |shown: &peernet_aggregator::LiveState| {
         let update = pipeline::update(&app, shown, "cam-1/line/10").expect("renders");
         update.parts.into_iter().map(|(_, html)| html).collect::<String>()
@@ -363,7 +364,7 @@ async fn a_rehearsal_is_said_on_every_page_and_with_every_figure_it_touches() {
 #[tokio::test]
 async fn every_live_page_says_which_parts_changed() {
     let (app, _folder) = samples::app().await;
-    let shown = picture(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let shown = snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
     let update = overview::update(&app, &shown).await.expect("renders");
     let parts: Vec<&str> = update.parts.iter().map(|(id, _)| *id).collect();
     assert_eq!(parts, ["health", "now", "nowtable", "hosts", "incidents"]);

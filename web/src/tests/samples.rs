@@ -226,7 +226,7 @@ pub(crate) fn accounting() -> Accounting {
     }
 }
 
-pub(crate) fn picture(hosts: Vec<HostSnapshot>, pipelines: Vec<PipelineSnapshot>) -> LiveState {
+pub(crate) fn snapshot(hosts: Vec<HostSnapshot>, pipelines: Vec<PipelineSnapshot>) -> LiveState {
     LiveState {
         at: NOW,
         aggregator: slug("rack-a"),

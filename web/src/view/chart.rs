@@ -31,12 +31,12 @@ pub(crate) struct Mark {
     pub sign: &'static str,
     /// Reporting host; the mark is drawn in the charts of this host.
     pub host: String,
-    /// The pipeline alone that it concerns, if one.
+    /// The only pipeline that the incident concerns; `None` if it concerns the whole host.
     pub pipeline: Option<String>,
 }
 
 impl Mark {
-    /// Converts incidents to marks on time axes. Those of the aggregator are left out: they do not change what hosts measure.
+    /// Converts incidents to marks on time axes. Incidents of the aggregator are omitted, because they do not affect measurements.
     pub(crate) fn all(rows: &[IncidentRow]) -> Vec<Self> {
         rows.iter()
             .filter_map(|row| {
@@ -54,7 +54,7 @@ impl Mark {
 /// One chart with its table view.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ChartCard {
-    /// `host/pipeline`: names the chart's data.
+    /// `host/pipeline`, the key of the chart's data.
     pub key: String,
     pub name: String,
     pub href: String,
@@ -76,7 +76,7 @@ pub(crate) struct Minute {
     pub total: String,
 }
 
-/// Seconds in a row, `from` the first; a second without a report is `null` in `n`.
+/// Consecutive seconds that begin at `from`. A second without a report is `null` in `n`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct ChartData {
     key: String,
@@ -127,12 +127,12 @@ struct PageData<'a> {
 }
 
 /// Returns the node names whose means a chart draws.
-fn drawn() -> impl Iterator<Item = &'static str> {
+fn drawn_names() -> impl Iterator<Item = &'static str> {
     look::STACK.iter().copied().chain(["total"])
 }
 
-/// Returns bytes and delays of one direction, if the delays are known.
-fn timed(transfer: Option<Transfer>) -> Option<(RoundedNumber, RoundedNumber)> {
+/// Returns bytes and sum of delays (µs) of one direction; `None` if no delay is known.
+fn timed_transfer(transfer: Option<Transfer>) -> Option<(RoundedNumber, RoundedNumber)> {
     let transfer = transfer.filter(|transfer| transfer.speed().is_some())?;
     Some((RoundedNumber(Some(transfer.timed_bytes)), RoundedNumber(Some(transfer.seconds * 1e6))))
 }
@@ -142,7 +142,7 @@ fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
 }
 
 impl ChartCard {
-    pub(crate) fn new(pipeline: &PipelineSnapshot, picture: &LiveState, zone: Zone) -> Self {
+    pub(crate) fn new(pipeline: &PipelineSnapshot, snapshot: &LiveState, zone: Zone) -> Self {
         let host = pipeline.host_name.to_string();
         let name = pipeline.pipeline.to_string();
         let stack = pipeline.window(10).map(Stack::of_window).unwrap_or_default();
@@ -159,7 +159,7 @@ impl ChartCard {
             finding: format!("Stages of {name} over the last 10 minutes. {}", stack.finding((None, None))),
             minutes: minutes(&pipeline.series, &columns, zone),
             columns,
-            data: ChartData::new(pipeline, picture, host),
+            data: ChartData::new(pipeline, snapshot, host),
             name,
         }
     }
@@ -176,7 +176,7 @@ impl ChartCard {
 }
 
 impl ChartData {
-    fn new(pipeline: &PipelineSnapshot, picture: &LiveState, host: String) -> Self {
+    fn new(pipeline: &PipelineSnapshot, snapshot: &LiveState, host: String) -> Self {
         let series = &pipeline.series;
         let from = series.first().map_or(0, |second| second.at);
         let length = series.last().map_or(0, |second| (second.at - from + 1).clamp(0, 600)) as usize;
@@ -190,7 +190,7 @@ impl ChartData {
             transfers: TransferData { up: vec![None; length], down: vec![None; length] },
             p95: PercentileData::new(&pipeline.total_p95),
             obstacles: [NetworkDirection::Up, NetworkDirection::Down]
-                .map(|way| speed::obstacle_in(series, way)),
+                .map(|direction| speed::obstacle_in(series, direction)),
             cpu: Vec::new(),
             gpu: Vec::new(),
             host,
@@ -198,9 +198,9 @@ impl ChartData {
         for second in series {
             let Some(at) = usize::try_from(second.at - from).ok().filter(|at| *at < length) else { continue };
             data.n[at] = Some(second.counts.ok);
-            data.transfers.up[at] = timed(second.transfers.up);
-            data.transfers.down[at] = timed(second.transfers.down);
-            for name in drawn() {
+            data.transfers.up[at] = timed_transfer(second.transfers.up);
+            data.transfers.down[at] = timed_transfer(second.transfers.down);
+            for name in drawn_names() {
                 if let Some(value) = mean(second, name) {
                     data.means.entry(name).or_insert_with(|| vec![RoundedNumber(None); length])[at] =
                         RoundedNumber(Some(value * 1e3));
@@ -208,7 +208,7 @@ impl ChartData {
             }
         }
         if !data.remote
-            && let Some(host) = picture.hosts.iter().find(|host| host.id == pipeline.host)
+            && let Some(host) = snapshot.hosts.iter().find(|host| host.id == pipeline.host)
         {
             let points = |of: fn(&peernet_stream::HostMetrics) -> Option<f64>| {
                 let shown = host.history.iter().filter(|point| of(&point.metrics).is_some());
@@ -228,7 +228,7 @@ impl ChartData {
     }
 }
 
-/// Returns the means per minute, newest first, weighted with each second's iterations.
+/// Returns the means per minute, newest first, weighted by the iterations of each second.
 fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone: Zone) -> Vec<Minute> {
     let mut by_minute: BTreeMap<i64, Vec<&LiveSecond>> = BTreeMap::new();
     for second in series {

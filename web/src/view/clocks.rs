@@ -11,11 +11,11 @@ use super::chip::Chip;
 /// The clock bound of a pipeline or run.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ClockCell {
-    /// Bound, such as `±0.65`; `None` where there is nothing to bound or no bound is known.
+    /// Bound, such as `±0.65`; `None` without a one-way delay or without a known bound.
     pub bound: Option<String>,
     /// Worst verdict.
     pub chip: Option<Chip>,
-    /// Words shown without emphasis where there is no bound.
+    /// Text that is shown if there is no bound.
     pub words: &'static str,
     /// Explanation of the words.
     pub title: &'static str,
@@ -90,14 +90,14 @@ mod tests {
     }
 
     #[test]
-    fn a_rare_verdict_does_not_colour_the_rest() {
+    fn rare_verdict_does_not_prevail() {
         assert_eq!(verdict(&bound(&[(Verdict::Ok, 990), (Verdict::Stepped, 10)])), Some(Verdict::Ok));
         assert_eq!(verdict(&bound(&[(Verdict::Ok, 900), (Verdict::Limited, 100)])), Some(Verdict::Limited));
         assert_eq!(verdict(&bound(&[])), None);
     }
 
     #[test]
-    fn unrelated_clocks_say_why_there_is_no_bound() {
+    fn unrelated_clocks_have_no_bound() {
         let cell = ClockCell::of(PlacementKind::Remote, &[bound(&[(Verdict::Unsynchronised, 300)])]);
         assert_eq!(cell.bound, None);
         assert_eq!(cell.chip.map(|chip| chip.word), Some("unsynchronised"));

@@ -1,10 +1,10 @@
-//! Data for the scripts of a page, in a JSON block.
+//! Data for the scripts of a page, as a JSON block.
 
 use std::fmt;
 
 use serde::Serialize;
 
-/// JSON text for a `script` element: it cannot end the element.
+/// JSON text for a `script` element, escaped so that it cannot close the element.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct JsonBlock(String);
 
@@ -35,7 +35,7 @@ impl fmt::Display for JsonBlock {
 
 impl askama::filters::HtmlSafe for JsonBlock {}
 
-/// A number for a chart: JSON with as many digits as a screen can show, a gap as `null`.
+/// A number for a chart. Its JSON form has three decimals, enough for a screen; a gap is `null`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RoundedNumber(pub Option<f64>);
 
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_text_can_end_the_element() {
+    fn text_cannot_close_the_element() {
         let block =
             JsonBlock::new(&["</script><script>alert(1)</script>", "a & b"]).expect("serialises").to_string();
         assert!(!block.contains('<') && !block.contains('&'), "{block}");
@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_short_and_gaps_are_null() {
+    fn numbers_are_rounded_and_gaps_are_null() {
         let numbers = [RoundedNumber(Some(1.23456)), RoundedNumber(None), RoundedNumber(Some(f64::INFINITY))];
         assert_eq!(serde_json::to_string(&numbers).expect("serialises"), "[1.235,null,null]");
     }

@@ -10,14 +10,14 @@ use super::chip::{Chip, Tone};
 use super::events::FAR_BEHIND;
 use super::notes::Note;
 use super::now::{state_chip, trouble};
-use super::{awaited, link, place, warnings};
+use super::{link, place, startup, warnings};
 use crate::config::WarnConfig;
 use crate::zone::Zone;
 
-/// Largest number of notes shown; further notes are counted.
-const NOTES: usize = 5;
-/// Share of lost iterations from which on a note is shown.
-const MANY_LOST: f64 = 0.001;
+/// Maximum number of notes shown; further notes are counted.
+const MAX_NOTES: usize = 5;
+/// Share of lost iterations above which a note is shown.
+const MIN_WARNED_LOSS: f64 = 0.001;
 
 /// Title and notes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,30 +25,30 @@ pub(crate) struct Health {
     pub title: String,
     /// The title in the past tense, for when the connection is lost.
     pub past: String,
-    /// `true` if agents may still be on their way.
+    /// `true` if known agents may still reconnect after a restart of the aggregator.
     pub starting: bool,
     pub notes: Vec<Note>,
-    /// Notes beyond those shown.
+    /// Number of notes that are not shown.
     pub more: usize,
 }
 
 impl Health {
-    /// Returns the health that a picture of an aggregator shows that serves since then.
-    pub(crate) fn of(picture: &LiveState, zone: Zone, since: WallTime, warn: &WarnConfig) -> Self {
+    /// Returns the health of the system. `since` is the time at which this server started.
+    pub(crate) fn of(snapshot: &LiveState, zone: Zone, since: WallTime, warn: &WarnConfig) -> Self {
         let mut notes = Vec::new();
-        notes.extend(picture.refused.iter().map(|refused| Note {
+        notes.extend(snapshot.refused.iter().map(|refused| Note {
             chip: Chip::new(Tone::Bad, "unsynchronised", "refused"),
             subject: refused.name.to_string(),
             href: "/hosts".to_owned(),
             text: format!("was turned away at {}: {}", zone.moment(refused.at).clock(), refused.reason),
             link: None,
         }));
-        notes.extend(picture.hosts.iter().flat_map(|host| host_notes(host, picture.at, zone, warn)));
-        notes.extend(picture.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, picture, warn)));
+        notes.extend(snapshot.hosts.iter().flat_map(|host| host_notes(host, snapshot.at, zone, warn)));
+        notes.extend(snapshot.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, snapshot, warn)));
         // The worst first; the sort is stable, so that notes of one kind stay in order.
         notes.sort_by_key(|note| std::cmp::Reverse(note.chip.tone));
 
-        let running = picture.pipelines.iter().filter(|one| one.state == PipelineState::Running).count();
+        let running = snapshot.pipelines.iter().filter(|one| one.state == PipelineState::Running).count();
         let subject = match running {
             0 => "No pipeline".to_owned(),
             1 => "1 pipeline".to_owned(),
@@ -65,12 +65,12 @@ impl Health {
             0 => String::new(),
             many => format!(", {many} to look at"),
         };
-        let starting = awaited::starting(picture, since);
-        let more = notes.len().saturating_sub(NOTES);
-        notes.truncate(NOTES);
+        let starting = startup::is_waiting_for_agents(snapshot, since);
+        let more = notes.len().saturating_sub(MAX_NOTES);
+        notes.truncate(MAX_NOTES);
         Self {
             title: if starting {
-                format!("{}{rest}", awaited::WAITING)
+                format!("{}{rest}", startup::WAITING)
             } else {
                 format!("{subject} {is}running{rest}")
             },
@@ -118,11 +118,11 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
         );
         notes.push(note(Chip::new(Tone::Warn, "stale", "behind"), text));
     }
-    notes.extend(warnings::of_host(host, now, warn).map(|(chip, text)| note(chip, text)));
+    notes.extend(warnings::host_warning(host, now, warn).map(|(chip, text)| note(chip, text)));
     notes
 }
 
-fn pipeline_notes(pipeline: &PipelineSnapshot, picture: &LiveState, warn: &WarnConfig) -> Vec<Note> {
+fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &WarnConfig) -> Vec<Note> {
     let subject = pipeline.pipeline.to_string();
     let href = place::pipeline_href(pipeline.host_name.as_str(), &subject);
     let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text, link: None };
@@ -134,15 +134,15 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, picture: &LiveState, warn: &WarnC
         return notes;
     }
     let Some(window) = pipeline.window(60) else { return notes };
-    if let Some(lost) = window.lost_fraction.filter(|lost| *lost > MANY_LOST) {
+    if let Some(lost) = window.lost_fraction.filter(|lost| *lost > MIN_WARNED_LOSS) {
         let text =
             format!("had no answer for {}\u{202f}% of its iterations in the last minute.", percent(lost));
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
     }
-    notes.extend(warnings::of_pipeline(window, warn).into_iter().map(|(chip, text)| note(chip, text)));
-    let link = link::of_placement(picture, pipeline.host_name.as_str(), &pipeline.placement);
+    notes.extend(warnings::pipeline_warnings(window, warn).into_iter().map(|(chip, text)| note(chip, text)));
+    let link = link::of_placement(snapshot, pipeline.host_name.as_str(), &pipeline.placement);
     let value = |name: &Name| window.value(name).copied();
-    notes.extend(Note::of_delays(&subject, &href, link.as_deref(), &window.bounds, value));
+    notes.extend(Note::delay_notes(&subject, &href, link.as_deref(), &window.bounds, value));
     if let Some(total) = window.value(&stage::UNATTRIBUTED)
         && total.mean < 0.0
     {

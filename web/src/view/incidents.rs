@@ -12,7 +12,7 @@ pub(crate) struct IncidentLine {
     pub kind: String,
     pub sign: &'static str,
     pub tone: Tone,
-    /// The reporting host; `None`: the aggregator itself.
+    /// The reporting host; `None` for an incident of the aggregator.
     pub host: Option<String>,
     pub text: String,
     pub run: Option<i64>,
@@ -43,7 +43,7 @@ impl IncidentLine {
         }
     }
 
-    /// Returns the reporter of the incident, in words.
+    /// Returns the name of the reporter of the incident.
     pub(crate) fn reporter(&self) -> &str {
         self.host.as_deref().unwrap_or("aggregator")
     }

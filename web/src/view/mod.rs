@@ -1,13 +1,11 @@
 //! Views that several pages share.
 
 pub(crate) mod accuracy;
-pub(crate) mod awaited;
 pub(crate) mod bytes;
 pub(crate) mod chart;
 pub(crate) mod chip;
 pub(crate) mod clocks;
 pub(crate) mod compare;
-pub(crate) mod cut;
 pub(crate) mod data;
 pub(crate) mod episodes;
 pub(crate) mod events;
@@ -15,6 +13,7 @@ pub(crate) mod health;
 pub(crate) mod hosts;
 pub(crate) mod incidents;
 pub(crate) mod link;
+pub(crate) mod list_limits;
 pub(crate) mod notes;
 pub(crate) mod now;
 pub(crate) mod place;
@@ -24,12 +23,17 @@ pub(crate) mod runs;
 pub(crate) mod speed;
 pub(crate) mod stack;
 pub(crate) mod stages;
+pub(crate) mod startup;
 pub(crate) mod storing;
 pub(crate) mod trust;
 pub(crate) mod warnings;
 pub(crate) mod waterfall;
 
 /// Returns `1 link`, `3 links`.
-pub(crate) fn counted(many: usize, one: &str, several: &str) -> String {
-    format!("{} {}", peernet_statistics::number::count(many as u64), if many == 1 { one } else { several })
+pub(crate) fn counted(count: usize, singular: &str, plural: &str) -> String {
+    format!(
+        "{} {}",
+        peernet_statistics::number::count(count as u64),
+        if count == 1 { singular } else { plural }
+    )
 }

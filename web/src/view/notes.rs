@@ -22,7 +22,7 @@ pub(crate) struct Note {
 }
 
 /// Returns the notes on one-way delays whose verdicts are not `ok`: chip and sentence.
-pub(crate) fn of_delays(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>) -> Vec<(Chip, String)> {
+pub(crate) fn delay_notes(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>) -> Vec<(Chip, String)> {
     let unsure: Vec<(&Bound, Verdict)> = bounds
         .iter()
         .filter_map(|bound| Some((bound, clocks::verdict(bound)?)))
@@ -55,14 +55,14 @@ pub(crate) fn of_delays(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>)
 
 impl Note {
     /// Returns the remarks on delays as notes of a page.
-    pub(crate) fn of_delays(
+    pub(crate) fn delay_notes(
         subject: &str,
         href: &str,
         link: Option<&str>,
         bounds: &[Bound],
         of: impl Fn(&Name) -> Option<Figures>,
     ) -> Vec<Self> {
-        let notes = of_delays(bounds, of).into_iter().map(|(chip, text)| Self {
+        let notes = delay_notes(bounds, of).into_iter().map(|(chip, text)| Self {
             chip,
             subject: subject.to_owned(),
             href: href.to_owned(),

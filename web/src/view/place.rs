@@ -1,4 +1,4 @@
-//! Placement of a pipeline in words.
+//! Texts about the placement of a pipeline.
 
 use peernet_aggregator::Window;
 use peernet_logger::stage;
@@ -6,8 +6,8 @@ use peernet_statistics::number::bytes;
 use peernet_store::RunSummary;
 use peernet_stream::{Placement, PlacementKind};
 
-/// Text in place of a model and a network.
-const ALONE: &str = "sensor alone";
+/// Text that replaces model and network of a pipeline that only senses.
+const SENSOR_ONLY: &str = "sensor alone";
 
 /// Returns `cam-2 → rack-a` or `cam-1`.
 pub(crate) fn route(host: &str, placement: &Placement) -> String {
@@ -23,7 +23,7 @@ pub(crate) fn route(host: &str, placement: &Placement) -> String {
 pub(crate) fn means(placement: &Placement, window: Option<&Window>) -> String {
     match placement.kind {
         PlacementKind::Local => format!("{} on board", placement.model),
-        PlacementKind::None => ALONE.to_owned(),
+        PlacementKind::None => SENSOR_ONLY.to_owned(),
         PlacementKind::Remote => {
             let network = placement.network.as_deref().unwrap_or("network unknown");
             match window.and_then(|window| window.value(&stage::UPLOAD_BYTES)) {
@@ -37,7 +37,7 @@ pub(crate) fn means(placement: &Placement, window: Option<&Window>) -> String {
 /// Returns the model with its device: `quality-control, cpu`.
 pub(crate) fn model(placement: &Placement) -> String {
     match &placement.device {
-        _ if placement.kind == PlacementKind::None => ALONE.to_owned(),
+        _ if placement.kind == PlacementKind::None => SENSOR_ONLY.to_owned(),
         Some(device) => format!("{}, {device}", placement.model),
         None => placement.model.to_string(),
     }

@@ -44,14 +44,14 @@ pub(crate) fn words(description: &ClockFaults) -> String {
 pub(crate) struct Rehearsed(BTreeMap<String, String>);
 
 impl Rehearsed {
-    /// Returns the clock faults of a picture.
-    pub(crate) fn of(picture: &LiveState) -> Self {
-        let connected = picture.hosts.iter().filter(|host| host.connected);
+    /// Collects the clock faults of the hosts in the live state.
+    pub(crate) fn of(snapshot: &LiveState) -> Self {
+        let connected = snapshot.hosts.iter().filter(|host| host.connected);
         let told = connected.filter_map(|host| {
             Some((host.description.name.to_string(), words(host.clock.rehearsal.as_ref()?)))
         });
         // A cloud may report to another aggregator: its edges report its clock.
-        let links = picture.links.iter().filter(|link| link.connected);
+        let links = snapshot.links.iter().filter(|link| link.connected);
         let heard = links.filter_map(|link| {
             Some((link.live.peer_name.to_string(), words(link.live.cloud.as_ref()?.rehearsal.as_ref()?)))
         });

@@ -28,12 +28,12 @@ pub(crate) enum End {
 }
 
 impl End {
-    pub(crate) fn of(run: &RunSummary, picture: &LiveState, zone: Zone) -> Self {
+    pub(crate) fn of(run: &RunSummary, snapshot: &LiveState, zone: Zone) -> Self {
         if run.ended.is_some() {
             return Self::Told(run.reason.as_ref().map_or_else(|| "ended".to_owned(), ToString::to_string));
         }
-        let connected = || picture.hosts.iter().any(|host| host.id == run.host && host.connected);
-        let current = picture.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));
+        let connected = || snapshot.hosts.iter().any(|host| host.id == run.host && host.connected);
+        let current = snapshot.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));
         if current && connected() {
             return Self::GoesOn;
         }
@@ -83,7 +83,7 @@ fn why_deleted(retention: &RetentionConfig) -> String {
     match (retention.nodes_days, retention.size_limit_bytes) {
         (1, 0) => "after 1 day".to_owned(),
         (days, 0) if days > 0 => format!("after {} days", count(days.into())),
-        _ => "because of their age or for want of room".to_owned(),
+        _ => "because of their age or to free space".to_owned(),
     }
 }
 
@@ -157,7 +157,7 @@ pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
 }
 
 impl RunLine {
-    pub(crate) fn new(run: &RunSummary, picture: &LiveState, zone: Zone) -> Self {
+    pub(crate) fn new(run: &RunSummary, snapshot: &LiveState, zone: Zone) -> Self {
         let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), milliseconds);
         let total = run.total.as_ref();
         Self {
@@ -167,7 +167,7 @@ impl RunLine {
             model: place::model(&run.placement),
             started: zone.moment(run.started),
             lasted: end(run).map_or_else(|| NONE.to_owned(), |end| length((end - run.started).seconds())),
-            end: End::of(run, picture, zone),
+            end: End::of(run, snapshot, zone),
             iterations: count(run.counts.total()),
             lost: lost_share(run).map_or_else(|| NONE.to_owned(), percent),
             p50: quantile(total.map(|total| total.p50)),
@@ -229,11 +229,7 @@ mod tests {
             why_deleted(&RetentionConfig { nodes_days, size_limit_bytes, ..RetentionConfig::default() })
         };
         assert_eq!((why(7, 0).as_str(), why(1, 0).as_str()), ("after 7 days", "after 1 day"));
-        assert_eq!(why(7, 1 << 30), "because of their age or for want of room");
-        assert_eq!(
-            why(0, 0),
-            "because of their age or for want of room",
-            "the configuration was another one"
-        );
+        assert_eq!(why(7, 1 << 30), "because of their age or to free space");
+        assert_eq!(why(0, 0), "because of their age or to free space", "the configuration was another one");
     }
 }

@@ -1,6 +1,6 @@
-//! Speeds while sending and traffic of the two directions, as far as their delays are known.
+//! Speed while sending and traffic of each direction.
 //!
-//! *Speed while sending* is the bytes over the time that they were on their way, *traffic* the bytes over wall time.
+//! *Speed while sending* is bytes divided by their transfer time, which requires known delays. *Traffic* is bytes divided by wall time.
 
 use std::sync::Arc;
 
@@ -41,26 +41,29 @@ impl NetworkDirection {
     }
 }
 
-/// Returns the reason why there is no single figure for a direction; `None` when there is one.
-pub(crate) fn obstacle(window: &Window, way: NetworkDirection) -> Option<&'static str> {
-    let bound = window.bounds.iter().find(|bound| bound.stage == *way.delay());
-    told(bound.and_then(clocks::verdict), window.counts.ok)
+/// Returns the reason why a direction has no single speed; `None` if it has one.
+pub(crate) fn obstacle(window: &Window, direction: NetworkDirection) -> Option<&'static str> {
+    let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay());
+    find_obstacle(bound.and_then(clocks::verdict), window.counts.ok)
 }
 
-/// Returns the reason for a chart of these seconds, by the last minute with answered iterations, however long ago that is.
-pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], way: NetworkDirection) -> Option<&'static str> {
+/// Returns the reason why a chart of `series` has no line for a direction. Only the minute up to the last answered iteration counts,
+/// even if it is long ago.
+pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirection) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
-    let given = |verdict: &Verdict| {
-        let of_way = minute().flat_map(|second| &second.verdicts);
-        let of_way = of_way.filter(|(stage, known, _)| *stage == *way.delay() && known == verdict);
-        (*verdict, of_way.map(|(.., count)| count).sum())
+    let verdict_count = |verdict: &Verdict| {
+        let in_direction = minute().flat_map(|second| &second.verdicts);
+        let in_direction =
+            in_direction.filter(|(stage, known, _)| *stage == *direction.delay() && known == verdict);
+        (*verdict, in_direction.map(|(.., count)| count).sum())
     };
-    let verdicts: Vec<(Verdict, u64)> = Verdict::ALL.iter().map(given).collect();
-    told(prevailing_verdict(&verdicts), minute().map(|second| second.counts.ok).sum())
+    let verdicts: Vec<(Verdict, u64)> = Verdict::ALL.iter().map(verdict_count).collect();
+    find_obstacle(prevailing_verdict(&verdicts), minute().map(|second| second.counts.ok).sum())
 }
 
-fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
+/// Returns the reason why there is no single speed, from the prevailing verdict and the number of successful iterations.
+fn find_obstacle(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
     match verdict {
         Some(Verdict::Ok) => None,
         Some(Verdict::Limited) => Some("known only within its clock bound"),
@@ -71,18 +74,18 @@ fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
 }
 
 /// Returns the speed while sending in a direction in MB/s; over a delay that is known within a wide bound, the interval.
-pub(crate) fn cell(kind: PlacementKind, window: &Window, way: NetworkDirection) -> Cell {
+pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirection) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
-    let speed = way.of(&window.transfers).and_then(|transfer| transfer.speed());
-    match (obstacle(window, way), speed) {
+    let speed = direction.of(&window.transfers).and_then(|transfer| transfer.speed());
+    match (obstacle(window, direction), speed) {
         (None, Some(speed)) => Cell::new(throughput(speed)),
         (None, None) => Cell::none("the sizes or the delays are not known"),
         (Some(why), speed) => {
-            let bound = window.bounds.iter().find(|bound| bound.stage == *way.delay());
+            let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay());
             let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50);
-            let delay = window.value(way.delay()).map(|figures| figures.mean);
+            let delay = window.value(direction.delay()).map(|figures| figures.mean);
             let limited = bound.and_then(clocks::verdict) == Some(Verdict::Limited);
             match speed.filter(|_| limited).and_then(|speed| interval(speed, delay, half)) {
                 Some(text) => Cell { text, title: Some(why.to_owned()) },
@@ -97,17 +100,18 @@ pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
-    let ways = [NetworkDirection::Up, NetworkDirection::Down].map(|way| carried(window, way));
-    if ways.iter().all(Option::is_none) {
+    let directions =
+        [NetworkDirection::Up, NetworkDirection::Down].map(|direction| carried(window, direction));
+    if directions.iter().all(Option::is_none) {
         return Cell::none("no successful iteration in this time");
     }
-    let [up, down] = ways.map(|carried| carried.map_or_else(|| NONE.to_owned(), throughput));
+    let [up, down] = directions.map(|carried| carried.map_or_else(|| NONE.to_owned(), throughput));
     Cell { text: format!("{up} / {down}"), title: Some("up / down, of successful iterations".to_owned()) }
 }
 
 /// Returns the traffic of a direction in bits per second.
-pub(crate) fn carried(window: &Window, way: NetworkDirection) -> Option<f64> {
-    way.of(&window.transfers)?.traffic(window.covered_s)
+pub(crate) fn carried(window: &Window, direction: NetworkDirection) -> Option<f64> {
+    direction.of(&window.transfers)?.traffic(window.covered_s)
 }
 
 /// Returns the throughput that follows from the ends of a delay's interval, in MB/s; `None` where the delay has no bound.
@@ -127,7 +131,8 @@ mod tests {
             let mut line = samples::pipeline("line", hz, 1.0, verdict, &[]);
             // Nothing was measured for a minute.
             line.windows = [1, 10, 60].map(|seconds| samples::window(seconds, 0.0, 1.0, verdict));
-            [NetworkDirection::Up, NetworkDirection::Down].map(|way| obstacle_in(&line.series, way))
+            [NetworkDirection::Up, NetworkDirection::Down]
+                .map(|direction| obstacle_in(&line.series, direction))
         };
         assert_eq!(of(5.0, Verdict::Ok), [None; 2]);
         assert_eq!(of(5.0, Verdict::Limited), [Some("known only within its clock bound"); 2]);

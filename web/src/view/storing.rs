@@ -2,7 +2,7 @@
 
 use peernet_aggregator::Readiness;
 
-/// Returns the sentence for people; `None` while all is well.
+/// Returns the reason as a sentence; `None` while events are stored.
 pub(crate) fn notice(readiness: &Readiness) -> Option<String> {
     let Readiness::NotStoring(reason) = readiness else { return None };
     let mut characters = reason.chars();
@@ -16,9 +16,10 @@ mod tests {
 
     #[test]
     fn a_reason_reads_as_a_sentence() {
-        let told = Readiness::NotStoring("cannot store events: the disk is full; agents keep them".into());
+        let not_storing =
+            Readiness::NotStoring("cannot store events: the disk is full; agents keep them".into());
         assert_eq!(
-            notice(&told).as_deref(),
+            notice(&not_storing).as_deref(),
             Some("Cannot store events: the disk is full; agents keep them.")
         );
         assert_eq!(notice(&Readiness::Ready), None);

@@ -1,4 +1,4 @@
-//! Warnings of the overview: latencies with a large spread, busy processors, unattributed time, starts that do not keep the ordered rate.
+//! Warnings of the overview: latencies with a large spread, busy processors, unattributed time, skipped and late starts.
 
 use peernet_aggregator::{HostSnapshot, MetricsPoint, Window};
 use peernet_analysis::rows::SKIPPED_STARTS;
@@ -11,22 +11,22 @@ use super::stack::shared;
 use crate::config::WarnConfig;
 use crate::look::LATENESS;
 
-/// Time for which a processor must have been busy.
-const BUSY_FOR: Span = Span::from_seconds(10);
-/// Smallest unattributed time or lateness that causes a warning, seconds. Less is the cost of single instructions and of the scheduler.
-const LEAST_S: f64 = 1e-4;
+/// Minimum time for which the processors must have been busy.
+const MIN_BUSY_TIME: Span = Span::from_seconds(10);
+/// Minimum unattributed time or lateness that causes a warning, seconds. Less is normal cost of instructions and of the scheduler.
+const MIN_WARNED_S: f64 = 1e-4;
 
 /// Returns a warning if a host's processors have been busy for ten seconds.
-pub(crate) fn of_host(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
+pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
     let limit = warn.cpu_percent / 100.0;
     let current = host.metrics.cpu.filter(|_| host.connected)?;
-    // The points within the time, and the one at its beginning.
+    // The points within the time, and the one at its start.
     let mut before = host.history.iter().rev();
     let mut least = current;
     loop {
         let MetricsPoint { at, metrics } = &**before.next()?;
         least = least.min(metrics.cpu?);
-        if now - *at >= BUSY_FOR {
+        if now - *at >= MIN_BUSY_TIME {
             break;
         }
     }
@@ -40,14 +40,19 @@ pub(crate) fn of_host(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> 
 }
 
 /// Returns the warnings about a pipeline's last minute.
-pub(crate) fn of_pipeline(minute: &Window, warn: &WarnConfig) -> Vec<(Chip, String)> {
-    [tail(minute, warn), unattributed(minute, warn), skipped(minute, warn), late(minute, warn)]
-        .into_iter()
-        .flatten()
-        .collect()
+pub(crate) fn pipeline_warnings(minute: &Window, warn: &WarnConfig) -> Vec<(Chip, String)> {
+    [
+        tail_warning(minute, warn),
+        unattributed_warning(minute, warn),
+        skipped_warning(minute, warn),
+        late_warning(minute, warn),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
-fn tail(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
+fn tail_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     let total = minute.value(&stage::TOTAL)?;
     let p99 = total.p99.filter(|p99| *p99 > warn.p99_over_median * total.p50)?;
     let text = format!(
@@ -62,16 +67,16 @@ fn tail(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
 /// Returns the seconds per iteration, and their share of the total.
 fn share(minute: &Window, seconds: f64) -> Option<f64> {
     let total = minute.value(&stage::TOTAL)?;
-    (seconds > LEAST_S && total.mean > 0.0).then(|| seconds / total.mean)
+    (seconds > MIN_WARNED_S && total.mean > 0.0).then(|| seconds / total.mean)
 }
 
-/// Returns the mean per successful iteration; of a name that not all of them have, its share.
+/// Returns the mean of a node per successful iteration. Iterations without the node count as zero.
 fn mean(minute: &Window, name: &str) -> f64 {
     let Some(total) = minute.value(&stage::TOTAL) else { return 0.0 };
     minute.value(name).map_or(0.0, |known| shared((known.count, known.mean), total.count))
 }
 
-fn unattributed(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
+fn unattributed_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     let seconds = mean(minute, &stage::UNATTRIBUTED) - mean(minute, LATENESS);
     let share = share(minute, seconds).filter(|share| *share > warn.unattributed_percent / 100.0)?;
     let text = format!(
@@ -82,7 +87,7 @@ fn unattributed(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     Some((Chip::new(Tone::Warn, "unknown", "unattributed"), text))
 }
 
-fn skipped(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
+fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     let skipped =
         minute.value(SKIPPED_STARTS).map_or(0.0, |starts| starts.mean * starts.count as f64).round();
     let due = skipped + minute.counts.total() as f64;
@@ -96,7 +101,7 @@ fn skipped(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     Some((Chip::new(Tone::Warn, "gap", "skipped"), text))
 }
 
-fn late(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
+fn late_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     let seconds = mean(minute, LATENESS);
     let share = share(minute, seconds).filter(|share| *share > warn.late_percent / 100.0)?;
     let text = format!(
@@ -121,7 +126,7 @@ mod tests {
     fn words(change: impl FnOnce(&mut Window)) -> Vec<&'static str> {
         let mut minute = samples::window(60, 30.0, 1.0, Verdict::Ok);
         change(&mut minute);
-        of_pipeline(&minute, &WarnConfig::default()).into_iter().map(|(chip, _)| chip.word).collect()
+        pipeline_warnings(&minute, &WarnConfig::default()).into_iter().map(|(chip, _)| chip.word).collect()
     }
 
     fn set(minute: &mut Window, name: &str, mean: f64) {
@@ -139,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn latencies_that_spread_are_warned_of() {
+    fn large_p99_over_median_causes_warning() {
         assert_eq!(words(|_| ()), [] as [&str; 0]);
         let with_p99 = |p99| words(move |minute| (total(minute).p50, total(minute).p99) = (0.018, p99));
         assert_eq!(with_p99(Some(0.311)), ["tail"], "17 times the median");
@@ -148,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn time_in_no_stage_is_warned_of_without_lateness() {
+    fn unattributed_time_without_lateness_causes_warning() {
         assert_eq!(words(|minute| set(minute, "unattributed", 0.0018)), ["unattributed"]);
         assert_eq!(words(|minute| set(minute, "unattributed", 0.0014)), [] as [&str; 0]);
         let late = |minute: &mut Window| {
@@ -159,19 +164,19 @@ mod tests {
     }
 
     #[test]
-    fn starts_that_are_skipped_are_warned_of() {
+    fn skipped_starts_cause_warning() {
         assert_eq!(words(|minute| set(minute, SKIPPED_STARTS, 0.0)), [] as [&str; 0]);
         assert_eq!(words(|minute| set(minute, SKIPPED_STARTS, 0.01)), ["skipped"]);
         let patient = WarnConfig { skipped_percent: 2.0, ..WarnConfig::default() };
         let mut minute = samples::window(60, 30.0, 1.0, Verdict::Ok);
         set(&mut minute, SKIPPED_STARTS, 0.01);
-        assert_eq!(of_pipeline(&minute, &patient), []);
-        let said = &of_pipeline(&minute, &WarnConfig::default())[0].1;
+        assert_eq!(pipeline_warnings(&minute, &patient), []);
+        let said = &pipeline_warnings(&minute, &WarnConfig::default())[0].1;
         assert!(said.starts_with("skipped 18 starts in the last minute"), "{said}");
     }
 
     #[test]
-    fn processors_are_busy_after_ten_seconds_only() {
+    fn processors_busy_for_ten_seconds_cause_warning() {
         // Busy shares now, five seconds ago, ten seconds ago and so on.
         let busy = |shares: &[f64]| {
             let mut host = samples::host("cam-1", "Orin");
@@ -182,7 +187,7 @@ mod tests {
             });
             host.history = points.collect();
             host.metrics = metrics(shares[0]);
-            of_host(&host, NOW, &WarnConfig::default()).map(|(_, text)| text)
+            host_warning(&host, NOW, &WarnConfig::default()).map(|(_, text)| text)
         };
         assert!(busy(&[0.97, 0.95, 0.94]).is_some_and(|text| text.contains("94")));
         assert_eq!(busy(&[0.97, 0.95]), None, "for five seconds only");

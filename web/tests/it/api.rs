@@ -6,8 +6,8 @@ use axum::body::Body;
 use axum::http::{Method, Request, StatusCode};
 use serde_json::{Value, json};
 
-use crate::bed::{ITERATIONS, TestDashboard};
 use crate::factory::Line;
+use crate::test_dashboard::{ITERATIONS, TestDashboard};
 
 /// Every route, with an address that exists when two lines are stored.
 const ROUTES: &[(&str, &str)] = &[
@@ -40,9 +40,9 @@ const ROUTES: &[(&str, &str)] = &[
 const CHANGES: [&str; 1] = ["/api/v1/runs/{run}/pin"];
 
 #[tokio::test]
-async fn the_document_describes_every_route_and_every_route_answers() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
-    let document = bed.get("/api/openapi.json").await.json();
+async fn openapi_describes_every_route() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let document = dashboard.get("/api/openapi.json").await.json();
     let paths = document["paths"].as_object().expect("paths");
     let described: BTreeSet<&str> = paths.keys().map(String::as_str).collect();
     let listed: BTreeSet<&str> = ROUTES.iter().map(|(route, _)| *route).chain(CHANGES).collect();
@@ -62,7 +62,7 @@ async fn the_document_describes_every_route_and_every_route_answers() {
         let operation = &document["paths"][route]["get"];
         assert!(!operation["summary"].as_str().unwrap_or_default().is_empty(), "{route} has no summary");
         // A stream never ends: its head is answer enough here.
-        let response = bed.send(Request::get(address).body(Body::empty()).expect("a request")).await;
+        let response = dashboard.send(Request::get(address).body(Body::empty()).expect("a request")).await;
         assert_eq!(response.status(), StatusCode::OK, "{address}");
     }
     for (name, schema) in document["components"]["schemas"].as_object().expect("schemas") {
@@ -72,9 +72,9 @@ async fn the_document_describes_every_route_and_every_route_answers() {
 
 #[tokio::test]
 async fn live_and_stored_figures_are_served() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
 
-    let pipelines = bed.get("/api/v1/pipelines").await.json();
+    let pipelines = dashboard.get("/api/v1/pipelines").await.json();
     let full = &pipelines["pipelines"][1];
     assert_eq!(
         (&full["name"], &full["host"], &full["state"]),
@@ -92,18 +92,18 @@ async fn live_and_stored_figures_are_served() {
     let p50 = total["p50"].as_f64().expect("a median");
     assert!((0.019..0.025).contains(&p50), "{p50}");
     assert_eq!(full["seconds"].as_array().expect("seconds").len(), 5);
-    let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
+    let one = dashboard.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     assert!(one["seconds"].as_array().expect("seconds").len() > 30);
 
-    let runs = bed.get("/api/v1/runs").await.json();
+    let runs = dashboard.get("/api/v1/runs").await.json();
     assert_eq!(runs["runs"][0]["number"], 2);
     assert_eq!(runs["next"], Value::Null);
-    let run = bed.get("/api/v1/runs/2").await.json();
+    let run = dashboard.get("/api/v1/runs/2").await.json();
     assert_eq!((&run["reason"], &run["warm_up"]), (&json!("finished"), &json!(20)));
     assert_eq!(run["counts"]["ok"], ITERATIONS - 20);
     assert!(run["started"].as_str().expect("a time").ends_with('Z'));
 
-    let stages = bed.get("/api/v1/runs/2/stages").await.json();
+    let stages = dashboard.get("/api/v1/runs/2/stages").await.json();
     let share: f64 = stages["stages"]
         .as_array()
         .expect("stages")
@@ -121,25 +121,25 @@ async fn live_and_stored_figures_are_served() {
     let exact = 8.0 * (mean("upload-bytes") + mean("upload-logger-bytes")) / mean("upload");
     assert!((speed / exact - 1.0).abs() < 1e-9, "{speed}, but {exact}");
 
-    let histogram = bed.get("/api/v1/runs/2/histogram?stage=upload&bins=20").await.json();
+    let histogram = dashboard.get("/api/v1/runs/2/histogram?stage=upload&bins=20").await.json();
     let counts: u64 = histogram["counts"].as_array().expect("counts").iter().filter_map(Value::as_u64).sum();
     assert_eq!(counts + histogram["beyond"].as_u64().expect("a count"), ITERATIONS - 20);
 
-    let iteration = bed.get("/api/v1/runs/2/iterations/100").await.json();
+    let iteration = dashboard.get("/api/v1/runs/2/iterations/100").await.json();
     assert_eq!(
         (&iteration["number"], &iteration["previous"], &iteration["next"]),
         (&json!(100), &json!(99), &json!(101))
     );
     assert!(iteration["tree"]["nodes"].as_array().expect("nodes").len() > 10);
-    let hosts = bed.get("/api/v1/hosts").await.json();
+    let hosts = dashboard.get("/api/v1/hosts").await.json();
     assert_eq!(hosts["hosts"].as_array().expect("hosts").len(), 3);
     assert_eq!(hosts["hosts"][1]["description"]["gpus"][0], "NVIDIA Jetson Orin NX");
 }
 
 #[tokio::test]
-async fn percentiles_over_time_are_of_buckets_that_hold_sixty_iterations() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
-    let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
+async fn percentile_buckets_hold_sixty_iterations() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let one = dashboard.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     let over_time = &one["total_over_time"];
     assert_eq!(over_time["bucket_s"], 5, "150 iterations at 30 Hz; 2 s would hold 60 or 59: {over_time}");
     let points = over_time["points"].as_array().expect("points");
@@ -155,15 +155,15 @@ async fn percentiles_over_time_are_of_buckets_that_hold_sixty_iterations() {
         "30 iterations in a second: {seconds:?}"
     );
 
-    let listed = &bed.get("/api/v1/pipelines").await.json()["pipelines"][0]["total_over_time"];
+    let listed = &dashboard.get("/api/v1/pipelines").await.json()["pipelines"][0]["total_over_time"];
     let listed = listed["points"].as_array().expect("points").len();
     assert!((1..=2).contains(&listed), "the buckets of the last five seconds: {listed}");
 }
 
 #[tokio::test]
-async fn speed_while_sending_is_bytes_over_transfer_times() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
-    let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
+async fn speed_is_bytes_over_transfer_times() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let one = dashboard.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     let minute = &one["windows"][2];
     let mean = |name: &str| {
         let values = minute["values"].as_array().expect("values");
@@ -181,17 +181,18 @@ async fn speed_while_sending_is_bytes_over_transfer_times() {
     let second = &one["seconds"][1]["transfers"]["upload"];
     assert_eq!(second["bytes"], second["timed_bytes"], "all delays are known: {second}");
 
-    let local = bed.get("/api/v1/pipelines").await.json()["pipelines"][0]["windows"][2]["transfers"].clone();
+    let local =
+        dashboard.get("/api/v1/pipelines").await.json()["pipelines"][0]["windows"][2]["transfers"].clone();
     assert_eq!(local, json!({ "upload": null, "download": null }));
 }
 
 #[tokio::test]
-async fn a_controller_asks_for_one_window_and_a_few_stages() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
-    let all = bed.get("/api/v1/pipelines").await;
-    let few = bed.get("/api/v1/pipelines?window=10&stage=total,upload").await;
+async fn pipeline_query_selects_window_and_stages() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let all = dashboard.get("/api/v1/pipelines").await;
+    let few = dashboard.get("/api/v1/pipelines?window=10&stage=total,upload").await;
     assert!(few.text().len() * 4 < all.text().len(), "{} of {}", few.text().len(), all.text().len());
-    let one = bed.get("/api/v1/pipelines/cam-2/offload-full?window=10&stage=total,upload").await.json();
+    let one = dashboard.get("/api/v1/pipelines/cam-2/offload-full?window=10&stage=total,upload").await.json();
     for pipeline in [&few.json()["pipelines"][1], &one] {
         let windows = pipeline["windows"].as_array().expect("windows");
         assert_eq!((windows.len(), &windows[0]["seconds"]), (1, &json!(10)), "{pipeline}");
@@ -209,20 +210,20 @@ async fn a_controller_asks_for_one_window_and_a_few_stages() {
         assert!((1..=10).contains(&seconds.len()), "{pipeline}");
         assert!(seconds.iter().all(|second| second["means"].get("inference").is_none()), "{pipeline}");
     }
-    let nobody = bed.get("/api/v1/pipelines?window=60&stage=no-such-stage").await.json();
+    let nobody = dashboard.get("/api/v1/pipelines?window=60&stage=no-such-stage").await.json();
     assert_eq!(nobody["pipelines"][1]["windows"][0]["values"], json!([]), "{nobody}");
 }
 
 #[tokio::test]
 async fn lists_are_paged_without_loss_or_repetition() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
     for _ in 0..4 {
         factory.store_runs(5, true).await;
     }
     let mut seen = Vec::new();
     let mut next = String::new();
     loop {
-        let page = bed.get(&format!("/api/v1/runs?limit=2{next}")).await.json();
+        let page = dashboard.get(&format!("/api/v1/runs?limit=2{next}")).await.json();
         seen.extend(
             page["runs"]
                 .as_array()
@@ -239,7 +240,7 @@ async fn lists_are_paged_without_loss_or_repetition() {
     let mut after = 0;
     let mut numbers = Vec::new();
     while let Some(next) = {
-        let page = bed.get(&format!("/api/v1/runs/1/iterations?limit=150&after={after}")).await.json();
+        let page = dashboard.get(&format!("/api/v1/runs/1/iterations?limit=150&after={after}")).await.json();
         numbers.extend(
             page["iterations"].as_array().expect("rows").iter().filter_map(|row| row["number"].as_u64()),
         );
@@ -251,9 +252,9 @@ async fn lists_are_paged_without_loss_or_repetition() {
 }
 
 #[tokio::test]
-async fn a_run_is_exported_as_one_row_per_iteration() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
-    let answer = bed.get("/api/v1/runs/1/export?format=csv").await;
+async fn export_has_one_row_per_iteration() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let answer = dashboard.get("/api/v1/runs/1/export?format=csv").await;
     assert!(answer.header("content-type").starts_with("text/csv"));
     assert_eq!(answer.header("content-disposition"), "attachment; filename=\"offload-full-1.csv\"");
     let mut table = csv::Reader::from_reader(answer.body.as_slice());
@@ -280,7 +281,7 @@ async fn a_run_is_exported_as_one_row_per_iteration() {
     let sensing = number("capture") + number("transform");
     assert!((sensing - number("sensing")).abs() < 1e-9 && number("gpu-power") == 11.5, "{sensing}");
     assert!(number("upload-bytes") > 0.0 && number("upload-throughput-lo") < number("upload-throughput"));
-    assert!((number("at") - bed.clock.wall().unix_nanos() as f64 / 1e9).abs() < 3_600.0);
+    assert!((number("at") - dashboard.clock.wall().unix_nanos() as f64 / 1e9).abs() < 3_600.0);
     assert_eq!((cell("upload-verdict").as_str(), cell("warm-up").as_str()), ("ok", "0"));
 
     // As any other file of rows.
@@ -288,15 +289,15 @@ async fn a_run_is_exported_as_one_row_per_iteration() {
     let file = folder.path().join("export.csv");
     std::fs::write(&file, &answer.body).expect("writable");
     let read = peernet_results::ResultFolder::open(&file).expect("it is one");
-    let run = bed.get("/api/v1/runs/1").await.json();
+    let run = dashboard.get("/api/v1/runs/1").await.json();
     assert_eq!(serde_json::json!(read.record.counts.ok), run["counts"]["ok"]);
     assert_eq!(serde_json::json!(read.record.counts.warm_up), run["warm_up"], "{run}");
 }
 
 #[tokio::test]
-async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::unrelated()]).await;
-    let iteration = bed.get("/api/v1/runs/1/iterations/100").await.json();
+async fn direction_without_value_is_in_the_sum() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::unrelated()]).await;
+    let iteration = dashboard.get("/api/v1/runs/1/iterations/100").await.json();
     let number = |value: &Value| value.as_f64().expect("a number");
     let stages = iteration["stages"].as_array().expect("stages");
     let upload = stages.iter().find(|stage| stage["name"] == "upload").expect("it was judged");
@@ -308,7 +309,7 @@ async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
     let all = others + number(&iteration["both_ways"]) + number(&iteration["unattributed"]);
     assert!((all - number(&iteration["total"])).abs() < 1e-9, "{iteration}");
 
-    let csv = bed.get("/api/v1/runs/1/export").await;
+    let csv = dashboard.get("/api/v1/runs/1/export").await;
     let mut table = csv::Reader::from_reader(csv.body.as_slice());
     let header = table.headers().expect("a header").clone();
     let row = table.records().nth(99).expect("a row").expect("complete");
@@ -319,14 +320,14 @@ async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
 }
 
 #[tokio::test]
-async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::rehearsed()]).await;
-    let runs = bed.get("/api/v1/runs").await.json();
+async fn runs_with_clock_fault_are_marked_in_lists() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::rehearsed()]).await;
+    let runs = dashboard.get("/api/v1/runs").await.json();
     let marks: Vec<&Value> =
         runs["runs"].as_array().expect("runs").iter().map(|run| &run["rehearsed"]).collect();
     assert_eq!(marks, [&json!(true), &json!(false)]);
-    assert_eq!(bed.get("/api/v1/runs/2").await.json()["rehearsed"], json!(true));
-    let page = bed.get("/runs").await;
+    assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["rehearsed"], json!(true));
+    let page = dashboard.get("/runs").await;
     let page = page.text();
     let row = |number: u32| {
         let begin = page.find(&format!("\"/runs/{number}\"")).expect("a row");
@@ -337,8 +338,8 @@ async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
 }
 
 #[tokio::test]
-async fn problems_have_the_standard_form_and_name_the_parameter() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local()]).await;
+async fn problem_details_name_the_parameter() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
     for (address, status, word) in [
         ("/api/v1/runs?limit=0", 400, "limit"),
         ("/api/v1/runs?limit=many", 400, "limit: \"many\" is not a whole number from 1 to 1000"),
@@ -369,7 +370,7 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
         ("/api", 404, "/api"),
         ("/metrics/nothing", 404, "/metrics/nothing"),
     ] {
-        let answer = bed.get(address).await;
+        let answer = dashboard.get(address).await;
         assert_eq!(answer.status.as_u16(), status, "{address}: {}", answer.text());
         assert_eq!(answer.header("content-type"), "application/problem+json", "{address}");
         let problem = answer.json();
@@ -381,7 +382,7 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
     for address in ["/api/v1/runs", "/metrics", "/readyz"] {
         let request =
             Request::builder().method(Method::POST).uri(address).body(Body::empty()).expect("a request");
-        let answer = bed.request(request).await;
+        let answer = dashboard.request(request).await;
         assert_eq!(answer.status, StatusCode::METHOD_NOT_ALLOWED, "{address}");
         assert_eq!(answer.header("content-type"), "application/problem+json", "{address}");
         assert_eq!(answer.json()["status"], 405, "{address}");
@@ -391,8 +392,8 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
 
 #[tokio::test]
 async fn links_and_clocks_are_served() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::rehearsed()]).await;
-    let links = bed.get("/api/v1/links").await.json();
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::rehearsed()]).await;
+    let links = dashboard.get("/api/v1/links").await.json();
     let link = &links["links"][0];
     assert_eq!((&link["name"], &link["connected"]), (&json!("cam-3~rack-a"), &json!(true)));
     let now = &link["now"];
@@ -407,7 +408,7 @@ async fn links_and_clocks_are_served() {
     assert!(lo <= estimate && estimate <= hi && (1.2..1.21).contains(&estimate), "{offset}");
     assert_eq!(offset["sources"][1]["source"], "chrony");
     assert!(number(&now["up"]["median"]["lo_s"]) <= number(&now["up"]["median"]["value_s"]));
-    assert_eq!(bed.get("/api/v1/links/cam-3~rack-a").await.json()["edge_id"], link["edge_id"]);
+    assert_eq!(dashboard.get("/api/v1/links/cam-3~rack-a").await.json()["edge_id"], link["edge_id"]);
     let assumptions = json!({
         "clocks": "wall", "max_drift_ppm": 50.0, "max_drift_change_ppm_per_s": null, "claims_trusted": true,
         "probes_authenticated": false,
@@ -421,7 +422,7 @@ async fn links_and_clocks_are_served() {
     assert_eq!(now["proven_skew"], json!({ "min_ppm": 10.4, "max_ppm": 14.4 }));
     assert_eq!((&now["clocks"], &now["grown_window_s"]), (&json!("wall"), &Value::Null));
     assert_eq!(now["edge_clock"]["clocksource"], "kvm-clock");
-    let slowest = bed.get("/api/v1/runs/2/iterations?order=slowest&limit=1").await.json();
+    let slowest = dashboard.get("/api/v1/runs/2/iterations?order=slowest&limit=1").await.json();
     let stages = slowest["iterations"][0]["stages"].as_array().expect("stages").clone();
     let upload = stages.iter().find(|stage| stage["name"] == "upload").expect("it travelled");
     assert_eq!(
@@ -437,21 +438,21 @@ async fn links_and_clocks_are_served() {
     assert_eq!(cloud["up"]["bytes"], connection["up"]["bytes"], "the cloud received what the edge sent");
     assert_eq!(cloud["transport_round_trip"], Value::Null);
 
-    let series = bed.get("/api/v1/links/cam-3~rack-a/clock?points=600").await.json();
+    let series = dashboard.get("/api/v1/links/cam-3~rack-a/clock?points=600").await.json();
     let points = series["points"].as_array().expect("points");
     assert!(series["bucket_s"] == 1 && points.len() >= 100, "{} points", points.len());
     assert!(points[0]["window"].is_string() && points[0]["probes"]["sent"] == 10, "{}", points[0]);
     let to = points[49]["at"].as_str().expect("a time");
-    let half = bed.get(&format!("/api/v1/links/cam-3~rack-a/clock?to={to}&points=600")).await.json();
+    let half = dashboard.get(&format!("/api/v1/links/cam-3~rack-a/clock?to={to}&points=600")).await.json();
     assert_eq!(half["points"].as_array().expect("points").len(), 50);
-    let few = bed.get("/api/v1/links/cam-3~rack-a/clock?points=10").await.json();
+    let few = dashboard.get("/api/v1/links/cam-3~rack-a/clock?points=10").await.json();
     assert!(few["points"].as_array().expect("points").len() <= 11, "{few}");
 
-    let host = bed.get("/api/v1/hosts/cam-3").await.json();
+    let host = dashboard.get("/api/v1/hosts/cam-3").await.json();
     assert_eq!(host["clock"]["text"], "chrony, stratum 3, to ntp.plant");
     assert_eq!(host["clock"]["rehearsal"]["drift_ppm"], json!(50.0));
 
-    let again = bed.get("/api/v1/runs/2/recomputed").await.json();
+    let again = dashboard.get("/api/v1/runs/2/recomputed").await.json();
     assert_eq!(again["run"], 2);
     let stages: Vec<&Value> =
         again["stages"].as_array().expect("stages").iter().map(|one| &one["stage"]).collect();
@@ -463,14 +464,14 @@ async fn links_and_clocks_are_served() {
 
     for (address, status, word) in [
         ("/api/v1/links/cam-3", 404, "EDGE~CLOUD"),
-        ("/api/v1/links/cam-3/rack-a", 404, "EDGE~CLOUD, cam-3~rack-a perhaps"),
+        ("/api/v1/links/cam-3/rack-a", 404, "EDGE~CLOUD, so try cam-3~rack-a"),
         ("/api/v1/links/cam-3~nobody/clock", 404, "nobody"),
         ("/api/v1/links/cam-3~rack-a/clock?from=yesterday", 400, "from"),
         ("/api/v1/links/cam-3~rack-a/clock?points=0", 400, "points"),
         ("/api/v1/links/cam-3~rack-a/clock?from=2026-01-02T00:00:00Z&to=2026-01-01T00:00:00Z", 400, "before"),
         ("/api/v1/runs/77/recomputed", 404, "77"),
     ] {
-        let answer = bed.get(address).await;
+        let answer = dashboard.get(address).await;
         assert_eq!(answer.status.as_u16(), status, "{address}");
         assert!(
             answer.json()["detail"].as_str().expect("a detail").contains(word),

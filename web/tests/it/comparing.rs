@@ -4,13 +4,13 @@ use axum::http::StatusCode;
 use peernet_analysis::compare::{Comparison, Differences};
 use peernet_results::ResultFolder;
 
-use crate::bed::TestDashboard;
 use crate::factory::Line;
+use crate::test_dashboard::TestDashboard;
 
 #[tokio::test]
-async fn a_run_says_whether_it_can_be_published_and_why_not() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
-    let trust = bed.get("/api/v1/runs/1/trust").await.json();
+async fn run_page_states_trust_and_reasons() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let trust = dashboard.get("/api/v1/runs/1/trust").await.json();
     let about = |subject: &str| {
         let sentences = trust["sentences"].as_array().expect("sentences");
         let found = sentences.iter().find(|sentence| sentence["about"] == subject);
@@ -21,37 +21,37 @@ async fn a_run_says_whether_it_can_be_published_and_why_not() {
     for subject in ["stationarity", "warm-up", "outliers", "unattributed", "hosts"] {
         assert!(!about(subject)["text"].as_str().expect("text").is_empty(), "{subject}");
     }
-    let page = bed.get("/runs/1").await;
+    let page = dashboard.get("/runs/1").await;
     assert!(page.text().contains("Can this run be published?"), "{}", page.text());
     assert!(page.text().contains("CPU governor (performance)"), "{}", page.text());
-    let upload = bed.get("/api/v1/runs/2/trust").await;
+    let upload = dashboard.get("/api/v1/runs/2/trust").await;
     assert!(upload.text().contains("Of the delays of `upload`"), "{}", upload.text());
 
     factory.store_gaps(0, 3).await;
-    let trust = bed.get("/api/v1/runs/1/trust").await.json();
+    let trust = dashboard.get("/api/v1/runs/1/trust").await.json();
     assert_eq!(trust["verdict"], "no", "{trust}");
     let first = &trust["sentences"][0];
     assert_eq!((&first["about"], &first["grade"]), (&"missing events".into(), &"bad".into()), "{trust}");
-    assert!(bed.get("/runs/1").await.text().contains("2,922 events"));
-    assert_eq!(bed.get("/api/v1/runs/99/trust").await.status, StatusCode::NOT_FOUND);
+    assert!(dashboard.get("/runs/1").await.text().contains("2,922 events"));
+    assert_eq!(dashboard.get("/api/v1/runs/99/trust").await.status, StatusCode::NOT_FOUND);
 }
 
 #[tokio::test]
-async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhere() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
+async fn skipped_starts_before_unanswered_iterations_are_shown() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
     // Twenty are of the warm-up, ten of the others had no answer.
     factory.store_skipping(0, 120, 7).await;
-    assert_eq!(bed.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
-    assert_eq!(bed.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
-    let trust = bed.get("/api/v1/runs/2/trust").await.json();
+    assert_eq!(dashboard.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
+    assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
+    let trust = dashboard.get("/api/v1/runs/2/trust").await.json();
     let sentences = trust["sentences"].as_array().expect("sentences");
     let said = sentences.iter().find(|sentence| sentence["about"] == "skipped starts").expect("said");
     assert_eq!(said["grade"], "bad", "{said}");
     assert!(said["text"].as_str().expect("text").starts_with("70 of 170 starts (41\u{202f}%)"), "{said}");
-    let page = bed.get("/runs/2").await;
+    let page = dashboard.get("/runs/2").await;
     assert!(page.text().contains("<dt>Skipped starts</dt><dd>70</dd>"), "{}", page.text());
 
-    let compared = bed.get("/api/v1/compare?runs=1,2").await.json();
+    let compared = dashboard.get("/api/v1/compare?runs=1,2").await.json();
     let counts = |at: usize| {
         let one = &compared["configurations"][at];
         (one["starts"].as_u64(), one["skipped_starts"].as_u64())
@@ -59,8 +59,8 @@ async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhe
     assert_eq!((counts(0), counts(1)), ((Some(380), Some(0)), (Some(170), Some(70))), "{compared}");
     let doubt = compared["doubts"][0].as_str().expect("a sentence");
     assert!(doubt.ends_with(" of the configured rate: #2: 70 of 170 starts (41.2 %)."), "{doubt}");
-    assert!(bed.get("/compare?runs=1,2").await.text().contains(doubt));
-    assert_eq!(bed.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
+    assert!(dashboard.get("/compare?runs=1,2").await.text().contains(doubt));
+    assert_eq!(dashboard.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
 }
 
 /// Returns the panel of distributions.
@@ -71,19 +71,24 @@ fn distributions(page: &str) -> &str {
 
 #[tokio::test]
 async fn an_experiment_is_compared_with_its_repeats_together() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::resized()]).await;
-    assert_eq!(bed.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));
-    assert!(bed.get("/compare").await.text().contains("No run of an experiment is stored yet"));
+    let (dashboard, mut factory) =
+        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
+    assert_eq!(dashboard.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));
+    assert!(dashboard.get("/compare").await.text().contains("No run of an experiment is stored yet"));
     assert!(
-        bed.get("/compare").await.text().contains("in its table <span class=\"mono\">[experiment]</span>")
+        dashboard
+            .get("/compare")
+            .await
+            .text()
+            .contains("in its table <span class=\"mono\">[experiment]</span>")
     );
     factory.store_experiment(200, 2).await;
 
-    let listed = bed.get("/api/v1/experiments").await.json();
+    let listed = dashboard.get("/api/v1/experiments").await.json();
     let experiment = &listed["experiments"][0];
     assert_eq!((&experiment["name"], &experiment["runs"]), (&"pictures".into(), &6.into()), "{listed}");
     let id = experiment["id"].as_str().expect("an id");
-    let compared = bed.get(&format!("/api/v1/compare?experiment={id}")).await.json();
+    let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
     assert_eq!(compared["axes"], serde_json::json!(["picture", "where"]));
     let configurations = compared["configurations"].as_array().expect("configurations");
     assert_eq!(configurations.len(), 3, "{compared}");
@@ -93,7 +98,7 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
     let runs = configurations[0]["runs"].as_array().expect("runs");
     let (mut counts, mut medians) = (0, Vec::new());
     for run in runs {
-        let total = &bed.get(&format!("/api/v1/runs/{run}")).await.json()["total"];
+        let total = &dashboard.get(&format!("/api/v1/runs/{run}")).await.json()["total"];
         counts += total["count"].as_u64().expect("a count");
         medians.push(total["p50"].as_f64().expect("a median"));
         assert_eq!(total["p99"], serde_json::Value::Null, "too few of one: {total}");
@@ -107,7 +112,7 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
     medians.sort_by(f64::total_cmp);
     assert!((medians[0]..=medians[1]).contains(&p50), "{medians:?} {total}");
 
-    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert_eq!(page.status, StatusCode::OK, "{}", page.text());
     assert!(page.text().contains(" is the fastest: "), "{}", page.text());
     assert!(page.text().contains("<span>experiment pictures</span>"), "{}", page.text());
@@ -115,47 +120,48 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
     assert_eq!(page.text().matches("#distribution\">#").count(), 6, "{}", page.text());
     assert!(page.text().contains(&format!("; {counts} samples\"")), "{}", page.text());
     let address = format!("/compare?experiment={id}&stage=");
-    let page = bed.get(&format!("{address}upload")).await;
+    let page = dashboard.get(&format!("{address}upload")).await;
     let drawn = distributions(page.text());
     assert!(drawn.contains(">Upload time<") && !drawn.contains(">Total<"), "{drawn}");
     assert_eq!(drawn.matches("<figcaption>").count(), 4, "two configurations offload: {drawn}");
     assert!(drawn.contains("#distributions\" data-swap=\"distributions\""), "{drawn}");
-    let page = bed.get(&format!("{address}telepathy")).await;
+    let page = dashboard.get(&format!("{address}telepathy")).await;
     assert_eq!(page.status, StatusCode::BAD_REQUEST);
     assert!(page.text().contains("no run that is compared has"), "{}", page.text());
-    let run = bed.get(&format!("/runs/{}", runs[0])).await;
+    let run = dashboard.get(&format!("/runs/{}", runs[0])).await;
     assert!(run.text().contains(&format!("/compare?experiment={id}")), "{}", run.text());
     assert!(run.text().contains("On cam-1, CPU governor: schedutil"), "{}", run.text());
-    assert!(bed.get("/runs").await.text().contains(">pictures</a>"));
-    assert!(bed.get("/compare").await.text().contains(">pictures</a>"));
+    assert!(dashboard.get("/runs").await.text().contains(">pictures</a>"));
+    assert!(dashboard.get("/compare").await.text().contains(">pictures</a>"));
 
     factory.store_sizes(2, 100, &[600e3, 30e3, 2_000e3, 150e3]).await;
-    let listed = bed.get("/api/v1/experiments").await.json();
+    let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
-    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert!(page.text().contains("Latency against payload"), "{}", page.text());
     assert!(page.text().contains("kB sent, logarithmic"), "{}", page.text());
-    let compared = bed.get(&format!("/api/v1/compare?experiment={id}")).await.json();
+    let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
     let sizes: Vec<_> =
         compared["configurations"].as_array().expect("some").iter().map(|one| &one["values"][0]).collect();
     assert_eq!(sizes, ["30 kB", "150 kB", "600 kB", "2000 kB"], "by value, not by when they ran: {compared}");
-    assert!(bed.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
+    assert!(dashboard.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
 }
 
 #[tokio::test]
-async fn many_users_are_one_configuration_and_many_configurations_one_page() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::resized()]).await;
+async fn many_users_count_as_one_configuration() {
+    let (dashboard, mut factory) =
+        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
     factory.store_users(100, &[1, 3]).await;
-    let listed = bed.get("/api/v1/experiments").await.json();
+    let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
-    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert!(page.text().contains("Latency against the number of users"), "{}", page.text());
     assert!(page.text().contains(">3</td>") && page.text().contains("at 3 users"), "{}", page.text());
 
     factory.store_grid(30, 50).await;
-    let listed = bed.get("/api/v1/experiments").await.json();
+    let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
-    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert!(
         page.text().contains("<option value=") && page.text().contains("Difference to "),
         "{}",
@@ -166,25 +172,25 @@ async fn many_users_are_one_configuration_and_many_configurations_one_page() {
 }
 
 #[tokio::test]
-async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
-    let compared = bed.get("/api/v1/compare?runs=1,2").await.json();
+async fn difference_of_two_runs_states_its_significance() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let compared = dashboard.get("/api/v1/compare?runs=1,2").await.json();
     let total = &compared["differences"][0];
     assert_eq!((&total["name"], &total["certain"]), (&"total".into(), &true.into()), "{compared}");
     let [lo, value, hi] = [&total["interval"][0], &total["value"], &total["interval"][1]]
         .map(|it| it.as_f64().expect("a number"));
     assert!(lo < value && value < hi, "{total}");
     // The form of the list of runs repeats the name.
-    let page = bed.get("/compare?runs=1&runs=2").await;
+    let page = dashboard.get("/compare?runs=1&runs=2").await;
     assert!(page.text().contains("<h2 id=\"cd-h\">Difference to "), "{}", page.text());
-    let other_way = bed.get("/api/v1/compare?runs=1,2&baseline=2").await.json();
+    let other_way = dashboard.get("/api/v1/compare?runs=1,2&baseline=2").await.json();
     assert_eq!((&compared["baseline"], &other_way["baseline"]), (&"A".into(), &"B".into()));
     let turned = &other_way["differences"][0];
     assert_eq!(turned["value"].as_f64(), Some(-value), "{turned}");
     assert_eq!((&total["configuration"], &turned["configuration"]), (&"B".into(), &"A".into()));
     assert!(page.text().contains("http://127.0.0.1:8040/api/v1/runs/{1,2}/export"), "{}", page.text());
     assert!(page.text().contains("peernet compare run-1.csv run-2.csv"), "{}", page.text());
-    let again = bed.get("/api/v1/compare?runs=1,1").await.json();
+    let again = dashboard.get("/api/v1/compare?runs=1,1").await.json();
     assert_eq!(
         (&again["best"], again["configurations"].as_array().map(Vec::len)),
         (&serde_json::Value::Null, Some(1))
@@ -199,31 +205,31 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
         ("/api/v1/compare?runs=1&stage=upload", StatusCode::BAD_REQUEST),
         ("/api/v1/compare", StatusCode::BAD_REQUEST),
     ] {
-        assert_eq!(bed.get(address).await.status, status, "{address}");
+        assert_eq!(dashboard.get(address).await.status, status, "{address}");
     }
-    let (page, api) = (bed.get("/compare?run=1").await, bed.get("/api/v1/compare?run=1").await);
-    let known = "run: unknown, give runs or experiment";
-    assert!(page.text().contains(&format!("{known}, and with either stage and baseline")), "{}", page.text());
-    assert!(api.text().contains(&format!("{known}, and with either baseline\"")), "{}", api.text());
+    let (page, api) = (dashboard.get("/compare?run=1").await, dashboard.get("/api/v1/compare?run=1").await);
+    let known = "run: unknown parameter; valid are runs or experiment";
+    assert!(page.text().contains(&format!("{known}, and optionally stage and baseline")), "{}", page.text());
+    assert!(api.text().contains(&format!("{known}, and optionally baseline\"")), "{}", api.text());
 }
 
 /// Counts and means are equal, deviations up to their last digits; quantiles are within the sketch's 1 %. The store has means of seconds,
 /// the file single iterations, so their batches begin at different times: the width of an interval from 30 batches varies by 13 %
 /// (standard deviation), and ends differ by less than half of it.
 #[tokio::test]
-async fn files_of_runs_and_store_give_the_same_comparison() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
+async fn run_files_and_store_give_same_comparison() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut runs = Vec::new();
     for run in [1, 2] {
         let file = folder.path().join(format!("run-{run}.csv"));
-        let exported = bed.get(&format!("/api/v1/runs/{run}/export")).await;
+        let exported = dashboard.get(&format!("/api/v1/runs/{run}/export")).await;
         std::fs::write(&file, exported.text()).expect("the folder is writable");
         runs.push(ResultFolder::open(&file).expect("a file of results"));
     }
     let of_files = Comparison::new(&runs);
     let differences = Differences::between_runs(&runs[0], &runs[1], 1);
-    let of_store = bed.get("/api/v1/compare?runs=1,2").await.json();
+    let of_store = dashboard.get("/api/v1/compare?runs=1,2").await.json();
     for (at, line) in of_files.lines.iter().enumerate() {
         for name in ["sensing", "inference", "total"] {
             let latency = line.latency(name).expect("measured");
@@ -256,34 +262,34 @@ async fn files_of_runs_and_store_give_the_same_comparison() {
 }
 
 #[tokio::test]
-async fn a_run_that_was_interrupted_and_done_again_counts_once() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
+async fn repeated_run_after_interruption_counts_once() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
     factory.store_attempts(100, &["stopped", "finished"]).await;
-    let listed = bed.get("/api/v1/experiments").await.json();
+    let listed = dashboard.get("/api/v1/experiments").await.json();
     let (id, first) =
         (listed["experiments"][0]["id"].as_str().expect("an id"), &listed["experiments"][0]["oldest"]);
     let first = first.as_i64().expect("a number");
-    let compared = bed.get(&format!("/api/v1/compare?experiment={id}")).await.json();
+    let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
     let configurations = compared["configurations"].as_array().expect("configurations");
     assert_eq!(configurations.len(), 1, "{compared}");
     assert_eq!(configurations[0]["runs"], serde_json::json!([first + 1]), "{compared}");
     assert_eq!(compared["left_out"], serde_json::json!([{ "run": first, "why": "interrupted" }]));
-    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     let expected = format!("<a href=\"/runs/{first}\">#{first}</a> (interrupted)</span>");
     assert!(page.text().contains(&expected), "{}", page.text());
     assert!(page.text().contains("<span>1 run</span>"), "{}", page.text());
 
     // Asked for by its number it is compared like any other.
-    let named = bed.get(&format!("/api/v1/compare?runs={first},{}", first + 1)).await.json();
+    let named = dashboard.get(&format!("/api/v1/compare?runs={first},{}", first + 1)).await.json();
     assert_eq!(named["configurations"].as_array().map(Vec::len), Some(2), "{named}");
     assert_eq!(named["left_out"], serde_json::json!([]));
     let remark = format!("Named, and so compared, though not measured to the end: #{first} (interrupted).");
     assert_eq!(named["doubts"], serde_json::json!([remark]));
 
     factory.store_attempts(50, &["stopped"]).await;
-    let listed = bed.get("/api/v1/experiments").await.json();
+    let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
-    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert_eq!(page.status, StatusCode::OK, "{}", page.text());
     assert!(page.text().contains("No run of this experiment was finished yet"), "{}", page.text());
 }

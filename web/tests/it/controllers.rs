@@ -5,8 +5,8 @@ use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
-use crate::bed::TestDashboard;
 use crate::factory::Line;
+use crate::test_dashboard::TestDashboard;
 
 /// Reads lines of an answer and two pipelines each, and decides.
 const DRIVER: &str = r#"
@@ -20,9 +20,9 @@ print(decide(ask()))
 "#;
 
 #[tokio::test]
-async fn the_example_of_the_documents_decides_by_what_is_known() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
-    let mut answer = bed.get("/api/v1/pipelines?window=10&stage=total").await.json();
+async fn documented_controller_decides_by_known_values() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let mut answer = dashboard.get("/api/v1/pipelines?window=10&stage=total").await.json();
     for pipeline in answer["pipelines"].as_array_mut().expect("pipelines") {
         // However long this machine took to come here.
         pipeline["state"] = json!("running");

@@ -1,7 +1,7 @@
 //! Response length against latency, over stored data.
 
-use crate::bed::TestDashboard;
 use crate::factory::Line;
+use crate::test_dashboard::TestDashboard;
 
 const HEADING: &str = "Response length against latency</h2>";
 
@@ -18,31 +18,31 @@ fn exported(csv: &str) -> Vec<(String, String)> {
 }
 
 #[tokio::test]
-async fn answers_of_different_length_are_drawn_as_they_stand_in_the_run_s_file() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::talking(), Line::full()]).await;
-    let rows = exported(bed.get("/api/v1/runs/1/export").await.text());
+async fn lengths_of_answers_match_data_file() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::talking(), Line::full()]).await;
+    let rows = exported(dashboard.get("/api/v1/runs/1/export").await.text());
     assert!(rows.len() > 300 && rows.len() < 400, "{}", rows.len());
-    let pairs = bed.aggregator.store().value_pairs(1, ["download-bytes", "inference"], 1_000).await;
+    let pairs = dashboard.aggregator.store().value_pairs(1, ["download-bytes", "inference"], 1_000).await;
     let pairs = pairs.expect("answers").points.into_iter();
     let pairs: Vec<_> = pairs.map(|(length, latency)| (length.to_string(), latency.to_string())).collect();
     assert_eq!(pairs, rows);
 
-    let page = bed.get("/compare?runs=1,2").await;
+    let page = dashboard.get("/compare?runs=1,2").await;
     let panel = page.text().split(HEADING).nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");
     assert_eq!(panel.matches("class=\"joint\"").count(), 1, "those of the other are all alike: {panel}");
     assert_eq!(panel.matches("h0").count(), rows.len(), "a dot for each: {panel}");
     assert!(panel.contains(&format!("All {} iterations.", rows.len())), "{panel}");
-    assert!(!bed.get("/compare?runs=2").await.text().contains(HEADING));
+    assert!(!dashboard.get("/compare?runs=2").await.text().contains(HEADING));
 }
 
 #[tokio::test]
-async fn of_a_long_run_a_sample_is_drawn() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::talking()]).await;
+async fn long_run_is_drawn_as_sample() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::talking()]).await;
     factory.store_experiment(900, 2).await;
-    let listed = bed.get("/api/v1/experiments").await.json();
+    let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
-    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     let panel = page.text().split(HEADING).nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");
     assert!(panel.contains(" iterations, evenly spread; histograms of all."), "{panel}");

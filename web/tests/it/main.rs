@@ -1,7 +1,6 @@
 //! Pages and API over a real aggregator with a real database.
 
 mod api;
-mod bed;
 mod comparing;
 mod controllers;
 mod factory;
@@ -13,3 +12,4 @@ mod retained;
 mod serving;
 mod storing;
 mod stream;
+mod test_dashboard;

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_clock::Span;
 
-use crate::bed::TestDashboard;
 use crate::factory::Line;
+use crate::test_dashboard::TestDashboard;
 
 /// Lines of one metric.
 #[derive(Debug, Default, PartialEq)]
@@ -97,9 +97,10 @@ fn read(text: &str) -> BTreeMap<String, Family> {
 }
 
 #[tokio::test]
-async fn every_line_is_valid_and_counters_only_grow() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::unrelated()]).await;
-    let answer = bed.get("/metrics").await;
+async fn metric_lines_are_valid_and_counters_grow() {
+    let (dashboard, mut factory) =
+        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::unrelated()]).await;
+    let answer = dashboard.get("/metrics").await;
     assert_eq!(answer.header("content-type"), "application/openmetrics-text; version=1.0.0; charset=utf-8");
     let first = read(answer.text());
 
@@ -144,15 +145,16 @@ async fn every_line_is_valid_and_counters_only_grow() {
     );
 
     factory.store_runs(50, true).await;
-    let now = bed.clock.wall();
+    let now = dashboard.clock.wall();
     factory.report(now, now + Span::from_seconds(1)).await;
     let stored = value(&first, "peernet_aggregator_stored_nodes_total");
-    bed.until(|picture| {
-        picture.totals.stored.nodes as f64 > stored
-            && picture.hosts.iter().all(|host| host.accounting.stored == host.stored.events)
-    })
-    .await;
-    let second = read(bed.get("/metrics").await.text());
+    dashboard
+        .wait_until(|picture| {
+            picture.totals.stored.nodes as f64 > stored
+                && picture.hosts.iter().all(|host| host.accounting.stored == host.stored.events)
+        })
+        .await;
+    let second = read(dashboard.get("/metrics").await.text());
     let mut grown = 0;
     for (name, family) in &first {
         assert_eq!(family.kind, second[name].kind);
@@ -168,9 +170,9 @@ async fn every_line_is_valid_and_counters_only_grow() {
 }
 
 #[tokio::test]
-async fn the_document_lists_what_is_served_and_nothing_else() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
-    let served = read(bed.get("/metrics").await.text());
+async fn documented_metrics_are_the_served_ones() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let served = read(dashboard.get("/metrics").await.text());
     let document = include_str!("../../../docs/metrics.md");
     let document = document.split("## Worth an alert").next().expect("the tables");
     let mut listed = BTreeSet::new();
@@ -195,9 +197,9 @@ async fn the_document_lists_what_is_served_and_nothing_else() {
 }
 
 #[tokio::test]
-async fn an_aggregator_without_hosts_has_metrics_too() {
-    let bed = TestDashboard::empty().await;
-    let families = read(bed.get("/metrics").await.text());
+async fn aggregator_without_hosts_has_metrics() {
+    let dashboard = TestDashboard::empty().await;
+    let families = read(dashboard.get("/metrics").await.text());
     assert_eq!(families["peernet_aggregator_known_hosts"].samples["peernet_aggregator_known_hosts"], 0.0);
     assert!(families["peernet_host_produced_events"].samples.is_empty());
 }

@@ -1,7 +1,7 @@
 //! Runs over time with their episodes, over stored data.
 
-use crate::bed::TestDashboard;
 use crate::factory::Line;
+use crate::test_dashboard::TestDashboard;
 
 /// Returns attribute `d` of the first SVG path with this class.
 fn path<'a>(html: &'a str, class: &str) -> &'a str {
@@ -10,12 +10,12 @@ fn path<'a>(html: &'a str, class: &str) -> &'a str {
 }
 
 #[tokio::test]
-async fn runs_with_episodes_stand_side_by_side_over_time() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
+async fn runs_with_episodes_are_drawn_over_time() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
     factory.store_episodes(400, 100).await;
-    let listed = bed.get("/api/v1/experiments").await.json();
+    let listed = dashboard.get("/api/v1/experiments").await.json();
     let (id, first) = (&listed["experiments"][0]["id"], &listed["experiments"][0]["oldest"]);
-    let page = bed.get(&format!("/compare?experiment={}", id.as_str().expect("an id"))).await;
+    let page = dashboard.get(&format!("/compare?experiment={}", id.as_str().expect("an id"))).await;
     let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
@@ -27,7 +27,7 @@ async fn runs_with_episodes_stand_side_by_side_over_time() {
     assert!(!path(panel, "median").is_empty() && panel.contains("class=\"f-inference\""), "{panel}");
     assert!(panel.contains("class=\"f-upload\"") && panel.contains("class=\"warm-up\""), "{panel}");
 
-    let run = bed.get(&format!("/runs/{first}")).await;
+    let run = dashboard.get(&format!("/runs/{first}")).await;
     assert!(run.text().contains("id=\"course\""), "{}", run.text());
     assert!(run.text().contains("<span class=\"sub\">4 episodes of 100 steps, 4 without an answer</span>"));
     let data = run.text().split("id=\"data\">").nth(1).and_then(|rest| rest.split('<').next()).expect("data");
@@ -38,12 +38,12 @@ async fn runs_with_episodes_stand_side_by_side_over_time() {
 }
 
 #[tokio::test]
-async fn runs_without_episodes_have_no_words_of_them() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
-    let page = bed.get("/compare?runs=1,2").await;
+async fn run_without_episodes_mentions_none() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let page = dashboard.get("/compare?runs=1,2").await;
     let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");
     assert!(!panel.contains("episode") && !panel.contains("without an answer"), "{panel}");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
-    assert!(!bed.get("/runs/1").await.text().contains("new episode"));
+    assert!(!dashboard.get("/runs/1").await.text().contains("new episode"));
 }

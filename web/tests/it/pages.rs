@@ -2,13 +2,14 @@
 
 use axum::http::StatusCode;
 
-use crate::bed::TestDashboard;
 use crate::factory::Line;
+use crate::test_dashboard::TestDashboard;
 
 #[tokio::test]
-async fn every_page_is_there_and_complete_without_a_script() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::resized()]).await;
-    let slowest = bed.get("/api/v1/runs/3/iterations?order=slowest&limit=1").await.json();
+async fn every_page_is_complete_without_script() {
+    let (dashboard, _factory) =
+        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
+    let slowest = dashboard.get("/api/v1/runs/3/iterations?order=slowest&limit=1").await.json();
     let slowest = format!("/runs/3/iterations/{}", slowest["iterations"][0]["number"]);
     let pages = [
         ("/", "offload-resized"),
@@ -36,7 +37,7 @@ async fn every_page_is_there_and_complete_without_a_script() {
         ("/incidents?kind=control&host=nobody", "No incident of this kind and host is stored"),
     ];
     for (path, text) in pages {
-        let answer = bed.get(path).await;
+        let answer = dashboard.get(path).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.text());
         assert!(answer.header("content-type").starts_with("text/html"), "{path}");
         assert!(answer.text().contains(text), "{path} lacks {text:?}: {}", answer.text());
@@ -53,10 +54,13 @@ async fn every_page_is_there_and_complete_without_a_script() {
 
 #[tokio::test]
 async fn an_empty_aggregator_says_how_to_fill_it() {
-    let bed = TestDashboard::empty().await;
-    let home = bed.get("/").await;
+    let dashboard = TestDashboard::empty().await;
+    let home = dashboard.get("/").await;
     assert!(home.text().contains("No host has reported yet"));
-    assert!(home.text().contains(&bed.listening) && home.text().contains("peernetd check configs/edge.toml"));
+    assert!(
+        home.text().contains(&dashboard.listening)
+            && home.text().contains("peernetd check configs/edge.toml")
+    );
     for (path, text) in [
         ("/pipelines", "No pipeline has reported yet"),
         ("/runs", "No run is stored yet"),
@@ -64,19 +68,19 @@ async fn an_empty_aggregator_says_how_to_fill_it() {
         ("/hosts", "No host has reported yet"),
         ("/incidents", "Nothing out of the ordinary has happened"),
     ] {
-        let answer = bed.get(path).await;
+        let answer = dashboard.get(path).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}");
         assert!(answer.text().contains(text), "{path}: {}", answer.text());
     }
 }
 
 #[tokio::test]
-async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::unrelated()]).await;
-    let run = bed.get("/runs/1").await;
+async fn unrelated_clocks_show_dashes_and_exact_sum() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::unrelated()]).await;
+    let run = dashboard.get("/runs/1").await;
     assert!(run.text().contains("unsynchronised"), "{}", run.text());
     assert!(run.text().contains(">up + down </tspan>"), "{}", run.text());
-    let iteration = bed.get("/runs/1/iterations/100").await;
+    let iteration = dashboard.get("/runs/1/iterations/100").await;
     assert!(iteration.text().contains("class=\"chip bad\""), "{}", iteration.text());
     assert!(iteration.text().contains("and so is upload + download = "), "{}", iteration.text());
     let delays = iteration.text().split("How the one-way delays came about").nth(1).expect("a panel");
@@ -85,8 +89,8 @@ async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
 }
 
 #[tokio::test]
-async fn what_is_not_there_is_said_on_a_page() {
-    let bed = TestDashboard::empty().await;
+async fn missing_page_is_an_error_page() {
+    let dashboard = TestDashboard::empty().await;
     for path in [
         "/nothing",
         "/runs/7",
@@ -97,42 +101,42 @@ async fn what_is_not_there_is_said_on_a_page() {
         "/links/a~b",
         "/links/a",
     ] {
-        let answer = bed.get(path).await;
+        let answer = dashboard.get(path).await;
         assert_eq!(answer.status, StatusCode::NOT_FOUND, "{path}");
         assert!(answer.header("content-type").starts_with("text/html"), "{path}");
         assert!(answer.text().contains("<h1>Not Found</h1>"), "{path}: {}", answer.text());
     }
-    let answer = bed.get("/runs?bfore=3").await;
+    let answer = dashboard.get("/runs?bfore=3").await;
     assert_eq!(answer.status, StatusCode::BAD_REQUEST);
     assert!(answer.text().contains("bfore"), "{}", answer.text());
 }
 
 #[tokio::test]
-async fn what_of_a_run_was_not_recorded_is_said_with_its_reason() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
-    assert!(!bed.get("/runs/1").await.text().contains("of this run were not recorded"));
+async fn unrecorded_events_are_shown_with_reason() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    assert!(!dashboard.get("/runs/1").await.text().contains("of this run were not recorded"));
     factory.store_gaps(0, 3).await;
-    let page = bed.get("/runs/1").await;
+    let page = dashboard.get("/runs/1").await;
     let said = "2,922 events of this run were not recorded: no room in the agent&#39;s spool (from ";
     assert!(page.text().contains(said) && page.text().contains(", in 3 gaps)."), "{}", page.text());
 }
 
 #[tokio::test]
-async fn a_run_goes_on_only_as_long_as_its_host_says_so() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
+async fn run_is_running_while_its_host_reports_it() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
     factory.store_runs(30, false).await;
     for current in [Some(2), None] {
         if current.is_none() {
             factory.lines[0].run = None;
         }
-        let now = bed.clock.wall();
+        let now = dashboard.clock.wall();
         factory.report(now, now).await;
-        bed.until(|picture| picture.pipelines[0].run_number == current).await;
-        let page = bed.get("/runs/2").await;
+        dashboard.wait_until(|picture| picture.pipelines[0].run_number == current).await;
+        let page = dashboard.get("/runs/2").await;
         assert_eq!(page.text().contains("goes on"), current.is_some(), "{}", page.text());
         assert_eq!(page.text().contains("no end was reported; last iteration on"), current.is_none());
     }
-    assert!(bed.get("/runs").await.text().contains("no end was reported, last iteration"));
+    assert!(dashboard.get("/runs").await.text().contains("no end was reported, last iteration"));
 }
 
 #[tokio::test]
@@ -142,7 +146,7 @@ async fn links_of_all_kinds_are_told_apart() {
         Line { host: "cam-4", ..Line::unrelated() },
         Line { host: "cam-5", ..Line::one_clock() },
     ];
-    let (bed, _factory) = TestDashboard::with(lines).await;
+    let (dashboard, _factory) = TestDashboard::with_pipelines(lines).await;
     for (path, text) in [
         ("/links", "3 links: 1 can be trusted, 1 known only as intervals in part, 1 cannot be trusted"),
         ("/links/cam-4~rack-a", "the two clocks were never related, so one-way delays are not known"),
@@ -159,9 +163,9 @@ async fn links_of_all_kinds_are_told_apart() {
         ("/pipelines/cam-3/offload-resized", "#i-rehearsal\"/></svg>rehearsal"),
         ("/incidents", "is made wrong on purpose"),
     ] {
-        let answer = bed.get(path).await;
+        let answer = dashboard.get(path).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.text());
         assert!(answer.text().contains(text), "{path} lacks {text:?}: {}", answer.text());
     }
-    assert!(!bed.get("/runs/2").await.text().contains("#i-rehearsal\"/></svg>rehearsal"));
+    assert!(!dashboard.get("/runs/2").await.text().contains("#i-rehearsal\"/></svg>rehearsal"));
 }

@@ -7,38 +7,39 @@ use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, SqliteConnection};
 
-use crate::bed::TestDashboard;
 use crate::factory::{Factory, Line};
+use crate::test_dashboard::TestDashboard;
 
-/// Lets nine days pass on the storage clock, in which retention counts.
-async fn let_days_pass(database: &mut SqliteConnection) {
+/// Advances the storage clock, by which retention computes ages, by nine days.
+async fn age_stored_data(database: &mut SqliteConnection) {
     let nine_days = "UPDATE storage_clock SET elapsed_ns = elapsed_ns + 9 * 86400 * 1000000000";
     sqlx::query(nine_days).execute(database).await.expect("the database can be written");
 }
 
 #[tokio::test]
-async fn what_was_deleted_is_said_and_what_remains_is_shown() {
-    let bed = TestDashboard::empty().await;
-    let mut factory = Factory::new(&bed.listening, bed.clock.clone(), vec![Line::local()]).await;
+async fn deleted_data_is_named_and_remaining_data_shown() {
+    let dashboard = TestDashboard::empty().await;
+    let mut factory = Factory::new(&dashboard.listening, dashboard.clock.clone(), vec![Line::local()]).await;
     factory.store_runs(200, true).await;
     factory.store_runs(100, true).await;
-    let pinned = bed.aggregator.pin(2, true).await.expect("the database can be written");
+    let pinned = dashboard.aggregator.pin(2, true).await.expect("the database can be written");
     assert!(pinned, "run 2 is there");
 
-    let run = async |number: i64| bed.get(&format!("/api/v1/runs/{number}")).await.json();
+    let run = async |number: i64| dashboard.get(&format!("/api/v1/runs/{number}")).await.json();
     assert_eq!(run(1).await["deleted_through"], json!(0));
-    let options = SqliteConnectOptions::new().filename(bed.database()).busy_timeout(Duration::from_secs(10));
+    let options =
+        SqliteConnectOptions::new().filename(dashboard.database()).busy_timeout(Duration::from_secs(10));
     let mut database = options.connect().await.expect("opens");
     let deleted = async {
         while run(1).await["deleted_through"] != json!(200) {
             // A retention period begins when retention has processed the stored data, and that cannot be observed.
-            let_days_pass(&mut database).await;
+            age_stored_data(&mut database).await;
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     };
     tokio::time::timeout(Duration::from_secs(60), deleted).await.expect("what is old goes");
 
-    let incidents = bed.get("/api/v1/incidents").await.json();
+    let incidents = dashboard.get("/api/v1/incidents").await.json();
     // One an hour of the storage clock: there may be later ones.
     let tells = |incident: &&serde_json::Value| {
         let text = incident["text"].as_str().expect("a sentence");
@@ -47,29 +48,33 @@ async fn what_was_deleted_is_said_and_what_remains_is_shown() {
     let incident = incidents["incidents"].as_array().expect("a list").iter().find(tells);
     let incident = incident.unwrap_or_else(|| panic!("{incidents}"));
     assert_eq!((&incident["kind"], &incident["host"]), (&json!("retention"), &json!(null)));
-    let page = bed.get("/incidents").await;
+    let page = dashboard.get("/incidents").await;
     assert!(
         page.text().contains("aggregator</td>") && page.text().contains("200 iterations"),
         "{}",
         page.text()
     );
 
-    let page = bed.get("/runs/1").await;
+    let page = dashboard.get("/runs/1").await;
     assert!(page.text().contains("Iterations 1 to 200"), "{}", page.text());
     assert!(page.text().contains("deleted after 7 days. The statistics remain."), "{}", page.text());
     assert!(page.text().contains("Distribution of total"), "its statistics are shown");
-    let stages = bed.get("/api/v1/runs/1/stages").await.json();
+    let stages = dashboard.get("/api/v1/runs/1/stages").await.json();
     assert!(!stages["stages"].as_array().expect("stages").is_empty());
-    let list = bed.get("/api/v1/runs/1/iterations").await.json();
+    let list = dashboard.get("/api/v1/runs/1/iterations").await.json();
     assert_eq!(list, json!({ "iterations": [], "next": null }));
     for path in ["/api/v1/runs/1/iterations/7", "/runs/1/iterations/7"] {
-        let answer = bed.get(path).await;
+        let answer = dashboard.get(path).await;
         assert_eq!(answer.status, StatusCode::GONE, "{path}: {}", answer.text());
         assert!(answer.text().contains("iterations 1 to 200 of run 1 were deleted after 7 days"), "{path}");
     }
-    assert_eq!(bed.get("/runs/1/iterations/201").await.status, StatusCode::NOT_FOUND, "that one never was");
+    assert_eq!(
+        dashboard.get("/runs/1/iterations/201").await.status,
+        StatusCode::NOT_FOUND,
+        "that one never was"
+    );
 
     assert_eq!(run(2).await["deleted_through"], json!(0), "a run that is kept loses nothing");
-    assert_eq!(bed.get("/runs/2/iterations/7").await.status, StatusCode::OK);
-    assert!(!bed.get("/runs/2").await.text().contains("The statistics remain"));
+    assert_eq!(dashboard.get("/runs/2/iterations/7").await.status, StatusCode::OK);
+    assert!(!dashboard.get("/runs/2").await.text().contains("The statistics remain"));
 }

@@ -7,16 +7,21 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio_util::sync::CancellationToken;
 
-use crate::bed::TestDashboard;
+use crate::test_dashboard::TestDashboard;
 
 #[tokio::test]
 async fn a_server_stops_with_a_stream_open() {
-    let bed = TestDashboard::empty().await;
+    let dashboard = TestDashboard::empty().await;
     let stop = CancellationToken::new();
-    let server =
-        peernet_web::serve(bed.config.clone(), bed.aggregator.clone(), bed.clock.clone(), stop.clone(), 16)
-            .await
-            .expect("serves");
+    let server = peernet_web::serve(
+        dashboard.config.clone(),
+        dashboard.aggregator.clone(),
+        dashboard.clock.clone(),
+        stop.clone(),
+        16,
+    )
+    .await
+    .expect("serves");
     let mut listener = TcpStream::connect(server.address()).await.expect("connects");
     listener
         .write_all(b"GET /api/v1/live?topics=overview HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -35,8 +40,8 @@ async fn a_server_stops_with_a_stream_open() {
     listener.read_to_end(&mut rest).await.expect("the connection is closed");
 }
 
-/// Returns a connection from this address of this machine that asked for something.
-async fn asked(server: std::net::SocketAddr, from: &str, head: &str) -> TcpStream {
+/// Sends a request from a local address, and returns its connection.
+async fn send_request(server: std::net::SocketAddr, from: &str, head: &str) -> TcpStream {
     let socket = TcpSocket::new_v4().expect("a socket");
     socket.bind(format!("{from}:0").parse().expect("an address")).expect("binds");
     let mut stream = socket.connect(server).await.expect("connects");
@@ -44,8 +49,8 @@ async fn asked(server: std::net::SocketAddr, from: &str, head: &str) -> TcpStrea
     stream
 }
 
-/// Returns the received text up to and including `sign`.
-async fn until(stream: &mut TcpStream, sign: &str) -> String {
+/// Returns the received text up to a chunk that contains `sign`.
+async fn read_until(stream: &mut TcpStream, sign: &str) -> String {
     let mut heard = String::new();
     while !heard.contains(sign) {
         let mut chunk = [0; 4096];
@@ -59,35 +64,41 @@ async fn until(stream: &mut TcpStream, sign: &str) -> String {
 #[tokio::test]
 async fn streams_leave_connections_to_other_requests() {
     const LIVE: &str = "GET /api/v1/live HTTP/1.1\r\nHost: localhost";
-    let bed = TestDashboard::empty().await;
-    let (config, aggregator, clock) = (bed.config.clone(), bed.aggregator.clone(), bed.clock.clone());
-    let server =
-        peernet_web::serve(config, aggregator, clock, bed.stop.clone(), 16).await.expect("serves").address();
+    let dashboard = TestDashboard::empty().await;
+    let (config, aggregator, clock) =
+        (dashboard.config.clone(), dashboard.aggregator.clone(), dashboard.clock.clone());
+    let server = peernet_web::serve(config, aggregator, clock, dashboard.stop.clone(), 16)
+        .await
+        .expect("serves")
+        .address();
     let mut open = Vec::new();
     for _ in 0..4 {
-        let mut stream = asked(server, "127.0.0.1", LIVE).await;
-        assert!(until(&mut stream, "event: status").await.starts_with("HTTP/1.1 200"));
+        let mut stream = send_request(server, "127.0.0.1", LIVE).await;
+        assert!(read_until(&mut stream, "event: status").await.starts_with("HTTP/1.1 200"));
         open.push(stream);
     }
-    let heard = until(&mut asked(server, "127.0.0.1", LIVE).await, "4 live streams are open, ").await;
+    let heard =
+        read_until(&mut send_request(server, "127.0.0.1", LIVE).await, "4 live streams are open, ").await;
     assert!(heard.starts_with("HTTP/1.1 503") && heard.contains("retry-after: 2"), "{heard}");
     assert!(heard.contains("application/problem+json"), "{heard}");
     // Another address takes the place of the oldest.
-    let mut other = asked(server, "127.0.0.2", LIVE).await;
-    assert!(until(&mut other, "event: status").await.starts_with("HTTP/1.1 200"));
+    let mut other = send_request(server, "127.0.0.2", LIVE).await;
+    assert!(read_until(&mut other, "event: status").await.starts_with("HTTP/1.1 200"));
     let mut rest = Vec::new();
     open.remove(0).read_to_end(&mut rest).await.expect("closed in order");
     for (from, path) in [("127.0.0.1", "/"), ("127.0.0.2", "/readyz"), ("127.0.0.3", "/metrics")] {
         let head = format!("GET {path} HTTP/1.1\r\nHost: localhost");
         assert!(
-            until(&mut asked(server, from, &head).await, "\r\n").await.starts_with("HTTP/1.1 200"),
+            read_until(&mut send_request(server, from, &head).await, "\r\n")
+                .await
+                .starts_with("HTTP/1.1 200"),
             "{path}"
         );
     }
     // A stream that its listener closes makes room for another.
     drop((open, other));
     loop {
-        let heard = until(&mut asked(server, "127.0.0.3", LIVE).await, "\r\n").await;
+        let heard = read_until(&mut send_request(server, "127.0.0.3", LIVE).await, "\r\n").await;
         if heard.starts_with("HTTP/1.1 200") {
             break;
         }
@@ -97,10 +108,13 @@ async fn streams_leave_connections_to_other_requests() {
 
 #[tokio::test]
 async fn host_that_is_no_name_or_address_is_refused() {
-    let bed = TestDashboard::empty().await;
-    let (config, aggregator, clock) = (bed.config.clone(), bed.aggregator.clone(), bed.clock.clone());
-    let server =
-        peernet_web::serve(config, aggregator, clock, bed.stop.clone(), 16).await.expect("serves").address();
+    let dashboard = TestDashboard::empty().await;
+    let (config, aggregator, clock) =
+        (dashboard.config.clone(), dashboard.aggregator.clone(), dashboard.clock.clone());
+    let server = peernet_web::serve(config, aggregator, clock, dashboard.stop.clone(), 16)
+        .await
+        .expect("serves")
+        .address();
     for (head, status) in [
         ("GET /healthz HTTP/1.1\r\nHost: [::1]:8040", 200),
         ("GET /healthz HTTP/1.0\r\nHost: localhost", 200),
@@ -112,20 +126,26 @@ async fn host_that_is_no_name_or_address_is_refused() {
         ("GET http://evil.example/healthz HTTP/1.1\r\nHost: evil.example", 421),
         ("GET /healthz HTTP/1.0", 400),
     ] {
-        let heard = until(&mut asked(server, "127.0.0.1", head).await, "\r\n").await;
+        let heard = read_until(&mut send_request(server, "127.0.0.1", head).await, "\r\n").await;
         assert!(heard.split(' ').nth(1) == Some(&status.to_string()), "{head}: {heard}");
     }
 }
 
 #[tokio::test]
 async fn a_port_in_use_is_named() {
-    let bed = TestDashboard::empty().await;
+    let dashboard = TestDashboard::empty().await;
     let taken = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("binds");
     let listen = taken.local_addr().expect("an address").to_string();
-    let config = WebConfig { listen: listen.clone(), ..bed.config.clone() };
-    let error = peernet_web::serve(config, bed.aggregator.clone(), bed.clock.clone(), bed.stop.clone(), 16)
-        .await
-        .expect_err("the port is taken");
+    let config = WebConfig { listen: listen.clone(), ..dashboard.config.clone() };
+    let error = peernet_web::serve(
+        config,
+        dashboard.aggregator.clone(),
+        dashboard.clock.clone(),
+        dashboard.stop.clone(),
+        16,
+    )
+    .await
+    .expect_err("the port is taken");
     assert!(matches!(error, StartError::Listen { .. }));
     assert!(error.to_string().contains(&listen) && error.to_string().contains("`listen`"), "{error}");
     // The operating system's message must appear in the chain of causes once, not in every error of it.
@@ -134,12 +154,17 @@ async fn a_port_in_use_is_named() {
 }
 
 #[tokio::test]
-async fn foreign_names_are_refused_also_where_everybody_may_ask() {
-    let bed = TestDashboard::empty().await;
+async fn foreign_host_names_are_refused_without_authentication() {
+    let dashboard = TestDashboard::empty().await;
     let server_names = vec!["dash.example.org".to_owned()];
-    let open = WebConfig { allow_unauthenticated: true, server_names, ..bed.config.clone() };
-    for config in [&bed.config, &open] {
-        let router = peernet_web::router(config, bed.aggregator.clone(), bed.clock.clone(), bed.stop.clone());
+    let open = WebConfig { allow_unauthenticated: true, server_names, ..dashboard.config.clone() };
+    for config in [&dashboard.config, &open] {
+        let router = peernet_web::router(
+            config,
+            dashboard.aggregator.clone(),
+            dashboard.clock.clone(),
+            dashboard.stop.clone(),
+        );
         let status = async |method: &str, path: &str, host: &str| {
             let request = Request::builder().method(method).uri(path).header("host", host);
             let request = request.header("origin", format!("http://{host}")).body(Body::empty());
@@ -161,14 +186,14 @@ async fn foreign_names_are_refused_also_where_everybody_may_ask() {
         assert_eq!(status("GET", "/", "dash.example.org").await, expected);
     }
     let request = Request::get("/api/v1/runs").header("host", "evil.example").body(Body::empty());
-    let answer = bed.request(request.expect("a request")).await;
+    let answer = dashboard.request(request.expect("a request")).await;
     assert!(answer.json()["detail"].as_str().expect("a detail").contains("server_names"));
 }
 
 #[tokio::test]
-async fn static_files_are_kept_for_ever_under_the_hash_of_their_contents() {
-    let bed = TestDashboard::empty().await;
-    let home = bed.get("/").await;
+async fn static_files_are_cached_under_content_hash() {
+    let dashboard = TestDashboard::empty().await;
+    let home = dashboard.get("/").await;
     let start = home.text().find("/static/").expect("an address");
     let folder = home.text()[start..].split('/').take(3).collect::<Vec<_>>().join("/");
     let names = [
@@ -188,22 +213,22 @@ async fn static_files_are_kept_for_ever_under_the_hash_of_their_contents() {
         let request = Request::get(format!("{folder}/{name}"))
             .header("accept-encoding", "gzip, br")
             .body(Body::empty());
-        let answer = bed.request(request.expect("a request")).await;
+        let answer = dashboard.request(request.expect("a request")).await;
         assert_eq!(answer.status, StatusCode::OK, "{name}");
         assert!(answer.header("cache-control").contains("immutable"), "{name}");
         let gzipped = answer.header("content-encoding") == "gzip";
         assert_eq!(gzipped, name != "inter.woff2", "{name}");
         assert!(answer.body.len() < 250_000, "{name} takes {} bytes", answer.body.len());
     }
-    let old = bed.get("/static/0123456789abcdef/app.css").await;
+    let old = dashboard.get("/static/0123456789abcdef/app.css").await;
     assert_eq!(old.status, StatusCode::TEMPORARY_REDIRECT);
     assert_eq!(old.header("location"), format!("{folder}/app.css"));
-    assert_eq!(bed.get(&format!("{folder}/secrets.txt")).await.status, StatusCode::NOT_FOUND);
+    assert_eq!(dashboard.get(&format!("{folder}/secrets.txt")).await.status, StatusCode::NOT_FOUND);
 }
 
 #[tokio::test]
 async fn health_is_told_in_a_word() {
-    let bed = TestDashboard::empty().await;
-    assert_eq!(bed.get("/healthz").await.text(), "alive\n");
-    assert_eq!(bed.get("/readyz").await.text(), "ready\n");
+    let dashboard = TestDashboard::empty().await;
+    assert_eq!(dashboard.get("/healthz").await.text(), "alive\n");
+    assert_eq!(dashboard.get("/readyz").await.text(), "ready\n");
 }

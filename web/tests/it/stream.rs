@@ -6,8 +6,8 @@ use futures::StreamExt;
 use peernet_clock::Span;
 use serde_json::Value;
 
-use crate::bed::TestDashboard;
 use crate::factory::Line;
+use crate::test_dashboard::TestDashboard;
 
 /// Reads events from a body as they come.
 struct Events {
@@ -16,9 +16,9 @@ struct Events {
 }
 
 impl Events {
-    async fn of(bed: &TestDashboard, topics: &str) -> Self {
+    async fn subscribe(dashboard: &TestDashboard, topics: &str) -> Self {
         let address = format!("/api/v1/live?topics={topics}");
-        let response = bed.send(Request::get(address).body(Body::empty()).expect("a request")).await;
+        let response = dashboard.send(Request::get(address).body(Body::empty()).expect("a request")).await;
         assert_eq!(response.status(), StatusCode::OK);
         assert_eq!(response.headers()["content-type"], "text/event-stream");
         assert!(!response.headers().contains_key("content-encoding"), "a compressed stream would come late");
@@ -46,7 +46,7 @@ impl Events {
         }
     }
 
-    async fn until(&mut self, name: &str) -> Value {
+    async fn wait_until(&mut self, name: &str) -> Value {
         loop {
             let (event, data) = self.next().await.expect("the stream goes on");
             if event == name {
@@ -58,13 +58,13 @@ impl Events {
 
 #[tokio::test]
 async fn figures_arrive_as_they_are_reported() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
-    let mut events = Events::of(&bed, "picture,overview").await;
-    let status = events.until("status").await;
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::full()]).await;
+    let mut events = Events::subscribe(&dashboard, "picture,overview").await;
+    let status = events.wait_until("status").await;
     assert_eq!((&status["connected"], &status["hosts"]), (&Value::from(3), &Value::from(3)));
-    let first = events.until("picture").await;
+    let first = events.wait_until("picture").await;
     assert_eq!(first["pipelines"][0]["name"], "local");
-    let page = events.until("page").await;
+    let page = events.wait_until("page").await;
     assert_eq!(page["layout"], "cam-1/local cam-2/offload-full");
     assert!(page["title"].as_str().expect("a title").starts_with("2 pipelines running"));
     assert_eq!(page["parts"][1][0], "now");
@@ -73,25 +73,25 @@ async fn figures_arrive_as_they_are_reported() {
         picture["pipelines"][0]["seconds"].as_array().and_then(|all| all.last()?["at"].as_i64())
     };
     let before = newest(&first);
-    let now = bed.clock.wall() + Span::from_seconds(2);
+    let now = dashboard.clock.wall() + Span::from_seconds(2);
     factory.report(now, now).await;
-    while newest(&events.until("picture").await) <= before {}
+    while newest(&events.wait_until("picture").await) <= before {}
 }
 
 #[tokio::test]
-async fn a_slow_listener_gets_the_newest_picture_and_none_of_those_between() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
-    let mut events = Events::of(&bed, "picture").await;
-    let first = events.until("picture").await;
+async fn slow_listener_gets_newest_snapshot_only() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
+    let mut events = Events::subscribe(&dashboard, "picture").await;
+    let first = events.wait_until("picture").await;
     // Many pictures are made while the listener does not read.
-    let mut live = bed.aggregator.live();
+    let mut live = dashboard.aggregator.live();
     for _ in 0..8 {
         live.mark_unchanged();
-        factory.report(bed.clock.wall(), bed.clock.wall()).await;
+        factory.report(dashboard.clock.wall(), dashboard.clock.wall()).await;
         live.changed().await.expect("the aggregator runs");
     }
     let newest = live.borrow_and_update().at;
-    let second = events.until("picture").await;
+    let second = events.wait_until("picture").await;
     let at = |picture: &Value| {
         let text = picture["at"].as_str().expect("a time").to_owned();
         chrono::DateTime::parse_from_rfc3339(&text)
@@ -104,8 +104,8 @@ async fn a_slow_listener_gets_the_newest_picture_and_none_of_those_between() {
 }
 
 #[tokio::test]
-async fn pages_of_one_pipeline_and_one_host_are_kept_live() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
+async fn pipeline_and_host_pages_are_updated_live() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
     for (topic, part) in [
         ("pipeline/cam-2/offload-full/10", "title"),
         ("host/cam-2", "title"),
@@ -114,25 +114,25 @@ async fn pages_of_one_pipeline_and_one_host_are_kept_live() {
         ("links", "title"),
         ("link/cam-2~rack-a/10min/removed", "title"),
     ] {
-        let page = Events::of(&bed, topic).await.until("page").await;
+        let page = Events::subscribe(&dashboard, topic).await.wait_until("page").await;
         assert_eq!(page["parts"][0][0], part, "{topic}");
     }
 }
 
 #[tokio::test]
-async fn a_part_that_did_not_change_is_not_sent_again() {
-    let (bed, mut factory) = TestDashboard::with(vec![Line::full()]).await;
-    let mut events = Events::of(&bed, "link/cam-2~rack-a/10min/removed").await;
+async fn unchanged_part_is_not_sent_again() {
+    let (dashboard, mut factory) = TestDashboard::with_pipelines(vec![Line::full()]).await;
+    let mut events = Events::subscribe(&dashboard, "link/cam-2~rack-a/10min/removed").await;
     let ids = |page: &Value| -> Vec<String> {
         let parts = page["parts"].as_array().expect("parts").iter();
         parts.map(|part| part[0].as_str().expect("an id").to_owned()).collect()
     };
-    let first = ids(&events.until("page").await);
+    let first = ids(&events.wait_until("page").await);
     assert!(first.contains(&"chart".to_owned()) && first.contains(&"clocks".to_owned()), "{first:?}");
-    let now = bed.clock.wall() + Span::from_seconds(4);
+    let now = dashboard.clock.wall() + Span::from_seconds(4);
     factory.report(now - Span::from_seconds(4), now).await;
     let next = loop {
-        let next = ids(&events.until("page").await);
+        let next = ids(&events.wait_until("page").await);
         if next.contains(&"chart".to_owned()) {
             break next;
         }
@@ -141,19 +141,19 @@ async fn a_part_that_did_not_change_is_not_sent_again() {
 }
 
 #[tokio::test]
-async fn a_listener_without_topics_still_hears_that_the_aggregator_is_there() {
-    let bed = TestDashboard::empty().await;
-    let mut events = Events::of(&bed, "").await;
-    assert_eq!(events.until("status").await["hosts"], 0);
+async fn listener_without_topics_gets_status_events() {
+    let dashboard = TestDashboard::empty().await;
+    let mut events = Events::subscribe(&dashboard, "").await;
+    assert_eq!(events.wait_until("status").await["hosts"], 0);
     let (name, _) = events.next().await.expect("the stream goes on");
     assert_eq!(name, "heartbeat");
 }
 
 #[tokio::test]
 async fn the_stream_ends_when_the_server_stops() {
-    let bed = TestDashboard::empty().await;
-    let mut events = Events::of(&bed, "picture").await;
-    events.until("status").await;
-    bed.stop.cancel();
+    let dashboard = TestDashboard::empty().await;
+    let mut events = Events::subscribe(&dashboard, "picture").await;
+    events.wait_until("status").await;
+    dashboard.stop.cancel();
     while events.next().await.is_some() {}
 }

@@ -43,7 +43,7 @@ placement = { kind = "none" }
 limit = { total = 3 }
 "#;
 
-fn fact<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
+fn fact_value<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
     let facts = run["facts"].as_array()?;
     facts.iter().find(|fact| fact["name"] == name)?["value"].as_str()
 }
@@ -51,26 +51,26 @@ fn fact<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
 #[test]
 fn arguments_are_published_as_fingerprints() {
     let deployment = LoopbackDeployment::new();
-    let (aggregator, api) = deployment.aggregator();
-    let edge = deployment.agent("edge", &TABLES.replace("{secret}", SECRET));
-    let runs = api.until("/api/v1/runs", |runs| {
+    let (aggregator, api) = deployment.start_aggregator();
+    let edge = deployment.start_agent("edge", &TABLES.replace("{secret}", SECRET));
+    let runs = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
         ended.then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
     });
     // A run of this length may be stored before its pipeline has reported.
-    api.until("/api/v1/pipelines", |told| (told["pipelines"].as_array()?.len() == 4).then_some(()));
+    api.wait_until("/api/v1/pipelines", |told| (told["pipelines"].as_array()?.len() == 4).then_some(()));
     let details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
     let of = |pipeline: &str| details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
 
-    let arguments = ["first", "second", "third"].map(|pipeline| fact(of(pipeline), "Sensor arguments"));
+    let arguments = ["first", "second", "third"].map(|pipeline| fact_value(of(pipeline), "Sensor arguments"));
     assert!(arguments[0].is_some_and(|told| told.starts_with("2, fingerprint ")), "{arguments:?}");
     assert_eq!(arguments[0], arguments[1], "equal commands");
     assert_ne!(arguments[0], arguments[2], "different ones");
     let first = of("first");
-    assert!(fact(first, "Sensor").is_some_and(|told| told.ends_with("/light.sh")), "{first}");
+    assert!(fact_value(first, "Sensor").is_some_and(|told| told.ends_with("/light.sh")), "{first}");
     assert!(
-        fact(first, "Model arguments").is_some() && fact(first, "Actuator arguments").is_some(),
+        fact_value(first, "Model arguments").is_some() && fact_value(first, "Actuator arguments").is_some(),
         "{first}"
     );
     assert!(first["configuration"].as_str().is_some_and(|text| text.contains("arguments = 2")), "{first}");
@@ -135,7 +135,7 @@ fn run_json_keeps_arguments_from_other_users() {
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
     let state = deployment.folder().display().to_string();
     let environment = [("XDG_STATE_HOME", state.as_str())];
-    let ended = Process::start(&program("peernet"), &arguments, root(), &environment).ended();
+    let ended = Process::start(&program("peernet"), &arguments, root(), &environment).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
 
     let run = &results.folders()[0];

@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 
-use peernet_tests::{LoopbackDeployment, PATIENCE, Process, until};
+use peernet_tests::{LoopbackDeployment, Process, TEST_TIMEOUT, wait_until};
 use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
 
 /// Returns a connection to the deployment's web port from an address of this machine.
@@ -12,7 +12,7 @@ fn connection(deployment: &LoopbackDeployment, from: [u8; 4]) -> TcpStream {
     bind(&socket, &SocketAddr::from((from, 0))).expect("an address of loopback");
     connect(&socket, &SocketAddr::from(([127, 0, 0, 1], deployment.http))).expect("connects");
     let stream = TcpStream::from(socket);
-    stream.set_read_timeout(Some(PATIENCE)).expect("sets");
+    stream.set_read_timeout(Some(TEST_TIMEOUT)).expect("sets");
     stream
 }
 
@@ -26,7 +26,7 @@ fn answer(deployment: &LoopbackDeployment, request: &str) -> String {
 }
 
 /// Starts an aggregator whose dashboard needs no authentication.
-fn open_to_all(deployment: &LoopbackDeployment) -> Process {
+fn start_without_authentication(deployment: &LoopbackDeployment) -> Process {
     let text = peernet_tests::AGGREGATOR.replace("[web]\n", "[web]\nallow_unauthenticated = true\n");
     deployment.write("aggregator.toml", &text);
     let process = deployment.start("aggregator.toml");
@@ -37,7 +37,7 @@ fn open_to_all(deployment: &LoopbackDeployment) -> Process {
 #[test]
 fn foreign_host_header_is_refused_on_open_dashboard() {
     let deployment = LoopbackDeployment::new();
-    let _aggregator = open_to_all(&deployment);
+    let _aggregator = start_without_authentication(&deployment);
     for (method, path) in [("GET", "/"), ("GET", "/api/v1/hosts"), ("DELETE", "/api/v1/runs/1/pin")] {
         let ask = |host: &str| {
             answer(
@@ -57,7 +57,7 @@ fn foreign_host_header_is_refused_on_open_dashboard() {
 #[test]
 fn request_without_exactly_one_host_is_refused() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, _) = deployment.aggregator();
+    let (_aggregator, _) = deployment.start_aggregator();
     let ask = |hosts: &str| {
         answer(&deployment, &format!("GET /healthz HTTP/1.1\r\n{hosts}Connection: close\r\n\r\n"))
     };
@@ -70,7 +70,7 @@ fn request_without_exactly_one_host_is_refused() {
 #[test]
 fn headers_beyond_64_kib_are_refused() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, _) = deployment.aggregator();
+    let (_aggregator, _) = deployment.start_aggregator();
     let ask = |target: usize, header: usize| {
         let (target, header) = ("x".repeat(target), "y".repeat(header));
         answer(
@@ -97,10 +97,10 @@ fn headers_beyond_64_kib_are_refused() {
 #[test]
 fn repeated_http_failures_are_logged_at_limited_rate() {
     let deployment = LoopbackDeployment::new();
-    let (aggregator, api) = deployment.aggregator();
+    let (aggregator, api) = deployment.start_aggregator();
     let database = deployment.folder().join("aggregator.sqlite");
     std::fs::rename(&database, deployment.folder().join("away.sqlite")).expect("moves");
-    until("503", || api.get("/readyz").filter(|(status, _)| *status == 503));
+    wait_until("503", || api.get("/readyz").filter(|(status, _)| *status == 503));
     for _ in 0..20 {
         assert_eq!(api.get("/readyz").map(|(status, _)| status), Some(503));
         api.get("/api/v1/runs");

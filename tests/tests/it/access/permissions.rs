@@ -15,7 +15,7 @@ load = { mode = "rate", hz = 20.0 }
 "#;
 
 /// Returns the files of the daemons: databases, spools, ids, locks, and the folders that they created.
-fn kept(deployment: &LoopbackDeployment) -> Vec<PathBuf> {
+fn state_files(deployment: &LoopbackDeployment) -> Vec<PathBuf> {
     let entries = |folder: &Path| -> Vec<PathBuf> {
         let entries = fs::read_dir(folder).expect("is there");
         entries.map(|entry| entry.expect("is readable").path()).collect()
@@ -36,9 +36,9 @@ fn mode(path: &Path) -> u32 {
 }
 
 fn start(deployment: &LoopbackDeployment) -> (Process, Process, Api) {
-    let (aggregator, api) = deployment.aggregator();
-    let edge = deployment.agent("edge", PIPELINE);
-    api.until("/api/v1/runs", |runs| {
+    let (aggregator, api) = deployment.start_aggregator();
+    let edge = deployment.start_agent("edge", PIPELINE);
+    api.wait_until("/api/v1/runs", |runs| {
         runs["runs"].as_array()?.iter().find(|run| run["counts"]["ok"].as_u64() > Some(10)).map(drop)
     });
     (aggregator, edge, api)
@@ -48,7 +48,7 @@ fn start(deployment: &LoopbackDeployment) -> (Process, Process, Api) {
 fn files_of_daemons_are_closed_to_other_users() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, edge, _api) = start(&deployment);
-    let files = kept(&deployment);
+    let files = state_files(&deployment);
     for name in
         ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm", "host-id", "spool.sqlite"]
     {
@@ -59,7 +59,8 @@ fn files_of_daemons_are_closed_to_other_users() {
     }
     let secret = deployment.folder().join("edge/argument-key");
     assert_eq!(mode(&secret), 0o600);
-    let backup = deployment.peernetd(&["backup", "--config", "aggregator.toml", "copy.sqlite"]).ended();
+    let backup =
+        deployment.peernetd(&["backup", "--config", "aggregator.toml", "copy.sqlite"]).wait_for_end();
     assert_eq!(backup.code(), 0, "{}", backup.log);
     let copy = deployment.folder().join("copy.sqlite");
     assert_eq!(mode(&copy) & 0o007, 0, "{:o}", mode(&copy));

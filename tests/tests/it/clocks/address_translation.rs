@@ -2,7 +2,7 @@
 
 use peernet_clock::Span;
 use peernet_tests::truth::{HostClock, Iteration};
-use peernet_tests::{ClockShim, Network, TwoHostTestbed, until};
+use peernet_tests::{ClockShim, Network, TwoHostTestbed, wait_until};
 
 use super::assert_contains_truth;
 
@@ -19,17 +19,17 @@ fn edges_behind_one_address_have_separate_clock_relations() {
     let shims =
         ["edge", "third"].map(|host| ClockShim::new(&testbed.folder().join(format!("{host}-clocks"))));
     let [edge, third] = &shims;
-    edge.change(Span::from_seconds(40), 80.0, 0.0);
-    third.change(Span::from_millis(-700), -120.0, 0.0);
-    let _cloud = testbed.cloud("[clock]\ndiscipline = []\n");
+    edge.schedule_change(Span::from_seconds(40), 80.0, 0.0);
+    third.schedule_change(Span::from_millis(-700), -120.0, 0.0);
+    let _cloud = testbed.start_cloud("[clock]\ndiscipline = []\n");
     let tables = |name: &str| {
         let load = "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 700 }";
         let clock = "[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
         format!("clock_identity = \"{name}\"\n{clock}{}", testbed.pipeline(name, 1000, load))
     };
-    let _edge = testbed.edge(&tables("edge"), &edge.environment());
-    let _third = testbed.third_edge(&tables("third"), &third.environment());
-    until("both edges", || {
+    let _edge = testbed.start_edge(&tables("edge"), &edge.environment());
+    let _third = testbed.start_third_edge(&tables("third"), &third.environment());
+    wait_until("both edges", || {
         let peers = peers(&testbed);
         (peers.len() == 2).then(|| assert_eq!(peers[0], peers[1]))
     });
@@ -50,6 +50,6 @@ fn edges_behind_one_address_have_separate_clock_relations() {
             "SELECT sum(probes_answered) > 20 FROM clock_sample JOIN link ON link.id = clock_sample.link \
              JOIN host ON host.id = link.edge WHERE host.name = '{host}'"
         );
-        assert_eq!(testbed.ask(&probes).trim(), "1", "{what}: its probes are answered");
+        assert_eq!(testbed.query_database(&probes).trim(), "1", "{what}: its probes are answered");
     }
 }

@@ -8,7 +8,7 @@ use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 
-use super::{WARM_UP, assert_contains_truth, rehearsal, say};
+use super::{WARM_UP, assert_contains_truth, print_line, rehearsal};
 
 fn wire(folder: &Path) -> Network {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 5, loss_percent: 2 };
@@ -27,10 +27,10 @@ struct Outcome {
 fn run(discipline: &str) -> Outcome {
     let testbed = TwoHostTestbed::new(wire);
     let more = format!("discipline = \"{discipline}\"");
-    let _cloud = testbed.cloud(&rehearsal(700.0, -20.0, &more));
+    let _cloud = testbed.start_cloud(&rehearsal(700.0, -20.0, &more));
     let load = "load = { mode = \"rate\", hz = 20.0 }\nlimit = { iterations = 300 }\nmax_in_flight = 64";
     let pipeline = testbed.pipeline("far", 1000, load);
-    let _edge = testbed.edge(
+    let _edge = testbed.start_edge(
         &format!("[clock]\ntrust_time_daemons = true\n{}{pipeline}", rehearsal(-300.0, 20.0, &more)),
         &[],
     );
@@ -64,7 +64,7 @@ fn smallest_round_trip_bounds_delays() {
         there_and_back - (cloud.truth(iteration.down.sent) - cloud.truth(iteration.up.received))
     });
     let smallest = smallest.min().expect("three hundred");
-    say(&format!("smallest round trip of data {smallest}"));
+    print_line(&format!("smallest round trip of data {smallest}"));
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty());
         assert!(comparison.width(0.5) <= smallest + Span::from_millis(1), "{}", comparison.in_words());

@@ -8,9 +8,9 @@ use super::{assert_contains_truth, rehearsal};
 fn data_messages_bound_delays_without_probes() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     testbed.network.cloud().block_udp(8620);
-    let _cloud = testbed.cloud(&rehearsal(1_000.0, 40.0, ""));
+    let _cloud = testbed.start_cloud(&rehearsal(1_000.0, 40.0, ""));
     let load = "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }";
-    let _edge = testbed.edge(&testbed.pipeline("alone", 1000, load), &[]);
+    let _edge = testbed.start_edge(&testbed.pipeline("alone", 1000, load), &[]);
     let cloud = testbed.clock_of("cloud");
     testbed.wait_for_runs(1);
     let iterations = testbed.iterations();
@@ -18,6 +18,7 @@ fn data_messages_bound_delays_without_probes() {
     let (up, down) = assert_contains_truth("probes blocked", &iterations, &edge, &cloud);
     let all = iterations.len();
     assert_eq!((all, up.compared, down.compared), (305, all, all));
-    let probes = testbed.ask("SELECT sum(probes_sent) > 10, sum(probes_answered) FROM clock_sample");
+    let probes =
+        testbed.query_database("SELECT sum(probes_sent) > 10, sum(probes_answered) FROM clock_sample");
     assert_eq!(probes.trim(), "1|0", "probes were sent, and none came back");
 }

@@ -9,7 +9,7 @@ use peernet_tests::truth::HostClock;
 use peernet_tests::{Network, TwoHostTestbed, program};
 use serde_json::Value;
 
-use super::{rehearsal, say};
+use super::{print_line, rehearsal};
 
 /// Largest error of an intercept.
 const ERROR: Span = Span::from_micros(100);
@@ -131,7 +131,7 @@ fn assert_intercept_is_right(stage: &str, direction: &Value, passages: &[Passage
     let (again, truth) = (refitted(direction, &reported), refitted(direction, &really));
     let span = Span::from_seconds_f64;
     let error = span(told - truth);
-    say(&format!(
+    print_line(&format!(
         "{stage}: intercept {}, of the true delays {}, error {error}; claimed {} to {}",
         span(told),
         span(truth),
@@ -149,18 +149,19 @@ fn assert_intercept_is_right(stage: &str, direction: &Value, passages: &[Passage
 #[test]
 fn calibrated_intercepts_contain_the_true_delays() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
-    let _cloud = testbed.cloud(&rehearsal(1_000.0, 50.0, ""));
+    let _cloud = testbed.start_cloud(&rehearsal(1_000.0, 50.0, ""));
     let cloud: HostClock = testbed.clock_of("cloud");
     let peer = testbed.peer();
     let sweep = ["--sizes", SIZES, "--repeats", REPEATS, "--seconds", "20"];
     let arguments = [&["calibrate", &peer, "--result-loc", "results"], &sweep[..]].concat();
-    let done = testbed.network.edge().start(&program("peernet"), &arguments, testbed.folder(), &[]).ended();
+    let done =
+        testbed.network.edge().start(&program("peernet"), &arguments, testbed.folder(), &[]).wait_for_end();
     assert_eq!(done.code(), 0, "{}", done.log);
 
     let results = testbed.folder().join("results");
     let study = std::fs::read(results.join("calibration.json")).expect("it was written");
     let study: Value = serde_json::from_slice(&study).expect("it is JSON");
-    say(&format!("verdict {}, {}", study["verdict"], study["counts"]));
+    print_line(&format!("verdict {}, {}", study["verdict"], study["counts"]));
     let samples = results.join("samples.csv");
     assert_intercept_is_right("upload", &study["up"], &passages(&samples, "upload", |at| cloud.ahead(at)));
     assert_intercept_is_right(

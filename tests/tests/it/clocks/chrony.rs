@@ -5,10 +5,10 @@ use std::path::Path;
 use peernet_clock::Span;
 use peernet_tests::network::{Network, TimeDaemons, WireProperties};
 use peernet_tests::truth::{Delay, HostClock, Iteration, compare, truth};
-use peernet_tests::{Process, TwoHostTestbed, until};
+use peernet_tests::{Process, TwoHostTestbed, wait_until};
 use serde_json::Value;
 
-use super::{assert_contains_truth, rehearsal, say};
+use super::{assert_contains_truth, print_line, rehearsal};
 
 /// Clock identity by which the machine's clock counts as a separate clock.
 const OWN: &str = "clock_identity = \"edge\"\n";
@@ -30,17 +30,17 @@ impl Scene {
         let testbed = TwoHostTestbed::new(network);
         let daemons = TimeDaemons::start(&testbed.network, testbed.folder());
         let clock = TimeDaemons::table();
-        let cloud = testbed.cloud(&clock);
+        let cloud = testbed.start_cloud(&clock);
         let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
         let pipeline = testbed.pipeline("kept", 1000, load);
         let trust = if trusts { "trust_time_daemons = true\n" } else { "" };
-        let edge = testbed.edge(&format!("{identity}{clock}{trust}{rehearsal}{pipeline}"), &[]);
+        let edge = testbed.start_edge(&format!("{identity}{clock}{trust}{rehearsal}{pipeline}"), &[]);
         Self { edge, _cloud: cloud, _daemons: daemons, testbed }
     }
 
     /// Waits until the link has a claim of chrony and this verdict; returns the offset.
     fn offset(&self, verdict: &str) -> Value {
-        self.testbed.api.until("/api/v1/links/edge~cloud", |link| {
+        self.testbed.api.wait_until("/api/v1/links/edge~cloud", |link| {
             let offset = &link["now"]["offset"];
             let sources = offset["sources"].as_array()?.iter().map(|source| &source["source"]);
             let both = sources.eq(["in-band", "chrony"]);
@@ -51,7 +51,7 @@ impl Scene {
     /// Waits until the aggregator shows a text of a host's time daemon that begins like this. The offset of the link
     /// may be shown earlier.
     fn wait_for_daemon(&self, host: &str, begins: &str) {
-        self.testbed.api.until(&format!("/api/v1/hosts/{host}"), |host| {
+        self.testbed.api.wait_until(&format!("/api/v1/hosts/{host}"), |host| {
             host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(begins)).then_some(())
         });
     }
@@ -62,35 +62,37 @@ impl Scene {
             "SELECT count(*) FROM transit AS t LEFT JOIN verdict ON verdict.id = t.verdict \
              LEFT JOIN source ON source.id = t.source WHERE {such}"
         );
-        let count = || self.testbed.ask(&sql).trim().parse::<u64>().expect("a number");
+        let count = || self.testbed.query_database(&sql).trim().parse::<u64>().expect("a number");
         let before = count();
-        until(such, || (count() >= before + ENOUGH).then_some(()));
+        wait_until(such, || (count() >= before + ENOUGH).then_some(()));
         assert_eq!(self.edge.stop().code(), 0);
-        self.testbed.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
+        self.testbed
+            .api
+            .wait_until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
         self.testbed.iterations()
     }
 }
 
 /// Returns the bounds of the offset from one source.
-fn said(offset: &Value, source: &str) -> (Span, Span) {
+fn bounds_of_source(offset: &Value, source: &str) -> (Span, Span) {
     let all = offset["sources"].as_array().expect("a list");
     let own = all.iter().find(|one| one["source"] == source).expect("it was waited for");
     let bound = |name: &str| Span::from_seconds_f64(own[name].as_f64().expect("a number"));
     let bounds = (bound("lo_s"), bound("hi_s"));
-    say(&format!("  {source} alone: {} to {}", bounds.0, bounds.1));
+    print_line(&format!("  {source} alone: {} to {}", bounds.0, bounds.1));
     bounds
 }
 
-fn holds((lo, hi): (Span, Span), offset: Span) -> bool {
+fn contains((lo, hi): (Span, Span), offset: Span) -> bool {
     lo <= offset && offset <= hi
 }
 
 /// Runs a case with the machine's clock on both hosts: the true offset is zero.
-fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
+fn check_correct_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
     let scene = Scene::new(network, OWN, "", true);
     let offset = scene.offset("ok");
     for source in ["in-band", "chrony"] {
-        assert!(holds(said(&offset, source), Span::ZERO), "{source}: {offset}");
+        assert!(contains(bounds_of_source(&offset, source), Span::ZERO), "{source}: {offset}");
     }
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
@@ -105,7 +107,7 @@ fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) 
 
 #[test]
 fn right_daemons_agree_with_exchanges() {
-    right_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
+    check_correct_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
 }
 
 /// The daemons' server is not behind the wire, so that they can measure its asymmetry.
@@ -113,7 +115,7 @@ fn right_daemons_agree_with_exchanges() {
 fn right_daemons_narrow_delay_bounds() {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(40), way(5));
-    right_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
+    check_correct_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
 }
 
 /// The edge's daemon keeps the machine's clock and does not know that the agent reads another one: this looks like a
@@ -124,14 +126,14 @@ fn wrong_clock_with_confident_daemon_is_detected() {
     let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
     let scene = Scene::new(|_| Network::direct(), "", &wrong, true);
     let offset = scene.offset("inconsistent");
-    let (in_band, chrony) = (said(&offset, "in-band"), said(&offset, "chrony"));
-    assert!(holds(in_band, -AHEAD) && !holds(in_band, Span::ZERO), "{offset}");
-    assert!(holds(chrony, Span::ZERO) && !holds(chrony, -AHEAD), "{offset}");
+    let (in_band, chrony) = (bounds_of_source(&offset, "in-band"), bounds_of_source(&offset, "chrony"));
+    assert!(contains(in_band, -AHEAD) && !contains(in_band, Span::ZERO), "{offset}");
+    assert!(contains(chrony, Span::ZERO) && !contains(chrony, -AHEAD), "{offset}");
 
     let iterations = scene.iterations("verdict.text = 'inconsistent'");
     let delays = iterations.iter().flat_map(|iteration| [&iteration.up, &iteration.down]);
     let exposed = delays.filter(|delay| is_exposed(delay)).count() as u64;
-    say(&format!("unaware by {AHEAD}: {exposed} of {} delays exposed", 2 * iterations.len()));
+    print_line(&format!("unaware by {AHEAD}: {exposed} of {} delays exposed", 2 * iterations.len()));
     assert!(exposed >= ENOUGH);
 }
 
@@ -153,7 +155,7 @@ fn wrong_claim_affects_delays_only_if_trusted() {
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
     let edge = scene.testbed.clock_of("edge");
-    let sources = scene.testbed.api.until("/api/v1/links/edge~cloud", |link| {
+    let sources = scene.testbed.api.wait_until("/api/v1/links/edge~cloud", |link| {
         let offset = &link["now"]["offset"];
         (offset["verdict"] == "ok").then(|| offset["sources"].as_array().cloned())?
     });
@@ -176,7 +178,7 @@ fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
 
 /// Waits until the page of the link contains these words.
 fn wait_for_page(scene: &Scene, words: &str) {
-    until(words, || scene.testbed.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
+    wait_until(words, || scene.testbed.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
 }
 
 #[test]
@@ -199,13 +201,13 @@ fn delays_by_trusted_claims_are_marked() {
     let iterations = scene.iterations("source.text = 'chrony'");
     let of_kernel = HostClock::of_kernel();
     let (up, down) = compare(&iterations, &edge, &of_kernel);
-    say(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.in_words()));
-    say(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.in_words()));
+    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.in_words()));
+    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.in_words()));
     assert!(up.outside.len() + down.outside.len() >= ENOUGH as usize / 2, "the claims are wrong");
     for both in &iterations {
         for (delay, ends) in [(&both.up, [&edge, &of_kernel]), (&both.down, [&of_kernel, &edge])] {
             let truth = truth(delay, ends[0], ends[1]);
-            let is_held = delay.bounds.is_none_or(|bounds| holds(bounds, truth));
+            let is_held = delay.bounds.is_none_or(|bounds| contains(bounds, truth));
             assert!(
                 is_held || ["chrony", "intersection"].contains(&delay.source.as_str()),
                 "{truth}: {delay:?}"

@@ -4,18 +4,18 @@ use peernet_clock::Span;
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 use peernet_tests::{FalseTime, Network, Process, TwoHostTestbed};
 
-use super::{WARM_UP, assert_contains_truth, say};
+use super::{WARM_UP, assert_contains_truth, print_line};
 
 /// Offset of the edge's clock.
 const AHEAD: Span = Span::from_millis(137);
 
 /// Starts an edge with a false time, and a cloud with the kernel's.
 fn start(testbed: &TwoHostTestbed, time: &FalseTime, load: &str) -> (Process, Process) {
-    let cloud = testbed.cloud("[clock]\ndiscipline = []\n");
+    let cloud = testbed.start_cloud("[clock]\ndiscipline = []\n");
     // The kernel's statements about its clock do not apply to the shown one.
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
-    let edge =
-        testbed.edge(&format!("{clock}{}", testbed.pipeline("misled", 1000, load)), &time.environment());
+    let edge = testbed
+        .start_edge(&format!("{clock}{}", testbed.pipeline("misled", 1000, load)), &time.environment());
     (cloud, edge)
 }
 
@@ -44,7 +44,7 @@ fn unannounced_step_affects_no_delay() {
     let time = FalseTime::new(testbed.folder(), AHEAD);
     let _hosts =
         start(&testbed, &time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
-    testbed.api.until("/api/v1/pipelines/edge/misled", |pipeline| {
+    testbed.api.wait_until("/api/v1/pipelines/edge/misled", |pipeline| {
         (pipeline["windows"][2]["counts"]["ok"].as_f64()? >= 400.0).then_some(())
     });
     time.show(LATER);
@@ -62,7 +62,7 @@ fn unannounced_step_affects_no_delay() {
     let bad = iterations.iter().filter(|iteration| iteration.number > WARM_UP);
     let bad: Vec<_> = bad.filter(|iteration| !good(&iteration.up) || !good(&iteration.down)).collect();
     let times: Vec<Span> = bad.iter().map(|iteration| since(iteration)).collect();
-    say(&format!("libfaketime, set by +3 s: neither ok nor limited {times:?} after it"));
+    print_line(&format!("libfaketime, set by +3 s: neither ok nor limited {times:?} after it"));
     assert!(iterations.iter().any(|iteration| since(iteration) > Span::from_seconds(5)));
     assert!(bad.is_empty(), "{bad:?}");
 }

@@ -10,7 +10,7 @@ use std::time::Duration;
 use peernet_clock::Span;
 use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::HostClock;
-use peernet_tests::{ClockShim, TwoHostTestbed, until_grown};
+use peernet_tests::{ClockShim, TwoHostTestbed, wait_until_grown};
 
 use super::assert_contains_truth;
 
@@ -39,7 +39,7 @@ impl Forger {
         let (probes, passed_on, forger) = (PROBES.to_string(), PASSED_ON.to_string(), format!(":{FORGER}"));
         let rule = ["udp", "dport", &probes, "udp", "sport", "!=", &passed_on, "redirect", "to", &forger];
         edge.run("nft", &[&["add", "rule", "ip", "forger", "out"], &rule[..]].concat());
-        let (near, far) = edge.inside(|| {
+        let (near, far) = edge.run_in_namespace(|| {
             let socket = |address, port| {
                 let socket = UdpSocket::bind((address, port)).expect("a port of its own");
                 socket.set_read_timeout(Some(Duration::from_millis(1))).expect("a millisecond is a timeout");
@@ -133,19 +133,19 @@ fn forged(probes: u64) {
     let way = WireProperties { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
     let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way, way));
     let shim = ClockShim::new(&testbed.folder().join("edge-clocks"));
-    shim.change(Span::from_seconds(2), 60.0, 0.0);
+    shim.schedule_change(Span::from_seconds(2), 60.0, 0.0);
     let forger = Forger::start(testbed.network.edge(), testbed.network.cloud().address);
-    let _cloud = testbed.cloud("[clock]\ndiscipline = []\n");
+    let _cloud = testbed.start_cloud("[clock]\ndiscipline = []\n");
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
     let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
-    let edge =
-        testbed.edge(&format!("{clock}{}", testbed.pipeline("watched", 1000, load)), &shim.environment());
-    until_grown("forged answers", probes, || Some(forger.forged() as u64));
-    testbed.api.until("/api/v1/links/edge~cloud", |link| {
+    let edge = testbed
+        .start_edge(&format!("{clock}{}", testbed.pipeline("watched", 1000, load)), &shim.environment());
+    wait_until_grown("forged answers", probes, || Some(forger.forged() as u64));
+    testbed.api.wait_until("/api/v1/links/edge~cloud", |link| {
         link.to_string().contains("not authenticated by the key").then_some(())
     });
     assert_eq!(edge.stop().code(), 0);
-    testbed.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
+    testbed.api.wait_until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
 
     let clocks = (HostClock::shown(shim.errors()), HostClock::of_kernel());
     let what = "all answers to probes forged by 13 ms, 20/20 ms";
@@ -154,7 +154,8 @@ fn forged(probes: u64) {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
         assert!(comparison.compared > 500, "{}", comparison.in_words());
     }
-    let probes = testbed.ask("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");
+    let probes =
+        testbed.query_database("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");
     assert_eq!(probes.trim(), "1|0", "no forged answer counts");
 }
 

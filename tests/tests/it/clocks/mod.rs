@@ -27,7 +27,7 @@ fn rehearsal(offset_ms: f64, drift_ppm: f64, more: &str) -> String {
 
 /// Prints measured values; `--nocapture` shows them.
 #[expect(clippy::print_stdout, reason = "the figures of a test are its output")]
-fn say(figures: &str) {
+fn print_line(figures: &str) {
     println!("{figures}");
 }
 
@@ -40,9 +40,9 @@ fn assert_contains_truth(
 ) -> (Comparison, Comparison) {
     let (up, down) = compare(iterations, edge, cloud);
     for (direction, comparison) in [("upload", &up), ("download", &down)] {
-        say(&format!("{what}, {direction}: {}", comparison.in_words()));
+        print_line(&format!("{what}, {direction}: {}", comparison.in_words()));
         for one in &comparison.without_value {
-            say(&format!("  without a value: {one}"));
+            print_line(&format!("  without a value: {one}"));
         }
         assert!(comparison.outside.is_empty(), "{what}, {direction}:\n{}", comparison.outside.join("\n"));
     }

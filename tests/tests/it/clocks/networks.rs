@@ -11,7 +11,7 @@ use peernet_tests::network::{Host, Network, WireProperties};
 
 fn udp(host: &Host, port: u16) -> UdpSocket {
     let address = host.address;
-    host.inside(move || {
+    host.run_in_namespace(move || {
         let socket = UdpSocket::bind((address, port)).expect("a namespace has all ports for itself");
         socket.set_read_timeout(Some(Duration::from_secs(1))).expect("a second is a timeout");
         socket
@@ -23,16 +23,18 @@ fn capture_shows_rate_of_limited_link() {
     const BYTES: usize = 250_000;
     let folder = tempfile::tempdir().expect("the temporary folder is writable");
     let network = Network::routed();
-    network.router().limit("cloud", 20);
+    network.router().limit_rate("cloud", 20);
     let capture = network.router().capture("tcp port 7000", folder.path());
     let (edge, cloud) = (network.edge().address, network.cloud().address);
-    let listener = network.cloud().inside(move || TcpListener::bind((cloud, 7000)).expect("a free port"));
+    let listener =
+        network.cloud().run_in_namespace(move || TcpListener::bind((cloud, 7000)).expect("a free port"));
     let sender = std::thread::spawn(move || {
         let (mut stream, from) = listener.accept().expect("the edge connects");
         assert_eq!(from.ip(), edge);
         stream.read_to_end(&mut Vec::new()).expect("the edge sends")
     });
-    let mut stream = network.edge().inside(move || TcpStream::connect((cloud, 7000)).expect("it listens"));
+    let mut stream =
+        network.edge().run_in_namespace(move || TcpStream::connect((cloud, 7000)).expect("it listens"));
     stream.write_all(&[7; BYTES]).expect("there is room");
     drop(stream);
     assert_eq!(sender.join().expect("no panic"), BYTES);
@@ -105,7 +107,7 @@ fn panicking_test_removes_its_network() {
         let network = Network::direct();
         let inode = network.edge().run("readlink", &["/proc/self/ns/net"]);
         let process = network.edge().start(Path::new("sleep"), &["1000"], Path::new("/"), &[]);
-        tell.send((inode, process.pid(), network.edge().home)).expect("the test waits");
+        tell.send((inode, process.pid(), network.edge().test_address)).expect("the test waits");
         // The process is leaked, as if the test could not stop it.
         std::mem::forget(process);
         panic!("a test fails here, on purpose");

@@ -6,11 +6,11 @@ use std::time::Duration;
 
 use peernet_clock::{ClockFaults, RawTime, Span, WallTime};
 use peernet_tests::truth::{HostClock, Iteration, iterations};
-use peernet_tests::{Api, FalseTime, LoopbackDeployment, Process, Stopwatch, program, until_grown};
+use peernet_tests::{Api, FalseTime, LoopbackDeployment, Process, Stopwatch, program, wait_until_grown};
 use rustix::process::Signal;
 use serde_json::Value;
 
-use super::{WARM_UP, assert_contains_truth, say};
+use super::{WARM_UP, assert_contains_truth, print_line};
 
 /// Offset of the edge's clock where it reads another one.
 const AHEAD: Span = Span::from_millis(20);
@@ -37,8 +37,8 @@ impl Hosts {
     /// it is endless, until it is stopped.
     fn new(tables: &str, is_endless: bool) -> Self {
         let deployment = LoopbackDeployment::new();
-        let (aggregator, api) = deployment.aggregator();
-        let cloud = deployment.agent("cloud", &format!("{NAME}{CLOUD}"));
+        let (aggregator, api) = deployment.start_aggregator();
+        let cloud = deployment.start_agent("cloud", &format!("{NAME}{CLOUD}"));
         let limit =
             if is_endless { String::new() } else { format!("limit = {{ iterations = {ITERATIONS} }}\n") };
         let edge = format!(
@@ -53,7 +53,7 @@ impl Hosts {
 
     /// Returns the link as soon as probes were answered on it.
     fn link(&self) -> Value {
-        self.api.until("/api/v1/links", |links| {
+        self.api.wait_until("/api/v1/links", |links| {
             let now = &links["links"][0]["now"];
             (now["same_clock"].is_boolean() && now["offset"].is_object()).then(|| now.clone())
         })
@@ -61,7 +61,7 @@ impl Hosts {
 
     /// Returns all iterations after the end of the run.
     fn iterations(&self) -> Vec<Iteration> {
-        self.api.finished_run();
+        self.api.wait_for_finished_run();
         iterations(&self.deployment.folder().join("aggregator.sqlite"))
     }
 }
@@ -123,7 +123,10 @@ fn interval_contains_truth_for_process_with_false_time() {
         }
     }
     assert_eq!(iterations.len() as u64, ITERATIONS + WARM_UP);
-    say(&format!("libfaketime, all clocks: {} iterations, none outside, widest {widest}", iterations.len()));
+    print_line(&format!(
+        "libfaketime, all clocks: {} iterations, none outside, widest {widest}",
+        iterations.len()
+    ));
 }
 
 #[test]
@@ -132,16 +135,16 @@ fn clock_error_introduced_later_is_measured_afterwards() {
     let time = FalseTime::new(&hosts.deployment.folder().join("time"), Span::ZERO);
     let _edge = hosts.deployment.start_with("edge.toml", &time.environment());
     let shows = |wanted: bool| {
-        hosts
-            .api
-            .until("/api/v1/links", |links| (links["links"][0]["now"]["same_clock"] == wanted).then_some(()));
+        hosts.api.wait_until("/api/v1/links", |links| {
+            (links["links"][0]["now"]["same_clock"] == wanted).then_some(())
+        });
     };
     shows(true);
     let since = Stopwatch::now();
     time.show(AHEAD);
     shows(false);
-    say(&format!("libfaketime begins to show +20 ms: noticed within {:?}", since.elapsed()));
-    let lost = hosts.api.until("/api/v1/incidents", |list| {
+    print_line(&format!("libfaketime begins to show +20 ms: noticed within {:?}", since.elapsed()));
+    let lost = hosts.api.wait_until("/api/v1/incidents", |list| {
         let is_lost = |incident: &&Value| incident["text"].to_string().contains("do not prove any more");
         list["incidents"].as_array()?.iter().find(is_lost).cloned()
     });
@@ -163,10 +166,10 @@ fn clock_error_introduced_later_is_measured_afterwards() {
 fn paused_process_keeps_one_clock_proof() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
     let edge = hosts.deployment.start("edge.toml");
-    let uploaded = || hosts.api.until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
+    let uploaded = || hosts.api.wait_until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
     for _ in 0..3 {
         let before = uploaded();
-        until_grown("iterations", before + 100, || Some(uploaded()));
+        wait_until_grown("iterations", before + 100, || Some(uploaded()));
         edge.signal(Signal::STOP);
         // Longer than a proof is valid after the last question before the pause, and shorter than a session's
         // timeout.
@@ -174,7 +177,7 @@ fn paused_process_keeps_one_clock_proof() {
         edge.signal(Signal::CONT);
     }
     let before = uploaded();
-    until_grown("iterations", before + 100, || Some(uploaded()));
+    wait_until_grown("iterations", before + 100, || Some(uploaded()));
     assert_eq!(hosts.link()["same_clock"], true);
     assert_eq!(edge.stop().code(), 0);
     let incidents = hosts.api.json("/api/v1/incidents").to_string();

@@ -5,13 +5,13 @@ use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Host, Network, Packet};
 use peernet_tests::truth::{Delay, HostClock};
 
-use super::{assert_contains_truth, rehearsal, say};
+use super::{assert_contains_truth, print_line, rehearsal};
 
 const ITERATIONS: usize = 15;
 
 /// Returns the time from the first byte that enters the router to the last byte that leaves it, for a message in
 /// transit from `sent` to `received`.
-fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> Span {
+fn router_transit_time(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> Span {
     let own = |packet: &&Packet| {
         packet.source == from.address && packet.payload > 0 && (sent..=received).contains(&packet.at)
     };
@@ -24,13 +24,13 @@ fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> 
 fn large_transfer_time_matches_capture() {
     let testbed = TwoHostTestbed::new(|_| Network::routed());
     let router = testbed.network.router();
-    router.limit("cloud", 20);
-    router.limit("edge", 100);
+    router.limit_rate("cloud", 20);
+    router.limit_rate("edge", 100);
     let capture = router.capture("tcp port 5551", testbed.folder());
-    let _cloud = testbed.cloud(&rehearsal(1_000.0, 30.0, ""));
+    let _cloud = testbed.start_cloud(&rehearsal(1_000.0, 30.0, ""));
     let limit = format!("limit = {{ iterations = {ITERATIONS} }}\nwarm_up = {{ iterations = 2 }}");
     let pipeline = testbed.pipeline("images", 1_200_000, &limit);
-    let _edge = testbed.edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
+    let _edge = testbed.start_edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
     let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
     testbed.wait_for_runs(1);
     let packets = capture.finish();
@@ -65,7 +65,8 @@ fn against<'a>(
     [sender, receiver]: [&HostClock; 2],
 ) {
     let pairs = delays.map(|delay| {
-        let in_the_middle = seen(packets, from, sender.truth(delay.sent), receiver.truth(delay.received));
+        let in_the_middle =
+            router_transit_time(packets, from, sender.truth(delay.sent), receiver.truth(delay.received));
         (delay.value.expect("a value").seconds(), in_the_middle.seconds())
     });
     let pairs: Vec<(f64, f64)> = pairs.collect();
@@ -75,7 +76,7 @@ fn against<'a>(
     ratios.sort_by(f64::total_cmp);
     let median = ratios[ratios.len() / 2];
     let (reported, in_the_middle) = (mean(|pair| pair.0), mean(|pair| pair.1));
-    say(&format!(
+    print_line(&format!(
         "{what}: mean reported {reported:.3} ms, seen in the middle {in_the_middle:.3} ms, ratio {:.4}, median {median:.4}",
         reported / in_the_middle
     ));

@@ -61,10 +61,10 @@ fn slewed_wall_clock_affects_no_delay() {
     let cloud_slews = [Slew { at_s: 6.0, for_s: 6.0, ppm: 500.0 }];
     let (edge, cloud) = (slewed(-250, &edge_slews), slewed(250, &cloud_slews));
     let testbed = TwoHostTestbed::new(|_| Network::direct());
-    let _cloud = testbed.cloud(&table(&cloud));
+    let _cloud = testbed.start_cloud(&table(&cloud));
     let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 16.0 }";
     let pipeline = testbed.pipeline("slewed", 1000, load);
-    let _edge = testbed.edge(&format!("{}{pipeline}", table(&edge)), &[]);
+    let _edge = testbed.start_edge(&format!("{}{pipeline}", table(&edge)), &[]);
     let (edge, cloud) = (clock_of(&testbed, "edge", edge), clock_of(&testbed, "cloud", cloud));
     testbed.wait_for_runs(1);
 

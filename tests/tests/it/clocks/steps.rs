@@ -20,10 +20,10 @@ fn step(stepped: Stepped, by_ms: i32) {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let steps = format!("steps = [{{ at_s = {}, by_ms = {by_ms} }}]", AT.seconds());
     let table = |host, offset_ms| rehearsal(offset_ms, 10.0, if host == stepped { &steps } else { "" });
-    let _cloud = testbed.cloud(&table(Stepped::Cloud, 250.0));
+    let _cloud = testbed.start_cloud(&table(Stepped::Cloud, 250.0));
     let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 18.0 }";
     let pipeline = testbed.pipeline("stepped", 1000, load);
-    let _edge = testbed.edge(&format!("{}{pipeline}", table(Stepped::Edge, -250.0)), &[]);
+    let _edge = testbed.start_edge(&format!("{}{pipeline}", table(Stepped::Edge, -250.0)), &[]);
     let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
     testbed.wait_for_runs(1);
 

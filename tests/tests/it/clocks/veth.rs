@@ -20,7 +20,7 @@ enum Wrong {
 }
 
 /// Runs a steady pipeline, slow enough that the clocks drift apart meanwhile, and one that runs as fast as it can.
-fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
+fn check_case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let clock = format!("[clock]\nmax_drift_ppm = {max_drift_ppm:?}\n");
     let own = rehearsal(offset_ms, drift_ppm, "");
@@ -28,12 +28,12 @@ fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
         Wrong::Edge => (own.as_str(), ""),
         Wrong::Cloud => ("", own.as_str()),
     };
-    let _cloud = testbed.cloud(&format!("{clock}{cloud_own}"));
+    let _cloud = testbed.start_cloud(&format!("{clock}{cloud_own}"));
     let steady = format!("load = {{ mode = \"rate\", hz = 100.0 }}\nlimit = {{ iterations = {STEADY} }}");
     let quick = format!("limit = {{ iterations = {QUICK} }}");
     let pipelines =
         [testbed.pipeline("steady", 1000, &steady), testbed.pipeline("quick", 1000, &quick)].concat();
-    let _edge = testbed.edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
+    let _edge = testbed.start_edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
 
     let (edge, cloud) = match wrong {
         Wrong::Edge => (testbed.clock_of("edge"), HostClock::of_kernel()),
@@ -50,20 +50,20 @@ fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
 
 #[test]
 fn delays_contain_truth_for_fast_cloud_ahead() {
-    case(1_000.0, 50.0, 50.0, Wrong::Cloud);
+    check_case(1_000.0, 50.0, 50.0, Wrong::Cloud);
 }
 
 #[test]
 fn delays_contain_truth_for_slow_edge_behind() {
-    case(-1_000.0, -50.0, 50.0, Wrong::Edge);
+    check_case(-1_000.0, -50.0, 50.0, Wrong::Edge);
 }
 
 #[test]
 fn delays_contain_truth_for_fast_edge_ahead() {
-    case(1_000.0, 100.0, 150.0, Wrong::Edge);
+    check_case(1_000.0, 100.0, 150.0, Wrong::Edge);
 }
 
 #[test]
 fn delays_contain_truth_for_slow_cloud_behind() {
-    case(-1_000.0, -100.0, 150.0, Wrong::Cloud);
+    check_case(-1_000.0, -100.0, 150.0, Wrong::Cloud);
 }

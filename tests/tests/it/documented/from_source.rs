@@ -28,9 +28,9 @@ fn assert_success(ended: &ProcessEnd) {
 }
 
 /// Waits until a pipeline on the dashboard of a host has answers.
-fn answered(host: &Host, port: u16, pipeline: &'static str) {
-    host.inside(move || {
-        Api::at(port).until("/api/v1/runs", |runs| {
+fn wait_until_answered(host: &Host, port: u16, pipeline: &'static str) {
+    host.run_in_namespace(move || {
+        Api::on_port(port).wait_until("/api/v1/runs", |runs| {
             let mut runs = runs["runs"].as_array()?.iter();
             runs.any(|run| run["pipeline"] == pipeline && run["counts"]["ok"].as_u64() > Some(5))
                 .then_some(())
@@ -49,7 +49,7 @@ fn manual_installation_matches_paths_of_units() {
     // The library that the command would download exists already.
     let library = peernet_tests::onnxruntime();
     assert_success(
-        &machines.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).ended(),
+        &machines.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).wait_for_end(),
     );
 
     let programs = format!("{root}/usr/bin/");
@@ -58,7 +58,7 @@ fn manual_installation_matches_paths_of_units() {
         [("/usr/bin/", &programs), ("systemd-sysusers", &users), ("systemd-tmpfiles", &folders)];
     for command in &COMMANDS[..10] {
         let changes: Vec<_> = mine.into_iter().filter(|(from, _)| command.contains(from)).collect();
-        assert_success(&machines.on_edge(command, &changes).ended());
+        assert_success(&machines.on_edge(command, &changes).wait_for_end());
     }
     for role in ["agent", "aggregator"] {
         let unit = machine.join(format!("etc/systemd/system/peernet-{role}.service"));
@@ -76,22 +76,22 @@ fn manual_installation_matches_paths_of_units() {
         machines.install(edge, &file, &text, &[]);
         let installed = format!("{programs}peernetd");
         let check = format!("peernetd check {file}");
-        assert_success(&machines.on_edge(&check, &[("peernetd", &installed)]).ended());
+        assert_success(&machines.on_edge(&check, &[("peernetd", &installed)]).wait_for_end());
     }
-    the_demo(&machines);
+    run_demo(&machines);
     machines.finish();
 }
 
 /// Runs the demo with another port.
-fn the_demo(machines: &DocumentedCommands) {
+fn run_demo(machines: &DocumentedCommands) {
     for name in ["aggregator", "cloud", "edge"] {
         let text = Document::read(format!("configs/{name}.toml")).text;
         machines.write(&format!("mine/{name}.toml"), &text.replace("127.0.0.1:8040", "127.0.0.1:8050"));
     }
     let demo = machines.on_edge(DEMO, &[("FOLDER", "mine")]);
     demo.wait_for("http://127.0.0.1:8050/api/v1/pipelines");
-    answered(machines.edge(), 8050, "offload-resized");
+    wait_until_answered(machines.edge(), 8050, "offload-resized");
     let ended = demo.stop();
     assert_success(&ended);
-    assert!(ended.log.contains("demo: ended"), "{}", ended.log);
+    assert!(ended.log.contains("demo: stopped"), "{}", ended.log);
 }

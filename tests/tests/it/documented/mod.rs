@@ -1,10 +1,10 @@
 //! Tests that execute the commands of the documents with the real programs; commands that use a network are executed
 //! between two machines.
 
-mod alone;
-mod by_hand;
-mod elsewhere;
+mod exempt_commands;
 mod from_source;
+mod manual_start;
+mod one_machine;
 mod paper;
 mod pictures;
 mod published;
@@ -15,12 +15,12 @@ use std::collections::BTreeSet;
 use peernet_tests::Document;
 
 use crate::experiments::{same_seed, users};
-use elsewhere::{ELSEWHERE, NOWHERE, is_known};
+use exempt_commands::{EXECUTED_ELSEWHERE, NEVER_EXECUTED, is_known};
 
 /// Commands that these tests and those of experiments execute.
-const TYPED: [&[&str]; 9] = [
-    &alone::COMMANDS,
-    &by_hand::COMMANDS,
+const EXECUTED_COMMANDS: [&[&str]; 9] = [
+    &one_machine::COMMANDS,
+    &manual_start::COMMANDS,
     &from_source::COMMANDS,
     &paper::COMMANDS,
     &pictures::COMMANDS,
@@ -41,11 +41,12 @@ fn every_documented_command_is_executed_by_a_test() {
 
     let shown: BTreeSet<&str> =
         shown.iter().map(String::as_str).filter(|it| is_known(it).is_none()).collect();
-    let elsewhere = ELSEWHERE.iter().flat_map(|(commands, ..)| *commands).copied();
-    let nowhere = NOWHERE.iter().flat_map(|(_, commands)| *commands).copied();
-    let run: BTreeSet<&str> = TYPED.concat().into_iter().chain(elsewhere).chain(nowhere).collect();
+    let elsewhere = EXECUTED_ELSEWHERE.iter().flat_map(|(commands, ..)| *commands).copied();
+    let nowhere = NEVER_EXECUTED.iter().flat_map(|(_, commands)| *commands).copied();
+    let run: BTreeSet<&str> =
+        EXECUTED_COMMANDS.concat().into_iter().chain(elsewhere).chain(nowhere).collect();
     let forgotten: Vec<_> = shown.difference(&run).collect();
-    assert!(forgotten.is_empty(), "no test types these commands of the documents: {forgotten:#?}");
+    assert!(forgotten.is_empty(), "no test executes these commands of the documents: {forgotten:#?}");
     let gone: Vec<_> = run.difference(&shown).collect();
-    assert!(gone.is_empty(), "no document shows these commands that tests type: {gone:#?}");
+    assert!(gone.is_empty(), "no document shows these commands that tests execute: {gone:#?}");
 }

@@ -2,7 +2,7 @@
 
 use peernet_tests::{Document, DocumentedCommands};
 
-use crate::experiments::{Results, column, done};
+use crate::experiments::{Results, column, wait_for_runs};
 
 pub(crate) const COMMANDS: [&str; 9] = [
     "peernetd run cloud.toml",
@@ -65,7 +65,7 @@ fn efficientnet(machines: &DocumentedCommands) {
     let devices = Document::read("configs/experiments/networks/net_config.yaml").text;
     machines.write("net_config.yaml", &devices.replace("cluster.example.org", DocumentedCommands::CLOUD));
     let measured = machines.on_edge("peernet run configs/experiments/efficientnet.toml", &[("run", HERE)]);
-    let ended = done(measured, 6);
+    let ended = wait_for_runs(measured, 6);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let results = Results::of(machines.folder().join("results/efficientnet"));
     assert_eq!(results.stages(), ["finished"; 6]);
@@ -79,7 +79,7 @@ fn efficientnet(machines: &DocumentedCommands) {
     }
     let figure = results.folder.join("paired.png");
     std::fs::remove_file(&figure).expect("it is among the figures of the whole");
-    let ended = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).ended();
+    let ended = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(figure.is_file(), "{}", ended.log);
 }
@@ -98,18 +98,19 @@ fn teleoperation(machines: &DocumentedCommands) {
         "configs/experiments/teleoperation.toml",
         &[("episodes = 30", "episodes = 2"), ("episode_steps = 30", "episode_steps = 3")],
     );
-    let checked = machines.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).ended();
+    let checked =
+        machines.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).wait_for_end();
     assert_eq!(checked.code(), 0, "{}", checked.log);
     // The document shows this output.
     assert!(Document::read("docs/experiments.md").text.contains(checked.log.trim()), "{}", checked.log);
-    let ended = done(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
+    let ended = wait_for_runs(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let results = Results::of(machines.folder().join("results/teleoperation"));
     assert_eq!(results.stages(), ["finished"; 9]);
     std::os::unix::fs::symlink(&results.folder, machines.folder().join("teleoperation")).expect("writable");
 
     let table = "peernet compare teleoperation --format latex --out table.tex";
-    assert_eq!(machines.on_edge(table, &[]).ended().code(), 0);
+    assert_eq!(machines.on_edge(table, &[]).wait_for_end().code(), 0);
     let table = std::fs::read_to_string(machines.folder().join("table.tex")).expect("it was written");
     assert!(table.contains("\\toprule") && table.matches("RTX 3090").count() >= 5, "{table}");
     // The experiment's own table is the same.
@@ -117,10 +118,10 @@ fn teleoperation(machines: &DocumentedCommands) {
     assert_eq!(table.trim_end(), own.trim_end());
     let first = format!("runs/{}", results.folders()[0]);
     let against = "peernet compare teleoperation --baseline teleoperation/run-1";
-    let ended = machines.on_edge(against, &[("run-1", &first)]).ended();
+    let ended = machines.on_edge(against, &[("run-1", &first)]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let figures = "peernet plot teleoperation --kind stacked --out figures";
-    let ended = machines.on_edge(figures, &[]).ended();
+    let ended = machines.on_edge(figures, &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(machines.folder().join("figures/stacked.svg").is_file(), "{}", ended.log);
 }
@@ -129,7 +130,7 @@ fn teleoperation(machines: &DocumentedCommands) {
 fn payload_study(machines: &DocumentedCommands) {
     let file = "configs/experiments/payload-study.toml";
     machines.write(file, &Document::read(file).text);
-    let ended = done(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
+    let ended = wait_for_runs(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let results = Results::of(machines.folder().join("results/payload-study"));
     assert_eq!(results.stages(), ["finished"; 8]);

@@ -1,6 +1,6 @@
 //! The published commands in the documents, and the use of their results.
 
-use peernet_tests::{Document, DocumentedCommands, until};
+use peernet_tests::{Document, DocumentedCommands, wait_until};
 
 use super::paper::small_model;
 use crate::experiments::column;
@@ -34,7 +34,7 @@ fn published_commands_run_objects_programs_and_results() {
     machines.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));
     of_the_readme(&machines);
     programs_of_an_agent(&machines);
-    of_ones_own(&machines);
+    run_users_objects(&machines);
     results(&machines);
     machines.finish();
 }
@@ -49,8 +49,8 @@ fn of_the_readme(machines: &DocumentedCommands) {
     let picture = machines.folder().join("models/quality-control/pictures/part-0001.jpg");
     std::fs::copy(picture, machines.folder().join("sample-image.JPEG")).expect("writable");
     let server = machines.on_cloud(SERVER, &[ITERATIONS]);
-    let client = machines.on_edge(CLIENT, &[ITERATIONS]).ended();
-    let server = server.ended();
+    let client = machines.on_edge(CLIENT, &[ITERATIONS]).wait_for_end();
+    let server = server.wait_for_end();
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     assert_eq!(column(&machines.folder().join("results/data.csv"), "outcome"), ["ok"; 40]);
     for name in ["summary.md", "upload-time.png", "series.svg", "run.json"] {
@@ -60,12 +60,12 @@ fn of_the_readme(machines: &DocumentedCommands) {
 
 /// Runs the document's agent with a sensor, a model and an actuator, each of which is a program.
 fn programs_of_an_agent(machines: &DocumentedCommands) {
-    assert_eq!(machines.on_edge(COMPILER, &[]).ended().code(), 0);
+    assert_eq!(machines.on_edge(COMPILER, &[]).wait_for_end().code(), 0);
     let document = Document::read("docs/external-programs.md");
     let (_, agent) = document.fenced("toml").remove(0);
     machines.write("own-programs.toml", &agent);
     let agent = machines.run_on(machines.edge(), "peernetd run own-programs.toml");
-    until("answers", || {
+    wait_until("answers", || {
         let answers = std::fs::read_to_string(machines.folder().join("answers.txt")).ok()?;
         (answers.lines().count() >= 5 && answers.contains("bright")).then_some(())
     });
@@ -74,7 +74,7 @@ fn programs_of_an_agent(machines: &DocumentedCommands) {
 }
 
 /// Runs Python objects at both ends on one machine, and programs at both ends on two.
-fn of_ones_own(machines: &DocumentedCommands) {
+fn run_users_objects(machines: &DocumentedCommands) {
     machines.write("sweep.py", &Document::read("configs/python/sweep.py").text);
     machines.write("talker.py", TALKER);
     let server = |model: &str, devices: &str| {
@@ -86,21 +86,22 @@ fn of_ones_own(machines: &DocumentedCommands) {
         format!("--name jetson-orin --network-config {devices} --iterations 40 --result-loc {results}")
     };
     let local = machines.run_on(machines.edge(), &server("talker::Talker", "local.yaml"));
-    let sweep = machines.on_edge(OWN, &[("…", &client("local.yaml", "results-local"))]).ended();
-    let local = local.ended();
+    let sweep = machines.on_edge(OWN, &[("…", &client("local.yaml", "results-local"))]).wait_for_end();
+    let local = local.wait_for_end();
     assert_eq!((sweep.code(), local.code()), (0, 0), "{}\n{}", sweep.log, local.log);
 
     let there = machines.run_on(machines.cloud(), &server("exec:./brightness", "net_config.yaml"));
     let light = ("sweep::Lidar", "exec:docs/examples/external/light.sh");
-    let here = machines.on_edge(OWN, &[("…", &client("net_config.yaml", "results-lan")), light]).ended();
-    let there = there.ended();
+    let here =
+        machines.on_edge(OWN, &[("…", &client("net_config.yaml", "results-lan")), light]).wait_for_end();
+    let there = there.wait_for_end();
     assert_eq!((here.code(), there.code()), (0, 0), "{}\n{}", here.log, there.log);
     // The program on the cloud answered every picture of the edge's program correctly.
     assert_eq!(column(&machines.folder().join("results-lan/data.csv"), "top-1"), ["1"; 40]);
 }
 
 fn results(machines: &DocumentedCommands) {
-    let compared = machines.on_edge("peernet compare results-local results-lan", &[]).ended();
+    let compared = machines.on_edge("peernet compare results-local results-lan", &[]).wait_for_end();
     assert_eq!(compared.code(), 0, "{}", compared.log);
     assert!(compared.log.contains("talker") && compared.log.contains("brightness"), "{}", compared.log);
     let length = [("length", "length results-local")];
@@ -109,7 +110,7 @@ fn results(machines: &DocumentedCommands) {
         ("peernet plot results --kind histograms --x total", &[], "results/total-histogram.png"),
         ("peernet plot --kind length", &length, "results-local/length.png"),
     ] {
-        let drawn = machines.on_edge(command, changes).ended();
+        let drawn = machines.on_edge(command, changes).wait_for_end();
         assert_eq!(drawn.code(), 0, "{}", drawn.log);
         assert!(machines.folder().join(figure).is_file(), "{figure}: {}", drawn.log);
     }

@@ -1,8 +1,8 @@
 //! The two machines of docs/two-machines.md with its own files: queries, calibration, maintenance.
 
 use peernet_tests::network::Host;
-use peernet_tests::truth::ask;
-use peernet_tests::{Document, DocumentedCommands, ProcessEnd, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{Document, DocumentedCommands, ProcessEnd, wait_until};
 use serde_json::Value;
 
 pub(crate) const COMMANDS: [&str; 19] = [
@@ -81,30 +81,37 @@ fn readme_commands_work_on_two_machines() {
     let (edge, cloud) = (machines.edge(), machines.cloud());
     let config = |name: &str| format!("/etc/peernet/{name}.toml");
     for host in [edge, cloud] {
-        assert_success(machines.execute_on(host, "peernetd check /etc/peernet/agent.toml", &[]).ended());
+        assert_success(
+            machines.execute_on(host, "peernetd check /etc/peernet/agent.toml", &[]).wait_for_end(),
+        );
     }
-    assert_success(machines.on_cloud("peernetd check FILE", &[("FILE", &config("aggregator"))]).ended());
+    assert_success(
+        machines.on_cloud("peernetd check FILE", &[("FILE", &config("aggregator"))]).wait_for_end(),
+    );
     let both = format!("{} {}", config("aggregator"), config("agent"));
-    assert_success(machines.on_cloud("peernetd check FILE…", &[("FILE…", &both)]).ended());
+    assert_success(machines.on_cloud("peernetd check FILE…", &[("FILE…", &both)]).wait_for_end());
 
     let run =
         |host: &Host, name: &str| machines.execute_on(host, "peernetd run FILE", &[("FILE", &config(name))]);
     let (robot, agent, aggregator) = (run(edge, "agent"), run(cloud, "agent"), run(cloud, "aggregator"));
     aggregator.wait_for("ready");
-    until("the robot's pipeline on the dashboard", || {
-        let status = machines.on_cloud("peernet status", &[]).ended();
+    wait_until("the robot's pipeline on the dashboard", || {
+        let status = machines.on_cloud("peernet status", &[]).wait_for_end();
         let there = ["robot", "inspection", "quality-control", "cloud"];
         (status.code() == 0 && there.iter().all(|word| status.log.contains(word))).then_some(())
     });
     request_everything(&machines);
     calibrate(&machines);
 
-    assert_success(machines.on_cloud("peernetd doctor --config /etc/peernet/aggregator.toml", &[]).ended());
+    assert_success(
+        machines.on_cloud("peernetd doctor --config /etc/peernet/aggregator.toml", &[]).wait_for_end(),
+    );
     assert_eq!(robot.stop().code(), 0);
-    let spool =
-        assert_success(machines.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).ended());
+    let spool = assert_success(
+        machines.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).wait_for_end(),
+    );
     assert!(spool.contains("stream"), "{spool}");
-    let again = assert_success(machines.on_cloud("peernet recompute 12", &[("12", "1")]).ended());
+    let again = assert_success(machines.on_cloud("peernet recompute 12", &[("12", "1")]).wait_for_end());
     assert!(again.contains("upload") && again.contains("download"), "{again}");
     keep(&machines, || assert_eq!(aggregator.stop().code(), 0));
     assert_eq!(agent.stop().code(), 0);
@@ -113,15 +120,16 @@ fn readme_commands_work_on_two_machines() {
 
 /// Executes the README's section "Ask it".
 fn request_everything(machines: &DocumentedCommands) {
-    let get =
-        |path: &str| json(machines.on_cloud(&format!("curl http://127.0.0.1:8040/api/{path}"), &[]).ended());
+    let get = |path: &str| {
+        json(machines.on_cloud(&format!("curl http://127.0.0.1:8040/api/{path}"), &[]).wait_for_end())
+    };
     let pipelines = get("v1/pipelines");
     assert_eq!(
         (&pipelines["pipelines"][0]["host"], &pipelines["pipelines"][0]["name"]),
         (&"robot".into(), &"inspection".into())
     );
     // Live values are available before the run is stored.
-    let run = until("the run in the store", || get("v1/runs")["runs"].get(0).cloned());
+    let run = wait_until("the run in the store", || get("v1/runs")["runs"].get(0).cloned());
     assert_eq!(run["host"], "robot");
     assert!(get("openapi.json")["paths"].is_object());
     let live = machines.on_cloud("curl -N http://127.0.0.1:8040/api/v1/live", &[]);
@@ -136,7 +144,7 @@ fn calibrate(machines: &DocumentedCommands) {
         ("peernet calibrate PEER", ("PEER", "--result-loc second 10.0.0.2:5551")),
         ("peernet calibrate 10.0.0.2", ("10.0.0.2", "--result-loc third 10.0.0.2")),
     ] {
-        assert_success(machines.on_edge(command, &[changes, ("calibrate", SHORT)]).ended());
+        assert_success(machines.on_edge(command, &[changes, ("calibrate", SHORT)]).wait_for_end());
     }
     for folder in ["first", "second", "third"] {
         let study = std::fs::read(machines.folder().join(folder).join("calibration.json")).expect("written");
@@ -148,24 +156,24 @@ fn calibrate(machines: &DocumentedCommands) {
 /// Makes a backup while the database is written to, and rebuilds roll-ups while it is not.
 fn keep(machines: &DocumentedCommands, stop: impl FnOnce()) {
     std::fs::create_dir_all(machines.folder().join("cloud/backup")).expect("writable");
-    assert_success(machines.on_cloud(BACKUP, &[]).ended());
+    assert_success(machines.on_cloud(BACKUP, &[]).wait_for_end());
     let backups = std::fs::read_dir(machines.folder().join("cloud/backup")).expect("it was made");
     let backups: Vec<_> = backups.map(|entry| entry.expect("it can be listed").path()).collect();
     let [backup] = &*backups else { panic!("one copy under the day's name: {backups:?}") };
-    assert_eq!(ask(backup, "SELECT count(*) FROM run").trim(), "1");
+    assert_eq!(query_database(backup, "SELECT count(*) FROM run").trim(), "1");
 
-    let cleared = assert_success(machines.on_cloud(CLEAR, &[]).ended());
+    let cleared = assert_success(machines.on_cloud(CLEAR, &[]).wait_for_end());
     assert!(cleared.contains("cleared the secret of robot"), "{cleared}");
 
-    let all = |of: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).ended();
+    let all = |of: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).wait_for_end();
     assert_eq!(all("").code(), 69, "the aggregator has it");
     stop();
     let database = machines.folder().join("cloud/var/lib/peernet/aggregator/peernet.sqlite");
-    let answered = || ask(&database, "SELECT sum(count) FROM rollup WHERE resolution_s = 0");
+    let answered = || query_database(&database, "SELECT sum(count) FROM rollup WHERE resolution_s = 0");
     let before = answered();
     assert_success(all(""));
     assert_success(all("--run 1"));
     assert_eq!(answered(), before);
-    assert_success(machines.on_cloud(REPAIR, &[]).ended());
+    assert_success(machines.on_cloud(REPAIR, &[]).wait_for_end());
     assert_eq!(answered(), before, "nothing of it was damaged");
 }

@@ -2,8 +2,10 @@
 
 use peernet_clock::Span;
 use peernet_tests::fleet::echo;
-use peernet_tests::truth::ask;
-use peernet_tests::{AGGREGATOR, Api, FalseTime, LoopbackDeployment, Process, measured, program, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{
+    AGGREGATOR, Api, FalseTime, LoopbackDeployment, Process, program, record_figures, wait_until,
+};
 
 /// Number of iterations of each run.
 const ITERATIONS: u64 = 300;
@@ -15,8 +17,8 @@ const MONTH: Span = Span::from_seconds(30 * 86_400);
 fn run_to_the_end(deployment: &LoopbackDeployment, api: &Api, host: &str) {
     let limit = format!("load = {{ mode = \"rate\", hz = 200.0 }}\nlimit = {{ iterations = {ITERATIONS} }}");
     let tables = format!("[[model]]\nname = \"echo\"\nkind = \"echo\"\n{}", echo("loop", &limit));
-    let agent = deployment.agent(host, &tables);
-    api.until("/api/v1/runs", |runs| {
+    let agent = deployment.start_agent(host, &tables);
+    api.wait_until("/api/v1/runs", |runs| {
         let ended = |run: &&serde_json::Value| run["host"] == host && run["reason"] == "finished";
         runs["runs"].as_array()?.iter().find(ended).map(|_| ())
     });
@@ -25,7 +27,7 @@ fn run_to_the_end(deployment: &LoopbackDeployment, api: &Api, host: &str) {
 
 /// Waits until this number of the aggregator's incidents report a clock step; returns the newest text.
 fn wait_for_jump_message(api: &Api, direction: &str, times: usize) -> String {
-    api.until("/api/v1/incidents", |list| {
+    api.wait_until("/api/v1/incidents", |list| {
         let incidents = list["incidents"].as_array()?.iter();
         let steps = incidents.filter(|it| it["kind"] == "clock-step" && it["host"].is_null());
         let texts: Vec<&str> =
@@ -46,17 +48,20 @@ fn aggregator_clock_jumps_delete_nothing() {
             deployment.folder(),
             &time.environment(),
         );
-        let api = Api::at(deployment.http);
-        until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+        let api = Api::on_port(deployment.http);
+        wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
         (process, api)
     };
     let (aggregator, api) = start();
     let database = deployment.folder().join("aggregator.sqlite");
     let stored = |runs: u64| {
-        assert_eq!(ask(&database, "SELECT count(*) FROM iteration").trim(), (runs * STORED).to_string());
+        assert_eq!(
+            query_database(&database, "SELECT count(*) FROM iteration").trim(),
+            (runs * STORED).to_string()
+        );
         let kinds = "SELECT count(DISTINCT run || ' ' || resolution_s) FROM rollup";
         assert_eq!(
-            ask(&database, kinds).trim(),
+            query_database(&database, kinds).trim(),
             (runs * 5).to_string(),
             "all widths of statistics of {runs} runs"
         );
@@ -90,9 +95,12 @@ fn aggregator_clock_jumps_delete_nothing() {
     let (aggregator, api) = start();
     run_to_the_end(&deployment, &api, "after");
     stored(5);
-    assert_eq!(ask(&database, "SELECT count(*) FROM incident WHERE kind = 'retention'").trim(), "0");
+    assert_eq!(
+        query_database(&database, "SELECT count(*) FROM incident WHERE kind = 'retention'").trim(),
+        "0"
+    );
     assert_eq!(aggregator.stop().code(), 0);
-    measured(
+    record_figures(
         "clock jumps of the aggregator",
         &[("incidents", words.join("; ")), ("iterations stored", (5 * STORED).to_string())],
     );

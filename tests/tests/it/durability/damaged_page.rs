@@ -4,8 +4,8 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::truth::ask;
-use peernet_tests::{Fleet, ProcessEnd, StoredEvents, measured, thousands, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{Fleet, ProcessEnd, StoredEvents, record_figures, thousands, wait_until};
 
 /// Returns reproducible noise, such as a disk, a wild pointer or `dd` may leave.
 fn noise(seed: u64) -> Vec<u8> {
@@ -19,7 +19,7 @@ fn noise(seed: u64) -> Vec<u8> {
 
 /// Overwrites 4 KiB in the middle of a table's pages, `beyond` bytes after the beginning of one.
 fn overwrite(database: &Path, table: &str, beyond: u64) {
-    let pages = ask(
+    let pages = query_database(
         database,
         &format!("SELECT pageno FROM dbstat WHERE name = '{table}' AND pagetype = 'leaf' ORDER BY path"),
     );
@@ -35,7 +35,7 @@ fn doctor(fleet: &Fleet, arguments: &[&str]) -> ProcessEnd {
     let mut all = vec!["doctor"];
     all.extend(arguments);
     all.extend(["--database", &database]);
-    fleet.deployment.peernetd(&all).ended()
+    fleet.deployment.peernetd(&all).wait_for_end()
 }
 
 fn is_ready(fleet: &Fleet) -> bool {
@@ -43,7 +43,7 @@ fn is_ready(fleet: &Fleet) -> bool {
 }
 
 fn why_not_ready(fleet: &Fleet) -> String {
-    until("not ready", || {
+    wait_until("not ready", || {
         fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, words)| words)
     })
 }
@@ -62,7 +62,7 @@ fn with_events_in_the_file(events: u64) -> Fleet {
 #[test]
 fn damaged_page_stops_storing_until_repaired() {
     let mut fleet = with_events_in_the_file(2_000);
-    until("ready", || is_ready(&fleet).then_some(()));
+    wait_until("ready", || is_ready(&fleet).then_some(()));
 
     overwrite(fleet.database(), "node", 0);
     let why = why_not_ready(&fleet);
@@ -119,7 +119,7 @@ fn assert_continues_after_repair(mut fleet: Fleet, what: &str) {
     assert!(nothing.code() == 0 && nothing.log.contains("not damaged"), "{}", nothing.log);
 
     fleet.restart_aggregator();
-    until("ready", || is_ready(&fleet).then_some(()));
+    wait_until("ready", || is_ready(&fleet).then_some(()));
     fleet.agents[0].stop();
     fleet.start_without_pipelines(0);
     let counts = fleet.counts(0, "everything is delivered", |counts| {
@@ -130,17 +130,17 @@ fn assert_continues_after_repair(mut fleet: Fleet, what: &str) {
     fleet.agents[0].stop();
     fleet.aggregator.stop();
 
-    let stored_events = StoredEvents::of(fleet.database());
+    let stored_events = StoredEvents::read(fleet.database());
     let [run] = stored_events.runs.values().collect::<Vec<_>>()[..] else {
         panic!("one run: {stored_events:?}")
     };
     assert_eq!(run.counted, run.iterations(), "{run:?}");
-    assert_eq!((run.with_nodes, run.torn), (run.iterations(), 0), "{run:?}");
+    assert_eq!((run.with_nodes, run.incomplete), (run.iterations(), 0), "{run:?}");
     assert_eq!(run.missing_iterations(), run.missing, "produced = stored + gaps: {run:?}");
     let host = &stored_events.hosts["edge"];
     assert_eq!(host.gap_rows, (host.gaps, host.missing), "{host:?}");
     assert_eq!(host.nodes, stored_events.nodes(), "{host:?}");
-    measured(
+    record_figures(
         what,
         &[
             ("iterations stored", thousands(run.iterations() as f64)),

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::truth::ask;
-use peernet_tests::{Fleet, ImageDisk, StoredEvents, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{Fleet, ImageDisk, StoredEvents, wait_until};
 
 /// Returns the files of a database.
 fn files(database: &Path) -> [PathBuf; 3] {
@@ -18,7 +18,7 @@ fn fleet_on(disk: &ImageDisk) -> Fleet {
 
 fn fleet_in(database: &Path) -> Fleet {
     let configuration = edge("", &echo("loop", &rate(200.0)));
-    let mut fleet = Fleet::storing_in(&database.display().to_string(), &["edge"], &configuration);
+    let mut fleet = Fleet::with_database(&database.display().to_string(), &["edge"], &configuration);
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 100);
     fleet
@@ -26,21 +26,21 @@ fn fleet_in(database: &Path) -> Fleet {
 
 /// Waits until the aggregator is not ready, with these words in the reason.
 fn not_ready(fleet: &Fleet, words: &str) {
-    until(&format!("not ready: {words}"), || {
+    wait_until(&format!("not ready: {words}"), || {
         fleet.api.get("/readyz").filter(|(status, text)| *status == 503 && text.contains(words))
     });
 }
 
 /// Waits until the aggregator is ready and has stored the events that waited on its agent.
 fn wait_until_storing(fleet: &Fleet) {
-    until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
+    wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
     fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.events > 0);
 }
 
 /// Stops everything; checks that each produced event is stored or counted as dropped.
 fn assert_all_accounted_for(fleet: &mut Fleet) -> StoredEvents {
     fleet.agents[0].stop();
-    fleet.deliver(0).assert_balanced();
+    fleet.deliver_spool(0).assert_balanced();
     fleet.stop()
 }
 
@@ -77,7 +77,7 @@ fn storing_recovers_after_database_was_read_only() {
 
     disk.set_immutable(written, true);
     not_ready(&fleet, "cannot store events");
-    until("the files are closed", || (!holds(&fleet, disk.folder())).then_some(()));
+    wait_until("the files are closed", || (!holds(&fleet, disk.folder())).then_some(()));
     disk.set_immutable(written, false);
     disk.remount("ro");
     not_ready(&fleet, "ead-only");
@@ -93,7 +93,7 @@ fn storing_recovers_after_unmount_and_mount() {
     disk.unmount();
     not_ready(&fleet, "not mounted");
     // The file system must be released, so that it can be checked or mounted elsewhere.
-    until("the device is free", || (!disk.is_in_use()).then_some(()));
+    wait_until("the device is free", || (!disk.is_in_use()).then_some(()));
     let folder = std::fs::read_dir(disk.folder()).expect("the mount point is there");
     assert_eq!(folder.count(), 0, "nothing is made where the disk was");
     disk.mount();
@@ -109,7 +109,7 @@ fn moved_database_is_closed_and_reopened() {
     let mut fleet = fleet_in(&here.join("aggregator.sqlite"));
     std::fs::rename(&here, &away).expect("moves");
     not_ready(&fleet, "deleted, moved or replaced");
-    until("the files are closed", || (!holds(&fleet, folder.path())).then_some(()));
+    wait_until("the files are closed", || (!holds(&fleet, folder.path())).then_some(()));
     std::fs::rename(&away, &here).expect("moves back");
     wait_until_storing(&fleet);
     assert_nothing_is_missing(&mut fleet);
@@ -125,9 +125,9 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     let copied = fleet
         .deployment
         .peernetd(&["backup", "--database", &database.display().to_string(), &backup.display().to_string()])
-        .ended();
+        .wait_for_end();
     assert_eq!(copied.code(), 0, "{}", copied.log);
-    let older = StoredEvents::of(&backup);
+    let older = StoredEvents::read(&backup);
     let before = fleet.counts(0, "it reports", |_| true);
     fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 200);
 
@@ -146,7 +146,7 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     assert_eq!((host.gaps, host.quarantined, stored_events.runs.len()), (1, 0, 1), "{stored_events:?}");
     assert_eq!((run.ranges.len(), run.reason.as_str()), (2, "stopped"), "one hole, told as a gap: {run:?}");
     assert_eq!(run.ranges[0], 1..=older.iterations());
-    let why = ask(fleet.database(), "SELECT reason FROM gap");
+    let why = query_database(fleet.database(), "SELECT reason FROM gap");
     assert!(why.contains("batches"), "{why}");
 }
 
@@ -160,7 +160,7 @@ fn refused(fleet: &Fleet, database: &Path) {
         peernet_tests::free_port()
     );
     fleet.deployment.write("second.toml", &tables);
-    let ended = fleet.deployment.start("second.toml").ended();
+    let ended = fleet.deployment.start("second.toml").wait_for_end();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     let holder = format!("pid {}", fleet.aggregator.process().pid());
     let named = ended.log.contains(&holder) && ended.log.contains(&database.display().to_string());
@@ -174,7 +174,7 @@ fn second_aggregator_through_another_name_is_refused() {
     let hard_link = disk.folder().join("link.sqlite");
     std::fs::hard_link(fleet.database(), &hard_link).expect("links");
     refused(&fleet, &hard_link);
-    let elsewhere = disk.mounted_elsewhere();
+    let elsewhere = disk.mount_again();
     refused(&fleet, &elsewhere.folder().join("aggregator.sqlite"));
     assert_nothing_is_missing(&mut fleet);
 }

@@ -4,10 +4,10 @@ use std::path::Path;
 use std::time::Duration;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::truth::ask;
-use peernet_tests::{EventCounts, Fleet, SpooledIterations, StoredHost, TestRng, measured, thousands};
+use peernet_tests::truth::query_database;
+use peernet_tests::{EventCounts, Fleet, SpooledIterations, StoredHost, TestRng, record_figures, thousands};
 
-use super::turn;
+use super::wait_for_turn;
 
 /// Number of kills of the agent while it measures.
 const KILLS: usize = 5;
@@ -36,7 +36,7 @@ fn empty(folder: &Path) {
 
 #[test]
 fn killed_agent_reports_every_event_it_lost() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("lost events");
     let pipeline = echo("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate(500.0)));
     let mut fleet = Fleet::new(&["edge"], &edge("", &pipeline));
@@ -48,7 +48,7 @@ fn killed_agent_reports_every_event_it_lost() {
         let log = fleet.agents[0].kill().log;
         // The log was written before the process was killed, and does not depend on its spool.
         let answers = log.matches(" answer ").count() as u64;
-        let spooled = SpooledIterations::all(&log);
+        let spooled = SpooledIterations::parse_log(&log);
         let run = spooled.first().expect("it was waited for").run.clone();
         lives.push(Life { run, answers });
         if lives.len() == 2 {
@@ -58,10 +58,10 @@ fn killed_agent_reports_every_event_it_lost() {
             fleet.agents[0].kill();
         }
     }
-    let counts = fleet.deliver(0);
+    let counts = fleet.deliver_spool(0);
     fleet.agents[0].stop();
     // A clean stop leaves nothing to report.
-    let after = fleet.deliver(0);
+    let after = fleet.deliver_spool(0);
     fleet.agents[0].stop();
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
@@ -80,7 +80,7 @@ fn killed_agent_reports_every_event_it_lost() {
         lost += stored.missing;
     }
     assert!(lost > 0, "every kill hit an agent that had nothing in memory: {stored_events:?}");
-    measured(
+    record_figures(
         "killed agent",
         &[
             ("kills", thousands(lives.len() as f64 + 1.0)),
@@ -93,7 +93,7 @@ fn killed_agent_reports_every_event_it_lost() {
 
 #[test]
 fn deleted_database_reports_number_of_missing_events() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 500);
@@ -103,20 +103,20 @@ fn deleted_database_reports_number_of_missing_events() {
     fleet.restart_aggregator();
     fleet.counts(0, "more is stored", |counts| counts.events > 500);
     fleet.agents[0].stop();
-    let counts = fleet.deliver(0);
+    let counts = fleet.deliver_spool(0);
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
     // Events without an acknowledgement at the aggregator's stop are sent again.
     assert!(host.missing <= deleted && host.missing > deleted / 2, "{deleted} were there: {host:?}");
     assert_eq!(host.gap_rows, (1, host.missing));
     assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
-    let reason = ask(fleet.database(), "SELECT reason FROM gap");
+    let reason = query_database(fleet.database(), "SELECT reason FROM gap");
     assert!(reason.contains("batches 1 to"), "{reason}");
 }
 
 #[test]
 fn restored_database_reports_number_of_missing_events() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 500);
@@ -132,7 +132,7 @@ fn restored_database_reports_number_of_missing_events() {
     fleet.restart_aggregator();
     fleet.counts(0, "newer batches are stored", |counts| counts.missing > 0);
     fleet.agents[0].stop();
-    let counts = fleet.deliver(0);
+    let counts = fleet.deliver_spool(0);
     let stored_events = fleet.stop();
     let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
     assert_eq!((host.gap_rows, run.ranges.len()), ((1, host.missing), 2), "{host:?}, {run:?}");

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Fleet, Stopwatch, measured};
+use peernet_tests::{Fleet, Stopwatch, record_figures};
 
 use super::setting;
 
@@ -39,7 +39,7 @@ fn memory_stays_below_its_bound() {
     let halfway = samples[samples.len() / 2];
     let last = samples.last().copied().expect("some");
     let mib = |value: f64| format!("{value:.1} MiB");
-    measured(
+    record_figures(
         "aggregator's memory, 8 pipelines at 200 Hz",
         &[("halfway", mib(halfway)), ("at the end", mib(last)), ("at the most", mib(most))],
     );

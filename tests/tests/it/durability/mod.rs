@@ -7,4 +7,4 @@ mod lost_events;
 mod memory;
 mod storm;
 
-use super::stream::{setting, turn};
+use super::stream::{setting, wait_for_turn};

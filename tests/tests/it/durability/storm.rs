@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_tests::fleet::{echo, edge_in, rate};
-use peernet_tests::{Fleet, ImageDisk, Stopwatch, TestRng, measured, thousands, until};
+use peernet_tests::{Fleet, ImageDisk, Stopwatch, TestRng, record_figures, thousands, wait_until};
 
-use super::{setting, turn};
+use super::{setting, wait_for_turn};
 
 const AGENTS: [&str; 2] = ["left", "right"];
 const HZ: f64 = 200.0;
@@ -56,7 +56,7 @@ impl Storm {
         let state = spools.folder().join("NAME").display().to_string();
         let pipeline = echo("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate(HZ)));
         let database = store.folder().join("aggregator.sqlite").display().to_string();
-        let mut fleet = Fleet::storing_in(&database, &AGENTS, &edge_in(&state, "", &pipeline));
+        let mut fleet = Fleet::with_database(&database, &AGENTS, &edge_in(&state, "", &pipeline));
         fleet.aggregator.stop();
         let Fleet { deployment, aggregator, agents, .. } = &mut fleet;
         for daemon in agents.iter_mut().chain([aggregator]) {
@@ -107,7 +107,7 @@ impl Storm {
                 Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), false),
                 Fault::StoreAway => {
                     // Two mounts of one image would overwrite each other.
-                    until("the device is free", || (!self.store.is_in_use()).then_some(()));
+                    wait_until("the device is free", || (!self.store.is_in_use()).then_some(()));
                     self.store.mount();
                 }
                 Fault::AggregatorClock | Fault::AgentClock(_) => {}
@@ -175,7 +175,7 @@ fn answers(log: &str) -> u64 {
 #[test]
 #[ignore = "takes minutes with PEERNET_KILLS=200; for make soak"]
 fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let (mut rng, began) = (TestRng::new("storm"), Stopwatch::now());
     let mut storm = Storm::new();
     let kills = setting("PEERNET_KILLS", 6);
@@ -190,7 +190,7 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let mut accounts = Vec::new();
     for agent in 0..AGENTS.len() {
         answers += self::answers(&fleet.agents[agent].stop().log);
-        accounts.push(fleet.deliver(agent));
+        accounts.push(fleet.deliver_spool(agent));
     }
     let stored_events = fleet.stop();
     for (agent, counts) in fleet.agents.iter().zip(&accounts) {
@@ -211,12 +211,12 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let known = stored_events.iterations() + missing;
     assert!(known + kills[0] >= answers, "{answers} answers, {known} accounted for");
     let number = |count: u64| thousands(count as f64);
-    measured(
+    record_figures(
         "kills amid failing disks and jumping clocks",
         &[
             ("kills of agents", number(kills[0])),
             ("kills of the aggregator", number(kills[1])),
-            ("starts that failed until something was mended", number(ended.into())),
+            ("starts that failed until the fault was repaired", number(ended.into())),
             ("answers in the logs", number(answers)),
             ("iterations stored", number(stored_events.iterations())),
             ("lost and reported", number(missing)),

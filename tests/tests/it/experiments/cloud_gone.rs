@@ -5,7 +5,7 @@ use peernet_tests::Process;
 use super::{Lab, THREE, column, json};
 
 /// Returns the experiment of three runs with a wait of two seconds for an absent cloud.
-fn impatient_experiment() -> String {
+fn experiment_with_short_timeout() -> String {
     THREE.replace("order =", "patience_s = 2\norder =")
 }
 
@@ -20,10 +20,10 @@ fn wait_for_second_run(lab: &Lab, process: &Process) -> String {
 #[test]
 fn missing_cloud_fails_runs_that_can_be_resumed() {
     let mut lab = Lab::new();
-    let process = lab.run(&impatient_experiment(), &[]);
+    let process = lab.run(&experiment_with_short_timeout(), &[]);
     let second = wait_for_second_run(&lab, &process);
     lab.kill_cloud();
-    let ended = process.ended();
+    let ended = process.wait_for_end();
     assert_eq!(ended.code(), 75, "{}", ended.log);
     assert!(ended.log.contains("2 runs failed") && ended.log.contains("is away"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "failed", "failed"]);
@@ -33,7 +33,7 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     let first = json(&lab.results.file(&lab.results.folders()[0], "run.json"));
 
     lab.start_cloud();
-    let ended = lab.run(&impatient_experiment(), &[]).ended();
+    let ended = lab.run(&experiment_with_short_timeout(), &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
     let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
@@ -55,13 +55,13 @@ fn returning_cloud_loses_only_iterations_in_flight() {
     process.wait_for("is away");
     lab.kill_cloud();
     lab.start_cloud();
-    let ended = process.ended();
+    let ended = process.wait_for_end();
     assert_eq!(ended.code(), 75, "iterations without an answer are told: {}", ended.log);
     assert_eq!(lab.results.stages(), ["finished"; 3], "{}", ended.log);
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
     assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");
-    let again = lab.run(THREE, &[]).ended();
+    let again = lab.run(THREE, &[]).wait_for_end();
     assert!(again.code() == 75 && again.log.contains("nothing to do"), "{}", again.log);
     assert!(again.log.contains("with iterations that have no answer"), "{}", again.log);
 }

@@ -14,7 +14,7 @@ fn crashed_run_is_marked_and_others_continue() {
     let folders = lab.results.folders();
     lab.results.rows(&folders[1], 3);
     children(&process).into_iter().for_each(kill);
-    let ended = process.ended();
+    let ended = process.wait_for_end();
     assert_eq!(ended.code(), 75, "{}", ended.log);
     assert!(
         ended.log.contains("run 2 of 3 (Size = 200): failed") && ended.log.contains("signal 9"),
@@ -26,14 +26,14 @@ fn crashed_run_is_marked_and_others_continue() {
     // The table of an experiment is the same, whichever command writes it.
     let (own, other) = (lab.results.folder.join("compare.txt"), lab.deployment.folder().join("compare.txt"));
     let arguments = [Path::new("compare"), &lab.results.folder, Path::new("--out"), &other];
-    let compared = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+    let compared = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
     assert_eq!(compared.code(), 0, "{}", compared.log);
     let [table, other] = [own, other].map(|path| std::fs::read_to_string(path).expect("it was written"));
     assert_eq!(table, other);
     let without = format!("without the runs of experiment three that are not done: {} (failed).", folders[1]);
     assert!(table.contains(&without), "{table}");
 
-    let ended = lab.run(THREE, &[]).ended();
+    let ended = lab.run(THREE, &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
 }
@@ -45,7 +45,7 @@ fn missing_parts_are_reported_before_first_run() {
                 sensor = { kind = 'synthetic', size_bytes = 10 }\nplacement = { kind = 'remote', peer = '{cloud}' }\n\
                 [[axis]]\nname = 'Model'\nfield = 'pipeline.placement.model'\nvalues = ['echo', 'nowhere']\n\
                 [[axis]]\nname = 'Peer'\nfield = 'pipeline.placement.peer'\nvalues = ['{cloud}', 'tcp://127.0.0.1:9']\n";
-    let ended = lab.run(file, &[]).ended();
+    let ended = lab.run(file, &[]).wait_for_end();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     for told in ["3 of 4 configurations cannot be measured", "no model named nowhere", "connection refused"] {
         assert!(ended.log.contains(told), "{told} is not in {}", ended.log);
@@ -63,7 +63,7 @@ fn missing_parts_are_reported_before_first_run() {
         + "[[axis]]\nname = 'Model'\nfield = 'pipeline.placement.model'\nvalues = ['echo', 'nowhere']\n\
            [[axis]]\nname = 'Load'\n[[axis.value]]\nlabel = 'closed'\n[[axis.value]]\nlabel = '5 Hz'\n\
            set = { 'pipeline.load' = { mode = 'rate', hz = 5.0 } }\n";
-    let ended = lab.run(&alike, &[]).ended();
+    let ended = lab.run(&alike, &[]).wait_for_end();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     for told in [
         "trying 2 of 2: Model = nowhere, Load = closed (and 1 configuration like it)",
@@ -74,7 +74,7 @@ fn missing_parts_are_reported_before_first_run() {
         assert!(ended.log.contains(told), "{told} is not in {}", ended.log);
     }
 
-    let ended = lab.run(file, &["--only", "Model=echo", "--only", "1", "--dry-run"]).ended();
+    let ended = lab.run(file, &["--only", "Model=echo", "--only", "1", "--dry-run"]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(ended.log.contains("1 of 4 runs to do") && !lab.results.folder.exists(), "{}", ended.log);
 }

@@ -15,7 +15,7 @@ fn shipped_experiments_pass_check_with_their_run_counts() {
     ] {
         let file = root().join("configs/experiments").join(name).with_extension("toml");
         let arguments = [Path::new("run"), Path::new("--check"), &file];
-        let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+        let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
         assert_eq!(ended.code(), 0, "{}", ended.log);
         assert!(ended.log.contains(runs), "{}", ended.log);
     }
@@ -43,7 +43,7 @@ fn unknown_device_key_is_reported_once() {
         ),
     );
     let arguments = [Path::new("run"), Path::new("--check"), &file];
-    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(ended.log.matches("passing over colour").count(), 1, "{}", ended.log);
 }
@@ -54,7 +54,7 @@ fn missing_or_invalid_file_is_named() {
     let check = |file: &Path| {
         let ended =
             Process::start(&program("peernet"), &[Path::new("run"), Path::new("--check"), file], root(), &[])
-                .ended();
+                .wait_for_end();
         (ended.code(), ended.log)
     };
     let file = folder.path().join("e.toml");
@@ -82,7 +82,7 @@ fn missing_or_invalid_file_is_named() {
     std::fs::write(&file, text).expect("writable");
     let results = folder.path().join("results");
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results];
-    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
     let told = format!("\n  {}: pipeline.sensor: cannot use the labels in ", file.display());
     assert!(ended.code() == 78 && ended.log.contains(&told), "{}: {}", ended.code(), ended.log);
 }

@@ -118,15 +118,15 @@ impl Lab {
 /// Runs a command on results and returns its output.
 fn run_command(command: &str, results: &Path) -> ProcessEnd {
     let arguments = [OsStr::new(command), results.as_os_str()];
-    Process::start(&program("peernet"), &arguments, root(), &[]).ended()
+    Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end()
 }
 
 /// Waits for the end of an experiment, which may take long if its single runs do not.
-pub(crate) fn done(experiment: Process, runs: usize) -> ProcessEnd {
+pub(crate) fn wait_for_runs(experiment: Process, runs: usize) -> ProcessEnd {
     for run in 1..=runs {
         experiment.wait_for(&format!("run {run} of {runs} ("));
     }
-    experiment.ended()
+    experiment.wait_for_end()
 }
 
 /// Returns the children of a program that it has not waited for.

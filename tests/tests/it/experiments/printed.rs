@@ -33,7 +33,7 @@ fn program_output_is_printed_with_its_source() {
     deployment.write("mine.py", SENSOR);
     deployment.write("experiment.toml", EXPERIMENT);
     let arguments = ["run", "experiment.toml", "--result-loc", "results"];
-    let ended = Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended();
+    let ended = Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let begins = ended.log.find(": begins").expect("the run is told");
     let finished = ended.log.find(": finished after").expect("its end as well");

@@ -36,12 +36,12 @@ impl Lab {
         self.network
             .edge()
             .start(&program("peernet"), &arguments, self.deployment.folder(), &environment)
-            .ended()
+            .wait_for_end()
     }
 }
 
 /// Returns the experiment of a run, from its record alone, as docs/results.md describes.
-fn again(record: &Value) -> String {
+fn experiment_file_from_record(record: &Value) -> String {
     let pipeline = record["pipeline"].as_object().expect("a table");
     let mut experiment = Map::from_iter([("name".to_owned(), "again".into())]);
     experiment.extend(pipeline["limit"].as_object().expect("a table").clone());
@@ -74,7 +74,7 @@ fn run_is_repeated_from_its_record() {
     let devices = format!("devices:\n  cluster: {}\nserver: cluster\n", lab.network.cloud().address);
     write("net_config.yaml", &devices);
     write("first.toml", &SHUFFLED.replace("{root}", &root().display().to_string()));
-    let done = |ended: ProcessEnd| {
+    let assert_finished = |ended: ProcessEnd| {
         assert_eq!(ended.code(), 0, "{}", ended.log);
         ended.log
     };
@@ -84,7 +84,7 @@ fn run_is_repeated_from_its_record() {
         let file = |name: &str| results.file(&run, name);
         (json(&file("run.json")), column(&file("data.csv"), "upload-bytes"))
     };
-    done(lab.run_here("first.toml", "first"));
+    assert_finished(lab.run_here("first.toml", "first"));
     let (record, sizes) = only("first");
     assert!(sizes.len() == 14 && sizes.iter().any(|size| *size != sizes[0]), "{sizes:?}");
     assert_eq!(record["network_config"]["file"], "net_config.yaml");
@@ -95,13 +95,13 @@ fn run_is_repeated_from_its_record() {
 
     // Another device does not matter for the measured run, but the file has changed.
     write("net_config.yaml", &devices.replace("server:", "  spare: 10.0.0.99\nserver:"));
-    let log = done(lab.run_here("first.toml", "first"));
+    let log = assert_finished(lab.run_here("first.toml", "first"));
     assert!(log.contains("net_config.yaml has changed since some runs were measured"), "{log}");
     assert_eq!(only("first").0, record, "it was not touched");
 
     fs::remove_file(folder.join("net_config.yaml")).expect("removable");
-    write("again.toml", &again(&record));
-    done(lab.run_here("again.toml", "again"));
+    write("again.toml", &experiment_file_from_record(&record));
+    assert_finished(lab.run_here("again.toml", "again"));
     let (other, other_sizes) = only("again");
     assert_eq!(configuration(&other), configuration(&record));
     assert_eq!(other_sizes, sizes, "the same pictures in the same order");

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_tests::until;
+use peernet_tests::wait_until;
 use serde_json::Value;
 
 /// Folder of an experiment.
@@ -42,7 +42,7 @@ impl Results {
     /// Waits until the file of a run has this number of rows.
     pub(crate) fn rows(&self, folder: &str, count: usize) {
         let path = self.file(folder, "data.csv");
-        until("rows", || {
+        wait_until("rows", || {
             let text = std::fs::read_to_string(&path).ok()?;
             (text.lines().count() > count).then_some(())
         });

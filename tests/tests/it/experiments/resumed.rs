@@ -1,6 +1,6 @@
 //! Tests of an interrupted experiment that is resumed.
 
-use peernet_tests::{Process, until};
+use peernet_tests::{Process, wait_until};
 use rustix::process::{Signal, kill_process};
 
 use super::{Lab, THREE, children, column, json, run_command};
@@ -58,7 +58,7 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     let process = lab.run(THREE, &[]);
     let folders = wait_for_second_run(&lab, &process);
     process.signal(Signal::INT);
-    let ended = process.ended();
+    let ended = process.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
@@ -67,11 +67,11 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     let first = json(&lab.results.file(&folders[0], "run.json"));
     let id = lab.results.record()["id"].clone();
 
-    let changed = lab.run(&THREE.replace("iterations = 25", "iterations = 26"), &[]).ended();
+    let changed = lab.run(&THREE.replace("iterations = 25", "iterations = 26"), &[]).wait_for_end();
     assert_eq!(changed.code(), 78, "{}", changed.log);
     assert!(changed.log.contains("25 before, 26 now"), "{}", changed.log);
 
-    let ended = lab.run(THREE, &[]).ended();
+    let ended = lab.run(THREE, &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(!ended.log.contains("run 1 of 3 (Size = 100): begins"), "{}", ended.log);
     assert_complete(&lab, &folders);
@@ -79,7 +79,7 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     assert_eq!(lab.results.record()["id"], id);
     assert_eq!(json(&lab.results.file(&folders[2], "run.json"))["experiment"]["id"], id);
 
-    let again = lab.run(THREE, &[]).ended();
+    let again = lab.run(THREE, &[]).wait_for_end();
     assert_eq!(again.code(), 0, "{}", again.log);
     assert!(again.log.contains("nothing to do") && !again.log.contains("begins"), "{}", again.log);
 }
@@ -96,7 +96,7 @@ fn suspended_run_is_killed_and_marked_interrupted() {
     process.wait_for("work in progress is killed after 60 s");
     process.signal(Signal::TERM);
     process.wait_for("processes that do not end within 10 s are killed");
-    let ended = process.ended();
+    let ended = process.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("killing the processes that did not end in time"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
@@ -109,14 +109,14 @@ fn kill_leaves_no_process_and_no_partial_run() {
     let folders = wait_for_second_run(&lab, &process);
     let [child] = children(&process).try_into().expect("one run is under way");
     process.kill();
-    until("the end of the run", || {
+    wait_until("the end of the run", || {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", child.as_raw_nonzero()));
         // Only init collects it, which may take a while.
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
     assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
     assert_rest_is_left_out(&lab, &folders, "in progress or killed");
-    let ended = lab.run(THREE, &["--yes"]).ended();
+    let ended = lab.run(THREE, &["--yes"]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_complete(&lab, &folders);
     assert_eq!(lab.results.record()["states"][1]["attempts"], 2);

@@ -2,14 +2,14 @@
 
 use peernet_tests::{Api, DocumentedCommands};
 
-use super::{Results, column, done};
+use super::{Results, column, wait_for_runs};
 
 /// Documented commands that this test executes.
 pub(crate) const COMMANDS: [&str; 2] =
     ["peernetd run configs/cloud.toml", "peernet run configs/experiments/demo.toml"];
 
 /// Returns the order of the runs, and the sizes of the pictures of each run that sends them unchanged.
-fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
+fn run_order_and_sizes(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
     let mut folders = results.folders();
     let order = folders.clone();
     folders.retain(|folder| folder.contains("-no-") && !folder.contains("local"));
@@ -21,8 +21,8 @@ fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
 /// Returns the number of an experiment's runs that the aggregator on the cloud stores as finished.
 fn stored(machines: &DocumentedCommands, experiment: &str) -> usize {
     let experiment = experiment.to_owned();
-    machines.cloud().inside(move || {
-        Api::at(8040).until("/api/v1/runs?limit=100", |found| {
+    machines.cloud().run_in_namespace(move || {
+        Api::on_port(8040).wait_until("/api/v1/runs?limit=100", |found| {
             let runs = found["runs"].as_array()?;
             let of_it = runs.iter().filter(|run| run["experiment"]["id"] == *experiment);
             of_it.clone().all(|run| run["reason"] == "finished").then(|| of_it.count())
@@ -51,9 +51,9 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     let measure = |options: &str| {
         let options = format!("demo.toml {options}");
         let command = "peernet run configs/experiments/demo.toml";
-        let ended = done(machines.on_edge(command, &[("demo.toml", &options)]), 10);
+        let ended = wait_for_runs(machines.on_edge(command, &[("demo.toml", &options)]), 10);
         assert_eq!(ended.code(), 0, "{}", ended.log);
-        (seen(&results), ended.log)
+        (run_order_and_sizes(&results), ended.log)
     };
 
     let ((order, sizes), log) = measure("");

@@ -31,7 +31,7 @@ values = [1, 3]
 #[test]
 fn fairness_between_three_users_is_reported() {
     let lab = Lab::new();
-    let ended = lab.run(USERS, &[]).ended();
+    let ended = lab.run(USERS, &[]).wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let folders = lab.results.folders();
     assert_eq!(folders, ["001-1-r1", "002-3-r1"]);
@@ -72,7 +72,7 @@ fn draw_again(lab: &Lab) {
     let words = command.split(' ').skip(1).map(Path::new);
     let arguments: Vec<&Path> = words.chain([lab.results.folder.as_path()]).collect();
     let edge = lab.network.edge();
-    let drawn = edge.start(&program("peernet"), &arguments, lab.deployment.folder(), &[]).ended();
+    let drawn = edge.start(&program("peernet"), &arguments, lab.deployment.folder(), &[]).wait_for_end();
     assert_eq!(drawn.code(), 0, "{}", drawn.log);
     assert!(figure.is_file(), "{}", drawn.log);
 }

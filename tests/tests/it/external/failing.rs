@@ -40,10 +40,10 @@ limit = { total = 20 }
 #[test]
 fn each_failure_is_one_iteration_with_its_reason() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     deployment.write("moody.sh", MODEL);
-    let edge = deployment.agent("edge", EDGE);
-    let run = api.finished_run();
+    let edge = deployment.start_agent("edge", EDGE);
+    let run = api.wait_for_finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     let counts = &detail["counts"];

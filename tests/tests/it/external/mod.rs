@@ -1,7 +1,7 @@
 //! Tests of the documents' example programs in real agents: a sensor in shell, a model in C, an actuator in shell.
 
-mod alone;
 mod failing;
+mod one_agent;
 mod secrets;
 mod two_agents;
 

@@ -26,10 +26,10 @@ limit = { total = 42 }
 fn shell_sensor_c_model_shell_actuator_work_together() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     build(testbed.folder());
-    let cloud = testbed.cloud(MODEL);
-    let edge = testbed.edge(&LIGHT.replace("PEER", &testbed.peer()), &[]);
+    let cloud = testbed.start_cloud(MODEL);
+    let edge = testbed.start_edge(&LIGHT.replace("PEER", &testbed.peer()), &[]);
     let api = &testbed.api;
-    let run = api.finished_run();
+    let run = api.wait_for_finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     assert_eq!(

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, program, wait_until};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use super::Peer;
@@ -20,8 +20,8 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     let peernetd = program("peernetd").display().to_string();
     let arguments = ["--nofile=1024:1024", &peernetd, "run", "aggregator.toml"];
     let aggregator = Process::start(Path::new("prlimit"), &arguments, deployment.folder(), &[]);
-    let api = Api::at(deployment.http);
-    until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+    let api = Api::on_port(deployment.http);
+    wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
     let agent = |name: &str| {
         deployment
             .write(&format!("{name}.toml"), &edge("", &echo("loop", &rate(50.0))).replace("NAME", name));
@@ -34,12 +34,17 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
         assert_eq!(status, 200);
         text.lines().find_map(|said| said.strip_prefix(&line)?.parse::<f64>().ok())
     };
-    let some = |name: &str, than: f64| until("more is stored", || stored(name).filter(|count| *count > than));
+    let some =
+        |name: &str, than: f64| wait_until("more is stored", || stored(name).filter(|count| *count > than));
     some("early", 0.0);
 
     // Half of them complete the greeting of the protocol and send nothing more.
     let silent = |n: usize| {
-        if n.is_multiple_of(2) { Peer::connect(deployment.events) } else { Peer::greeted(deployment.events) }
+        if n.is_multiple_of(2) {
+            Peer::connect(deployment.events)
+        } else {
+            Peer::connect_with_handshake(deployment.events)
+        }
     };
     let held: Vec<Peer> = (0..SILENT).map(silent).collect();
     let then = some("early", 0.0);
@@ -63,14 +68,14 @@ fn connections_without_hello_are_closed_in_time() {
     let tables = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\nsession = { hello_timeout_ms = 200 }\n\
                   [[model]]\nname = \"echo\"\nkind = \"echo\"\n";
     let aggregator = deployment.start("aggregator.toml");
-    let cloud = deployment.agent("cloud", tables);
+    let cloud = deployment.start_agent("cloud", tables);
     aggregator.wait_for("ready");
     cloud.wait_for("ready");
     let mut silent: Vec<Peer> = [deployment.events, deployment.data]
         .iter()
-        .flat_map(|port| (0..50).map(|_| Peer::greeted(*port)))
+        .flat_map(|port| (0..50).map(|_| Peer::connect_with_handshake(*port)))
         .collect();
-    until("all are closed", || silent.iter_mut().all(Peer::is_closed).then_some(()));
+    wait_until("all are closed", || silent.iter_mut().all(Peer::is_closed).then_some(()));
     for process in [cloud, aggregator] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0);

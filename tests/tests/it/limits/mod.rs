@@ -12,7 +12,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use peernet_tests::{PATIENCE, Process};
+use peernet_tests::{Process, TEST_TIMEOUT};
 
 /// Peer that completes the handshake of ZMTP 3.1 and then does what the test wants.
 struct Peer(TcpStream);
@@ -21,13 +21,13 @@ impl Peer {
     /// Connects and sends nothing.
     fn connect(port: u16) -> Self {
         let stream = TcpStream::connect(("127.0.0.1", port)).expect("the port is open");
-        stream.set_read_timeout(Some(PATIENCE)).expect("a socket takes a timeout");
-        stream.set_write_timeout(Some(PATIENCE)).expect("a socket takes a timeout");
+        stream.set_read_timeout(Some(TEST_TIMEOUT)).expect("a socket takes a timeout");
+        stream.set_write_timeout(Some(TEST_TIMEOUT)).expect("a socket takes a timeout");
         Self(stream)
     }
 
     /// Connects and completes the handshake; a listener may have closed the connection meanwhile.
-    fn greeted(port: u16) -> Self {
+    fn connect_with_handshake(port: u16) -> Self {
         let mut greeting = vec![0xff, 0, 0, 0, 0, 0, 0, 0, 1, 0x7f, 3, 1];
         greeting.extend_from_slice(b"NULL");
         greeting.resize(64, 0);

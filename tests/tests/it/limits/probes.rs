@@ -1,7 +1,7 @@
 //! Test of forged probes from an unknown host.
 
 use peernet_tests::network::Host;
-use peernet_tests::{Network, TwoHostTestbed, until};
+use peernet_tests::{Network, TwoHostTestbed, wait_until};
 
 /// Port of the reflector.
 const PORT: &str = "8620";
@@ -15,16 +15,17 @@ const SECONDS: u64 = 4;
 const ANSWERED_HZ: u64 = 1_000;
 
 /// Returns the number of UDP packets that a host has sent.
-fn sent(host: &Host) -> u64 {
+fn sent_packets(host: &Host) -> u64 {
     let counts = host.run("cat", &["/proc/net/snmp"]);
     let udp = counts.lines().filter(|line| line.starts_with("Udp:")).nth(1).expect("the kernel counts");
     udp.split_whitespace().nth(4).and_then(|count| count.parse().ok()).expect("OutDatagrams")
 }
 
 /// Returns the number of the edge's probes that were sent and that were lost.
-fn probes(testbed: &TwoHostTestbed) -> (u64, u64) {
-    let counts =
-        testbed.ask("SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample");
+fn probe_counts(testbed: &TwoHostTestbed) -> (u64, u64) {
+    let counts = testbed.query_database(
+        "SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample",
+    );
     let mut counts = counts.split('|').map(|count| count.trim().parse::<u64>().expect("a number"));
     (counts.next().expect("two columns"), counts.next().expect("two columns"))
 }
@@ -38,12 +39,13 @@ fn peers_probes_are_answered_during_forged_flood() {
         cloud.run("sysctl", &["-qw", &format!("net.ipv4.conf.{interface}.rp_filter=0")]);
     }
     cloud.run("ip", &["route", "add", "11.0.0.0/8", "via", &third.address.to_string()]);
-    let _cloud = testbed.cloud("");
+    let _cloud = testbed.start_cloud("");
     let pipeline = testbed.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
-    let _edge = testbed.edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
-    until("probes", || (probes(&testbed).0 > 50).then_some(()));
+    let _edge =
+        testbed.start_edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
+    wait_until("probes", || (probe_counts(&testbed).0 > 50).then_some(()));
 
-    let (before, out_before) = (probes(&testbed), sent(cloud));
+    let (before, out_before) = (probe_counts(&testbed), sent_packets(cloud));
     let script = peernet_tests::root().join("tests/tests/it/limits/forged_probes.py");
     let arguments = [
         &script.display().to_string(),
@@ -54,11 +56,11 @@ fn peers_probes_are_answered_during_forged_flood() {
     ];
     let forged = third.run("python3", &arguments);
     let forged: u64 = forged.trim().parse().expect("the script prints a number");
-    let out = sent(cloud) - out_before;
+    let out = sent_packets(cloud) - out_before;
     // A probe counts as lost after two seconds.
     let during = before.0 + 50 * SECONDS;
-    until("what became of the probes", || (probes(&testbed).0 > during + 150).then_some(()));
-    let lost = probes(&testbed).1 - before.1;
+    wait_until("what became of the probes", || (probe_counts(&testbed).0 > during + 150).then_some(()));
+    let lost = probe_counts(&testbed).1 - before.1;
 
     assert!(forged > ANSWERED_HZ * (SECONDS + 2) * 2, "too few to tell: {forged}");
     // The answers to the edge's probes are included.

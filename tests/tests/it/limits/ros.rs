@@ -28,12 +28,15 @@ fn pipeline(system: &Ros1System, name: &str) -> String {
 #[test]
 fn iterations_without_queue_space_are_lost() {
     let (deployment, system) = (LoopbackDeployment::new(), Ros1System::new());
-    let (_aggregator, api) = deployment.aggregator();
-    let cloud = system.agent(&deployment, "cloud", &cloud(&system));
+    let (_aggregator, api) = deployment.start_aggregator();
+    let cloud = system.start_agent(&deployment, "cloud", &cloud(&system));
     cloud.wait_for("ready");
-    let robot =
-        system.agent(&deployment, "robot", &(pipeline(&system, "first") + &pipeline(&system, "second")));
-    let runs = api.until("/api/v1/runs", |runs| {
+    let robot = system.start_agent(
+        &deployment,
+        "robot",
+        &(pipeline(&system, "first") + &pipeline(&system, "second")),
+    );
+    let runs = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let done: Vec<_> = runs.iter().filter(|run| run["reason"] == "finished").cloned().collect();
         (done.len() == 2).then_some(done)

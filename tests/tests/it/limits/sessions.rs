@@ -20,20 +20,20 @@ fn pipelines(count: usize, more: &str) -> String {
 #[test]
 fn two_greedy_agents_do_not_exclude_a_third() {
     let deployment = LoopbackDeployment::new();
-    let (aggregator, api) = deployment.aggregator();
+    let (aggregator, api) = deployment.start_aggregator();
     let tables = format!(
         "[serve]\nlisten = \"tcp://127.0.0.1:{{data}}\"\nsession = {{ max_sessions = {PIPELINES} }}\n\
          [[model]]\nname = \"echo\"\nkind = \"echo\"\n"
     );
-    let cloud = deployment.agent("cloud", &tables);
+    let cloud = deployment.start_agent("cloud", &tables);
     cloud.wait_for("ready");
     let greedy = ["first", "second"].map(|name| {
-        let agent = deployment.agent(name, &pipelines(PIPELINES, ""));
+        let agent = deployment.start_agent(name, &pipelines(PIPELINES, ""));
         agent.wait_for("half of what other hosts leave of the cloud's max_sessions, 16");
         agent
     });
-    let third = deployment.agent("third", &pipelines(1, "limit = { iterations = 5 }"));
-    let counts = api.until("/api/v1/runs", |runs| {
+    let third = deployment.start_agent("third", &pipelines(1, "limit = { iterations = 5 }"));
+    let counts = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         runs.iter().find(|run| run["reason"] == "finished").map(|run| run["counts"]["ok"].clone())
     });

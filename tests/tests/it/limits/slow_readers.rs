@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 
-use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, PATIENCE, Process, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, TEST_TIMEOUT, program, wait_until};
 use socket2::{Domain, Socket, Type};
 
 /// Descriptors of the daemon; an eighth of them are for connections to the dashboard.
@@ -15,7 +15,7 @@ const SLOW_HOSTS: u8 = 6;
 const OF_EACH: usize = 25;
 
 /// Returns a connection of 127.0.0.`host` that has requested `path` and reads almost nothing.
-fn asked(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
+fn send_request(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
     let socket = Socket::new(Domain::IPV4, Type::STREAM, None).expect("a socket");
     socket.set_recv_buffer_size(2_048).expect("a socket takes a buffer size");
     socket
@@ -23,7 +23,7 @@ fn asked(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
         .expect("all of 127.0.0.0/8 is this machine");
     socket.connect(&SocketAddr::from(([127, 0, 0, 1], deployment.http)).into()).expect("the port is open");
     let mut stream = TcpStream::from(socket);
-    stream.set_read_timeout(Some(PATIENCE)).expect("a socket takes a timeout");
+    stream.set_read_timeout(Some(TEST_TIMEOUT)).expect("a socket takes a timeout");
     let request = format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
     // The connection may have been closed in favour of another host's.
     let _closed = stream.write_all(request.as_bytes());
@@ -37,18 +37,18 @@ fn slow_readers_do_not_block_dashboard() {
     let peernetd = program("peernetd").display().to_string();
     let arguments = [DESCRIPTORS, &peernetd, "run", "aggregator.toml"];
     let aggregator = Process::start(Path::new("prlimit"), &arguments, deployment.folder(), &[]);
-    let api = Api::at(deployment.http);
-    until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+    let api = Api::on_port(deployment.http);
+    wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
     for path in ["/api/v1/live?topics=picture", "/api/openapi.json"] {
         let hosts = 2..2 + SLOW_HOSTS;
         let slow: Vec<TcpStream> = hosts
             .flat_map(|host| (0..OF_EACH).map(move |_| host))
-            .map(|host| asked(&deployment, host, path))
+            .map(|host| send_request(&deployment, host, path))
             .collect();
         let (status, page) = api.get("/").expect("the overview is served");
         assert_eq!(status, 200, "{page}");
-        let mut live = asked(&deployment, 1, "/api/v1/live?topics=picture");
+        let mut live = send_request(&deployment, 1, "/api/v1/live?topics=picture");
         let mut heard = [0; 4_096];
         let length = live.read(&mut heard).expect("the stream begins");
         let heard = String::from_utf8_lossy(&heard[..length]);

@@ -5,7 +5,7 @@ use std::net::TcpStream;
 use std::path::Path;
 
 use peernet_tests::network::Host;
-use peernet_tests::{DocumentedCommands, Process, Stopwatch, root, until};
+use peernet_tests::{DocumentedCommands, Process, Stopwatch, root, wait_until};
 use serde_json::Value;
 
 use super::peak_memory;
@@ -45,18 +45,18 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     aggregator.wait_for("ready");
     agent.wait_for("for its pipeline topics");
     let before =
-        until("the robot's iterations are stored", || stored(&machines).filter(|events| *events > 20));
+        wait_until("the robot's iterations are stored", || stored(&machines).filter(|events| *events > 20));
 
     let attack = attack(&machines);
     let (began, mut latest) = (Stopwatch::now(), before);
     // The last query is made during the attack.
     while began.elapsed().as_secs() < SECONDS - 5 {
-        latest = until("more is stored, and the dashboard says so", || {
+        latest = wait_until("more is stored, and the dashboard says so", || {
             stored(&machines).filter(|events| *events > latest)
         });
-        assert_eq!(machines.run_on(edge, &curl("/")).ended().code(), 0, "the overview is not served");
+        assert_eq!(machines.run_on(edge, &curl("/")).wait_for_end().code(), 0, "the overview is not served");
     }
-    let ended = attack.ended();
+    let ended = attack.wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     for process in [&aggregator, &agent] {
         let peak = peak_memory(process);
@@ -64,8 +64,9 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     }
 
     assert_eq!(robot.stop().code(), 0);
-    let account =
-        until("all is stored", || account(&machines).filter(|host| host["now"]["events"]["waiting"] == 0));
+    let account = wait_until("all is stored", || {
+        account(&machines).filter(|host| host["now"]["events"]["waiting"] == 0)
+    });
     let events = &account["now"]["events"];
     assert_eq!(events["dropped"], 0, "{account}");
     assert_eq!(account["stored"]["missing"], 0, "{account}");
@@ -113,7 +114,9 @@ fn change(machines: &DocumentedCommands, host: &Host, from: &str, to: &str) {
 fn ros_master(machines: &DocumentedCommands) -> Process {
     let line = format!("env ROS_HOME={} rosmaster --core -p 11311", machines.folder().display());
     let master = machines.run_on(machines.cloud(), &line);
-    until("the ROS master", || machines.cloud().inside(|| TcpStream::connect("127.0.0.1:11311").ok()));
+    wait_until("the ROS master", || {
+        machines.cloud().run_in_namespace(|| TcpStream::connect("127.0.0.1:11311").ok())
+    });
     master
 }
 
@@ -140,7 +143,7 @@ fn curl(path: &str) -> String {
 
 /// Requests a document from the robot's host.
 fn json(machines: &DocumentedCommands, path: &str) -> Option<Value> {
-    let ended = machines.run_on(machines.edge(), &curl(path)).ended();
+    let ended = machines.run_on(machines.edge(), &curl(path)).wait_for_end();
     assert_eq!(ended.code(), 0, "{path} is not served: {}", ended.log);
     serde_json::from_str(&ended.log).ok()
 }

@@ -17,18 +17,18 @@ fn models(arguments: &[&str]) -> Output {
     command.arg("models").args(arguments).output().expect("can be started")
 }
 
-fn said(output: &Output) -> String {
+fn stdout_of_success(output: &Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout.clone()).expect("is text")
 }
 
 fn json(output: &Output) -> Value {
-    serde_json::from_str(&said(output)).expect("is JSON")
+    serde_json::from_str(&stdout_of_success(output)).expect("is JSON")
 }
 
 #[test]
 fn all_folders_are_listed() {
-    let table = said(&models(&["list"]));
+    let table = stdout_of_success(&models(&["list"]));
     let line = |name: &str| {
         table.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("{table}")).to_owned()
     };
@@ -46,16 +46,16 @@ fn model_list_shows_hash_of_file() {
     let sum = Command::new("sha256sum").arg(file).output().expect("is installed");
     let sum = String::from_utf8(sum.stdout).expect("is text");
     let hash = sum.split_whitespace().next().expect("a hash");
-    assert!(said(&models(&["show", "quality-control"])).contains(hash));
+    assert!(stdout_of_success(&models(&["show", "quality-control"])).contains(hash));
     let shown = json(&models(&["show", "models/quality-control", "--json"]));
     assert_eq!((shown["sha256"].as_str(), shown["card"]["version"].as_str()), (Some(hash), Some("1")));
 }
 
 #[test]
 fn model_check_uses_its_pictures_or_zeros() {
-    let checked = said(&models(&["check", "quality-control"]));
+    let checked = stdout_of_success(&models(&["check", "quality-control"]));
     assert!(checked.contains("run on zeros") && checked.contains("of 30 labels right"), "{checked}");
-    let checked = said(&models(&["check", NAME]));
+    let checked = stdout_of_success(&models(&["check", NAME]));
     assert!(checked.contains("no test pictures"), "{checked}");
 }
 

@@ -29,7 +29,12 @@ fn an_exported_model_answers_as_torchvision_does() {
             let ours = logits(&pool, sample);
             let difference = difference(&reference.logits, &ours);
             assert!(difference < TOLERANCE, "{} as {form}: {difference}", reference.file.display());
-            assert_eq!(best(&ours), best(&reference.logits), "{} as {form}", reference.file.display());
+            assert_eq!(
+                top_five_classes(&ours),
+                top_five_classes(&reference.logits),
+                "{} as {form}",
+                reference.file.display()
+            );
         }
     }
 }
@@ -64,7 +69,7 @@ fn card_matches_exported_weights() {
 }
 
 /// Returns the five best classes, best first.
-fn best(logits: &[f64]) -> Vec<usize> {
+fn top_five_classes(logits: &[f64]) -> Vec<usize> {
     let mut classes: Vec<usize> = (0..logits.len()).collect();
     classes.sort_by(|a, b| logits[*b].total_cmp(&logits[*a]));
     classes.truncate(5);

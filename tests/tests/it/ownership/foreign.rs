@@ -9,12 +9,14 @@ use peernet_stream::{
     LiveUpdate, NetworkName, Outcome, PipelineLive, PipelineState, Placement, ProbeCounts, RunDescription,
     RunEnded, ToAggregator,
 };
-use peernet_tests::truth::ask;
-use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, StoredEvents, TestRng, measured, until, wall};
+use peernet_tests::truth::query_database;
+use peernet_tests::{
+    Fleet, InventedHost, MisbehavingPeer, StoredEvents, TestRng, record_figures, wait_until, wall,
+};
 
 use super::measuring;
 
-fn started(run: RunId) -> Event {
+fn run_started(run: RunId) -> Event {
     Event::RunStarted(RunDescription {
         run,
         pipeline: "taken".parse().expect("a name"),
@@ -82,7 +84,7 @@ fn clock(peer: HostId) -> Event {
 fn foreign_reports_leave_run_unchanged() {
     let mut rng = TestRng::new("foreign reports");
     let mut fleet = measuring("");
-    let row = ask(
+    let row = query_database(
         fleet.database(),
         "SELECT run.uuid || ' ' || host.uuid FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host",
     );
@@ -91,7 +93,7 @@ fn foreign_reports_leave_run_unchanged() {
     let missing = |fleet: &peernet_tests::Fleet| fleet.api.json("/api/v1/runs/1")["gaps"].clone();
     let before = (missing(&fleet), fleet.api.json("/api/v1/runs/1")["reason"].clone());
 
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
     let own = host.hello.host.id;
@@ -101,7 +103,7 @@ fn foreign_reports_leave_run_unchanged() {
         incident(run, victim),
         iteration(run, 7, own),
         Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() }),
-        started(run),
+        run_started(run),
         clock(victim),
     ];
     let mut batches = 0;
@@ -136,7 +138,7 @@ fn foreign_reports_leave_run_unchanged() {
     let seen = fleet.counts(0, "it is there", |_| true);
     fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
     fleet.agents[0].stop();
-    fleet.deliver(0).assert_balanced();
+    fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = stop(&mut fleet);
     let misbehaving_peer = stored_events.hosts.remove("stranger").expect("stored");
     assert_eq!((misbehaving_peer.quarantined, stored_events.hosts["edge"].gaps), (1, 0));
@@ -146,7 +148,7 @@ fn foreign_reports_leave_run_unchanged() {
         ("edge", "loop", "stopped")
     );
     assert!(stored.is_contiguous() && stored.missing == 0, "{stored:?}");
-    measured(
+    record_figures(
         "foreign reports",
         &[("kinds of events", kinds.len().to_string()), ("that changed the run", "0".into())],
     );
@@ -156,23 +158,25 @@ fn foreign_reports_leave_run_unchanged() {
 fn run_id_claimed_early_still_belongs_to_host() {
     let mut rng = TestRng::new("claimed runs");
     let mut fleet = peernet_tests::Fleet::new(&[], "");
-    let (one, other) =
-        (MisbehavingPeer::at(fleet.deployment.events), MisbehavingPeer::at(fleet.deployment.events));
+    let (one, other) = (
+        MisbehavingPeer::connect(fleet.deployment.events),
+        MisbehavingPeer::connect(fleet.deployment.events),
+    );
     let (mut thief, mut robot) = (InventedHost::new("thief", &mut rng), InventedHost::new("robot", &mut rng));
     let run = RunId::random();
     thief.open_session(&one);
-    one.send(&thief.batch_with(&[gap(run), started(run), iteration(run, 1, thief.hello.host.id)]));
+    one.send(&thief.batch_with(&[gap(run), run_started(run), iteration(run, 1, thief.hello.host.id)]));
     one.wait_for_ack(1);
     robot.open_session(&other);
     let own = robot.hello.host.id;
-    other.send(&robot.batch_with(&[started(run), iteration(run, 1, own), iteration(run, 2, own)]));
+    other.send(&robot.batch_with(&[run_started(run), iteration(run, 1, own), iteration(run, 2, own)]));
     other.wait_for_ack(1);
     one.send(&thief.batch_with(&[Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() })]));
     one.wait_for_ack(2);
 
     // The live lane of each host shows its own run.
     for (misbehaving_peer, host) in [(&one, &thief), (&other, &robot)] {
-        misbehaving_peer.say(&ToAggregator::Live(LiveUpdate {
+        misbehaving_peer.send_message(&ToAggregator::Live(LiveUpdate {
             host: host.hello.host.id,
             sent: wall(),
             pipelines: vec![PipelineLive {
@@ -189,7 +193,7 @@ fn run_id_claimed_early_still_belongs_to_host() {
             accounting: Accounting::default(),
         }));
     }
-    let numbers = until("both pipelines", || {
+    let numbers = wait_until("both pipelines", || {
         let list = fleet.api.json("/api/v1/pipelines");
         let numbers: Vec<i64> = list["pipelines"]
             .as_array()?
@@ -217,5 +221,5 @@ fn stop(fleet: &mut Fleet) -> StoredEvents {
         agent.stop();
     }
     fleet.aggregator.stop();
-    StoredEvents::of(fleet.database())
+    StoredEvents::read(fleet.database())
 }

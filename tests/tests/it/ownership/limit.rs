@@ -1,8 +1,8 @@
 //! Tests of invented hosts.
 
 use peernet_stream::ToAggregator;
-use peernet_tests::truth::ask;
-use peernet_tests::{InventedHost, MisbehavingPeer, TestRng, measured, thousands, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{InventedHost, MisbehavingPeer, TestRng, record_figures, thousands, wait_until};
 
 use super::measuring;
 
@@ -17,11 +17,11 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
     let before = (bytes("/metrics"), bytes("/api/v1/hosts"));
     // Some hosts only say hello, on many connections, and some prove their id.
     let crowd: Vec<MisbehavingPeer> =
-        (0..320).map(|_| MisbehavingPeer::at(fleet.deployment.events)).collect();
+        (0..320).map(|_| MisbehavingPeer::connect(fleet.deployment.events)).collect();
     for misbehaving_peer in &crowd {
         for _ in 0..62 {
             let name = format!("invented-{}", rng.below(1 << 30));
-            misbehaving_peer.say(&ToAggregator::Hello(InventedHost::new(&name, &mut rng).hello));
+            misbehaving_peer.send_message(&ToAggregator::Hello(InventedHost::new(&name, &mut rng).hello));
         }
     }
     let (mut proven, mut newest) = (0, String::new());
@@ -32,7 +32,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
             proven += 1;
         }
     }
-    let after = until("the newest of them is in the list", || {
+    let after = wait_until("the newest of them is in the list", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         let hosts = hosts["hosts"].as_array()?;
         let is_seen = hosts.iter().any(|host| host["name"] == newest.as_str());
@@ -41,17 +41,20 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
     // The robot, which has stored data, and as many new hosts as may be stored.
     assert!(after.0 <= 1 + MAX_HOSTS, "{after:?}");
     assert!(after.1 < 100 * before.0 && after.2 < 100 * before.1, "{after:?}");
-    assert_eq!(ask(fleet.database(), "SELECT count(*) FROM host WHERE name <> 'edge'").trim(), "0");
-    assert_eq!(ask(fleet.database(), "SELECT count(*) FROM host_secret").trim(), "1");
+    assert_eq!(
+        query_database(fleet.database(), "SELECT count(*) FROM host WHERE name <> 'edge'").trim(),
+        "0"
+    );
+    assert_eq!(query_database(fleet.database(), "SELECT count(*) FROM host_secret").trim(), "1");
     drop(crowd);
-    until("they are forgotten", || {
+    wait_until("they are forgotten", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         (hosts["hosts"].as_array()?.len() == 1).then_some(())
     });
     let seen = fleet.counts(0, "it is there", |_| true);
     fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
     fleet.stop();
-    measured(
+    record_figures(
         "invented hosts",
         &[
             ("that said hello", thousands(320.0 * 62.0)),
@@ -66,7 +69,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
 fn host_limit_refuses_new_hosts_only() {
     let mut rng = TestRng::new("too many hosts");
     let mut fleet = measuring("max_hosts = 2");
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut second = InventedHost::new("second", &mut rng);
     second.open_session(&misbehaving_peer);
     misbehaving_peer.send(&second.batch(1));

@@ -9,7 +9,7 @@ use peernet_tests::fleet::{echo, edge, rate};
 
 /// Starts a fleet with one agent that measures.
 fn measuring(keys: &str) -> Fleet {
-    let mut fleet = Fleet::aggregating(keys, &["edge"], &edge("", &echo("loop", &rate(100.0))));
+    let mut fleet = Fleet::with_aggregator_keys(keys, &["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 20);
     fleet

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use peernet_logger::HostId;
 use peernet_stream::{ToAgent, ToAggregator};
-use peernet_tests::truth::ask;
-use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, wait_until};
 
 use super::measuring;
 
@@ -21,7 +21,7 @@ fn secret(fleet: &Fleet) -> String {
 }
 
 /// Returns a host that claims to be the robot, without its secret.
-fn impostor(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
+fn host_without_secret(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
     let id = std::fs::read_to_string(state(fleet).join("host-id")).expect("made at the first start");
     let mut impostor = InventedHost::new("edge", rng);
     impostor.hello.host.id = id.trim().parse::<HostId>().expect("an id");
@@ -29,9 +29,11 @@ fn impostor(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
 }
 
 /// Runs `peernetd clear-host-secret` for the robot while the aggregator runs.
-fn clear(fleet: &Fleet) -> String {
-    let ended =
-        fleet.deployment.peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"]).ended();
+fn clear_host_secret(fleet: &Fleet) -> String {
+    let ended = fleet
+        .deployment
+        .peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"])
+        .wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     ended.log
 }
@@ -47,18 +49,18 @@ fn impostor_does_not_exclude_known_host() {
     fleet.agents[0].kill();
     fleet.restart_aggregator();
 
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
-    let mut impostor = impostor(&fleet, &mut rng);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
+    let mut impostor = host_without_secret(&fleet, &mut rng);
     let words = impostor.expect_refusal(&misbehaving_peer);
     assert!(words.contains("clear-host-secret") && words.contains("spool"), "{words}");
     assert!(!words.contains("delete the"), "no advice destroys unsent data: {words}");
     // It is not welcomed, whatever it sends then.
     misbehaving_peer.send(&impostor.batch(10));
     misbehaving_peer.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
-    misbehaving_peer.say(&ToAggregator::Goodbye(impostor.hello.host.id));
+    misbehaving_peer.send_message(&ToAggregator::Goodbye(impostor.hello.host.id));
     // While it repeats its hello, the robot comes back with another process number.
     for _ in 0..20 {
-        misbehaving_peer.say(&ToAggregator::Hello(impostor.hello.clone()));
+        misbehaving_peer.send_message(&ToAggregator::Hello(impostor.hello.clone()));
     }
     fleet.start(0);
     fleet.agents[0].process().wait_for("connected to the aggregator");
@@ -68,7 +70,7 @@ fn impostor_does_not_exclude_known_host() {
     let seen = fleet.counts(0, "it is there", |_| true);
     fleet.counts(0, "it goes on", |counts| counts.events > seen.events + 50 && counts.waiting < 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).assert_balanced();
+    fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
     // Events that were not spooled when it was killed may be missing, and are in a gap then.
@@ -89,7 +91,7 @@ fn host_secret_survives_loss_of_spool_or_database() {
     }
     fleet.start_without_pipelines(0);
     assert_eq!(secret(&fleet), before);
-    assert_eq!(ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
+    assert_eq!(query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
 
     // The secret is not shown anywhere.
     let (_, metrics) = fleet.api.get("/metrics").expect("answers");
@@ -106,7 +108,7 @@ fn host_secret_survives_loss_of_spool_or_database() {
     fleet.restart_aggregator();
     fleet.start(0);
     fleet.counts(0, "it is stored again", |counts| counts.events > 20);
-    assert_eq!(ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
+    assert_eq!(query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
     fleet.stop();
 }
 
@@ -119,18 +121,18 @@ fn cleared_secret_permits_a_new_one() {
     fleet.start(0);
     let said = fleet.agents[0].process().wait_for("refuses this agent");
     assert!(said.contains("clear-host-secret"), "{said}");
-    let told = clear(&fleet);
+    let told = clear_host_secret(&fleet);
     assert!(told.contains("cleared the secret of edge"), "{told}");
     fleet.agents[0].process().wait_for("connected to the aggregator");
     let after = secret(&fleet);
     assert_ne!(after, before);
-    until("the new one is stored", || {
-        let stored = ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret");
+    wait_until("the new one is stored", || {
+        let stored = query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret");
         (stored.trim() == after).then_some(())
     });
     fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).assert_balanced();
+    fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
 }
@@ -140,7 +142,7 @@ fn robot_takes_its_name_back_from_newcomer() {
     let mut rng = TestRng::new("namesake");
     let mut fleet = measuring("");
     fleet.agents[0].stop();
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let namesake = InventedHost::new("edge", &mut rng);
     namesake.open_session(&misbehaving_peer);
     fleet.start(0);

@@ -30,7 +30,7 @@ fn the_published_commands_work_word_for_word() {
         "PEERNet --client --name jetson-orin --network zmq-tcp --network-config net_config.yaml \
          --dataset-loc sample-image.JPEG --iterations 12 --result-loc results --generate-plots",
     );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     for log in [&client.log, &server.log] {
         assert_eq!(log.matches("plain mode").count(), 1, "{log}");
@@ -119,7 +119,7 @@ fn published_network_measurement_works_with_random_weights() {
          --result-loc results",
         picture().display()
     ));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let data = lab.data("results");
     assert_eq!((data.outcomes("ok"), data.rows.len()), (50, 50));
@@ -143,7 +143,7 @@ fn early_client_sends_all_kinds_of_samples() {
             Some(std::fs::metadata(picture()).expect("is there").len() as f64),
         ),
     ] {
-        let lab = Lab::here();
+        let lab = Lab::on_one_machine();
         std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
         let client = lab.client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 20 {options}"
@@ -152,7 +152,7 @@ fn early_client_sends_all_kinds_of_samples() {
         let server = lab.server(
             "PEERNet --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
         );
-        let (client, server) = (client.ended(), server.ended());
+        let (client, server) = (client.wait_for_end(), server.wait_for_end());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
         let data = lab.data("results");
         assert_eq!(data.outcomes("ok"), 20, "{options}");
@@ -164,9 +164,9 @@ fn early_client_sends_all_kinds_of_samples() {
 
 #[test]
 fn streamed_run_is_on_dashboard_with_same_host() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     for results in ["first", "second"] {
         let server = lab.server(
             "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
@@ -176,24 +176,24 @@ fn streamed_run_is_on_dashboard_with_same_host() {
              --iterations 20 --result-loc {results} --aggregator tcp://127.0.0.1:{}",
             deployment.events
         ));
-        let (client, server) = (client.ended(), server.ended());
+        let (client, server) = (client.wait_for_end(), server.wait_for_end());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
         let said = "see host jetson-orin, pipeline jetson-orin, on the dashboard of the aggregator at 127.0.0.1 \
                     (usually http://127.0.0.1:8040)";
         assert!(client.log.contains(said), "{}", client.log);
     }
-    let runs = api.until("/api/v1/runs", |found| {
+    let runs = api.wait_until("/api/v1/runs", |found| {
         let runs = found["runs"].as_array()?.clone();
         (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(runs)
     });
     assert!(runs.iter().all(|run| run["host"] == "jetson-orin"), "{runs:#?}");
     // Afterwards the dashboard shows a finished run and a host without problems.
-    let line = api.until("/api/v1/pipelines/jetson-orin/jetson-orin", |line| {
+    let line = api.wait_until("/api/v1/pipelines/jetson-orin/jetson-orin", |line| {
         let over = ["finished", "failed", "away"].contains(&line["state"].as_str()?);
         over.then(|| line["state"].clone())
     });
     assert_eq!(line, "finished");
-    let waiting = api.until("/api/v1/hosts/jetson-orin", |host| {
+    let waiting = api.wait_until("/api/v1/hosts/jetson-orin", |host| {
         (host["connected"] == false).then(|| host["now"]["events"]["waiting"].clone())
     });
     assert_eq!(waiting, 0);
@@ -203,7 +203,7 @@ fn streamed_run_is_on_dashboard_with_same_host() {
 
 #[test]
 fn existing_results_are_replaced_only_on_request() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let measure = |iterations: u32, options: &str| {
         let server = lab.server(&format!(
             "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations {iterations}"
@@ -212,7 +212,7 @@ fn existing_results_are_replaced_only_on_request() {
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
              --iterations {iterations} {options}"
         ));
-        let (client, server) = (client.ended(), server.ended());
+        let (client, server) = (client.wait_for_end(), server.wait_for_end());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     };
     measure(6, "");
@@ -224,7 +224,7 @@ fn existing_results_are_replaced_only_on_request() {
 
 #[test]
 fn clock_settings_come_from_configuration() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
         .expect("writable");
     let server = lab.server(
@@ -234,7 +234,7 @@ fn clock_settings_come_from_configuration() {
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
          --iterations 20 --result-loc results --config edge.toml",
     );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     assert!(client.log.contains("REHEARSAL"), "{}", client.log);
     let data = lab.data("results");
@@ -246,8 +246,8 @@ fn clock_settings_come_from_configuration() {
 }
 
 #[test]
-fn each_order_is_a_run_in_a_process() {
-    let lab = Lab::here();
+fn each_order_runs_in_own_process() {
+    let lab = Lab::on_one_machine();
     let order = json!({
         "agent": {
             "model": [{ "kind": "echo", "name": "echo" }],
@@ -266,7 +266,7 @@ fn each_order_is_a_run_in_a_process() {
         "warm_up": "the first 5 iterations",
     });
     std::fs::write(lab.folder().join("order.json"), order.to_string()).expect("writable");
-    let ended = lab.client("PEERNet measure --order order.json").ended();
+    let ended = lab.client("PEERNet measure --order order.json").wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let seen: Vec<Value> = ended.log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
     assert!(seen.iter().all(|seen| seen["of"] == 40), "{}", ended.log);
@@ -276,9 +276,9 @@ fn each_order_is_a_run_in_a_process() {
     assert_eq!((&record["title"], &record["cloud"]), (&"an echo on board".into(), &Value::Null));
     assert_eq!((&record["placement"]["kind"], &record["seeds"]["sensor"]), (&"local".into(), &1.into()));
 
-    let again = lab.client("PEERNet measure --order order.json").ended();
+    let again = lab.client("PEERNet measure --order order.json").wait_for_end();
     assert_eq!(again.code(), 64, "{}", again.log);
-    assert_eq!(lab.client("PEERNet measure --order nothing.json").ended().code(), 66);
+    assert_eq!(lab.client("PEERNet measure --order nothing.json").wait_for_end().code(), 66);
     std::fs::write(lab.folder().join("order.json"), "{}").expect("writable");
-    assert_eq!(lab.client("PEERNet measure --order order.json").ended().code(), 78);
+    assert_eq!(lab.client("PEERNet measure --order order.json").wait_for_end().code(), 78);
 }

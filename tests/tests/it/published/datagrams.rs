@@ -42,7 +42,7 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
     let client = lab.client(&format!(
         "PEERNet --client --name jetson-orin {both} --sensor-object payloads::Sensor --result-loc results"
     ));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     let data = lab.data("results");
     let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));
     assert_eq!((answered + lost, data.rows.len()), (ITERATIONS, ITERATIONS), "{}", client.log);
@@ -71,7 +71,7 @@ fn iterations_over_bad_path_are_answered_or_lost() {
     const ITERATIONS: usize = 150;
     let sockets = tempfile::tempdir().expect("the temporary folder is writable");
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
-    let lab = Lab::between(Network::reordering_wire(sockets.path(), way(30), way(5)));
+    let lab = Lab::with_network(Network::reordering_wire(sockets.path(), way(30), way(5)));
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
         .expect("writable");
     let both = format!("--network zmq-udp --network-config net_config.yaml --iterations {ITERATIONS}");
@@ -80,7 +80,7 @@ fn iterations_over_bad_path_are_answered_or_lost() {
         "PEERNet --client --name jetson-orin {both} --sensor-type synthetic --text-size 5000 --result-loc results \
          --config edge.toml"
     ));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     let data = lab.data("results");
     let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));

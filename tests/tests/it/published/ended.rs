@@ -19,8 +19,8 @@ fn endless(lab: &Lab, options: &str) -> Process {
 }
 
 /// Returns the output of `peernet compare` for results.
-fn told(lab: &Lab, results: &str) -> String {
-    Process::start(&program("peernet"), &["compare", results], lab.folder(), &[]).ended().log
+fn compare_output(lab: &Lab, results: &str) -> String {
+    Process::start(&program("peernet"), &["compare", results], lab.folder(), &[]).wait_for_end().log
 }
 
 fn server(lab: &Lab, iterations: u32) -> Process {
@@ -31,12 +31,12 @@ fn server(lab: &Lab, iterations: u32) -> Process {
 
 #[test]
 fn ctrl_c_ends_client_with_all_results() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results");
     client.wait_for("of 1000000");
     client.signal(Signal::INT);
-    let ended = client.ended();
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("ended early"), "{}", ended.log);
     let (data, record) = (lab.data("results"), lab.record("results"));
@@ -44,32 +44,32 @@ fn ctrl_c_ends_client_with_all_results() {
     let ok = data.outcomes("ok");
     assert!(ok >= 6 && data.rows.len() - ok <= 1, "{} rows, {ok} with an answer", data.rows.len());
     assert!(lab.folder().join("results/summary.md").is_file());
-    let interrupted = told(&lab, "results");
+    let interrupted = compare_output(&lab, "results");
     assert!(interrupted.contains("results is incomplete: the run was interrupted after "), "{interrupted}");
 
     server.signal(Signal::INT);
-    let ended = server.ended();
+    let ended = server.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("answers"), "{}", ended.log);
 }
 
 #[test]
 fn ended_session_ends_client_with_all_results() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results");
     client.wait_for("of 1000000");
     // The shell and the system both send it.
     client.signal(Signal::HUP);
     client.wait_for("Ctrl-C again");
-    let ended = client.ended();
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert_eq!(lab.record("results")["reason"], "stopped");
 }
 
 #[test]
 fn a_client_under_nohup_outlives_its_session() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let peernet = program("peernet");
     let options = "--client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 60 \
@@ -79,7 +79,7 @@ fn a_client_under_nohup_outlives_its_session() {
     let client = Process::start(Path::new("nohup"), &words, lab.folder(), &[]);
     client.wait_for("of 60");
     client.signal(Signal::HUP);
-    let ended = client.ended();
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(
         (lab.data("results").outcomes("ok"), lab.record("results")["reason"].as_str()),
@@ -89,15 +89,15 @@ fn a_client_under_nohup_outlives_its_session() {
 
 #[test]
 fn folder_in_use_is_left_unchanged() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let first = endless(&lab, "--result-loc results --overwrite");
     first.wait_for("of 1000000");
-    let second = endless(&lab, "--result-loc results --overwrite").ended();
+    let second = endless(&lab, "--result-loc results --overwrite").wait_for_end();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("another peernet is writing"), "{}", second.log);
     first.signal(Signal::INT);
-    let first = first.ended();
+    let first = first.wait_for_end();
     assert_eq!(first.code(), 130, "{}", first.log);
     let (record, warm_up) = (lab.record("results"), 5);
     let rows = record["counts"]["ok"].as_u64().expect("a number") + warm_up;
@@ -106,7 +106,7 @@ fn folder_in_use_is_left_unchanged() {
 
 #[test]
 fn results_replaced_by_killed_run_are_restored() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let short = || {
         lab.client(&format!(
@@ -115,14 +115,18 @@ fn results_replaced_by_killed_run_are_restored() {
             picture().display()
         ))
     };
-    let first = short().ended();
+    let first = short().wait_for_end();
     assert_eq!(first.code(), 0, "{}", first.log);
     let killed = endless(&lab, "--result-loc results --overwrite");
     killed.wait_for("of 1000000");
     let _ = killed.kill();
     assert!(!lab.folder().join("results/run.json").exists(), "they are aside");
-    assert!(told(&lab, "results").contains("the previous results are in "), "{}", told(&lab, "results"));
-    let next = short().ended();
+    assert!(
+        compare_output(&lab, "results").contains("the previous results are in "),
+        "{}",
+        compare_output(&lab, "results")
+    );
+    let next = short().wait_for_end();
     assert_eq!(next.code(), 64, "{}", next.log);
     assert!(
         next.log.contains("the previous results are restored; its rows are in killed.csv"),
@@ -141,12 +145,12 @@ fn results_replaced_by_killed_run_are_restored() {
 
 #[test]
 fn results_of_killed_run_are_reported() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let killed = endless(&lab, "--result-loc results");
     killed.wait_for("of 1000000");
     let _ = killed.kill();
-    let told = told(&lab, "results");
+    let told = compare_output(&lab, "results");
     assert!(
         told.contains("results is incomplete: run.json is missing: the run is in progress or was"),
         "{told}"
@@ -156,7 +160,7 @@ fn results_of_killed_run_are_reported() {
 
 #[test]
 fn killed_run_leaves_no_files_after_later_runs() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let temporary = lab.folder().join("temporary");
     std::fs::create_dir(&temporary).expect("writable");
@@ -180,26 +184,26 @@ fn killed_run_leaves_no_files_after_later_runs() {
             std::fs::read_dir(folder).expect("a folder").map(|one| one.expect("readable").file_name());
         names.map(|name| name.to_string_lossy().into_owned()).collect::<Vec<_>>()
     };
-    assert_eq!(client(6).ended().code(), 0);
+    assert_eq!(client(6).wait_for_end().code(), 0);
     let killed = client(1_000_000);
     killed.wait_for("of 1000000");
     let _ = killed.kill();
     assert_eq!(names(&temporary).len(), 1, "nobody was there to remove it");
-    let compared = start("compare").ended();
-    assert!(compared.log.contains("a run is in progress there or was killed"), "{}", compared.log);
+    let compared = start("compare").wait_for_end();
+    assert!(compared.log.contains("a run is under way there or was killed"), "{}", compared.log);
 
-    let next = client(6).ended();
+    let next = client(6).wait_for_end();
     assert!(next.code() == 0 && next.log.contains("killed.csv"), "{}", next.log);
     assert_eq!(names(&temporary), [""; 0]);
     let left = names(&lab.folder().join(results));
     assert!(left.iter().all(|name| !name.starts_with("killed") && !name.starts_with('.')), "{left:?}");
-    let compared = start("compare").ended();
-    assert!(compared.code() == 0 && !compared.log.contains("is incomplete"), "{}", compared.log);
+    let compared = start("compare").wait_for_end();
+    assert!(compared.code() == 0 && !compared.log.contains("not whole"), "{}", compared.log);
 }
 
 #[test]
 fn a_second_signal_does_not_wait() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name \"exec:sleep 600\" \
          --iterations 9",
@@ -210,21 +214,21 @@ fn a_second_signal_does_not_wait() {
     client.wait_for("Ctrl-C again");
     // A second SIGINT within half a second would count as the same signal.
     client.signal(Signal::TERM);
-    client.wait_for("abandoned");
-    let ended = client.ended();
+    client.wait_for("left alone");
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("before the first measurement"), "{}", ended.log);
 }
 
 #[test]
 fn lost_server_leaves_rows_and_exit_code() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results --patience 2");
     client.wait_for("of 1000000");
     let _ = server.kill();
     client.wait_for("cluster is away");
-    let ended = client.ended();
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 75, "{}", ended.log);
     assert!(ended.log.contains("gave up after 2 s"), "{}", ended.log);
     let (data, record) = (lab.data("results"), lab.record("results"));
@@ -235,7 +239,7 @@ fn lost_server_leaves_rows_and_exit_code() {
 
 #[test]
 fn returning_server_is_used_again() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let first = server(&lab, 1_000_000);
     let client = lab.client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 120 --dataset-loc {} \
@@ -246,7 +250,7 @@ fn returning_server_is_used_again() {
     let _ = first.kill();
     client.wait_for("cluster is away");
     let _second = server(&lab, 1_000_000);
-    let ended = client.ended();
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 75, "{}", ended.log);
     assert!(ended.log.contains("1 of 120 iterations has no answer"), "{}", ended.log);
     let data = lab.data("results");
@@ -256,7 +260,7 @@ fn returning_server_is_used_again() {
 #[test]
 fn full_result_disk_loses_no_rows() {
     let disk = SmallDisk::new(1 << 20);
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let results = disk.folder().join("results");
     let measure = |iterations: u32, options: &str| {
@@ -267,12 +271,12 @@ fn full_result_disk_loses_no_rows() {
             results.display()
         ))
     };
-    let earlier = measure(6, "").ended();
+    let earlier = measure(6, "").wait_for_end();
     assert_eq!(earlier.code(), 0, "{}", earlier.log);
     let client = measure(80, "--overwrite");
     client.wait_for("of 80");
     disk.fill();
-    let ended = client.ended();
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 73, "{}", ended.log);
     assert!(ended.log.contains("Total (sum of stages)"), "{}", ended.log);
     let said = ended.log.lines().find(|line| line.contains("the measurements are in"));
@@ -293,7 +297,7 @@ fn full_result_disk_loses_no_rows() {
 #[test]
 fn full_disks_keep_rows_that_fit() {
     let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     // The model answers at once, so that most rows are written together.
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 1000000",
@@ -305,7 +309,7 @@ fn full_disks_keep_rows_that_fit() {
     let options = ["--generate-plots", "--dataset-loc", &sample, "--result-loc", &results];
     let words: Vec<&str> = words.split(' ').chain(options).collect();
     let client = Process::start(&program("peernet"), &words, lab.folder(), &[("TMPDIR", &temporary)]);
-    let ended = client.ended();
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 73, "{}", ended.log);
     let told = "data.csv has the rows that fit; no figure is drawn";
     assert!(ended.log.contains(told), "{}", ended.log);

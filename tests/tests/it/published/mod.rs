@@ -44,11 +44,11 @@ struct Lab {
 impl Lab {
     /// Creates two machines and a cable.
     fn new() -> Self {
-        Self::between(Network::direct())
+        Self::with_network(Network::direct())
     }
 
     /// Creates two machines with this network.
-    fn between(network: Network) -> Self {
+    fn with_network(network: Network) -> Self {
         let (edge, cloud) = (network.edge().address.to_string(), network.cloud().address.to_string());
         Self::with(
             Some(network),
@@ -57,7 +57,7 @@ impl Lab {
     }
 
     /// Creates one machine.
-    fn here() -> Self {
+    fn on_one_machine() -> Self {
         let devices = "  jetson-orin: 127.0.0.1\n  cluster: 127.0.0.1\n  spare: 127.0.0.1\n";
         Self::with(None, &format!("devices:\n{devices}server: cluster\nstart_port: {}\n", free_port()))
     }

@@ -73,7 +73,7 @@ class Stuck:
 
 #[test]
 fn a_sensor_that_hangs_is_named() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_camera.py"), HANGING).expect("writable");
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations 9",
@@ -90,7 +90,7 @@ fn a_sensor_that_hangs_is_named() {
         client.wait_for("Ctrl-C again");
         // A second SIGINT within half a second would count as the same signal.
         client.signal(rustix::process::Signal::TERM);
-        let ended = client.ended();
+        let ended = client.wait_for_end();
         assert_eq!(ended.code(), 130, "{}", ended.log);
     }
 }
@@ -108,7 +108,7 @@ fn python_sensor_and_model_run_on_their_hosts() {
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type external \
          --sensor-object my_camera::Camera --iterations 20 --result-loc results",
     );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let data = lab.data("results");
     assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
@@ -128,12 +128,12 @@ fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd)
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations {iterations} --result-loc results"
     ));
-    (client.ended(), server.ended())
+    (client.wait_for_end(), server.wait_for_end())
 }
 
 #[test]
 fn an_exception_is_a_failed_iteration() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     // The server does not wait for answers that will never come.
     let (client, server) = seen_by(FAILING, 20, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
@@ -153,7 +153,7 @@ fn an_exception_is_a_failed_iteration() {
 /// After consecutive failures the client waits longer and longer; the server must end all the same.
 #[test]
 fn server_ends_when_all_samples_failed() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let unplugged = "class Camera:\n    def sample(self):\n        raise OSError('unplugged')\n";
     let (client, server) = seen_by(unplugged, 14, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
@@ -163,7 +163,7 @@ fn server_ends_when_all_samples_failed() {
 
 #[test]
 fn restart_of_python_process_is_recorded() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let dying = |class: &str, method: &str, last: u32| {
         format!(
             "
@@ -189,7 +189,7 @@ class {class}:
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations 16 --result-loc results",
     );
-    let client = client.ended();
+    let client = client.wait_for_end();
     assert_eq!(client.code(), 75, "{}", client.log);
     assert!(
         client.log.contains("The model's process was restarted in 1 iteration (number 9)"),
@@ -218,7 +218,7 @@ class {class}:
 
 #[test]
 fn server_prints_number_of_error_answers() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_model.py"), REFUSING).expect("writable");
     let server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Odd --iterations 10",
@@ -227,7 +227,7 @@ fn server_prints_number_of_error_answers() {
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 10 \
          --result-loc results",
     );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (75, 0), "{}\n{}", client.log, server.log);
     assert!(server.log.contains("10 answers, 5 of them errors"), "{}", server.log);
     assert_eq!(lab.data("results").outcomes("failed"), 5);
@@ -235,7 +235,7 @@ fn server_prints_number_of_error_answers() {
 
 #[test]
 fn programs_run_on_their_hosts() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let light = peernet_tests::root().join("docs/examples/external/light.sh");
     let server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
@@ -245,7 +245,7 @@ fn programs_run_on_their_hosts() {
          --iterations 20 --result-loc results",
         light.display()
     ));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let sent = lab.data("results").numbers("upload-bytes");
     assert!(sent.len() == 20 && sent.iter().all(|bytes| *bytes == 3072.0), "{sent:?}");
@@ -253,7 +253,7 @@ fn programs_run_on_their_hosts() {
 
 #[test]
 fn output_of_objects_is_printed_in_quiet_mode() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let sensor = "
 class Camera:
     def sample(self):
@@ -278,7 +278,7 @@ class Echo:
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations 8 --result-loc results --quiet",
     );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let printed = |log: &str, line: &str| log.lines().filter(|said| *said == line).count();
     assert!(printed(&client.log, "sensor my_camera::Camera: the lens is clean") >= 8, "{}", client.log);

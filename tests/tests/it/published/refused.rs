@@ -8,7 +8,7 @@ use super::{Lab, picture};
 
 /// Runs a command that must end with this code and print all these texts.
 fn refused(lab: &Lab, command: &str, code: i32, said: &[&str]) {
-    let ended = lab.client(command).ended();
+    let ended = lab.client(command).wait_for_end();
     assert_eq!(ended.code(), code, "{command}\n{}", ended.log);
     for text in said {
         assert!(ended.log.contains(text), "{command} does not say {text:?}: {}", ended.log);
@@ -17,7 +17,7 @@ fn refused(lab: &Lab, command: &str, code: i32, said: &[&str]) {
 
 #[test]
 fn a_wrong_command_line_is_refused() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml";
     refused(&lab, &format!("{client} --iterations 0"), 64, &["at least 1"]);
     refused(&lab, &format!("{client} --iterations -5"), 64, &["at least 1"]);
@@ -42,7 +42,7 @@ fn a_wrong_command_line_is_refused() {
 
 #[test]
 fn device_or_role_outside_network_configuration_is_refused() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let command = |name: &str, role: &str| {
         format!(
             "PEERNet {role} --name {name} --network-config net_config.yaml --iterations 5 --dataset-loc x"
@@ -68,7 +68,7 @@ fn device_or_role_outside_network_configuration_is_refused() {
 
 #[test]
 fn missing_files_are_named() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 5";
     let server = "PEERNet --server --name cluster --network-config net_config.yaml --iterations 5";
     refused(&lab, &format!("{client} --dataset-loc nowhere.jpg"), 66, &["nowhere.jpg"]);
@@ -86,7 +86,7 @@ fn missing_files_are_named() {
     refused(&lab, &format!("{client} --sensor-object no_such::Camera"), 66, &module);
     refused(&lab, &format!("{server} --model-name no_such::Model"), 66, &module);
     std::fs::write(lab.folder().join("hollow.py"), "pass\n").expect("writable");
-    let hollow = lab.client(&format!("{server} --model-name hollow::Model")).ended();
+    let hollow = lab.client(&format!("{server} --model-name hollow::Model")).wait_for_end();
     assert_eq!(hollow.code(), 69, "{}", hollow.log);
     assert!(hollow.log.contains("Model") && !hollow.log.contains("answers"), "{}", hollow.log);
 
@@ -98,7 +98,7 @@ fn missing_files_are_named() {
 
 #[test]
 fn used_port_and_existing_results_are_reported() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let configuration = std::fs::read_to_string(lab.folder().join("net_config.yaml")).expect("is there");
     let port = configuration.lines().find_map(|line| line.strip_prefix("start_port: ")).expect("a port");
     let _taken = TcpListener::bind(format!("0.0.0.0:{port}")).expect("it is free");
@@ -131,7 +131,7 @@ fn unwritable_answer_is_a_failure() {
 
 #[test]
 fn client_gives_up_without_server() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let client = format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 5 --dataset-loc {} \
          --result-loc results --patience 1",
@@ -143,7 +143,7 @@ fn client_gives_up_without_server() {
 
 #[test]
 fn failed_start_replaces_no_results() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let results = lab.folder().join("results");
     std::fs::create_dir(&results).expect("writable");
     for name in ["data.csv", "run.json", "notes.txt"] {

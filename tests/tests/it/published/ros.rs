@@ -7,7 +7,7 @@ use super::{Lab, picture};
 /// Starts a ROS 1 master, and creates a lab whose programs use it.
 fn lab() -> (Lab, Ros1System) {
     let system = Ros1System::new();
-    (Lab { ros_master: Some(system.uri()), ..Lab::here() }, system)
+    (Lab { ros_master: Some(system.uri()), ..Lab::on_one_machine() }, system)
 }
 
 const SERVER: &str = "PEERNet --server --name cluster --network ros --network-config net_config.yaml";
@@ -20,7 +20,7 @@ fn published_commands_work_over_ros() {
     let server = lab.server(&format!("{SERVER} --model-name dummy --device cuda:6 --iterations 12"));
     let client =
         lab.client(&format!("{CLIENT} --dataset-loc sample-image.JPEG --iterations 12 --result-loc results"));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let address = format!("ros1://127.0.0.1:{}/cluster", system.port());
     assert!(server.log.contains(&address) && server.log.contains("12 answers"), "{}", server.log);
@@ -45,7 +45,7 @@ fn run_continues_after_master_and_server_restart() {
     system.start_master();
     server.kill();
     let server = lab.server(&format!("{SERVER} --model-name dummy --iterations 1000"));
-    let client = client.ended();
+    let client = client.wait_for_end();
     assert_eq!(client.code(), 75, "what was under way is lost: {}", client.log);
     let data = lab.data("results");
     assert_eq!(data.rows.len(), 150);
@@ -62,7 +62,7 @@ fn missing_master_is_named_with_advice() {
     let (lab, mut system) = lab();
     system.kill_master();
     let client = lab.client(&format!("{CLIENT} --sensor-type synthetic --iterations 5 --patience 0"));
-    let ended = client.ended();
+    let ended = client.wait_for_end();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     for part in ["no ROS master answers", &system.uri(), "start roscore", "ROS_MASTER_URI"] {
         assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);

@@ -14,16 +14,16 @@ fn streamed(lab: &Lab, deployment: &LoopbackDeployment) -> String {
          --iterations 20 --result-loc results --overwrite --aggregator tcp://127.0.0.1:{}",
         deployment.events
     ));
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     client.log
 }
 
 #[test]
 fn aggregators_store_their_stream_and_unsent_is_reported() {
-    let lab = Lab::here();
+    let lab = Lab::on_one_machine();
     let (there, away) = (LoopbackDeployment::new(), LoopbackDeployment::new());
-    let (_first, first) = there.aggregator();
+    let (_first, first) = there.start_aggregator();
     let waits = format!("wait for the aggregator at localhost:{}, in ", away.events);
     let (now, later) = ("see host jetson-orin", "will be on the dashboard of the aggregator at 127.0.0.1:");
     let said = streamed(&lab, &there);
@@ -35,16 +35,16 @@ fn aggregators_store_their_stream_and_unsent_is_reported() {
         assert!(said.contains(&waits), "{whose}: {said}");
         assert!(said.contains(sent_to) && !said.contains(not_yet), "{whose}: {said}");
     }
-    let (_second, second) = away.aggregator();
+    let (_second, second) = away.start_aggregator();
     let said = streamed(&lab, &away);
     assert!(!said.contains(&waits), "it was handed over: {said}");
     for api in [first, second] {
-        let host = api.until("/api/v1/hosts/jetson-orin", |host| {
+        let host = api.wait_until("/api/v1/hosts/jetson-orin", |host| {
             let over = host["connected"] == false && host["now"]["events"]["waiting"] == 0;
             over.then(|| host.clone())
         });
         assert_eq!(host["stored"]["gaps"], 0, "{host:#}");
-        api.until("/api/v1/runs", |found| {
+        api.wait_until("/api/v1/runs", |found| {
             let runs = found["runs"].as_array()?;
             (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(())
         });
@@ -53,26 +53,27 @@ fn aggregators_store_their_stream_and_unsent_is_reported() {
 
 #[test]
 fn export_of_aggregator_equals_file_of_run() {
-    let (lab, deployment) = (Lab::here(), LoopbackDeployment::new());
-    let (_aggregator, api) = deployment.aggregator();
+    let (lab, deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
+    let (_aggregator, api) = deployment.start_aggregator();
     streamed(&lab, &deployment);
-    let (status, text) =
-        api.get(&format!("/api/v1/runs/{}/export", api.finished_run())).expect("the dashboard answers");
+    let (status, text) = api
+        .get(&format!("/api/v1/runs/{}/export", api.wait_for_finished_run()))
+        .expect("the dashboard answers");
     assert_eq!(status, 200, "{text}");
     let written = std::fs::read_to_string(lab.folder().join("results/data.csv")).expect("written");
     let differs = text.lines().zip(written.lines()).find(|(export, file)| export != file);
     assert!(text == written, "{differs:#?}");
 
     std::fs::write(lab.folder().join("export.csv"), text).expect("writable");
-    let compared = lab.client("PEERNet compare results export.csv").ended();
+    let compared = lab.client("PEERNet compare results export.csv").wait_for_end();
     assert_eq!(compared.code(), 0, "{}", compared.log);
     assert!(compared.log.contains("export"), "{}", compared.log);
 }
 
 #[test]
 fn second_concurrent_stream_of_device_is_refused() {
-    let (lab, deployment) = (Lab::here(), LoopbackDeployment::new());
-    let (_aggregator, _) = deployment.aggregator();
+    let (lab, deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
+    let (_aggregator, _) = deployment.start_aggregator();
     let command = format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
          --iterations 20 --aggregator tcp://127.0.0.1:{}",
@@ -80,7 +81,7 @@ fn second_concurrent_stream_of_device_is_refused() {
     );
     let first = lab.client(&command);
     first.wait_for("is away");
-    let second = lab.client(&command).ended();
+    let second = lab.client(&command).wait_for_end();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("runs as the host whose id is in"), "{}", second.log);
     assert!(!second.log.contains("state_dir"), "there is nothing to set here: {}", second.log);
@@ -89,7 +90,7 @@ fn second_concurrent_stream_of_device_is_refused() {
 
 #[test]
 fn experiment_prints_no_link_to_unused_dashboard() {
-    let (lab, away) = (Lab::here(), LoopbackDeployment::new());
+    let (lab, away) = (Lab::on_one_machine(), LoopbackDeployment::new());
     let file = format!(
         "[experiment]\nname = \"board\"\niterations = 20\naggregator = \"tcp://127.0.0.1:{}\"\n\
          [pipeline]\nsensor = {{ kind = \"synthetic\", size_bytes = 100 }}\nplacement = {{ kind = \"local\", model = \"echo\" }}\n\
@@ -101,7 +102,7 @@ fn experiment_prints_no_link_to_unused_dashboard() {
     for (options, spool) in
         [("--result-loc a", "spool-localhost:"), ("--result-loc b --set spool.file=mine", "mine;")]
     {
-        let ended = lab.client(&format!("PEERNet run board.toml {options}")).ended();
+        let ended = lab.client(&format!("PEERNet run board.toml {options}")).wait_for_end();
         assert_eq!(ended.code(), 0, "{}", ended.log);
         let later = format!(
             "the runs of experiment board will be on the dashboard of the aggregator at 127.0.0.1:{}",

@@ -8,13 +8,13 @@ use super::{drive, model, write_modules};
 fn python_objects_exchange_arrays_with_one_stage_each() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     write_modules(testbed.folder());
-    let cloud = testbed.cloud(&model());
+    let cloud = testbed.start_cloud(&model());
     let there = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", testbed.peer());
     let more = "limit = { iterations = 30 }\nactuator = { kind = \"log\" }\n";
-    let edge = testbed.edge(&(drive(&there) + more), &[]);
+    let edge = testbed.start_edge(&(drive(&there) + more), &[]);
     edge.wait_for("the rig is up");
     let api = &testbed.api;
-    let run = api.finished_run();
+    let run = api.wait_for_finished_run();
 
     // Every tenth sample failed with the user's own message; the others succeeded.
     let detail = api.json(&format!("/api/v1/runs/{run}"));

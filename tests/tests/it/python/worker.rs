@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use peernet_tests::{LoopbackDeployment, Process, until};
+use peernet_tests::{LoopbackDeployment, Process, wait_until};
 
 use super::{drive, model, write_modules};
 
@@ -22,14 +22,14 @@ fn deployment(follower: Option<&str>) -> LoopbackDeployment {
 /// Starts an agent that serves the model, and one that uses it, with additional keys of its pipeline.
 fn start(deployment: &LoopbackDeployment, keys: &str) -> (Process, Process) {
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
-    let cloud = deployment.agent("cloud", &(serve.to_owned() + &model()));
+    let cloud = deployment.start_agent("cloud", &(serve.to_owned() + &model()));
     let there = drive("{ kind = \"remote\", peer = \"tcp://127.0.0.1:{data}\", model = \"follower\" }");
-    (cloud, deployment.agent("edge", &(there + keys)))
+    (cloud, deployment.start_agent("edge", &(there + keys)))
 }
 
 /// Returns the folder of the model's process in `/proc`, once the process exists.
 fn worker(deployment: &LoopbackDeployment) -> PathBuf {
-    let number = until("the model is there", || {
+    let number = wait_until("the model is there", || {
         let text = fs::read_to_string(deployment.folder().join("pid")).ok()?;
         (!text.is_empty()).then_some(text)
     });
@@ -43,7 +43,7 @@ fn killed_agent_leaves_no_python_process() {
     let worker = worker(&deployment);
     assert!(worker.exists());
     cloud.kill();
-    until("the worker is gone", || (!worker.exists()).then_some(()));
+    wait_until("the worker is gone", || (!worker.exists()).then_some(()));
 }
 
 #[test]
@@ -52,7 +52,7 @@ fn check_names_missing_parts_without_running_code() {
     let broken = model().replace("follower::Follower", "folower::Follower");
     let here = drive("{ kind = \"local\", model = \"follower\" }");
     deployment.write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{broken}{here}"));
-    let ended = deployment.peernetd(&["check", "it.toml"]).ended();
+    let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
     assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
     assert!(
         ended.log.contains("model[0]") && ended.log.contains("no Python module folower"),
@@ -75,9 +75,9 @@ class Follower:
         return 0
 ",
     ));
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let (cloud, edge) = start(&deployment, "limit = { total = 12 }\n");
-    let run = api.finished_run();
+    let run = api.wait_for_finished_run();
     // Only the call in which it died has no answer.
     let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
     assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(11), Some(1)), "{counts}");
@@ -98,12 +98,14 @@ class Follower:
         time.sleep(600)
 ",
     ));
-    let (_aggregator, api) = deployment.aggregator();
+    let (_aggregator, api) = deployment.start_aggregator();
     let (cloud, edge) = start(&deployment, "timeout_ms = 300\n");
     cloud.wait_for("hanging");
     let worker = worker(&deployment);
-    api.until("/api/v1/runs", |runs| (runs["runs"][0]["counts"]["timeout"].as_u64() > Some(2)).then_some(()));
+    api.wait_until("/api/v1/runs", |runs| {
+        (runs["runs"][0]["counts"]["timeout"].as_u64() > Some(2)).then_some(())
+    });
     edge.stop();
     cloud.stop();
-    until("the worker is gone", || (!worker.exists()).then_some(()));
+    wait_until("the worker is gone", || (!worker.exists()).then_some(()));
 }

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use peernet_tests::fleet::{echo, edge};
-use peernet_tests::{EventCounts, Fleet, measured, thousands, until};
+use peernet_tests::{EventCounts, Fleet, record_figures, thousands, wait_until};
 
-use super::turn;
+use super::wait_for_turn;
 
 #[test]
 fn produced_events_are_stored_or_counted_as_dropped() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     // The spool is too small for what is measured without an aggregator, and hardly large enough with one.
     let small = edge("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");
     let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(small + &echo("loop", "")));
@@ -23,7 +23,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
         .map(|agent| {
             fleet.counts(agent, "drops are told", |counts| counts.dropped > 0);
             fleet.agents[agent].stop();
-            fleet.deliver(agent)
+            fleet.deliver_spool(agent)
         })
         .collect();
 
@@ -39,7 +39,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
             ("peernet_host_stored_events_total", counts.events),
             ("peernet_host_missing_events_total", counts.missing),
         ];
-        until("the metrics agree", || {
+        wait_until("the metrics agree", || {
             let metrics = metrics_of(&fleet, &agent.name);
             expected.iter().all(|(name, value)| metrics.get(*name) == Some(value)).then_some(())
         });
@@ -51,7 +51,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
         assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
         assert!(host.events >= counts.stored && host.quarantined == 0, "{host:?}, {counts:?}");
         assert_eq!(stored_events.count_missing(agent.spooled()), 0);
-        measured(
+        record_figures(
             &format!("accounting, {}", agent.name),
             &[
                 ("produced", thousands(counts.produced as f64)),

@@ -1,21 +1,21 @@
 //! Test of a full disk under the database.
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Fleet, SmallDisk, measured, thousands, until};
+use peernet_tests::{Fleet, SmallDisk, record_figures, thousands, wait_until};
 
-use super::{assert_nothing_lost, turn};
+use super::{assert_nothing_lost, wait_for_turn};
 
 #[test]
 fn full_database_disk_stops_storing_without_loss() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let disk = SmallDisk::new(48 << 20);
     let database = disk.folder().join("aggregator.sqlite").display().to_string();
-    let mut fleet = Fleet::storing_in(&database, &["edge"], &edge("", &echo("loop", &rate(500.0))));
+    let mut fleet = Fleet::with_database(&database, &["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 100);
 
     disk.fill();
-    let words = until("not ready", || {
+    let words = wait_until("not ready", || {
         fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, words)| words)
     });
     assert!(words.contains("full"), "why: {words}");
@@ -27,25 +27,25 @@ fn full_database_disk_stops_storing_without_loss() {
         pipeline["seconds"].as_array().and_then(|seconds| seconds.last()?["at"].as_i64())
     };
     let at = second().expect("it measures");
-    until("newer figures", || second().filter(|now| *now > at + 1));
+    wait_until("newer figures", || second().filter(|now| *now > at + 1));
     let kept = fleet.counts(0, "events wait", |counts| counts.waiting > 400);
     assert_eq!(kept.dropped, 0, "{kept:?}");
 
     disk.free();
-    until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
+    wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
     fleet.counts(0, "what waited is stored", |counts| counts.events > kept.events + kept.waiting);
-    let outage = fleet.api.until("/api/v1/incidents", |list| {
+    let outage = fleet.api.wait_until("/api/v1/incidents", |list| {
         let storage = list["incidents"].as_array()?.iter().find(|incident| incident["kind"] == "storage")?;
         storage["text"].as_str().map(str::to_owned)
     });
     assert!(outage.starts_with("nothing could be stored for ") && outage.contains("full"), "{outage}");
     fleet.agents[0].stop();
-    let counts = fleet.deliver(0);
+    let counts = fleet.deliver_spool(0);
     counts.assert_balanced();
     let stored_events = fleet.stop();
     let spooled = assert_nothing_lost(&fleet, &stored_events);
     let number = |count: u64| thousands(count as f64);
-    measured(
+    record_figures(
         "full disk, database",
         &[
             ("events that waited, at least", number(kept.waiting)),

@@ -2,9 +2,9 @@
 
 use peernet_stream::{ToAgent, ToAggregator, codec};
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, measured, thousands, until};
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, record_figures, thousands, wait_until};
 
-use super::{assert_nothing_lost, turn};
+use super::{assert_nothing_lost, wait_for_turn};
 
 /// Starts a fleet whose agent measures meanwhile.
 fn with_agent() -> Fleet {
@@ -19,7 +19,7 @@ fn assert_nobody_was_harmed(mut fleet: Fleet) -> u64 {
     let seen = fleet.counts(0, "it is there", |_| true);
     fleet.counts(0, "more is stored", |counts| counts.events > seen.events + 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).assert_balanced();
+    fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = fleet.stop();
     stored_events.hosts.retain(|name, _| name == "edge");
     assert_nothing_lost(&fleet, &stored_events)
@@ -36,10 +36,10 @@ fn counter(fleet: &Fleet, name: &str) -> u64 {
 
 #[test]
 fn damaged_frames_are_refused_and_counted() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("damaged frames");
     let fleet = with_agent();
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
     misbehaving_peer.send(&host.batch(10));
@@ -72,15 +72,15 @@ fn damaged_frames_are_refused_and_counted() {
         sent += 1;
     }
     misbehaving_peer.send_hello_until(&host, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
-    until("it is counted", || {
+    wait_until("it is counted", || {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
     let damaged = counter(&fleet, "peernet_aggregator_damaged_batches_total");
     let told = fleet.aggregator.process().wait_for("messages were rejected");
     assert!(told.contains("unreadable="), "{told}");
-    misbehaving_peer.say(&ToAggregator::Goodbye(host.hello.host.id));
+    misbehaving_peer.send_message(&ToAggregator::Goodbye(host.hello.host.id));
     let spooled = assert_nobody_was_harmed(fleet);
-    measured(
+    record_figures(
         "damaged frames",
         &[
             ("sent", thousands(f64::from(sent))),
@@ -92,10 +92,10 @@ fn damaged_frames_are_refused_and_counted() {
 
 #[test]
 fn invalid_batch_is_quarantined_and_stream_continues() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("wrong batches");
     let fleet = with_agent();
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
 
@@ -121,7 +121,7 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
     // Zeros whose unpacked size is four thousand times the packed one.
     misbehaving_peer.send(&host.batch_of(9, &vec![0; 64 << 20], true));
     misbehaving_peer.send(&host.batch(10));
-    let stored = until("what is stored", || {
+    let stored = wait_until("what is stored", || {
         let misbehaving_peer = fleet.api.json("/api/v1/hosts/stranger");
         let quarantined = misbehaving_peer["stored"]["quarantined"].as_u64()?;
         (quarantined >= 4).then(|| misbehaving_peer["stored"].clone())
@@ -134,11 +134,13 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
 
 #[test]
 fn foreign_batches_are_refused_and_repeated_ones_ignored() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("replayed batches");
     let fleet = with_agent();
-    let (own, other) =
-        (MisbehavingPeer::at(fleet.deployment.events), MisbehavingPeer::at(fleet.deployment.events));
+    let (own, other) = (
+        MisbehavingPeer::connect(fleet.deployment.events),
+        MisbehavingPeer::connect(fleet.deployment.events),
+    );
     let mut host = InventedHost::new("victim", &mut rng);
     host.open_session(&own);
     let batches: Vec<Vec<u8>> = (0..5).map(|_| host.batch(20)).collect();
@@ -167,7 +169,7 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
         own.send(batch);
     }
     own.wait_for_ack(5);
-    let stored = until("all is stored and duplicates are counted", || {
+    let stored = wait_until("all is stored and duplicates are counted", || {
         let victim = fleet.api.json("/api/v1/hosts/victim");
         let stored = &victim["stored"];
         // Repeated batches are visible at once, new ones with the first live update after their commit.
@@ -180,10 +182,10 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
 
 #[test]
 fn hello_flood_excludes_no_agent() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("hello storm");
     let fleet = with_agent();
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     // More hosts than one connection may represent.
     for n in 0..200 {
         let one = InventedHost::new(&format!("crowd-{n}"), &mut rng);
@@ -194,7 +196,8 @@ fn hello_flood_excludes_no_agent() {
     let words = InventedHost::new("one-more", &mut rng).expect_refusal(&misbehaving_peer);
     assert!(words.contains("connection"), "{words}");
     // Many connections, many with the normal agent's name, wrong versions, and long texts.
-    let crowd: Vec<MisbehavingPeer> = (0..60).map(|_| MisbehavingPeer::at(fleet.deployment.events)).collect();
+    let crowd: Vec<MisbehavingPeer> =
+        (0..60).map(|_| MisbehavingPeer::connect(fleet.deployment.events)).collect();
     for (n, one) in crowd.iter().enumerate() {
         let name = if n % 2 == 0 { "edge" } else { "somebody" };
         let mut hello = InventedHost::new(name, &mut rng).hello;
@@ -204,15 +207,17 @@ fn hello_flood_excludes_no_agent() {
             _ => hello.oldest = u64::MAX,
         }
         for _ in 0..20 {
-            one.say(&ToAggregator::Hello(hello.clone()));
+            one.send_message(&ToAggregator::Hello(hello.clone()));
         }
     }
     let words = crowd[0].wait_for_refusal();
     assert!(words.contains("version"), "{words}");
-    until("refusals are shown", || {
+    wait_until("refusals are shown", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         (!hosts["refused"].as_array()?.is_empty()).then_some(())
     });
-    until("refusals are counted", || (counter(&fleet, "peernet_aggregator_refused_hosts") > 0).then_some(()));
+    wait_until("refusals are counted", || {
+        (counter(&fleet, "peernet_aggregator_refused_hosts") > 0).then_some(())
+    });
     assert_nobody_was_harmed(fleet);
 }

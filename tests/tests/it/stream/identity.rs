@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use peernet_tests::fleet::{echo, edge, edge_in, rate};
-use peernet_tests::truth::ask;
-use peernet_tests::{Daemon, Fleet, measured, thousands};
+use peernet_tests::truth::query_database;
+use peernet_tests::{Daemon, Fleet, record_figures, thousands};
 
-use super::{assert_nothing_lost, turn};
+use super::{assert_nothing_lost, wait_for_turn};
 
 /// Copies a folder with all its files.
 fn copy(from: &Path, to: &Path) {
@@ -36,7 +36,7 @@ fn kill_with_batches(fleet: &mut Fleet) {
 
 #[test]
 fn restored_database_records_gap_and_continues() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 500);
@@ -65,10 +65,10 @@ fn restored_database_records_gap_and_continues() {
     // The gap begins where the copy ended, and is not longer than the lost part of the database.
     assert_eq!(run.ranges[0], 1..=older.iterations());
     assert!(*run.ranges[1].start() <= newer.iterations() + 1, "{run:?}, {newer:?}");
-    let why = ask(fleet.database(), "SELECT reason FROM gap");
+    let why = query_database(fleet.database(), "SELECT reason FROM gap");
     assert!(!why.trim().is_empty());
     let (first, last) = (run.ranges[0].end() + 1, run.ranges[1].start() - 1);
-    measured(
+    record_figures(
         "restored database",
         &[
             ("iterations missing by the hole", thousands((last - first + 1) as f64)),
@@ -80,7 +80,7 @@ fn restored_database_records_gap_and_continues() {
 
 #[test]
 fn copied_state_folder_starts_new_stream_after_refusal() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::new(&["edge"], &configuration);
     fleet.start(0);
@@ -94,13 +94,13 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     fleet.counts(0, "it delivers", |counts| counts.waiting < 100);
 
     let copied = edge_in("{folder}/copy", "", &echo("loop", &rate(200.0))).replace("NAME", "copy");
-    let mut copy = Daemon::started(&fleet.deployment, "copy", &copied);
+    let mut copy = Daemon::start_new(&fleet.deployment, "copy", &copied);
     let said = copy.process().wait_for("refused");
     assert!(said.contains("another agent with the host id"), "{said}");
     copy.stop();
     fleet.counts(0, "the first goes on", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).assert_balanced();
+    fleet.deliver_spool(0).assert_balanced();
     fleet.agents[0].stop();
 
     copy.start(&fleet.deployment);
@@ -111,7 +111,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     let stored_events = fleet.stop();
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
     assert_eq!(stored_events.count_missing(fleet.agents[1].spooled()), 0, "{stored_events:?}");
-    let streams = ask(fleet.database(), "SELECT count(*) FROM stream");
+    let streams = query_database(fleet.database(), "SELECT count(*) FROM stream");
     assert_eq!(streams.trim(), "2", "the copy goes on in a stream of its own: {stored_events:?}");
     for (id, run) in &stored_events.runs {
         assert!(run.is_contiguous(), "run {id}: {run:?}");
@@ -120,7 +120,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
 
 #[test]
 fn deleted_spool_causes_new_stream_and_gap() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 100);
@@ -138,7 +138,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
     let mut stored_events = fleet.stop();
     let host = stored_events.hosts.get_mut("edge").expect("stored");
     assert_eq!((host.streams, host.gaps, host.quarantined), (2, 1, 0), "{host:?}");
-    let why = ask(fleet.database(), "SELECT reason FROM gap");
+    let why = query_database(fleet.database(), "SELECT reason FROM gap");
     assert!(why.contains("spool"), "{why}");
     // Apart from the gap, which is in the run that was killed, everything is right.
     host.gaps = 0;
@@ -148,17 +148,17 @@ fn deleted_spool_causes_new_stream_and_gap() {
 
 #[test]
 fn second_agent_in_state_folder_is_refused() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 0);
     let second = edge_in("{folder}/edge", "", "").replace("NAME", "second");
     fleet.deployment.write("second.toml", &second);
-    let ended = fleet.deployment.start("second.toml").ended();
+    let ended = fleet.deployment.start("second.toml").wait_for_end();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     assert!(ended.log.contains("another agent uses"), "{}", ended.log);
     fleet.agents[0].stop();
-    fleet.deliver(0).assert_balanced();
+    fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
     assert_nothing_lost(&fleet, &stored_events);
 }

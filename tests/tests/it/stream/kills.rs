@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{EventCounts, Fleet, Stopwatch, TestRng, measured, thousands};
+use peernet_tests::{EventCounts, Fleet, Stopwatch, TestRng, record_figures, thousands};
 
-use super::{SMALL_SPOOL, assert_nothing_lost, setting, turn};
+use super::{SMALL_SPOOL, assert_nothing_lost, setting, wait_for_turn};
 
 /// One agent measures as fast as it can, so that its spool is almost always full and losses are reported among all
 /// other events. The other one loses only the ends of its runs, which were in memory when it was killed.
@@ -26,7 +26,7 @@ struct Tally {
 
 #[test]
 fn random_kills_lose_and_duplicate_no_spooled_iteration() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let (mut rng, began) = (TestRng::new("kills"), Stopwatch::now());
     let mut fleet = Fleet::new(&AGENTS, &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.agents[1].configure(&fleet.deployment, &edge("", &echo("loop", &rate(STEADY_HZ))));
@@ -46,7 +46,7 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
     let accounts: Vec<EventCounts> = (0..AGENTS.len())
         .map(|agent| {
             fleet.agents[agent].stop();
-            fleet.deliver(agent)
+            fleet.deliver_spool(agent)
         })
         .collect();
     tally.duplicates += accounts.iter().map(|counts| counts.duplicates).sum::<u64>();
@@ -64,7 +64,7 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
         assert!(!run.reason.is_empty(), "nobody noticed that run {id} has ended: {run:?}");
     }
     let number = |count: u64| thousands(count as f64);
-    measured(
+    record_figures(
         "kills",
         &[
             ("kills of agents", number(tally.agents)),
@@ -98,7 +98,7 @@ fn kill(fleet: &mut Fleet, agent: Option<usize>, aggregator: bool, rng: &mut Tes
     }
     rng.sleep_up_to(LIFE);
     if aggregator {
-        let duplicates = |name| EventCounts::of(&fleet.api, name).map_or(0, |counts| counts.duplicates);
+        let duplicates = |name| EventCounts::read(&fleet.api, name).map_or(0, |counts| counts.duplicates);
         tally.duplicates += AGENTS.iter().map(|name| duplicates(name)).sum::<u64>();
         fleet.aggregator.kill();
         tally.aggregator += 1;

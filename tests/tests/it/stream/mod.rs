@@ -20,7 +20,7 @@ use peernet_tests::{Fleet, StoredEvents};
 
 /// Waits for the turn of a test. These tests keep all cores busy: in sequence, none is slowed down beyond its
 /// timeouts by the others.
-pub(super) fn turn() -> MutexGuard<'static, ()> {
+pub(super) fn wait_for_turn() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     // A failed test has cleaned up as well.
     TURN.lock().unwrap_or_else(PoisonError::into_inner)

@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::truth::ask;
-use peernet_tests::{EventCounts, Fleet, Stopwatch, measured, thousands, until, until_grown};
+use peernet_tests::truth::query_database;
+use peernet_tests::{EventCounts, Fleet, Stopwatch, record_figures, thousands, wait_until, wait_until_grown};
 
-use super::{assert_nothing_lost, setting, turn};
+use super::{assert_nothing_lost, setting, wait_for_turn};
 
 /// Interval of queries of the stored data.
 const LOOK: Duration = Duration::from_millis(100);
@@ -18,7 +18,7 @@ const USUAL_LAG_MS: u64 = 5_000;
 
 #[test]
 fn day_long_outage_is_delivered_in_order() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let iterations = setting("PEERNET_OUTAGE_ITERATIONS", 30_000);
     // The work of a day is measured as fast as possible; the other pipeline is observed meanwhile.
     let hz = setting("PEERNET_OUTAGE_HZ", 2_000) as f64;
@@ -33,7 +33,7 @@ fn day_long_outage_is_delivered_in_order() {
     fleet.aggregator.kill();
     let agent = &fleet.agents[0];
     // The other pipeline never reaches that number.
-    until_grown("the day's iterations are in the spool", iterations, || {
+    wait_until_grown("the day's iterations are in the spool", iterations, || {
         agent.all_spooled().iter().map(|line| line.last).max()
     });
 
@@ -42,8 +42,8 @@ fn day_long_outage_is_delivered_in_order() {
     let mut lags = Vec::new();
     let mut seen = before.unwrap_or_default();
     loop {
-        let (number, done) = until("more of the day is stored", || {
-            let counts = EventCounts::of(&fleet.api, "edge").filter(|counts| counts.connected)?;
+        let (number, done) = wait_until("more of the day is stored", || {
+            let counts = EventCounts::read(&fleet.api, "edge").filter(|counts| counts.connected)?;
             lags.push(counts.live_lag_s);
             std::thread::sleep(LOOK);
             Some(stored(&fleet)?).filter(|(number, done)| *number > seen.0 || *done)
@@ -55,7 +55,7 @@ fn day_long_outage_is_delivered_in_order() {
     }
     let seconds = begin.elapsed().as_secs_f64();
     fleet.agents[0].stop();
-    let counts = fleet.deliver(0);
+    let counts = fleet.deliver_spool(0);
     let stored_events = fleet.stop();
     assert_nothing_lost(&fleet, &stored_events);
     counts.assert_balanced();
@@ -67,7 +67,7 @@ fn day_long_outage_is_delivered_in_order() {
     let caught_up = (iterations - before.map_or(0, |(number, _)| number)) as f64;
     let per_second = caught_up / seconds * (day.nodes as f64 / iterations as f64);
     let ms = |seconds: f64| format!("{:.0} ms", seconds * 1e3);
-    measured(
+    record_figures(
         "outage",
         &[
             ("iterations while away", thousands(caught_up)),
@@ -94,7 +94,7 @@ fn stored(fleet: &Fleet) -> Option<(u64, bool)> {
     let sql = "SELECT r.ok + r.warm_up + r.failed, coalesce((SELECT max(number) FROM iteration WHERE run = r.number), 0),
                       r.end_reason IS NOT NULL
                FROM run AS r JOIN pipeline AS p ON p.id = r.pipeline WHERE p.name = 'day'";
-    let row = ask(fleet.database(), sql);
+    let row = query_database(fleet.database(), sql);
     if row.is_empty() {
         return None;
     }

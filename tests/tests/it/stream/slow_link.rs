@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use peernet_tests::fleet::{echo, rate};
-use peernet_tests::network::HOME;
-use peernet_tests::{EventCounts, Network, Stopwatch, StoredEvents, TwoHostTestbed, say, wall};
+use peernet_tests::network::CONTROL_INTERFACE;
+use peernet_tests::{EventCounts, Network, Stopwatch, StoredEvents, TwoHostTestbed, print_line, wall};
 
-use super::turn;
+use super::wait_for_turn;
 
 const KBIT: u32 = 50;
 const HZ: f64 = 100.0;
@@ -16,19 +16,19 @@ const MOST_BEHIND_S: f64 = 5.0;
 
 #[test]
 fn host_on_50_kbit_link_loses_nothing() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let host = testbed.network.edge();
-    host.throttle(HOME, KBIT);
+    host.throttle(CONTROL_INTERFACE, KBIT);
     let more = format!("{}\nlimit = {{ total = {ITERATIONS} }}", rate(HZ));
     let model = "[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
-    let edge = testbed.edge(&format!("{model}{}", echo("line", &more)), &[]);
+    let edge = testbed.start_edge(&format!("{model}{}", echo("line", &more)), &[]);
     let began = Stopwatch::now();
-    let first = EventCounts::until(&testbed.api, "edge", "it is live", |counts| counts.produced > 0);
+    let first = EventCounts::wait_until(&testbed.api, "edge", "it is live", |counts| counts.produced > 0);
 
     let (mut behind, mut stored, mut asked) = (0.0_f64, first.events, 0);
     while began.elapsed() < Duration::from_secs(35) {
-        let counts = EventCounts::of(&testbed.api, "edge").expect("the aggregator answers");
+        let counts = EventCounts::read(&testbed.api, "edge").expect("the aggregator answers");
         assert!(counts.connected, "away after {:?}: {counts:?}", began.elapsed());
         assert!(counts.events >= stored, "{counts:?}");
         counts.assert_balanced();
@@ -36,14 +36,16 @@ fn host_on_50_kbit_link_loses_nothing() {
         (stored, asked) = (counts.events, asked + 1);
         std::thread::sleep(Duration::from_millis(250));
     }
-    say(&format!("{KBIT} kbit/s: {behind:.2} s behind at most, {stored} events stored, asked {asked} times"));
+    print_line(&format!(
+        "{KBIT} kbit/s: {behind:.2} s behind at most, {stored} events stored, asked {asked} times"
+    ));
     assert!(behind <= MOST_BEHIND_S, "the live picture was {behind} s behind");
     // Compressed events have some hundred bytes each.
     assert!(stored >= 300, "the durable lane stored {stored} events only");
     assert!(stored < ITERATIONS, "the link was not slow");
 
-    host.remove_limit(HOME);
-    let counts = EventCounts::at_rest(&testbed.api, "edge", wall());
+    host.remove_limit(CONTROL_INTERFACE);
+    let counts = EventCounts::wait_until_at_rest(&testbed.api, "edge", wall());
     counts.assert_balanced();
     assert_eq!((counts.dropped, counts.gaps, counts.missing, counts.duplicates), (0, 0, 0, 0));
     let ended = edge.stop();
@@ -51,7 +53,7 @@ fn host_on_50_kbit_link_loses_nothing() {
     assert_eq!(ended.log.matches("connected to the aggregator").count(), 1, "{}", ended.log);
     let database = testbed.folder().join("aggregator.sqlite");
     testbed.stop_and_inspect(|| {
-        let stored_events = StoredEvents::of(&database);
+        let stored_events = StoredEvents::read(&database);
         stored_events.assert_consistent();
         assert_eq!(stored_events.iterations(), ITERATIONS);
         assert!(

@@ -1,20 +1,20 @@
 //! Tests of a full disk under an agent's spool.
 
 use peernet_tests::fleet::{echo, edge_in, rate};
-use peernet_tests::{Fleet, SmallDisk, measured, thousands};
+use peernet_tests::{Fleet, SmallDisk, record_figures, thousands};
 use serde_json::Value;
 
-use super::turn;
+use super::wait_for_turn;
 
 #[test]
 fn full_spool_disk_is_reported_and_drops_counted() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let (store, state) = (SmallDisk::new(48 << 20), SmallDisk::new(16 << 20));
     let database = store.folder().join("aggregator.sqlite").display().to_string();
     let folder = state.folder().join("NAME").display().to_string();
     // Events that wait in memory meanwhile soon exceed the limit.
     let agent = edge_in(&folder, "queue_events = 4000", &echo("loop", &rate(2_000.0)));
-    let mut fleet = Fleet::storing_in(&database, &["edge"], &agent);
+    let mut fleet = Fleet::with_database(&database, &["edge"], &agent);
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 100);
 
@@ -37,7 +37,7 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     store.free();
     fleet.counts(0, "what waited is stored", |counts| counts.events > full.events + 5_000);
     fleet.agents[0].stop();
-    let counts = fleet.deliver(0);
+    let counts = fleet.deliver_spool(0);
     counts.assert_balanced();
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
@@ -50,7 +50,7 @@ fn full_spool_disk_is_reported_and_drops_counted() {
         let last = run.ranges.last().map_or(0, |range| *range.end());
         assert!(last - run.iterations() <= run.missing, "{run:?}");
     }
-    measured(
+    record_figures(
         "full disk, spool",
         &[
             ("events produced", thousands(counts.produced as f64)),
@@ -62,7 +62,7 @@ fn full_spool_disk_is_reported_and_drops_counted() {
 
 #[test]
 fn start_on_full_disk_counts_dropped_events() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let state = SmallDisk::new(16 << 20);
     let folder = state.folder().join("NAME").display().to_string();
     // Some events wait in memory until the end; the others are dropped before.
@@ -82,7 +82,7 @@ fn start_on_full_disk_counts_dropped_events() {
     fleet.agents[0].process().wait_for("the disk is full");
     fleet.agents[0].process().wait_for_nth("actuators: answer", 1_500);
     let spool = state.folder().join("edge").join("spool.sqlite").display().to_string();
-    let examined = fleet.deployment.peernetd(&["doctor", "--json", "--spool", &spool]).ended();
+    let examined = fleet.deployment.peernetd(&["doctor", "--json", "--spool", &spool]).wait_for_end();
     let report: Value =
         serde_json::from_str(&examined.log).unwrap_or_else(|error| panic!("{error}: {}", examined.log));
     assert_eq!((examined.code(), &report["healthy"]), (65, &Value::Bool(false)), "{report}");
@@ -106,7 +106,7 @@ fn start_on_full_disk_counts_dropped_events() {
     let first = &fleet.agents[0].spooled()[0].run;
     let second = stored_events.runs.iter().filter(|(id, _)| *id != first).map(|(_, run)| run.iterations());
     assert!(host.missing + second.sum::<u64>() >= answers, "{answers} answers: {host:?}");
-    measured(
+    record_figures(
         "full disk at the start, spool",
         &[
             ("iterations measured", thousands(answers as f64)),

@@ -1,9 +1,9 @@
 //! Tests of SIGTERM while everything runs at full speed.
 
 use peernet_tests::fleet::{echo, edge};
-use peernet_tests::{Fleet, ProcessEnd, measured, thousands};
+use peernet_tests::{Fleet, ProcessEnd, record_figures, thousands};
 
-use super::{SMALL_SPOOL, assert_nothing_lost, turn};
+use super::{SMALL_SPOOL, assert_nothing_lost, wait_for_turn};
 
 /// Returns an agent that logs each answer, so that the number of measured iterations is known independently of the
 /// spool.
@@ -18,14 +18,14 @@ fn answers(ended: &ProcessEnd) -> u64 {
 
 /// Checks that every measured iteration is stored or counted in gaps, and that the end of the run is stored.
 fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
-    fleet.deliver(0).assert_balanced();
+    fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
     assert_nothing_lost(&fleet, &stored_events);
     let run = stored_events.runs.values().next().expect("one run");
     assert_eq!((stored_events.runs.len(), run.reason.as_str()), (1, "stopped"), "{stored_events:?}");
     assert_eq!(run.iterations() + run.missing, measured_in_all, "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
-    measured(
+    record_figures(
         what,
         &[
             ("iterations measured", number(measured_in_all)),
@@ -37,7 +37,7 @@ fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u6
 
 #[test]
 fn agent_stopped_without_aggregator_keeps_all_in_spool() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.aggregator.stop();
     fleet.start(0);
@@ -49,7 +49,7 @@ fn agent_stopped_without_aggregator_keeps_all_in_spool() {
 
 #[test]
 fn agent_stopped_under_load_spooled_or_stored_everything() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 1_000);
@@ -59,7 +59,7 @@ fn agent_stopped_under_load_spooled_or_stored_everything() {
 
 #[test]
 fn aggregator_stopped_under_load_stored_acknowledged_batches() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut fleet =
         Fleet::new(&["edge-1", "edge-2"], &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.start_all();
@@ -74,13 +74,13 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     for (agent, before) in before.into_iter().enumerate() {
         fleet.counts(agent, "more is stored", |counts| counts.events > before);
         fleet.agents[agent].stop();
-        fleet.deliver(agent).assert_balanced();
+        fleet.deliver_spool(agent).assert_balanced();
     }
     let stored_events = fleet.stop();
     assert_nothing_lost(&fleet, &stored_events);
     assert!(stored_events.iterations() > first.iterations(), "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
-    measured(
+    record_figures(
         "SIGTERM, aggregator",
         &[
             ("iterations stored when it ended", number(first.iterations())),

@@ -1,9 +1,9 @@
 //! Test of agents with other versions of the event stream at a real aggregator.
 
 use peernet_stream::{Hello, HelloExtension, Release, STREAM_VERSIONS, ToAgent, ToAggregator, codec};
-use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, until};
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, wait_until};
 
-use super::turn;
+use super::wait_for_turn;
 
 /// Returns a hello of a later version, whose extension has a name that this version does not know.
 fn later_frame(hello: &Hello) -> Vec<u8> {
@@ -20,7 +20,7 @@ fn later_frame(hello: &Hello) -> Vec<u8> {
 
 #[test]
 fn newer_agent_is_served_unknown_versions_refused() {
-    let _turn = turn();
+    let _turn = wait_for_turn();
     let mut rng = TestRng::new("other versions");
     let mut fleet = Fleet::new(&[], "");
     let newest = STREAM_VERSIONS.newest();
@@ -28,12 +28,12 @@ fn newer_agent_is_served_unknown_versions_refused() {
 
     let mut later = InventedHost::new("later", &mut rng);
     later.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
-    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     misbehaving_peer.send(&later_frame(&later.hello));
     let challenge = misbehaving_peer.receive();
     let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };
     assert_eq!(version.unwrap_or(later.hello.protocol), newest, "the highest that both speak");
-    misbehaving_peer.prove(&later.hello, &later.secret, &challenge);
+    misbehaving_peer.answer_challenge(&later.hello, &later.secret, &challenge);
     misbehaving_peer.receive_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
     misbehaving_peer.send(&later.batch(3));
     misbehaving_peer.wait_for_ack(1);
@@ -48,7 +48,7 @@ fn newer_agent_is_served_unknown_versions_refused() {
     let reason = too_old.expect_refusal(&misbehaving_peer);
     assert!(reason.contains("update the agent on too-old to at least PEERNet"), "{reason}");
 
-    until("both are shown with what to do", || {
+    wait_until("both are shown with what to do", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         let reasons: Vec<_> = hosts["refused"].as_array()?.iter().map(|one| one["reason"].as_str()).collect();
         let has =

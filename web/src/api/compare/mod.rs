@@ -11,9 +11,9 @@ use utoipa_axum::routes;
 
 use self::schema::{Comparison, Experiment, ExperimentList};
 use crate::error::{ProblemDetails, WebError};
-use crate::parameters::{Parameters, bounded};
+use crate::parameters::{Parameters, parse_bounded};
 use crate::state::App;
-use crate::view::compare::{CompareSelection, Differences, gather, run_means};
+use crate::view::compare::{CompareSelection, Differences, load_comparison, run_means};
 
 /// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
@@ -28,19 +28,19 @@ struct CompareQuery {
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(pattern = "^[0-9]+(,[0-9]+){0,11}$")]
     runs: Option<String>,
-    /// Id of an experiment: all its runs that were measured to their end, each repeat once, at most 200; repeats of a configuration are
-    /// combined.
+    /// Id of an experiment. Compares all of its runs that were measured to their end, each repeat once, at most 200. Repeats of a
+    /// configuration are combined.
     #[allow(dead_code, reason = "describes the parameter")]
     experiment: Option<String>,
-    /// Number of a compared run: its configuration is the baseline. Unless given, that of the first run.
+    /// Number of a compared run, whose configuration is the baseline; the first run unless given.
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(value_type = Option<i64>)]
     baseline: Option<String>,
 }
 
-/// Comparison of runs. Means and standard deviations of several runs are exact, quantiles are of all runs of a configuration together and
-/// within 1 %. The differences of the means to the baseline have a 95 % interval (Welch, from the means of at most 30 batches of each
-/// run).
+/// Comparison of runs. Means and standard deviations over several runs are exact. Quantiles are computed over all runs of a
+/// configuration together, within 1 %. The differences of the means to the baseline have a 95 % interval (Welch, from the means of at
+/// most 30 batches of each run).
 #[utoipa::path(get, path = "/api/v1/compare", operation_id = "compareRuns", tag = "runs", params(CompareQuery), responses(
     (status = 200, body = Comparison),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -50,11 +50,13 @@ async fn compare(
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Result<Json<Comparison>, WebError> {
     let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == "baseline");
-    let which = CompareSelection::of(&query, "runs or experiment, and with either baseline")?;
-    let which = which.ok_or_else(|| {
-        WebError::BadRequest("query parameter runs: name runs, or an experiment".to_owned())
+    let selection = CompareSelection::parse(&query, "runs or experiment, and optionally baseline")?;
+    let selection = selection.ok_or_else(|| {
+        WebError::BadRequest(
+            "query parameter runs: give numbers of runs, or an experiment instead".to_owned(),
+        )
     })?;
-    let comparison = gather(app.store(), &which).await?;
+    let comparison = load_comparison(app.store(), &selection).await?;
     let baseline = comparison.baseline(baseline.last().map(|(_, run)| run.as_str()))?;
     let means = run_means(app.store(), &comparison).await?;
     let differences = Differences::of(&comparison, &means, baseline);
@@ -66,7 +68,7 @@ async fn compare(
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct ExperimentsQuery {
-    /// Largest number of experiments returned, 1 to 1,000; 50 unless given.
+    /// Maximum number of experiments returned, 1 to 1,000; 50 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 50)]
     limit: Option<String>,
 }
@@ -80,7 +82,7 @@ async fn experiments(
     State(app): State<App>,
     Parameters(query): Parameters<ExperimentsQuery>,
 ) -> Result<Json<ExperimentList>, WebError> {
-    let limit = bounded("limit", query.limit.as_deref(), 50, 1..=1_000)?;
+    let limit = parse_bounded("limit", query.limit.as_deref(), 50, 1..=1_000)?;
     let found = app.store().experiments(limit).await?;
     Ok(Json(ExperimentList { experiments: found.iter().map(Experiment::from).collect() }))
 }

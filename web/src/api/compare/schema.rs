@@ -14,13 +14,13 @@ pub(crate) struct ExperimentList {
     pub experiments: Vec<Experiment>,
 }
 
-/// Runs that were declared together.
+/// Runs of one execution of an experiment file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Experiment {
     /// Id of the experiment; equal for all runs of one execution.
     pub id: String,
     pub name: String,
-    /// Number of runs that began.
+    /// Number of runs that started.
     pub runs: u64,
     /// Number of these runs that have not ended.
     pub open: u64,
@@ -33,8 +33,8 @@ pub(crate) struct Experiment {
 }
 
 impl From<&store::ExperimentSummary> for Experiment {
-    fn from(known: &store::ExperimentSummary) -> Self {
-        let store::ExperimentSummary { id, name, runs, open, oldest, newest, started } = known.clone();
+    fn from(summary: &store::ExperimentSummary) -> Self {
+        let store::ExperimentSummary { id, name, runs, open, oldest, newest, started } = summary.clone();
         Self { id, name, runs, open, oldest, newest, started: time(started) }
     }
 }
@@ -47,10 +47,10 @@ pub(crate) struct Comparison {
     /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
     pub configurations: Vec<Configuration>,
-    /// Further settings in which they differ, and those that the experiment declares for all alike.
+    /// Further settings in which the configurations differ, and settings that the experiment declares equally for all of them.
     pub settings: Vec<Setting>,
-    /// Letter of the configuration with the lowest mean of `total`; null where there is nothing to compare. Configurations whose
-    /// model only answers what it was sent are left out where others compute.
+    /// Letter of the configuration with the lowest mean of `total`; null where there is nothing to compare. Configurations with an echo
+    /// model are excluded if others run a real model.
     pub best: Option<String>,
     /// Letters of the configurations whose mean of `total` is not significantly larger than the lowest.
     pub ties: Vec<String>,
@@ -58,48 +58,47 @@ pub(crate) struct Comparison {
     pub baseline: Option<String>,
     /// Differences between each other configuration and the baseline, stage by stage, where the interval is known.
     pub differences: Vec<Difference>,
-    /// Reasons not to take the figures at face value, as sentences; for example starts that were skipped.
+    /// Caveats about the figures, as sentences; for example that starts were skipped.
     pub doubts: Vec<String>,
     /// Runs of the experiment that are excluded: those that were not measured to their end, and those that were measured again.
     pub left_out: Vec<LeftOut>,
-    /// `true` if there were more runs than are compared.
+    /// `true` if the runs exceed the maximum and the rest is not compared.
     pub cut: bool,
 }
 
-/// A run that is not compared.
+/// A run that is excluded from the comparison.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct LeftOut {
     /// Number of the run.
     pub run: i64,
-    /// Reason: how it ended, or the number of the run that replaces it.
+    /// Reason of the exclusion: how the run ended, or the number of the run that replaces it.
     pub why: String,
 }
 
-/// Runs of one configuration, combined.
+/// A configuration with all of its runs combined.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Configuration {
     /// `A`, `B` and so on, in the order of the list.
     pub letter: String,
-    /// Settings in which this configuration differs from the others, in words; unique.
+    /// Unique name, made of the settings in which this configuration differs from the others.
     pub name: String,
     /// Value of the configuration on each axis.
     pub values: Vec<String>,
     /// Numbers of its runs.
     pub runs: Vec<i64>,
-    /// Number of starts that came due, warm-up left out; in a closed loop the number of iterations.
+    /// Number of starts that were due, without warm-up; in a closed loop the number of iterations.
     pub starts: u64,
-    /// Number of these starts that were skipped because the pipeline was too far behind.
+    /// Number of these starts that were skipped because the pipeline was too far behind its schedule.
     pub skipped_starts: u64,
-    /// Deadline of an iteration, seconds; null without a deadline, and where its runs have different ones.
+    /// Deadline of an iteration, seconds; null without a deadline, and if its runs have different deadlines.
     pub deadline_s: Option<f64>,
-    /// The miss rate: share of iterations that took longer than the deadline or have no answer, 0 to 1, warm-up left out; null
-    /// without a deadline.
+    /// Share of iterations that took longer than the deadline or have no answer, 0 to 1, without warm-up; null without a deadline.
     pub miss_rate: Option<f64>,
     pub stages: Vec<ComparedStage>,
 }
 
-/// Statistics of one node name over all runs of the configuration together, in its SI unit: counts, means, deviations and extremes are
-/// exact, quantiles within 1 % of those of all their iterations.
+/// Statistics of one node name over all runs of a configuration together, in its SI unit. Counts, means, deviations and extremes are
+/// exact; quantiles are within 1 % of those of all iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ComparedStage {
     pub name: String,
@@ -126,7 +125,7 @@ pub(crate) struct Difference {
     pub value: f64,
     /// Lower and upper end of the 95 % interval.
     pub interval: [f64; 2],
-    /// `true` if zero lies outside the interval.
+    /// `true` if the interval does not contain zero.
     pub certain: bool,
 }
 
@@ -137,8 +136,8 @@ impl Comparison {
             unit: stage.unit.clone(),
             figures: stage.figures,
         };
-        let configuration = |(at, one): (usize, &compare::Configuration)| Configuration {
-            letter: letter(at),
+        let configuration = |(index, one): (usize, &compare::Configuration)| Configuration {
+            letter: configuration_letter(index),
             name: one.name.clone(),
             values: one.values.clone(),
             runs: one.runs.iter().map(|run| run.number).collect(),
@@ -148,19 +147,19 @@ impl Comparison {
             miss_rate: one.misses().and_then(Misses::rate),
             stages: one.stages.iter().map(stage).collect(),
         };
-        let left_out = |one: &compare::LeftOut| LeftOut { run: one.run, why: one.why.clone() };
-        let known = differences.others.iter().flat_map(|(place, stages)| {
-            let known = |stage: &compare::StageDifference| {
+        let left_out = |one: &compare::ExcludedRun| LeftOut { run: one.run, why: one.why.clone() };
+        let differences_to_baseline = differences.others.iter().flat_map(|(index, stages)| {
+            let with_interval = |stage: &compare::StageDifference| {
                 let found = stage.found?;
                 Some(Difference {
-                    configuration: letter(*place),
+                    configuration: configuration_letter(*index),
                     name: stage.name.to_string(),
                     value: found.value,
                     interval: found.interval?.into(),
                     certain: found.is_distinct()?,
                 })
             };
-            stages.iter().filter_map(known).collect::<Vec<_>>()
+            stages.iter().filter_map(with_interval).collect::<Vec<_>>()
         });
         let setting = |one: &compare::Setting| Setting { name: one.name.clone(), values: one.values.clone() };
         let ranking = differences.ranking.as_ref();
@@ -169,11 +168,14 @@ impl Comparison {
             axes: comparison.axes.clone(),
             settings: comparison.settings.iter().map(setting).collect(),
             configurations: comparison.configurations.iter().enumerate().map(configuration).collect(),
-            best: ranking.map(|ranking| letter(ranking.best)),
-            ties: ranking.map(|ranking| ranking.ties().into_iter().map(letter).collect()).unwrap_or_default(),
-            baseline: (!comparison.configurations.is_empty()).then(|| letter(differences.baseline)),
-            differences: known.collect(),
-            doubts: compare::doubts(comparison),
+            best: ranking.map(|ranking| configuration_letter(ranking.best)),
+            ties: ranking
+                .map(|ranking| ranking.ties().into_iter().map(configuration_letter).collect())
+                .unwrap_or_default(),
+            baseline: (!comparison.configurations.is_empty())
+                .then(|| configuration_letter(differences.baseline)),
+            differences: differences_to_baseline.collect(),
+            doubts: compare::caveats(comparison),
             left_out: comparison.left_out.iter().map(left_out).collect(),
             cut: comparison.cut,
         }
@@ -181,11 +183,11 @@ impl Comparison {
 }
 
 /// Returns the letter of a configuration: `A` to `Z`, then `AA`.
-fn letter(mut at: usize) -> String {
+fn configuration_letter(mut index: usize) -> String {
     let mut text = String::new();
     loop {
-        text.insert(0, char::from(b'A' + (at % 26) as u8));
-        at = match (at / 26).checked_sub(1) {
+        text.insert(0, char::from(b'A' + (index % 26) as u8));
+        index = match (index / 26).checked_sub(1) {
             Some(rest) => rest,
             None => return text,
         };
@@ -194,11 +196,11 @@ fn letter(mut at: usize) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::letter;
+    use super::configuration_letter;
 
     #[test]
     fn configurations_have_letters() {
-        let letters: Vec<String> = [0, 1, 25, 26, 51, 52, 701, 702].map(letter).to_vec();
+        let letters: Vec<String> = [0, 1, 25, 26, 51, 52, 701, 702].map(configuration_letter).to_vec();
         assert_eq!(letters, ["A", "B", "Z", "AA", "AZ", "BA", "ZZ", "AAA"]);
     }
 }

@@ -20,14 +20,14 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list)).routes(routes!(get))
 }
 
-/// Every host that reports or is stored, by name, and those that were turned away.
+/// All hosts that report or are stored, by name, and hosts whose connections were refused.
 #[utoipa::path(get, path = "/api/v1/hosts", operation_id = "listHosts", tag = "hosts", responses(
     (status = 200, body = HostList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
 async fn list(State(app): State<App>) -> Result<Json<HostList>, WebError> {
-    let refused = app.picture().refused.iter().map(RefusedHost::from).collect();
-    Ok(Json(HostList { hosts: all(&app).await?, refused }))
+    let refused = app.live_state().refused.iter().map(RefusedHost::from).collect();
+    Ok(Json(HostList { hosts: all_hosts(&app).await?, refused }))
 }
 
 /// One host, by name or id.
@@ -43,15 +43,18 @@ async fn get(
     host: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Host>, WebError> {
     let name = path(host)?;
-    let found = all(&app).await?.into_iter().find(|host| host.name == name || host.id == name);
-    found.map(Json).ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported here")))
+    let found = all_hosts(&app).await?.into_iter().find(|host| host.name == name || host.id == name);
+    found
+        .map(Json)
+        .ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported to this aggregator")))
 }
 
-async fn all(app: &AppState) -> Result<Vec<Host>, WebError> {
+/// Returns the live hosts, and the stored ones that are not live, by name.
+async fn all_hosts(app: &AppState) -> Result<Vec<Host>, WebError> {
     let stored = app.store().hosts().await?;
-    let picture = app.picture();
-    let mut hosts: Vec<Host> = picture.hosts.iter().map(|host| Host::from(&**host)).collect();
-    let live: HashSet<_> = picture.hosts.iter().map(|host| host.id).collect();
+    let snapshot = app.live_state();
+    let mut hosts: Vec<Host> = snapshot.hosts.iter().map(|host| Host::from(&**host)).collect();
+    let live: HashSet<_> = snapshot.hosts.iter().map(|host| host.id).collect();
     let past = stored.iter().filter(|row| !live.contains(&row.id));
     hosts.extend(past.map(Host::from));
     hosts.sort_by(|a, b| a.name.cmp(&b.name));

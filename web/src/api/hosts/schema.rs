@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use crate::api::schema::{HostClock, time};
 
-/// Every host that is stored or reports.
+/// All hosts that report or are stored.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostList {
     pub hosts: Vec<Host>,
@@ -50,21 +50,21 @@ pub(crate) struct Host {
     pub connected: bool,
     pub last_seen: String,
     pub description: Description,
-    /// Current state; null for a host that is not in the live picture.
+    /// Current state; null for a host that is not in the live state.
     pub now: Option<HostNow>,
-    /// The host's wall clock by its own account; null for a host that is not in the live picture.
+    /// The host's wall clock as the host reports it; null for a host that is not in the live state.
     pub clock: Option<HostClock>,
     pub stored: Stored,
 }
 
-/// Description that a host sent of itself.
+/// Hardware and software of a host, as its agent reports them.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Description {
     /// Version of its agent.
     pub version: String,
-    /// The kernel's boot id and the clock's name. Hosts with equal ones may read one clock; `same_clock` of a link is true if that is
-    /// proven.
+    /// The kernel's boot id. Hosts with equal `boot_id` and `clock` may read one clock; `same_clock` of a link is true if that is proven.
     pub boot_id: String,
+    /// Name of the clock.
     pub clock: String,
     pub cpu: String,
     pub cores: u32,
@@ -72,7 +72,7 @@ pub(crate) struct Description {
     pub gpus: Vec<String>,
     pub system: String,
     pub architecture: String,
-    /// Addresses at which it serves models, with `, ` between them, if it does.
+    /// Addresses at which it serves models, separated by `, `; null if it serves none.
     pub serves: Option<String>,
     pub models: Vec<String>,
 }
@@ -81,12 +81,12 @@ pub(crate) struct Description {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[schema(as = Now)]
 pub(crate) struct HostNow {
-    /// Difference between its wall clock and the aggregator's, seconds, by its last update. It includes the update's time on the network,
-    /// so it is a hint and not a measurement.
+    /// Wall clock of the host minus that of the aggregator, seconds, by the host's last update. It includes the time that the update
+    /// took on the network, so it is only a rough value.
     pub clock_ahead_s: f64,
-    /// Delay of storing behind measuring, seconds: age of the oldest waiting event, by the host's own clock; null when nothing waits.
+    /// Lag of storage behind measurement, seconds: age of the oldest event that is not stored, by the host's clock; null when none waits.
     pub behind_s: Option<f64>,
-    /// Rate of catching up; null while the lag does not fall, or is below five seconds.
+    /// Progress of storing a backlog; null while the lag does not fall, or is below five seconds.
     pub catching_up: Option<CatchingUp>,
     /// Busy share of all cores, 0 to 1.
     pub cpu: Option<f64>,
@@ -101,20 +101,20 @@ pub(crate) struct HostNow {
     pub events: EventAccount,
 }
 
-/// Counts of an agent's events since its spool was made, by its own account; produced = acknowledged + waiting + dropped.
+/// Counts of an agent's events since its spool was created, as the agent reports them; produced = acknowledged + waiting + dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct EventAccount {
     /// Number of events produced; each reported gap counts as an event.
     pub produced: u64,
-    /// Number of these written to the spool, or stored without it while its disk failed.
+    /// Number of produced events that were written to the spool, or stored without it while its disk failed.
     pub spooled: u64,
-    /// Number of these sent at least once.
+    /// Number of produced events that were sent at least once.
     pub sent: u64,
-    /// Number of these acknowledged as stored.
+    /// Number of produced events that were acknowledged as stored.
     pub acknowledged: u64,
     /// Number of events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
-    /// Number of events dropped because there was no room or lost when the agent was killed; gaps count them.
+    /// Number of events that were dropped because a queue or the spool was full, or lost when the agent was killed; gaps count them.
     pub dropped: u64,
     /// Number of gaps reported.
     pub gaps: u64,
@@ -126,7 +126,7 @@ pub(crate) struct EventAccount {
     pub memory_bytes: u64,
     /// Time of the oldest waiting event, on the agent's wall clock; null when none waits.
     pub oldest: Option<String>,
-    /// `true` if batches travel compressed: they wait for the link or the aggregator.
+    /// `true` if batches are compressed because they wait for the link or the aggregator.
     pub compressed: bool,
     /// Reason why the spool cannot be written or read; null while it works.
     pub trouble: Option<String>,
@@ -167,7 +167,7 @@ impl From<&Accounting> for EventAccount {
     }
 }
 
-/// Rate at which storing catches up with measuring.
+/// Progress of storing a backlog.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct CatchingUp {
     /// Seconds by which the lag falls per second, over about the last 10 s.
@@ -178,22 +178,22 @@ pub(crate) struct CatchingUp {
     pub left_s: f64,
 }
 
-/// Contents of the database about a host, by the aggregator's account.
+/// Counts of a host's data that the aggregator stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Stored {
     /// Events of all kinds.
     pub events: u64,
     /// Nodes of iterations.
     pub nodes: u64,
-    /// Gaps that the host reported or that were noticed in its streams.
+    /// Gaps that the host reported or that the aggregator detected in its streams.
     pub gaps: u64,
     /// Events missing in the gaps, as far as they could be counted.
     pub missing: u64,
-    /// Batches that arrived more than once and were stored once, since the aggregator started.
+    /// Batches that were received again and not stored again, since the aggregator started.
     pub duplicates: u64,
     /// Batches quarantined because they could not be stored.
     pub quarantined: u64,
-    /// Batches that were requested again because there was no room, since the aggregator started.
+    /// Batches that were requested again later because the queue was full, since the aggregator started.
     pub deferred: u64,
     /// Batches whose bytes did not match their hash, since the aggregator started.
     pub damaged: u64,

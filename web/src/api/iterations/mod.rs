@@ -13,7 +13,7 @@ use utoipa_axum::routes;
 
 use self::schema::{Iteration, IterationList, IterationSummary};
 use crate::error::{ProblemDetails, WebError};
-use crate::parameters::{Parameters, bounded, path};
+use crate::parameters::{Parameters, parse_bounded, path};
 use crate::state::App;
 use crate::view::runs::reject_deleted;
 
@@ -38,20 +38,20 @@ enum Order {
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct Query {
-    /// Iterations of greater number: `next` of the previous page.
+    /// Iterations after this number: `next` of the previous page.
     #[param(minimum = 0)]
     after: Option<u64>,
-    /// Largest number of iterations returned, 1 to 1,000; 100 unless given.
+    /// Maximum number of iterations returned, 1 to 1,000; 100 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
-    /// `true` for iterations without an answer only: failed, lost, timeout.
+    /// `true` to list only iterations without an answer: failed, lost, timeout.
     unsuccessful: bool,
-    /// `number` unless given; `slowest` takes neither `after` nor `unsuccessful`.
+    /// `number` unless given; `slowest` cannot be combined with `after` or `unsuccessful`.
     #[param(inline)]
     order: Order,
 }
 
-/// Iterations by increasing number, or the slowest; those that retention deleted are left out.
+/// Iterations by increasing number, or the slowest first, without those that retention deleted.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/iterations", operation_id = "listIterations", tag = "iterations", params(("run" = i64, Path), Query), responses(
     (status = 200, body = IterationList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -62,7 +62,7 @@ async fn list(
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<IterationList>, WebError> {
     let number = path(number)?;
-    let limit = bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
+    let limit = parse_bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
     let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     if query.order == Order::Slowest {
         if query.after.is_some() || query.unsuccessful {
@@ -82,7 +82,7 @@ async fn list(
     Ok(Json(IterationList { iterations: rows.iter().map(IterationSummary::from).collect(), next }))
 }
 
-/// One iteration with its tree. 410 if retention deleted it, 404 if it never existed.
+/// One iteration with its tree. The status is 410 if retention deleted it, and 404 if it never existed.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/iterations/{iteration}", operation_id = "getIteration", tag = "iterations",
     params(("run" = i64, Path), ("iteration" = u64, Path)),
     responses(

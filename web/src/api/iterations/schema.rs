@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use crate::api::schema::{Assumptions, NodeFigures, time};
 
-/// Iterations by rising number, or the slowest first.
+/// Iterations by increasing number, or the slowest first.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct IterationList {
     pub iterations: Vec<IterationSummary>,
@@ -20,7 +20,7 @@ pub(crate) struct IterationList {
 /// An iteration in a list.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct IterationSummary {
-    /// Contiguous from 1 within the run.
+    /// Number within the run, contiguous from 1.
     pub number: u64,
     pub episode: u32,
     pub step: u32,
@@ -35,16 +35,16 @@ pub(crate) struct IterationSummary {
     pub factor: Option<f64>,
     /// First element of `causes`; null if `causes` is empty.
     pub blame: Option<SlowPart>,
-    /// Causes of a slow iteration: the parts with the largest excess over their own medians, largest first, until they explain 80 % of
-    /// the excess of `total`. A part is a stage, `lateness`, `unattributed` (without lateness), or `upload + download`. Empty where the
+    /// Causes of a slow iteration: the parts that exceed their own medians most, largest excess first, until they explain 80 % of the
+    /// excess of `total`. A part is a stage, `lateness`, `unattributed` (without lateness), or `upload + download`. Empty if the
     /// iteration took no longer than the run's median.
     pub causes: Vec<SlowPart>,
     /// Seconds per stage, in their order.
     pub stages: Vec<StageTime>,
     /// Time of `total` that its stages do not account for, seconds.
     pub unattributed: Option<f64>,
-    /// Sum of `upload` and `download` where one of them has no value alone, seconds: the time that the edge waited less the time that the
-    /// cloud took. `total` is this, `unattributed` and the other stages. Null where each is known.
+    /// Sum of `upload` and `download`, seconds, if one of them has no value: the time that the edge waited minus the time that the cloud
+    /// took. `total` is then the sum of this, `unattributed` and the other stages. Null if both have values.
     pub both_ways: Option<f64>,
 }
 
@@ -61,24 +61,26 @@ pub(crate) struct StageTime {
 /// Accuracy of a one-way delay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct StageDelay {
-    /// Receiver's stamp less sender's stamp, each by the wall clock of its host, seconds; may be negative.
+    /// Receiver's stamp minus sender's stamp, each by the wall clock of its host, seconds; may be negative.
     pub raw_s: f64,
-    /// The interval that contains the truth; null when nothing is known.
+    /// Lower end of the interval that contains the true delay; null when nothing is known.
     pub lo_s: Option<f64>,
+    /// Upper end of the interval.
     pub hi_s: Option<f64>,
     /// Source of the interval: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
     pub source: &'static str,
     /// `ok`, `limited`, `stale`, `unsynchronised`, `stepped` or `inconsistent`.
     pub verdict: &'static str,
-    /// `true` if the interval rests on what time daemons claim.
+    /// `true` if claims of time daemons narrowed the interval.
     pub claims_used: bool,
-    /// Further assumptions of the interval; null where both ends are on one clock, and where no clock sample of its time is stored.
+    /// Further assumptions of the interval; null if both hosts read one clock, or no clock sample of that time is stored.
     pub assumptions: Option<Assumptions>,
 }
 
 impl StageDelay {
-    /// Returns the iteration's delay of this stage. `None` where there are several: they are added up, so that none represents the sum.
-    pub(crate) fn of(row: &store::IterationRow, stage: &Name) -> Option<Self> {
+    /// Returns the iteration's delay of a stage. `None` if the stage occurs several times: its value is then the sum of several delays,
+    /// and no single delay describes the accuracy of the sum.
+    pub(crate) fn find(row: &store::IterationRow, stage: &Name) -> Option<Self> {
         let mut same = row.delays.iter().filter(|delay| delay.stage == *stage);
         let delay = same.next().filter(|_| same.next().is_none())?;
         Some(Self {
@@ -98,15 +100,15 @@ impl StageDelay {
 }
 
 impl StageTime {
-    /// Returns the stages of an iteration in their order, those included of which only a raw difference is known.
+    /// Returns the stages of an iteration in their order, including stages that have only a raw difference of stamps.
     fn all(row: &store::IterationRow) -> Vec<Self> {
-        let of = |stage: Name| {
-            let known = row.stages.iter().find(|(name, _)| *name == stage).map(|(_, seconds)| *seconds);
+        let stage_time = |stage: Name| {
+            let seconds = row.stages.iter().find(|(name, _)| *name == stage).map(|(_, seconds)| *seconds);
             let judged = row.delays.iter().any(|delay| delay.stage == stage);
-            let delay = StageDelay::of(row, &stage);
-            (known.is_some() || judged).then(|| Self { name: stage.to_string(), seconds: known, delay })
+            let delay = StageDelay::find(row, &stage);
+            (seconds.is_some() || judged).then(|| Self { name: stage.to_string(), seconds, delay })
         };
-        stage::ORDER.into_iter().filter_map(of).collect()
+        stage::ORDER.into_iter().filter_map(stage_time).collect()
     }
 }
 
@@ -176,7 +178,7 @@ impl TryFrom<&store::IterationDetail> for Iteration {
             rank: detail.rank,
             previous: detail.previous,
             next: detail.next,
-            run_figures: NodeFigures::all(&detail.run_figures),
+            run_figures: NodeFigures::from_values(&detail.run_figures),
         })
     }
 }

@@ -10,7 +10,7 @@ use crate::view::link::known;
 /// Offset between the two related clocks at one time: cloud minus edge. `clocks` names the clocks.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ClockOffset {
-    /// Best estimate, seconds; null with its bounds when the verdict is `inconsistent`.
+    /// Best estimate, seconds. Null, like the bounds, when the verdict is `inconsistent`.
     pub estimate_s: Option<f64>,
     pub lo_s: Option<f64>,
     pub hi_s: Option<f64>,
@@ -64,9 +64,9 @@ impl From<&Offset> for ClockOffset {
 pub(crate) struct Probes {
     pub sent: u32,
     pub answered: u32,
-    /// Number of probes that did not come back in time.
+    /// Number of probes without an answer in time.
     pub lost: u32,
-    /// Number of packets that were refused as answers, and of probes that could not be sent.
+    /// Number of packets that were rejected as answers, and of probes that could not be sent.
     pub refused: u32,
 }
 
@@ -89,12 +89,12 @@ impl From<stream::RoundTrip> for RoundTrip {
     }
 }
 
-/// The delays of data in one direction.
+/// Delays of messages in one direction.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Delay {
-    /// Number of judged delays.
+    /// Number of delays.
     pub count: u32,
-    /// The worst verdict that at least a twentieth of them have.
+    /// The worst verdict that at least 5 % of the delays have.
     pub verdict: &'static str,
     /// The median of the delays that have a value, with the bounds of the same delay; null when none has.
     pub median: Option<MedianDelay>,
@@ -106,8 +106,8 @@ pub(crate) struct MedianDelay {
     pub value_s: f64,
     pub lo_s: f64,
     pub hi_s: f64,
-    /// Bits of that one message over `value_s`: messages of all pipelines of the link are among the delays. For the speed of
-    /// one pipeline take its `transfers`. Where the verdict is `limited` only its interval, by `lo_s` and `hi_s`, is known.
+    /// Size of that one message in bits divided by `value_s`. The delays include messages of all pipelines of the link, so use `transfers`
+    /// of a pipeline for its speed. If the verdict is `limited`, only an interval is known: the size divided by `hi_s` and by `lo_s`.
     pub bits_per_second: Option<f64>,
 }
 
@@ -133,13 +133,19 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn what_contradicts_itself_has_no_value() {
+    fn inconsistent_offset_has_no_value() {
         let sample = samples::clock_sample(samples::NOW, 1, Some(0.0005));
-        let known = sample.offset.expect("known");
-        let consistent = ClockOffset::from(&known);
+        let offset = sample.offset.expect("known");
+        let consistent = ClockOffset::from(&offset);
         assert_eq!((consistent.estimate_s, consistent.source), (Some(1.204), "intersection"));
-        let told = ClockOffset::from(&Offset { verdict: Verdict::Inconsistent, ..known });
-        assert_eq!((told.estimate_s, told.lo_s, told.hi_s, told.skew_ppm), (None, None, None, None));
-        assert_eq!((told.source, told.verdict, told.sources.len()), ("none", "inconsistent", 2));
+        let inconsistent = ClockOffset::from(&Offset { verdict: Verdict::Inconsistent, ..offset });
+        assert_eq!(
+            (inconsistent.estimate_s, inconsistent.lo_s, inconsistent.hi_s, inconsistent.skew_ppm),
+            (None, None, None, None)
+        );
+        assert_eq!(
+            (inconsistent.source, inconsistent.verdict, inconsistent.sources.len()),
+            ("none", "inconsistent", 2)
+        );
     }
 }

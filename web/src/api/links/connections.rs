@@ -5,8 +5,8 @@ use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// An open connection of a link, by the counts of its edge, and in `cloud` by those of its cloud. Totals count from the time when it was
-/// opened.
+/// An open connection of a link. The counts are those of the edge; `cloud` has the counts of the cloud. All count from the opening of the
+/// connection.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkConnection {
     /// The pipeline that uses it.
@@ -17,7 +17,7 @@ pub(crate) struct LinkConnection {
     pub local_address: Option<String>,
     /// The cloud's address and port.
     pub remote_address: Option<String>,
-    /// The edge's interface that it leaves by; null where it is not known.
+    /// The edge's network interface that the connection uses; null if unknown.
     pub interface: Option<LinkInterface>,
     /// Direction from edge to cloud.
     pub up: LinkDirection,
@@ -27,11 +27,11 @@ pub(crate) struct LinkConnection {
     pub transport_round_trip: Option<TransportRoundTrip>,
     /// Number of messages that arrived and could not be decoded.
     pub malformed_messages: u64,
-    /// Number of answers that arrived after the request had been given up.
+    /// Number of answers that arrived after the timeout of their request.
     pub late_messages: u64,
-    /// Requests that will never be answered, because they or their answers were lost on the way or the connection ended.
+    /// Number of requests that remain without an answer, because they or their answers were lost or the connection ended.
     pub lost_messages: u64,
-    /// Counts of the cloud at its end, one to two seconds old; null where it reports none, as clouds before release 0.3 do.
+    /// Counts of the cloud, one to two seconds old; null if the cloud reports none, as before release 0.3.
     pub cloud: Option<LinkCloudEnd>,
 }
 
@@ -46,7 +46,7 @@ pub(crate) struct LinkCloudEnd {
     pub transport_round_trip: Option<TransportRoundTrip>,
     /// Number of messages that arrived there and could not be decoded.
     pub malformed_messages: u64,
-    /// Answers that could not be handed to the network, or that were lost on the way.
+    /// Number of answers that could not be sent or were lost.
     pub lost_messages: u64,
 }
 
@@ -60,28 +60,28 @@ pub(crate) struct LinkInterface {
     pub mtu_bytes: Option<u32>,
 }
 
-/// One direction of a connection. Values that the counting end cannot know are null.
+/// One direction of a connection. Values that the counting host cannot know are null.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct LinkDirection {
-    /// Bytes of the messages, without overhead of the transport.
+    /// Bytes of the messages, without the overhead of the transport.
     pub bytes: u64,
     pub messages: u64,
-    /// Number of datagrams with data, with TCP segments with data; retransmissions count again.
+    /// Number of datagrams with data, or for TCP of segments with data; a retransmission counts again.
     pub datagrams: Option<u64>,
-    /// Number sent and not received.
+    /// Number of datagrams that were sent and not received.
     pub lost_datagrams: Option<u64>,
-    /// Number received more than once.
+    /// Number of datagrams that were received more than once.
     pub duplicated_datagrams: Option<u64>,
-    /// Number received out of order.
+    /// Number of datagrams that were received out of order.
     pub reordered_datagrams: Option<u64>,
-    /// Number retransmitted.
+    /// Number of datagrams that were sent again.
     pub retransmitted_datagrams: Option<u64>,
 }
 
 /// Round trip of a transport's packets and their acknowledgements (RFC 6298), seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TransportRoundTrip {
-    /// Shortest recent round trip; null before the first.
+    /// Shortest recent round trip; null before the first measurement.
     pub min_s: Option<f64>,
     pub smoothed_s: f64,
     /// Smoothed mean deviation.

@@ -17,7 +17,7 @@ use utoipa_axum::routes;
 
 use self::schema::{Link, LinkList, LinkSeries};
 use crate::error::{ProblemDetails, WebError};
-use crate::parameters::{Parameters, bounded, moment, path};
+use crate::parameters::{Parameters, parse_bounded, parse_time, path};
 use crate::state::{App, AppState};
 use crate::view::link::{Subject, canonical, find, is_live, no_link};
 
@@ -26,13 +26,13 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list)).routes(routes!(get)).routes(routes!(clock))
 }
 
-/// Every link that reports or is stored, by the edge's and the cloud's name and the network.
+/// All links that report or are stored, by edge, cloud and network.
 #[utoipa::path(get, path = "/api/v1/links", operation_id = "listLinks", tag = "links", responses(
     (status = 200, body = LinkList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
 async fn list(State(app): State<App>) -> Result<Json<LinkList>, WebError> {
-    Ok(Json(LinkList { links: all(&app).await? }))
+    Ok(Json(LinkList { links: all_links(&app).await? }))
 }
 
 /// One link, by the names of its edge, its cloud and its network.
@@ -48,7 +48,7 @@ async fn get(
     link: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Link>, WebError> {
     let wanted = canonical(path(link)?);
-    let found = all(&app).await?.into_iter().find(|link| link.name == wanted);
+    let found = all_links(&app).await?.into_iter().find(|link| link.name == wanted);
     found.map(Json).ok_or_else(|| no_link(&wanted))
 }
 
@@ -57,13 +57,13 @@ async fn get(
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct ClockQuery {
-    /// Begin, RFC 3339, on the edge's wall clock; ten minutes before `to` unless given.
+    /// Start of the time range, RFC 3339, on the edge's wall clock; ten minutes before `to` unless given.
     #[param(format = DateTime)]
     from: Option<String>,
-    /// End; the newest sample unless given.
+    /// End of the time range; time of the newest sample unless given.
     #[param(format = DateTime)]
     to: Option<String>,
-    /// Largest number of buckets, 1 to 2,000; 600 unless given.
+    /// Maximum number of buckets, 1 to 2,000; 600 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 2_000, default = 600)]
     points: Option<String>,
 }
@@ -82,20 +82,22 @@ async fn clock(
     Parameters(query): Parameters<ClockQuery>,
 ) -> Result<Json<LinkSeries>, WebError> {
     let wanted = canonical(path(link)?);
-    let points = bounded("points", query.points.as_deref(), 600, 1..=2_000)?;
-    let (key, end) = identify(&app, &wanted).await?;
-    let to = query.to.as_deref().map(|text| moment("to", text)).transpose()?.unwrap_or(end);
-    let from = query.from.as_deref().map(|text| moment("from", text)).transpose()?;
+    let points = parse_bounded("points", query.points.as_deref(), 600, 1..=2_000)?;
+    let (key, end) = find_key(&app, &wanted).await?;
+    let to = query.to.as_deref().map(|text| parse_time("to", text)).transpose()?.unwrap_or(end);
+    let from = query.from.as_deref().map(|text| parse_time("from", text)).transpose()?;
     let from = from.unwrap_or(to - Span::from_seconds(600));
     if from >= to {
-        return Err(WebError::BadRequest("query parameter from: it is not before to".to_owned()));
+        return Err(WebError::BadRequest(
+            "query parameter from: the time is not before that of the parameter to".to_owned(),
+        ));
     }
     Ok(Json(LinkSeries::from(&app.store().clock_series(&key, from, to, points).await?)))
 }
 
 /// Returns the key of a link and the time of its newest sample.
-async fn identify(app: &AppState, wanted: &str) -> Result<(LinkKey, WallTime), WebError> {
-    if let Some(link) = find(&app.picture(), wanted) {
+async fn find_key(app: &AppState, wanted: &str) -> Result<(LinkKey, WallTime), WebError> {
+    if let Some(link) = find(&app.live_state(), wanted) {
         let subject = Subject::live(link);
         return Ok((subject.key, subject.end));
     }
@@ -104,11 +106,12 @@ async fn identify(app: &AppState, wanted: &str) -> Result<(LinkKey, WallTime), W
     found.map(|link| (link.key, link.end)).ok_or_else(|| no_link(wanted))
 }
 
-async fn all(app: &AppState) -> Result<Vec<Link>, WebError> {
+/// Returns the live links, and the stored ones that are not live.
+async fn all_links(app: &AppState) -> Result<Vec<Link>, WebError> {
     let stored = app.store().links().await?;
-    let picture = app.picture();
-    let mut links: Vec<Link> = picture.links.iter().map(|link| Link::from(&**link)).collect();
-    for row in stored.iter().filter(|row| !is_live(&picture, row)) {
+    let snapshot = app.live_state();
+    let mut links: Vec<Link> = snapshot.links.iter().map(|link| Link::from(&**link)).collect();
+    for row in stored.iter().filter(|row| !is_live(&snapshot, row)) {
         let assumptions = app.store().link_assumptions(&row.key()).await?;
         links.push(Link::past(row, assumptions.as_ref()));
     }

@@ -14,27 +14,27 @@ pub(crate) struct Probing {
     /// Destination of the probes: `udp://host:port`; null when off.
     pub address: Option<String>,
     pub rate_hz: Option<f64>,
-    /// Place where the stamps are made, in words.
+    /// Description of where the packets are stamped, such as in the kernel.
     pub stamps: Option<String>,
-    /// Reason why there are no probes, or a possible reason why none is answered.
+    /// Reason why probing is off, or a possible reason why no probe is answered.
     pub reason: Option<String>,
 }
 
 impl From<&stream::Probing> for Probing {
     fn from(probing: &stream::Probing) -> Self {
-        let none = Self { state: "off", address: None, rate_hz: None, stamps: None, reason: None };
+        let off = Self { state: "off", address: None, rate_hz: None, stamps: None, reason: None };
         match probing {
             stream::Probing::On { address, rate_hz, stamps } => Self {
                 state: "on",
                 address: Some(address.clone()),
                 rate_hz: Some(*rate_hz),
                 stamps: Some(stamps.clone()),
-                ..none
+                ..off
             },
             stream::Probing::Unanswered { address, reason } => {
-                Self { state: "unanswered", address: Some(address.clone()), reason: reason.clone(), ..none }
+                Self { state: "unanswered", address: Some(address.clone()), reason: reason.clone(), ..off }
             }
-            stream::Probing::Off(reason) => Self { reason: Some(reason.clone()), ..none },
+            stream::Probing::Off(reason) => Self { reason: Some(reason.clone()), ..off },
         }
     }
 }
@@ -44,7 +44,7 @@ impl From<&stream::Probing> for Probing {
 pub(crate) struct Reflector {
     /// Configured address: `udp://host:port`.
     pub address: String,
-    /// Always false: nothing proves that the reflector's clock is the cloud's. No delay of data depends on it.
+    /// Always false. Nothing proves that the reflector reads the cloud's clock, so no delay of messages depends on it.
     pub tied_to_cloud: bool,
     pub probing: Probing,
     /// Counts of probes since the link was opened.

@@ -13,7 +13,7 @@ use crate::api::schema::{Assumptions, HostClock, time};
 use crate::view::link::Subject;
 use crate::view::link::basis::promise;
 
-/// Every link that is stored or reports.
+/// All links that report or are stored.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkList {
     pub links: Vec<Link>,
@@ -30,15 +30,15 @@ pub(crate) struct Link {
     pub cloud_id: String,
     /// Kind of network, such as `zmq-tcp`.
     pub network: String,
-    /// `true` if the edge tells of it now.
+    /// `true` if the edge reports it now.
     pub connected: bool,
     /// Time of the newest sample, on the edge's wall clock.
     pub last_sample: String,
-    /// Conditions under which the bounds contain the true delays, in one sentence; null where both hosts read one clock.
+    /// Sentence that states the conditions under which the bounds contain the true delays; null if both hosts read one clock.
     pub promise: Option<String>,
     /// Assumptions as figures, by the newest sample.
     pub assumptions: Option<Assumptions>,
-    /// Current state; null for a link that is not in the live picture.
+    /// Current state; null for a link that is not in the live state.
     pub now: Option<LinkNow>,
 }
 
@@ -48,10 +48,10 @@ pub(crate) struct LinkNow {
     /// Kinds of network in use: that of the link.
     pub networks: Vec<String>,
     pub pipelines: Vec<String>,
-    /// `true` if it is proven at this moment that the processes of both hosts read one clock: then the offset is exactly zero.
+    /// `true` if it is proven now that the processes of both hosts read one clock; the offset is then exactly zero.
     pub same_clock: bool,
-    /// Verdict of the offset, or `unsynchronised` without one; `limited` where the offset is good and delays of the last ten seconds are
-    /// too short for its bound.
+    /// Verdict of the offset, or `unsynchronised` without an offset. `limited` if the offset is good, but delays of the last ten seconds
+    /// are short compared with its bounds.
     pub verdict: Option<&'static str>,
     pub probing: Probing,
     pub edge_clock: Option<HostClock>,
@@ -71,14 +71,15 @@ pub(crate) struct LinkNow {
 /// Counts of all exchanges so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Exchanges {
+    /// Number of exchanges that were accepted.
     pub taken: u64,
-    /// Number refused because no two clocks can show them.
+    /// Number rejected because no pair of clocks can produce them.
     pub impossible: u64,
-    /// Number refused because they contradict all others.
+    /// Number rejected because they contradict all others.
     pub outliers: u64,
-    /// Number refused because a clock was stepped on the way.
+    /// Number rejected because a clock was stepped during the exchange.
     pub stepped: u64,
-    /// Number of windows begun after a step.
+    /// Number of windows that were started after a step.
     pub restarts: u32,
 }
 
@@ -103,16 +104,16 @@ pub(crate) struct LinkPoint {
     pub up: Option<Delay>,
     /// Delays of data, cloud to edge; null when there were none.
     pub down: Option<Delay>,
-    /// The clocks that the offset is between: `raw`, `raw-to-wall` or `wall`. A free-running clock counts from the start of its machine.
+    /// Clocks that the offset relates: `raw`, `raw-to-wall` or `wall`. A free-running (`raw`) clock counts from the boot of its machine.
     pub clocks: &'static str,
-    /// Rates between the two clocks that the exchanges allow; null while they prove nothing.
+    /// Range of the relative rate of the two clocks that the exchanges allow; null while they bound nothing.
     pub proven_skew: Option<ProvenSkew>,
-    /// Age of the oldest exchange that bounds the offset, seconds, where exchanges are so rare that the window has grown beyond
+    /// Age of the oldest exchange that bounds the offset, seconds, if exchanges are so rare that the window grew beyond
     /// `[clock] window_s`; else null.
     pub grown_window_s: Option<f64>,
 }
 
-/// The lowest and the highest rate between two clocks that exchanges allow, parts per million.
+/// Lowest and highest relative rate of two clocks that the exchanges allow, parts per million.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ProvenSkew {
     pub min_ppm: f64,
@@ -137,8 +138,8 @@ pub(crate) struct LinkSeries {
 /// One bucket.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TimedPoint {
-    /// Identifier that changes when a clock is stepped: offsets of different windows say nothing about each other. As text, because it
-    /// exceeds 2⁵³.
+    /// Identifier of the window, which changes when a clock is stepped. Offsets of different windows cannot be compared. It is text,
+    /// because it can exceed 2⁵³.
     pub window: String,
     #[serde(flatten)]
     pub point: LinkPoint,
@@ -215,7 +216,7 @@ impl From<&LinkSnapshot> for Link {
 }
 
 impl Link {
-    /// Returns a link that is stored and not in the live picture.
+    /// Returns a link that is stored and not in the live state.
     pub(super) fn past(row: &LinkRow, assumptions: Option<&DelayAssumptions>) -> Self {
         let subject = Subject::past(row);
         Self {

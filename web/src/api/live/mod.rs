@@ -1,7 +1,7 @@
 //! `GET /api/v1/live`: one stream of events per page.
 //!
-//! Each listener takes the newest picture when it is ready for it, at most four times a second, less often when pictures are large. A
-//! slow listener therefore skips pictures and never delays the others.
+//! Each listener takes the newest snapshot of the live state when it is ready for it, at most four times a second and less often when
+//! snapshots are large. A slow listener therefore skips snapshots and never delays the others.
 
 mod schema;
 
@@ -29,28 +29,28 @@ use utoipa_axum::routes;
 
 use self::schema::{PictureEvent, StatusEvent};
 use crate::api::schema::PipelineList;
-use crate::connections::Streams;
+use crate::connections::StreamSlots;
 use crate::error::{ProblemDetails, WebError};
-use crate::fair_places::Place;
+use crate::fair_slots::Slot;
 use crate::pages::{self, PageTopic};
 use crate::parameters::Parameters;
 use crate::state::App;
 
 /// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
-    let mut router = OpenApiRouter::with_openapi(Events::openapi()).routes(routes!(stream));
+    let mut router = OpenApiRouter::with_openapi(EventSchemas::openapi()).routes(routes!(stream));
     describe_topics(router.get_openapi_mut());
     router
 }
 
-/// Describes the parameter `topics` by the topics that the pages registered.
+/// Describes the query parameter `topics` by the topics that the pages registered.
 fn describe_topics(document: &mut utoipa::openapi::OpenApi) {
     let forms: Vec<String> = pages::topic_forms().map(|form| format!("`{form}`")).collect();
-    // The first line ends where it always did, because the committed document shows it.
+    // The line break after the first form stays, because the committed OpenAPI document has it.
     let (first, others) = forms.split_at(1);
     let text = format!(
-        "Topics, parted by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard {},\n{}.\n\
-         `picture` unless given; at most {TOPICS} different ones, each sent once however often it is named.",
+        "Topics, separated by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard {},\n{}.\n\
+         `picture` unless given; at most {MAX_TOPICS} different ones, each sent once however often it is named.",
         first.concat(),
         others.join(", ")
     );
@@ -68,20 +68,20 @@ fn describe_topics(document: &mut utoipa::openapi::OpenApi) {
 /// The schemas of the events, which no operation names as its answer.
 #[derive(OpenApi)]
 #[openapi(components(schemas(PictureEvent, StatusEvent)))]
-struct Events;
+struct EventSchemas;
 
-/// Time between two pictures.
-const PAUSE: Duration = Duration::from_millis(250);
-/// Largest average number of bytes per second to one listener. Large pictures are sent less often.
-const RATE: usize = 512 << 10;
-/// Largest number of different topics on one stream. A page needs one.
-const TOPICS: usize = 16;
-/// Largest number of seconds of each pipeline sent to a listener that reconnects.
-const HISTORY: usize = 600;
-/// Largest number of seconds of all pipelines together in one event. A listener that needs more requests each pipeline separately.
-const CATCH_UP: usize = 10_000;
+/// Minimum time between two updates of a listener.
+const MIN_INTERVAL: Duration = Duration::from_millis(250);
+/// Maximum average number of bytes per second to one listener. Large snapshots are sent less often.
+const MAX_BYTES_PER_SECOND: usize = 512 << 10;
+/// Maximum number of different topics on one stream. A page needs one.
+const MAX_TOPICS: usize = 16;
+/// Maximum number of seconds of each pipeline that are sent to a listener that reconnects.
+const MAX_HISTORY_SECONDS: usize = 600;
+/// Maximum number of seconds of all pipelines together in one event. Beyond it, a listener must request each pipeline separately.
+const MAX_CATCH_UP_SECONDS: usize = 10_000;
 /// Time between two heartbeats while nothing changes.
-const HEARTBEAT: Duration = Duration::from_secs(2);
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Query parameters of the live stream.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -104,7 +104,7 @@ enum Topic {
 }
 
 impl Topic {
-    /// The topic of the picture itself.
+    /// Name of the topic of the live state.
     const PICTURE: &str = "picture";
 
     fn parse(text: &str) -> Result<Self, WebError> {
@@ -113,66 +113,78 @@ impl Topic {
         }
         pages::topic(text).map(Self::Page).ok_or_else(|| {
             let known: Vec<&str> = [Self::PICTURE].into_iter().chain(pages::topic_forms()).collect();
-            WebError::BadRequest(format!("query parameter topics: {text:?} is none of {}", known.join(", ")))
+            WebError::BadRequest(format!(
+                "query parameter topics: {text:?} is not a topic; use one of {}",
+                known.join(", ")
+            ))
         })
     }
 }
 
-/// Live figures as server-sent events: `status` always, `picture` and `page` by topic. At most four of each are sent a second, fewer
-/// where they make more than 512 KiB a second. A listener that is too slow receives the newest events and misses those between. At most
-/// 32 streams of one address are open, and in all a quarter of the server's connections; further ones are answered with 503.
+/// Live figures as server-sent events: `status` always, `picture` and `page` by topic. At most four of each are sent per second, and
+/// fewer if they exceed 512 KiB per second. A slow listener receives the newest events and misses those in between. One address may
+/// have at most 32 open streams, and all addresses together a quarter of the server's connections; a further stream is answered with 503.
 #[utoipa::path(get, path = "/api/v1/live", operation_id = "streamLive", tag = "pipelines", params(Query), responses(
     (status = 200, description = "`event: status` (StatusEvent), `event: picture` (PictureEvent), `event: page`, `event: heartbeat`", body = String, content_type = "text/event-stream"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
 async fn stream(
     State(app): State<App>,
-    streams: Option<Extension<Streams>>,
+    streams: Option<Extension<StreamSlots>>,
     headers: HeaderMap,
     Parameters(query): Parameters<Query>,
 ) -> Result<impl IntoResponse, WebError> {
     let header = headers.get("last-event-id").and_then(|id| id.to_str().ok());
-    let after =
+    let received_until =
         query.last_event_id.as_deref().or(header).filter(|id| !id.is_empty()).map(event_time).transpose()?;
-    let topics = topics(query.topics.as_deref().unwrap_or("picture"))?;
-    // Without a socket, as in unit tests, there are no places to share.
-    let place = match streams {
-        Some(Extension(streams)) => Some(streams.take().await?),
+    let topics = parse_topics(query.topics.as_deref().unwrap_or("picture"))?;
+    // Without a socket, as in unit tests, no slots are shared.
+    let slot = match streams {
+        Some(Extension(streams)) => Some(streams.acquire().await?),
         None => None,
     };
-    let keep_alive = KeepAlive::new().interval(HEARTBEAT).event(Event::default().event("heartbeat").data(""));
+    let keep_alive =
+        KeepAlive::new().interval(HEARTBEAT_INTERVAL).event(Event::default().event("heartbeat").data(""));
     // Proxies that collect answers before they pass them on would make live figures late.
     let unbuffered = AppendHeaders([(HeaderName::from_static("x-accel-buffering"), "no")]);
-    Ok((unbuffered, Sse::new(events(app, topics, after, place)).keep_alive(keep_alive)))
+    Ok((unbuffered, Sse::new(events(app, topics, received_until, slot)).keep_alive(keep_alive)))
 }
 
-/// Returns the time of the picture that an event was made of, by the event's id.
+/// Returns the time of the snapshot that an event was made of. The time is the event's id.
 fn event_time(id: &str) -> Result<WallTime, WebError> {
     id.parse().map(WallTime::from_unix_nanos).map_err(|_| {
         WebError::BadRequest(format!("query parameter last_event_id: {id:?} is not the id of an event"))
     })
 }
 
-/// Returns how many last seconds of each pipeline to send to a listener that has received everything up to `after`.
-fn seconds_since(after: WallTime, picture: &LiveState) -> usize {
-    let missed = (picture.at - after).seconds().ceil();
+/// Returns the number of latest seconds of each pipeline to send to a listener that has received everything up to `received_until`.
+fn missed_seconds(received_until: WallTime, snapshot: &LiveState) -> usize {
+    let missed = (snapshot.at - received_until).seconds().ceil();
     // An id from the future comes from another clock: all seconds are sent.
-    let missed = if (0.0..HISTORY as f64).contains(&missed) { missed as usize } else { HISTORY };
+    let missed = if (0.0..MAX_HISTORY_SECONDS as f64).contains(&missed) {
+        missed as usize
+    } else {
+        MAX_HISTORY_SECONDS
+    };
     let wanted = missed + PipelineList::SECONDS;
-    if wanted * picture.pipelines.len() > CATCH_UP { PipelineList::SECONDS } else { wanted.min(HISTORY) }
+    if wanted * snapshot.pipelines.len() > MAX_CATCH_UP_SECONDS {
+        PipelineList::SECONDS
+    } else {
+        wanted.min(MAX_HISTORY_SECONDS)
+    }
 }
 
 /// Returns the topics of a list, each once.
-fn topics(text: &str) -> Result<Vec<Topic>, WebError> {
+fn parse_topics(text: &str) -> Result<Vec<Topic>, WebError> {
     let mut topics = Vec::new();
     for topic in text.split(',').filter(|topic| !topic.is_empty()) {
         let topic = Topic::parse(topic)?;
         if topics.contains(&topic) {
             continue;
         }
-        if topics.len() == TOPICS {
+        if topics.len() == MAX_TOPICS {
             return Err(WebError::BadRequest(format!(
-                "query parameter topics: give at most {TOPICS} different ones"
+                "query parameter topics: give at most {MAX_TOPICS} different ones"
             )));
         }
         topics.push(topic);
@@ -183,49 +195,49 @@ fn topics(text: &str) -> Result<Vec<Topic>, WebError> {
 struct Listener {
     app: App,
     topics: Vec<Topic>,
-    pictures: watch::Receiver<Arc<LiveState>>,
+    live_states: watch::Receiver<Arc<LiveState>>,
     ready: watch::Receiver<Readiness>,
     next: Instant,
     /// Time up to which the listener has received all events, before the first event.
-    after: Option<WallTime>,
+    received_until: Option<WallTime>,
     /// Version last sent, by index of the topic and part of its page.
     sent: HashMap<(usize, &'static str), u64>,
-    /// Held for as long as the stream is open.
-    _place: Option<Place>,
+    /// Slot of the stream; released when the stream ends.
+    _slot: Option<Slot>,
 }
 
 fn events(
     app: App,
     topics: Vec<Topic>,
-    after: Option<WallTime>,
-    place: Option<Place>,
+    received_until: Option<WallTime>,
+    slot: Option<Slot>,
 ) -> impl Stream<Item = Result<Event, Infallible>> {
-    let mut pictures = app.aggregator.live();
-    // The first picture is sent without waiting for a change.
-    pictures.mark_changed();
+    let mut live_states = app.aggregator.live();
+    // The first snapshot is sent without waiting for a change.
+    live_states.mark_changed();
     let stop = app.stop.clone();
     let ready = app.aggregator.readiness();
     let sent = HashMap::new();
     let listener =
-        Listener { app, topics, pictures, ready, next: Instant::now(), after, sent, _place: place };
+        Listener { app, topics, live_states, ready, next: Instant::now(), received_until, sent, _slot: slot };
     let batches = stream::unfold(listener, |mut listener| async move {
         tokio::time::sleep_until(listener.next).await;
         tokio::select! {
-            changed = listener.pictures.changed() => changed.ok()?,
+            changed = listener.live_states.changed() => changed.ok()?,
             changed = listener.ready.changed() => changed.ok()?,
         }
         let now = Instant::now();
-        let picture = Arc::clone(&listener.pictures.borrow_and_update());
-        let (events, bytes) = listener.events(&picture).await;
-        listener.next = now + pause(bytes);
+        let snapshot = Arc::clone(&listener.live_states.borrow_and_update());
+        let (events, bytes) = listener.events(&snapshot).await;
+        listener.next = now + interval_after(bytes);
         Some((stream::iter(events.into_iter().map(Ok)), listener))
     });
     batches.flatten().take_until(stop.cancelled_owned())
 }
 
 /// Returns the time to wait after events of `bytes` bytes.
-fn pause(bytes: usize) -> Duration {
-    PAUSE.max(Duration::from_secs_f64(bytes as f64 / RATE as f64))
+fn interval_after(bytes: usize) -> Duration {
+    MIN_INTERVAL.max(Duration::from_secs_f64(bytes as f64 / MAX_BYTES_PER_SECOND as f64))
 }
 
 fn hash(text: &str) -> u64 {
@@ -235,17 +247,20 @@ fn hash(text: &str) -> u64 {
 }
 
 impl Listener {
-    /// Returns the events to send of a picture, and their size in bytes.
-    async fn events(&mut self, picture: &LiveState) -> (Vec<Event>, usize) {
-        let seconds = self.after.take().map_or(PipelineList::SECONDS, |after| seconds_since(after, picture));
+    /// Returns the events to send for a snapshot, and their size in bytes.
+    async fn events(&mut self, snapshot: &LiveState) -> (Vec<Event>, usize) {
+        let seconds = self
+            .received_until
+            .take()
+            .map_or(PipelineList::SECONDS, |received_until| missed_seconds(received_until, snapshot));
         let readiness = self.ready.borrow_and_update().clone();
-        let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(picture, &readiness)))];
+        let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(snapshot, &readiness)))];
         for (index, topic) in self.topics.iter().enumerate() {
             let Topic::Page(page) = topic else {
-                texts.push(("picture", serde_json::to_string(&PictureEvent::new(picture, seconds))));
+                texts.push(("picture", serde_json::to_string(&PictureEvent::new(snapshot, seconds))));
                 continue;
             };
-            match page.update(&self.app, picture).await {
+            match page.update(&self.app, snapshot).await {
                 Ok(mut update) => {
                     // A chart changes once a second, figures up to four times: unchanged parts are not sent again.
                     update.parts.retain(|(id, html)| {
@@ -274,7 +289,7 @@ impl Listener {
             texts.into_iter().map(|(name, text)| Event::default().event(name).data(text)).collect();
         // The id stands on the last event only: a listener that has received it has received all of them.
         if let Some(last) = events.pop() {
-            events.push(last.id(picture.at.unix_nanos().to_string()));
+            events.push(last.id(snapshot.at.unix_nanos().to_string()));
         }
         (events, bytes)
     }
@@ -288,34 +303,34 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn large_pictures_come_less_often() {
-        assert_eq!(pause(20_000), PAUSE);
-        assert_eq!(pause(2 * RATE), Duration::from_secs(2));
+    fn large_snapshots_are_sent_less_often() {
+        assert_eq!(interval_after(20_000), MIN_INTERVAL);
+        assert_eq!(interval_after(2 * MAX_BYTES_PER_SECOND), Duration::from_secs(2));
     }
 
     #[test]
-    fn listener_gets_the_seconds_it_missed() {
+    fn reconnected_listener_gets_missed_seconds() {
         let lines = |count: usize| {
             let line = |at| samples::pipeline(&format!("line-{at}"), 30.0, 1.0, Verdict::Ok, &[]);
-            samples::picture(vec![samples::host("cam-1", "Orin")], (0..count).map(line).collect())
+            samples::snapshot(vec![samples::host("cam-1", "Orin")], (0..count).map(line).collect())
         };
-        let picture = lines(4);
-        let ago = |seconds| seconds_since(picture.at - Span::from_seconds(seconds), &picture);
+        let snapshot = lines(4);
+        let ago = |seconds| missed_seconds(snapshot.at - Span::from_seconds(seconds), &snapshot);
         assert_eq!([ago(0), ago(30), ago(590), ago(3_600)], [5, 35, 595, 600]);
         assert_eq!(ago(-60), 600, "an id of another clock");
         let crowd = lines(200);
-        assert_eq!(seconds_since(crowd.at - Span::from_seconds(30), &crowd), 35);
-        assert_eq!(seconds_since(crowd.at - Span::from_seconds(60), &crowd), 5, "more than is sent at once");
+        assert_eq!(missed_seconds(crowd.at - Span::from_seconds(30), &crowd), 35);
+        assert_eq!(missed_seconds(crowd.at - Span::from_seconds(60), &crowd), 5, "more than is sent at once");
     }
 
     #[test]
-    fn a_topic_named_often_is_sent_once() {
+    fn repeated_topic_is_sent_once() {
         let often = ["picture", "overview"].repeat(5_000).join(",");
         let overview = pages::topic("overview").map(Topic::Page).expect("a page's topic");
-        assert_eq!(topics(&often).expect("known"), [Topic::Picture, overview]);
-        assert_eq!(topics("").expect("none"), []);
-        let hosts: Vec<String> = (0..=TOPICS).map(|index| format!("host/{index}")).collect();
-        assert!(topics(&hosts[1..].join(",")).is_ok());
-        assert!(topics(&hosts.join(",")).expect_err("too many").to_string().contains("at most 16"));
+        assert_eq!(parse_topics(&often).expect("known"), [Topic::Picture, overview]);
+        assert_eq!(parse_topics("").expect("none"), []);
+        let hosts: Vec<String> = (0..=MAX_TOPICS).map(|index| format!("host/{index}")).collect();
+        assert!(parse_topics(&hosts[1..].join(",")).is_ok());
+        assert!(parse_topics(&hosts.join(",")).expect_err("too many").to_string().contains("at most 16"));
     }
 }

@@ -29,46 +29,46 @@ pub(crate) struct HostNow {
 }
 
 impl PictureEvent {
-    /// Converts a picture, with the last `seconds` seconds of each pipeline.
-    pub(crate) fn new(picture: &LiveState, seconds: usize) -> Self {
-        let hosts = picture.hosts.iter().map(|host| HostNow {
+    /// Converts a snapshot of the live state, with the last `seconds` seconds of each pipeline.
+    pub(crate) fn new(snapshot: &LiveState, seconds: usize) -> Self {
+        let hosts = snapshot.hosts.iter().map(|host| HostNow {
             name: host.description.name.to_string(),
             connected: host.connected,
             cpu: host.metrics.cpu,
             gpu: host.metrics.gpu,
         });
-        let pipelines = PipelineList::of(picture, |one| Pipeline::new(one, seconds));
+        let pipelines = PipelineList::of(snapshot, |one| Pipeline::new(one, seconds));
         Self { pipelines, hosts: hosts.collect() }
     }
 }
 
-/// `event: status`: sent to every listener, whatever its topics.
+/// `event: status`: sent to every listener, independent of its topics.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct StatusEvent {
     /// The aggregator's time.
     pub at: String,
-    /// Hosts that report.
+    /// Number of hosts that report.
     pub connected: usize,
     /// Number of known hosts.
     pub hosts: usize,
     /// Seconds since the last report of the connected host that has been silent for longest.
     pub behind_s: Option<f64>,
-    /// Clock faults injected on purpose, a sentence per host.
+    /// Sentences about clock faults that are injected on purpose, one per host.
     pub rehearsals: Vec<String>,
     /// Reason why events are not being stored, as a sentence; null while they are.
     pub not_storing: Option<String>,
 }
 
 impl StatusEvent {
-    pub(crate) fn new(picture: &LiveState, readiness: &Readiness) -> Self {
-        let connected = picture.hosts.iter().filter(|host| host.connected);
-        let behind = connected.clone().map(|host| (picture.at - host.last_seen).seconds().max(0.0));
+    pub(crate) fn new(snapshot: &LiveState, readiness: &Readiness) -> Self {
+        let connected = snapshot.hosts.iter().filter(|host| host.connected);
+        let behind = connected.clone().map(|host| (snapshot.at - host.last_seen).seconds().max(0.0));
         Self {
-            at: time(picture.at),
+            at: time(snapshot.at),
             connected: connected.count(),
-            hosts: picture.hosts.len(),
+            hosts: snapshot.hosts.len(),
             behind_s: behind.max_by(f64::total_cmp),
-            rehearsals: Rehearsed::of(picture).banner(),
+            rehearsals: Rehearsed::of(snapshot).banner(),
             not_storing: storing::notice(readiness),
         }
     }

@@ -15,7 +15,7 @@ use utoipa_axum::routes;
 
 use self::schema::{Run, RunDetail, RunList};
 use crate::error::{ProblemDetails, WebError};
-use crate::parameters::{Parameters, bounded, path, slug};
+use crate::parameters::{Parameters, parse_bounded, parse_slug, path};
 use crate::state::App;
 
 /// Returns the operations of this resource.
@@ -37,7 +37,7 @@ struct Query {
     pipeline: Option<String>,
     /// Name or id of the runs' edge host.
     host: Option<String>,
-    /// Largest number of runs returned, 1 to 1,000; 50 unless given.
+    /// Maximum number of runs returned, 1 to 1,000; 50 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 50)]
     limit: Option<String>,
     /// Runs before this number: `next` of the previous page.
@@ -53,15 +53,17 @@ async fn list(
     State(app): State<App>,
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<RunList>, WebError> {
-    let limit = bounded("limit", query.limit.as_deref(), 50, 1..=1_000)?;
-    let pipeline = query.pipeline.as_deref().map(|name| slug("pipeline", name)).transpose()?;
+    let limit = parse_bounded("limit", query.limit.as_deref(), 50, 1..=1_000)?;
+    let pipeline = query.pipeline.as_deref().map(|name| parse_slug("pipeline", name)).transpose()?;
     let host = match query.host {
         None => None,
         Some(name) => {
             let known = app.store().hosts().await?;
             let found = known.iter().find(|host| host.name.as_str() == name || host.id.to_string() == name);
             let found = found.ok_or_else(|| {
-                WebError::BadRequest(format!("query parameter host: no host {name} has ever reported here"))
+                WebError::BadRequest(format!(
+                    "query parameter host: no host {name} has ever reported to this aggregator"
+                ))
             })?;
             Some(found.id)
         }

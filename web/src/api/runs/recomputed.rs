@@ -1,4 +1,4 @@
-//! The one-way delays of a run, judged again with the exchanges that came after them.
+//! One-way delays of a run, recomputed with the exchanges that came after them.
 
 use axum::Json;
 use axum::extract::rejection::PathRejection;
@@ -14,19 +14,19 @@ use crate::error::{ProblemDetails, WebError};
 use crate::parameters::path;
 use crate::state::App;
 
-/// Returns the routes.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(recomputed))
 }
 
-/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, including those after it.
+/// The one-way delays of a run as computed during the run, and as recomputed from all exchanges, including later ones.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Recomputed {
     pub run: i64,
     /// Stored clock samples that were used.
     pub samples: u64,
-    /// The clocks by whose stamps delays were judged again: `raw`, `raw-to-wall`, or `wall` for runs that were recorded before release
-    /// 0.3.0, whose delays depend on steps and slews of wall clocks. Empty where all delays stay as they were judged.
+    /// Clocks whose stamps the recomputation used: `raw`, `raw-to-wall`, or `wall` for runs that were recorded before release 0.3.0, whose
+    /// delays depend on steps and slews of wall clocks. Empty if no delay was recomputed.
     pub clocks: Vec<&'static str>,
     /// `upload`, `download`.
     pub stages: Vec<RecomputedStage>,
@@ -36,9 +36,9 @@ pub(crate) struct Recomputed {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct RecomputedStage {
     pub stage: String,
-    /// Stored judgement.
+    /// Result that was stored during the run.
     pub before: Judgement,
-    /// Judgement computed again.
+    /// Recomputed result.
     pub after: Judgement,
 }
 
@@ -77,8 +77,8 @@ impl From<&store::Recomputed> for Recomputed {
     }
 }
 
-/// One-way delays of a run as judged while it ran, and judged again with the exchanges that came after them. The stamps stay as they were
-/// measured.
+/// One-way delays of a run as computed during the run, and recomputed with the exchanges that came after them. The stamps do not
+/// change.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/recomputed", operation_id = "getRunRecomputed", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 200, body = Recomputed),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),

@@ -19,7 +19,7 @@ pub(crate) struct RunList {
 /// One pipeline configuration executed for many iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Run {
-    /// Number of the run, for people.
+    /// Number of the run, for display.
     pub number: i64,
     pub id: String,
     /// Name of the edge host.
@@ -28,43 +28,44 @@ pub(crate) struct Run {
     pub placement: Placement,
     /// Start of the run, on the edge's wall clock.
     pub started: String,
-    /// Time of the end; null while the run has not ended, and where no end was reported because the agent was killed or is away.
+    /// Time of the end. Null while the run has not ended, and if no end was reported because the agent was killed or is disconnected.
     pub ended: Option<String>,
     /// Reason of the end: `finished`, `stopped`, or an error.
     pub reason: Option<String>,
     /// Start of the newest stored iteration.
     pub last_iteration: Option<String>,
-    /// Warm-up left out.
+    /// Iterations by outcome, without warm-up.
     pub counts: Counts,
+    /// Number of warm-up iterations.
     pub warm_up: u64,
-    /// Starts of an open loop that were skipped because the pipeline was too far behind, whatever the outcome of the iterations after
-    /// them; warm-up left out.
+    /// Number of starts of an open loop that were skipped because the pipeline was too far behind its schedule, without warm-up. It does
+    /// not depend on the outcome of the following iterations.
     pub skipped_starts: u64,
     /// Deadline of an iteration, seconds; null without a deadline.
     pub deadline_s: Option<f64>,
-    /// The miss rate: share of iterations that took longer than the deadline or have no answer, 0 to 1, warm-up left out; null
-    /// without a deadline, and before the first iteration.
+    /// Share of iterations that took longer than the deadline or have no answer, 0 to 1, without warm-up; null without a deadline, and
+    /// before the first iteration.
     pub miss_rate: Option<f64>,
     /// Statistics of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
-    /// `true` if the clock of one of its hosts was made wrong on purpose.
+    /// `true` if clock faults were injected on one of its hosts.
     pub rehearsed: bool,
-    /// `true` if it is kept (pinned): retention deletes nothing of it.
+    /// `true` if the run is pinned: retention deletes nothing of it.
     pub pinned: bool,
     /// Number of the last iteration deleted because of its age or to free space; 0 if none was deleted. The statistics of deleted
     /// iterations remain.
     pub deleted_through: u64,
-    /// Place in an experiment; null when the run belongs to none.
+    /// Position in an experiment; null if the run belongs to none.
     pub experiment: Option<ExperimentPlace>,
 }
 
-/// The place of a run in an experiment.
+/// The position of a run in an experiment.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct ExperimentPlace {
     pub name: String,
     /// Id of the experiment; equal for all runs of one execution.
     pub id: String,
-    /// Facts that distinguish this configuration from the others.
+    /// Settings that distinguish this configuration from the others.
     pub configuration: Vec<Fact>,
     /// Number of the repeat, from 0.
     pub repeat: u32,
@@ -109,13 +110,13 @@ impl From<&store::RunSummary> for Run {
 pub(crate) struct RunDetail {
     #[serde(flatten)]
     pub run: Run,
-    /// Sensor, transforms, load and so on, for people.
+    /// Sensor, transforms, load and other settings as readable text.
     pub facts: Vec<Fact>,
     /// The pipeline's table of the configuration file (TOML).
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
-    /// Conditions of the hosts before the run began; empty when they were not checked.
+    /// Results of the checks of the hosts before the run; empty if they were not checked.
     pub conditions: Vec<Condition>,
     pub gaps: Vec<Gap>,
 }
@@ -127,12 +128,12 @@ pub(crate) struct Fact {
     pub value: String,
 }
 
-/// A gap: events that never reached the store.
+/// A gap: a number of events that never reached the store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Gap {
     pub from: String,
     pub to: String,
-    /// Number of events; 0 when not known.
+    /// Number of missing events; 0 if unknown.
     pub count: u64,
     pub reason: String,
 }

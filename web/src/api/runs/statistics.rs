@@ -14,10 +14,10 @@ use utoipa_axum::routes;
 use super::schema::Gap;
 use crate::api::schema::{Bound, time};
 use crate::error::{ProblemDetails, WebError};
-use crate::parameters::{Parameters, bounded, names, path};
+use crate::parameters::{Parameters, parse_bounded, parse_names, path};
 use crate::state::{App, AppState};
 
-/// Returns the routes.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(stages)).routes(routes!(series)).routes(routes!(histogram))
 }
@@ -33,15 +33,15 @@ async fn stages(
 ) -> Result<Json<StageList>, WebError> {
     let number = path(number)?;
     check_exists(&app, number).await?;
-    let known = app.store().statistics_of(number).await?;
+    let statistics = app.store().statistics_of(number).await?;
     Ok(Json(StageList {
-        stages: known.stages.iter().map(Stage::from).collect(),
-        bounds: known.bounds.iter().map(Bound::from).collect(),
-        speed_while_sending: SpeedWhileSending::from(&known.transfers()),
+        stages: statistics.stages.iter().map(Stage::from).collect(),
+        bounds: statistics.bounds.iter().map(Bound::from).collect(),
+        speed_while_sending: SpeedWhileSending::from(&statistics.transfers()),
     }))
 }
 
-/// Returns an error for a run that does not exist.
+/// Returns an error if the run does not exist.
 async fn check_exists(app: &AppState, number: i64) -> Result<(), WebError> {
     app.store().run(number).await?.map(|_| ()).ok_or_else(|| WebError::no_run(number))
 }
@@ -54,12 +54,12 @@ struct SeriesQuery {
     /// Node names, separated by commas; `total` unless given, at most 20.
     #[param(pattern = "^,*[^,]+(,+[^,]+){0,19},*$")]
     stages: Option<String>,
-    /// Largest number of buckets, 1 to 2,000; 300 unless given.
+    /// Maximum number of buckets, 1 to 2,000; 300 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 2_000, default = 300)]
     points: Option<String>,
 }
 
-/// Node names over the time of the run.
+/// Statistics of nodes over the time of a run.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/series", operation_id = "getRunSeries", tag = "runs", params(("run" = i64, Path), SeriesQuery), responses(
     (status = 200, body = Series),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -70,8 +70,8 @@ async fn series(
     Parameters(query): Parameters<SeriesQuery>,
 ) -> Result<Json<Series>, WebError> {
     let number = path(number)?;
-    let points = bounded("points", query.points.as_deref(), 300, 1..=2_000)?;
-    let names = query.stages.map_or_else(|| Ok(vec![stage::TOTAL]), |text| names("stages", &text))?;
+    let points = parse_bounded("points", query.points.as_deref(), 300, 1..=2_000)?;
+    let names = query.stages.map_or_else(|| Ok(vec![stage::TOTAL]), |text| parse_names("stages", &text))?;
     check_exists(&app, number).await?;
     Ok(Json(Series::from(&app.store().series(number, &names, points).await?)))
 }
@@ -83,7 +83,7 @@ async fn series(
 struct HistogramQuery {
     /// A node name; `total` unless given.
     stage: Option<String>,
-    /// Largest number of bins, 1 to 500; 50 unless given.
+    /// Maximum number of bins, 1 to 500; 50 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 500, default = 50)]
     bins: Option<String>,
 }
@@ -99,27 +99,27 @@ async fn histogram(
     Parameters(query): Parameters<HistogramQuery>,
 ) -> Result<Json<Histogram>, WebError> {
     let number = path(number)?;
-    let bins = bounded("bins", query.bins.as_deref(), 50, 1..=500)?;
+    let bins = parse_bounded("bins", query.bins.as_deref(), 50, 1..=500)?;
     let name = query.stage.unwrap_or_else(|| stage::TOTAL.to_string());
     check_exists(&app, number).await?;
-    let found = app.store().histogram(number, &name, bins).await?;
-    let found = found.ok_or_else(|| {
-        WebError::NotFound(format!("run {number} has no successful iteration with a {name}"))
+    let histogram = app.store().histogram(number, &name, bins).await?;
+    let histogram = histogram.ok_or_else(|| {
+        WebError::NotFound(format!("run {number} has no successful iteration with a node {name}"))
     })?;
-    Ok(Json(found.into()))
+    Ok(Json(histogram.into()))
 }
 
 /// Statistics of a run per node name; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct StageList {
     pub stages: Vec<Stage>,
-    /// Accuracy of the one-way delays, also where none has a value.
+    /// Accuracy of the one-way delays, even if no delay has a value.
     pub bounds: Vec<Bound>,
     pub speed_while_sending: SpeedWhileSending,
 }
 
-/// The sum of bits over the sum of transfer times. The mean of `upload-throughput` is another figure: a mean of the ratios of
-/// single iterations.
+/// Sum of bits divided by sum of transfer times. The mean of `upload-throughput` is a different figure, the mean of the ratios of single
+/// iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct SpeedWhileSending {
     /// Throughput from the edge to the cloud; null when nothing was sent or no delay is known.
@@ -169,10 +169,10 @@ pub(crate) struct Histogram {
     pub name: String,
     /// Unit of the edges.
     pub unit: String,
-    /// One more than `counts`, rising.
+    /// Edges of the bins, increasing; one more than `counts`.
     pub edges: Vec<f64>,
     pub counts: Vec<u64>,
-    /// Samples above the last edge.
+    /// Number of samples above the last edge.
     pub beyond: u64,
     pub figures: Figures,
 }
@@ -190,7 +190,7 @@ impl From<store::Histogram> for Histogram {
     }
 }
 
-/// Node names over the time of a run.
+/// Statistics of nodes over the time of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Series {
     /// Width of a bucket, seconds.

@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use super::time;
 
-/// An interval that contains the truth, seconds.
+/// An interval that contains the true value, seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Bounds {
     pub lo_s: f64,
@@ -20,23 +20,23 @@ impl From<Interval> for Bounds {
     }
 }
 
-/// One host's wall clock, by its own account.
+/// A host's wall clock, as its agent reports it.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostClock {
-    /// Claim of its time daemon, or of the kernel; null when it is not synchronised or nothing is reported.
+    /// Claim of the time daemon or of the kernel; null if the clock is not synchronised or nothing is reported.
     pub discipline: Option<Claim>,
-    /// Synchronisation in words: `chrony, stratum 2, to 10.0.0.1`, `not synchronised`.
+    /// Description of the synchronisation: `chrony, stratum 2, to 10.0.0.1`, `not synchronised`.
     pub text: String,
-    /// Number of times that the clock was found stepped, drifting too fast or suspended since the agent started.
+    /// Number of steps, excessive drifts and suspensions of the clock that were detected since the agent started.
     pub epoch: u32,
     /// Clock fault injected on purpose; null without one.
     pub rehearsal: Option<Rehearsal>,
-    /// Clock source of the kernel, such as `tsc`; null where it is not reported. With any other than `tsc` and `arch_sys_counter` the
+    /// Clock source of the kernel, such as `tsc`; null if not reported. Any other than `tsc` and `arch_sys_counter` means that the
     /// hypervisor supplies the clock.
     pub clocksource: Option<String>,
 }
 
-/// A claim about a wall clock: its reading minus true time lies within an interval.
+/// A claim that the reading of a wall clock minus true time lies within an interval.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Claim {
     /// `kernel` or `chrony`.
@@ -52,7 +52,7 @@ pub(crate) struct Rehearsal {
     /// Drift, parts per million; positive if the clock runs fast.
     pub drift_ppm: f64,
     pub steps: Vec<RehearsalStep>,
-    /// Reading of the true clock at the start.
+    /// Time of the start, by the clock without the fault.
     pub since: String,
 }
 

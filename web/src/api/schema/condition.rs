@@ -4,14 +4,14 @@ use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Condition of a host that affects whether a measurement on it can be trusted.
+/// Result of a check of a host before a run, which affects whether the run can be trusted.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Condition {
     /// Name of the host.
     pub host: String,
     /// Subject of the check: `CPU governor`, `competing load`.
     pub about: String,
-    /// Observed state in words, with unit.
+    /// Description of the observed state, with unit.
     pub found: String,
     /// `good`, `unknown`, `doubtful` or `bad`.
     pub grade: &'static str,
@@ -19,7 +19,8 @@ pub(crate) struct Condition {
     pub advice: String,
 }
 
-pub(crate) const fn word(grade: stream::Grade) -> &'static str {
+/// Returns the name of a grade in the API.
+pub(crate) const fn grade_name(grade: stream::Grade) -> &'static str {
     match grade {
         stream::Grade::Good => "good",
         stream::Grade::Unknown => "unknown",
@@ -31,6 +32,6 @@ pub(crate) const fn word(grade: stream::Grade) -> &'static str {
 impl From<&stream::Condition> for Condition {
     fn from(condition: &stream::Condition) -> Self {
         let stream::Condition { host, about, found, grade, advice } = condition.clone();
-        Self { host, about, found, grade: word(grade), advice }
+        Self { host, about, found, grade: grade_name(grade), advice }
     }
 }

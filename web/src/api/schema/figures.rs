@@ -9,15 +9,15 @@ use utoipa::ToSchema;
 /// Statistics of one node name.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct NodeFigures {
-    /// A stage, `total`, `upload-throughput` and so on, or a user-defined name. The figures of a throughput are those of the ratios of
-    /// single iterations: their mean is not the speed over all of them.
+    /// Name of a node: a stage, `total`, `upload-throughput` or another standard name, or a user-defined one. Figures of a throughput
+    /// describe the ratios of single iterations. Their mean is not the speed over all iterations.
     pub name: String,
     #[serde(flatten)]
     pub figures: Figures,
 }
 
 impl NodeFigures {
-    pub(crate) fn all(values: &[(Name, Figures)]) -> Vec<Self> {
+    pub(crate) fn from_values(values: &[(Name, Figures)]) -> Vec<Self> {
         values.iter().map(|(name, figures)| Self { name: name.to_string(), figures: *figures }).collect()
     }
 }
@@ -27,12 +27,12 @@ impl NodeFigures {
 pub(crate) struct Bound {
     /// `upload` or `download`.
     pub stage: String,
-    /// Half the width of the interval that contains the delay, seconds; null when no delay had one.
+    /// Half the width of the interval that contains the delay, seconds; null if no delay had an interval.
     pub half_width: Option<Figures>,
     pub verdicts: Vec<VerdictCount>,
 }
 
-/// Number of times that a verdict was given.
+/// Number of delays with a verdict.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct VerdictCount {
     /// `ok`, `limited`, `stale`, `unsynchronised`, `stepped` or `inconsistent`.
@@ -72,7 +72,7 @@ impl From<stream::OutcomeCounts> for Counts {
     }
 }
 
-/// Hosts on which a pipeline computes.
+/// Placement of a pipeline: local or on a cloud over a network, and the model.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Placement {
     /// `local`, `remote`, or `none` for a sensor alone.

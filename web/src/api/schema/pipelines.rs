@@ -9,10 +9,10 @@ use utoipa::ToSchema;
 
 use super::{Bound, Counts, NodeFigures, Placement, time};
 
-/// Every pipeline that reported.
+/// All pipelines that reported.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct PipelineList {
-    /// Time of the figures.
+    /// Time of the snapshot.
     pub at: String,
     pub pipelines: Vec<Pipeline>,
 }
@@ -20,16 +20,16 @@ pub(crate) struct PipelineList {
 /// Current state of one pipeline.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Pipeline {
-    /// Name of the host it senses on.
+    /// Name of the host that runs the sensor.
     pub host: String,
     pub host_id: String,
-    /// Name on that host.
+    /// Name of the pipeline, unique on its host.
     pub name: String,
     /// `starting`, `waiting`, `running`, `finished`, `failed`, or `away` when its host is not connected.
     pub state: &'static str,
-    /// Reason why it waits or failed.
+    /// Reason why the pipeline waits or failed.
     pub reason: Option<String>,
-    /// Number of its current or last run; null until that is stored.
+    /// Number of the current or last run; null until the run is stored.
     pub run: Option<i64>,
     pub placement: Placement,
     /// The intended load in words: `closed`, `5 Hz`.
@@ -44,13 +44,13 @@ pub(crate) struct Pipeline {
     pub total_over_time: TotalOverTime,
 }
 
-/// 95th percentile of `total` over time, of all iterations of a bucket: their sketches are merged.
+/// 95th percentile of `total` over time. A bucket's value covers all iterations of the bucket, because their sketches are merged.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TotalOverTime {
-    /// Length of each bucket, seconds: the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 that holds 60 iterations at
-    /// the pipeline's rate; null while even the longest holds fewer.
+    /// Length of each bucket, seconds: the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 that holds 60 iterations at the
+    /// pipeline's rate; null if even the longest holds fewer.
     pub bucket_s: Option<u32>,
-    /// Buckets that hold 60 iterations or more, oldest first; the newest one may be incomplete.
+    /// Buckets of at least 60 iterations, oldest first; the newest one may be incomplete.
     pub points: Vec<TotalPoint>,
 }
 
@@ -66,32 +66,32 @@ pub(crate) struct TotalPoint {
 }
 
 impl TotalOverTime {
-    /// Returns the buckets that reach to `since` or beyond, in seconds since the Unix epoch.
-    fn since(series: &PercentileSeries, since: i64) -> Self {
+    /// Returns the buckets that end after `since_s`, in seconds since the Unix epoch.
+    fn from_series(series: &PercentileSeries, since_s: i64) -> Self {
         let length = i64::from(series.bucket_s.unwrap_or(0));
-        let points = series.points.iter().filter(|point| point.at + length > since);
+        let points = series.points.iter().filter(|point| point.at + length > since_s);
         let points = points.map(|point| TotalPoint { at: point.at, count: point.count, p95: point.p95 });
         Self { bucket_s: series.bucket_s, points: points.collect() }
     }
 }
 
-/// Statistics of the last seconds of the edge's wall clock.
+/// Statistics of a window that ends now, by the edge's wall clock.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Window {
-    /// Complete seconds: 1, 10 or 60.
+    /// Number of complete seconds: 1, 10 or 60.
     pub seconds: u32,
-    /// Seconds covered, including the current one: fewer where the pipeline began within the window.
+    /// Seconds covered, including the current one; fewer if the pipeline started within the window.
     pub covered_s: f64,
     pub counts: Counts,
     /// Iterations of any outcome per second.
     pub rate_hz: f64,
-    /// Share of iterations without an answer, 0 to 1; null when there were none.
+    /// Share of iterations without an answer, 0 to 1; null without iterations.
     pub lost_fraction: Option<f64>,
-    /// The miss rate: share of iterations that took longer than the pipeline's deadline or have no answer, 0 to 1; null without a
-    /// deadline, and when there were none.
+    /// Share of iterations that took longer than the pipeline's deadline or have no answer, 0 to 1; null without a deadline or without
+    /// iterations.
     pub miss_rate: Option<f64>,
-    /// Statistics of single iterations. For the speed over the window take `transfers`, not the mean of `upload-throughput`, which is a
-    /// mean of ratios.
+    /// Statistics of single iterations. The mean of `upload-throughput` is a mean of ratios; use `transfers` for the speed over the
+    /// window.
     pub values: Vec<NodeFigures>,
     pub transfers: TransferRates,
     pub bounds: Vec<Bound>,
@@ -106,12 +106,12 @@ pub(crate) struct TransferRates {
     pub download: Option<TransferRate>,
 }
 
-/// One direction, of successful iterations.
+/// Rates of one direction, of successful iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TransferRate {
-    /// Speed while sending: the sum of bits over the sum of transfer times; null while no delay is known.
+    /// Speed while sending: sum of bits divided by sum of transfer times; null while no delay is known.
     pub speed_bits_per_second: Option<f64>,
-    /// Traffic: the sum of bits over wall time.
+    /// Traffic: sum of bits divided by wall time.
     pub traffic_bits_per_second: Option<f64>,
 }
 
@@ -125,7 +125,7 @@ impl TransferRates {
     }
 }
 
-/// Messages sent within a second, as sums that can be added up.
+/// Sums of the messages sent within a second. Sums of several seconds can be added.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Transfers {
     /// Direction from the edge to the cloud; null when nothing was sent.
@@ -134,8 +134,8 @@ pub(crate) struct Transfers {
     pub download: Option<Transfer>,
 }
 
-/// One direction, of successful iterations. The speed while sending over any seconds is the sum of `timed_bytes` over the
-/// sum of `seconds`.
+/// Sums of one direction, of successful iterations. The speed while sending, in bytes per second over any number of seconds, is the sum
+/// of `timed_bytes` divided by the sum of `seconds`.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Transfer {
     /// Bytes of all messages, payload and metadata.
@@ -162,10 +162,10 @@ pub(crate) struct Second {
     /// Seconds since the Unix epoch, on the edge's wall clock.
     pub at: i64,
     pub counts: Counts,
-    /// Means by node name, of single iterations: for a speed take `transfers`.
+    /// Means by node name, over single iterations; use `transfers` for speeds.
     pub means: BTreeMap<String, f64>,
-    /// 95th percentile of `total` within the second, seconds; null below 60 successful iterations. For a line over time take
-    /// `total_over_time`: percentiles cannot be averaged.
+    /// 95th percentile of `total` within the second, seconds; null below 60 successful iterations. Percentiles cannot be averaged; use
+    /// `total_over_time` for a line over time.
     pub total_p95: Option<f64>,
     pub transfers: Transfers,
 }
@@ -184,44 +184,44 @@ impl From<&LiveSecond> for Second {
 
 impl Pipeline {
     /// Returns a pipeline with its last `seconds`.
-    pub(crate) fn new(picture: &PipelineSnapshot, seconds: usize) -> Self {
-        let windows = picture.windows.iter().map(|window| Window {
+    pub(crate) fn new(snapshot: &PipelineSnapshot, seconds: usize) -> Self {
+        let windows = snapshot.windows.iter().map(|window| Window {
             seconds: window.seconds,
             covered_s: window.covered_s,
             counts: window.counts.into(),
             rate_hz: window.rate_hz,
             lost_fraction: window.lost_fraction,
             miss_rate: window.miss_rate,
-            values: NodeFigures::all(&window.values),
+            values: NodeFigures::from_values(&window.values),
             transfers: TransferRates::new(&window.transfers, window.covered_s),
             bounds: window.bounds.iter().map(Bound::from).collect(),
         });
-        let skip = picture.series.len().saturating_sub(seconds);
-        let since = picture.series.get(skip).map_or(i64::MAX, |second| second.at);
+        let skip = snapshot.series.len().saturating_sub(seconds);
+        let since_s = snapshot.series.get(skip).map_or(i64::MAX, |second| second.at);
         Self {
-            host: picture.host_name.to_string(),
-            host_id: picture.host.to_string(),
-            name: picture.pipeline.to_string(),
-            state: picture.state.name(),
-            reason: picture.state.reason().map(str::to_owned),
-            run: picture.run_number,
-            placement: Placement::from(&picture.placement),
-            load: picture.load.clone(),
-            last_seen: time(picture.last_seen),
+            host: snapshot.host_name.to_string(),
+            host_id: snapshot.host.to_string(),
+            name: snapshot.pipeline.to_string(),
+            state: snapshot.state.name(),
+            reason: snapshot.state.reason().map(str::to_owned),
+            run: snapshot.run_number,
+            placement: Placement::from(&snapshot.placement),
+            load: snapshot.load.clone(),
+            last_seen: time(snapshot.last_seen),
             windows: windows.collect(),
-            seconds: picture.series.iter().skip(skip).map(|second| Second::from(&**second)).collect(),
-            total_over_time: TotalOverTime::since(&picture.total_p95, since),
+            seconds: snapshot.series.iter().skip(skip).map(|second| Second::from(&**second)).collect(),
+            total_over_time: TotalOverTime::from_series(&snapshot.total_p95, since_s),
         }
     }
 }
 
 impl PipelineList {
-    /// Seconds of each pipeline in lists and events: enough to bridge a slow reader's pauses.
+    /// Number of latest seconds of each pipeline in lists and events: more than one, so that a slow reader misses none.
     pub(crate) const SECONDS: usize = 5;
 
-    /// Converts the requested part of every pipeline.
-    pub(crate) fn of(picture: &LiveState, taken: impl Fn(&PipelineSnapshot) -> Pipeline) -> Self {
-        let pipelines = picture.pipelines.iter().map(|one| taken(one));
-        Self { at: time(picture.at), pipelines: pipelines.collect() }
+    /// Converts every pipeline with `select`, which picks the requested parts.
+    pub(crate) fn of(snapshot: &LiveState, select: impl Fn(&PipelineSnapshot) -> Pipeline) -> Self {
+        let pipelines = snapshot.pipelines.iter().map(|one| select(one));
+        Self { at: time(snapshot.at), pipelines: pipelines.collect() }
     }
 }

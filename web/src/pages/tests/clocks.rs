@@ -4,11 +4,11 @@ use peernet_clock::{Span, Verdict};
 
 use super::super::{link, links, pipeline};
 use super::{check, overview_of};
-use crate::tests::samples::{self, host, picture};
+use crate::tests::samples::{self, host, snapshot};
 
 pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::LiveState {
     let mut shown =
-        picture(vec![host("cam-1", "Orin")], vec![samples::pipeline("line", 30.0, 1.0, verdict, &[])]);
+        snapshot(vec![host("cam-1", "Orin")], vec![samples::pipeline("line", 30.0, 1.0, verdict, &[])]);
     shown.links.push(std::sync::Arc::new(samples::link(half, &[])));
     shown
 }
@@ -80,7 +80,7 @@ async fn a_link_that_is_only_stored_keeps_its_page() {
         let subject = Subject::past(&row);
         let from = samples::NOW - Span::from_seconds(600);
         let course = Course::stored(peernet_store::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
-        let shown = picture(Vec::new(), Vec::new());
+        let shown = snapshot(Vec::new(), Vec::new());
         let page = link::link_page(&app, &shown, &subject, &course, None, link::Query::default(), &[]);
         let html = askama::Template::render(&page).expect("renders");
         check(&html);
@@ -90,7 +90,7 @@ async fn a_link_that_is_only_stored_keeps_its_page() {
 }
 
 #[tokio::test]
-async fn one_clock_has_no_band_and_says_why_delays_are_exact() {
+async fn link_with_one_clock_explains_exact_delays() {
     let (app, _folder) = samples::app().await;
     let mut shown = linked(Some(0.0), Verdict::Ok);
     std::sync::Arc::make_mut(&mut shown.links[0]).live.same_clock = true;

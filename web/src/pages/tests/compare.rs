@@ -20,7 +20,7 @@ use crate::view::compare::{Configuration, RunMeans};
 
 async fn page_of(configurations: Vec<Configuration>, is_long: bool) -> String {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+    let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let comparison = comparison(configurations);
     let means = if is_long { totals(&comparison, 20) } else { RunMeans::new() };
     let html = rendered(shell, &comparison, &means, (None, None)).expect("nothing asked for");
@@ -30,7 +30,7 @@ async fn page_of(configurations: Vec<Configuration>, is_long: bool) -> String {
 
 async fn asked_for(configurations: &[Configuration], stage: &str) -> Result<String, WebError> {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+    let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     rendered(shell, &comparison(configurations.to_vec()), &RunMeans::new(), (Some(stage), None))
         .inspect(|html| check(html))
 }
@@ -130,7 +130,7 @@ async fn users_that_measured_at_once_are_drawn_against_their_number() {
 async fn interval_that_cannot_be_known_is_explained() {
     let two = comparison(vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)]);
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+    let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let html = rendered(shell, &two, &totals(&two, 3), (None, None)).expect("nothing asked for");
     check(&html);
     assert!(
@@ -145,7 +145,7 @@ async fn baseline_can_be_chosen_among_configurations() {
     let three = comparison((0..3).map(|at| configuration(at, Remote, 1.0 + at as f64, 1e3)).collect());
     let (app, _folder) = samples::app().await;
     let page = |baseline| {
-        let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+        let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
         rendered(shell, &three, &totals(&three, 20), (None, Some(baseline)))
     };
     let html = page("2").expect("it is compared");
@@ -201,7 +201,7 @@ async fn starts_that_were_skipped_stand_below_the_title() {
     (two[1].runs[0].counts.ok, two[1].runs[0].skipped_starts) = (127, 73);
     let html = page_of(two, false).await;
     let head = html.split("<section").next().expect("a head");
-    assert!(head.contains("that was ordered: B: 73 of 200 starts (36.5 %).</span>"), "{head}");
+    assert!(head.contains("configured rate: B: 73 of 200 starts (36.5 %).</span>"), "{head}");
 }
 
 #[tokio::test]
@@ -241,7 +241,7 @@ fn panel(html: &str) -> &str {
 }
 
 #[tokio::test]
-async fn few_runs_have_all_distributions_at_once_and_one_at_a_time_on_request() {
+async fn few_runs_show_all_distributions_or_selected_one() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     let html = page_of(two.clone(), false).await;
     let all = panel(&html);
@@ -287,7 +287,7 @@ async fn few_runs_have_all_distributions_at_once_and_one_at_a_time_on_request() 
 }
 
 #[tokio::test]
-async fn many_runs_have_one_quantity_at_a_time_and_the_first_of_each_configuration() {
+async fn many_runs_show_one_distribution_per_configuration() {
     let mut many: Vec<_> = (0..20).map(|at| configuration(at, Remote, 1.0 + at as f64, 1e3)).collect();
     for one in &mut many {
         let again =

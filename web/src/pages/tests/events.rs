@@ -22,7 +22,7 @@ async fn what_became_of_events_is_shown_whatever_it_was() {
         spool_bytes: 1 << 31,
         ..samples::accounting()
     };
-    let shown = picture(vec![told, broken, host("cam-3", "Orin")], Vec::new());
+    let shown = snapshot(vec![told, broken, host("cam-3", "Orin")], Vec::new());
     let part = |name: &str, wanted: &str| {
         let update = host::update(&app, &shown, name).expect("renders");
         let (_, html) = update.parts.into_iter().find(|(id, _)| *id == wanted).expect("the part");

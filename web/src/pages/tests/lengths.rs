@@ -14,7 +14,7 @@ const HEADING: &str = "<h2 id=\"cr-h\">Response length against latency</h2>";
 
 async fn page_of(configurations: Vec<Configuration>) -> String {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+    let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let html = rendered(shell, &comparison(configurations), &RunMeans::new(), (None, None)).expect("renders");
     check(&html);
     html
@@ -26,7 +26,7 @@ fn panel(html: &str) -> &str {
 }
 
 #[tokio::test]
-async fn answers_that_differ_in_length_are_drawn_beside_those_that_do_not() {
+async fn answers_of_varying_and_equal_length_are_drawn() {
     let html = page_of(vec![
         configuration(0, Remote, 1.0, 1e3),
         talking(1, "completion-tokens", &answered(300)),

@@ -16,7 +16,7 @@ use crate::view::compare::{Configuration, RunMeans, over_time};
 
 async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+    let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let html = rendered(shell, &comparison(configurations), &RunMeans::new(), (None, None))
         .expect("nothing asked for");
     check(&html);
@@ -25,7 +25,7 @@ async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
 }
 
 #[tokio::test]
-async fn each_run_has_its_course_with_episodes_and_what_had_no_answer() {
+async fn each_run_is_drawn_with_episodes_and_losses() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     let panel = panel_of(two).await.expect("a panel");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
@@ -91,7 +91,7 @@ async fn runs_without_a_single_answer_are_named() {
     }
     let (app, _folder) = samples::app().await;
     let page = |all: &[Configuration]| {
-        let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+        let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
         rendered(shell, &comparison(all.to_vec()), &RunMeans::new(), (None, None)).expect("nothing asked for")
     };
     let html = page(&all);
@@ -103,7 +103,7 @@ async fn runs_without_a_single_answer_are_named() {
 }
 
 #[tokio::test]
-async fn short_run_says_how_long_it_was_and_shorter_one_is_not_drawn() {
+async fn short_run_shows_length_shorter_is_omitted() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     let whole = panel_of(vec![one.clone()]).await.expect("a panel");
     assert!(!whole.contains("from first to last start"), "{whole}");

@@ -1,15 +1,15 @@
-//! Choice of the runs that are drawn where there are too many for a picture each.
+//! Choice of the runs that are drawn if there are too many to draw each of them.
 
 use peernet_statistics::number::count;
 use peernet_store::RunSummary;
 
 use super::{Comparison, Configuration};
 
-/// Largest number of runs that are drawn next to each other.
-const MOST: usize = 24;
+/// Maximum number of runs that are drawn next to each other.
+const MAX_DRAWN_RUNS: usize = 24;
 
-/// Largest number of runs that a sentence names.
-const NAMED: usize = 8;
+/// Maximum number of runs that a sentence names.
+const MAX_NAMED_RUNS: usize = 8;
 
 /// A run with its configuration and its data to draw.
 pub(super) type Chosen<'a, T> = (&'a Configuration, &'a RunSummary, T);
@@ -28,17 +28,17 @@ pub(super) fn chosen<'a, T>(
     let mut all: Vec<(usize, usize, Chosen<'a, T>)> = all.collect();
     let measured = all.len();
     all.sort_by_key(|(repeat, place, _)| (*repeat, *place));
-    all.truncate(MOST);
+    all.truncate(MAX_DRAWN_RUNS);
     all.sort_by_key(|(repeat, place, _)| (*place, *repeat));
-    (all.into_iter().map(|(.., run)| run).collect(), (measured > MOST).then_some(measured))
+    (all.into_iter().map(|(.., run)| run).collect(), (measured > MAX_DRAWN_RUNS).then_some(measured))
 }
 
 /// Returns a sentence about the runs that have no picture because not one of their iterations was answered; `None` where there are
 /// no such runs.
 pub(super) fn without_answer(comparison: &Comparison) -> Option<String> {
     let runs: Vec<&RunSummary> = comparison.runs().filter(|run| run.counts.ok == 0).collect();
-    let named: Vec<String> = runs.iter().take(NAMED).map(|run| format!("#{}", run.number)).collect();
-    let more = match runs.len().saturating_sub(NAMED) {
+    let named: Vec<String> = runs.iter().take(MAX_NAMED_RUNS).map(|run| format!("#{}", run.number)).collect();
+    let more = match runs.len().saturating_sub(MAX_NAMED_RUNS) {
         0 => String::new(),
         more => format!(" and {} more", count(more as u64)),
     };

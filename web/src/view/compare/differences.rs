@@ -10,16 +10,16 @@ use peernet_store::{StageMeans, Store};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 
-/// Largest number of buckets in which a run is read.
-const BUCKETS: usize = 120;
+/// Maximum number of buckets in which a run is read.
+const MAX_BUCKETS: usize = 120;
 /// Number of runs that are read concurrently.
-const READ_AT_ONCE: usize = 4;
+const CONCURRENT_READS: usize = 4;
 
 /// Means of the stages of each run, by its number.
 pub(crate) type RunMeans = HashMap<i64, Vec<StageMeans>>;
 
 /// Returns the stages that are compared.
-fn compared() -> Vec<Name> {
+fn compared_stages() -> Vec<Name> {
     [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER).collect()
 }
 
@@ -28,10 +28,10 @@ fn compared() -> Vec<Name> {
 /// # Errors
 /// Returns an error when the store cannot be read.
 pub(crate) async fn run_means(store: &Store, comparison: &Comparison) -> Result<RunMeans, WebError> {
-    let names = &compared();
+    let names = &compared_stages();
     let runs: Vec<i64> = comparison.runs().map(|run| run.number).collect();
-    let read = |run| async move { Ok((run, store.stage_means(run, names, BUCKETS).await?)) };
-    futures::stream::iter(runs).map(read).buffered(READ_AT_ONCE).try_collect().await
+    let read = |run| async move { Ok((run, store.stage_means(run, names, MAX_BUCKETS).await?)) };
+    futures::stream::iter(runs).map(read).buffered(CONCURRENT_READS).try_collect().await
 }
 
 /// Differences between the baseline and the other configurations.
@@ -41,7 +41,7 @@ pub(crate) struct Differences {
     pub baseline: usize,
     /// Index of each other configuration with its stages in their order, without unmeasured stages.
     pub others: Vec<(usize, Vec<StageDifference>)>,
-    /// Configuration with the smallest mean total, among those whose model computes something where there are any.
+    /// Ranking by mean total. Configurations with an echo model are only ranked if there are no others.
     pub ranking: Option<Ranking>,
 }
 
@@ -49,9 +49,9 @@ pub(crate) struct Differences {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct StageDifference {
     pub name: Name,
-    /// Mean of the baseline and of the other, where it is known.
+    /// Mean of the baseline and of the other configuration; `None` if unknown.
     pub means: (Option<f64>, Option<f64>),
-    /// Difference: the other configuration minus the baseline, where both means are known.
+    /// Other configuration minus baseline; `None` unless both means are known.
     pub found: Option<Difference>,
 }
 
@@ -65,7 +65,7 @@ impl StageDifference {
 impl Differences {
     /// Compares all configurations with the one at index `baseline`.
     pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> Self {
-        let names = compared();
+        let names = compared_stages();
         let all = &comparison.configurations;
         let estimate = |one: &Configuration, name: &Name| {
             let runs: Vec<Vec<(u64, f64)>> =

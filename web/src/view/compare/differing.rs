@@ -8,37 +8,37 @@ use crate::view::place;
 
 /// Settings that distinguish runs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Differing {
+pub(super) struct DifferingSettings {
     /// Names of the settings that become columns.
     pub(super) axes: Vec<String>,
     /// The value of each run on each axis.
     pub(super) values: Vec<Vec<String>>,
-    /// Further settings that differ, and those that an experiment declares and that are the same for all; a value for each run.
+    /// Further settings that differ, and declared settings of an experiment that are equal for all runs. Each has a value per run.
     pub(super) settings: Vec<Column>,
-    /// Names of further settings that differ, in hashes, paths or lists that no table has room for.
+    /// Names of further settings that differ but are too long for a table, such as hashes, paths and lists.
     pub(super) also: Vec<String>,
 }
 
-impl Differing {
+impl DifferingSettings {
     /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
         let place = |run: &RunDetail| {
             run.summary.experiment.as_ref().map_or_else(Vec::new, |place| place.configuration.clone())
         };
-        let all = tabulated(runs, place);
+        let all = collect_columns(runs, place);
         // A single configuration has no differences; it is identified by its declared values.
         let has_several = all.iter().any(Column::differs);
         let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
-        Self::of(runs.len(), ChosenColumns { columns, rest: settings })
+        Self::from_columns(runs.len(), ChosenColumns { columns, rest: settings })
     }
 
     /// Returns the smallest set of facts that distinguishes the runs.
     pub(super) fn of_runs(runs: &[RunDetail]) -> Self {
-        let all = tabulated(runs, known).into_iter().filter(Column::differs);
-        Self::of(runs.len(), choose_columns(all.collect()))
+        let all = collect_columns(runs, run_facts).into_iter().filter(Column::differs);
+        Self::from_columns(runs.len(), choose_columns(all.collect()))
     }
 
-    fn of(runs: usize, ChosenColumns { columns, rest }: ChosenColumns) -> Self {
+    fn from_columns(runs: usize, ChosenColumns { columns, rest }: ChosenColumns) -> Self {
         let (also, settings): (Vec<Column>, Vec<Column>) = rest.into_iter().partition(Column::is_opaque);
         let row = |run: usize| columns.iter().map(|column| column.labels[run].clone()).collect();
         Self {
@@ -51,8 +51,11 @@ impl Differing {
 }
 
 /// Collects the facts of all runs, in the order of their first appearance.
-fn tabulated(runs: &[RunDetail], known: impl Fn(&RunDetail) -> Vec<(String, String)>) -> Vec<Column> {
-    let facts: Vec<Vec<(String, String)>> = runs.iter().map(known).collect();
+fn collect_columns(
+    runs: &[RunDetail],
+    facts_of: impl Fn(&RunDetail) -> Vec<(String, String)>,
+) -> Vec<Column> {
+    let facts: Vec<Vec<(String, String)>> = runs.iter().map(facts_of).collect();
     let mut columns: Vec<Column> = Vec::new();
     for (run, (axis, value)) in
         facts.iter().enumerate().flat_map(|(run, facts)| facts.iter().map(move |fact| (run, fact)))
@@ -66,7 +69,7 @@ fn tabulated(runs: &[RunDetail], known: impl Fn(&RunDetail) -> Vec<(String, Stri
     columns
 }
 
-fn known(run: &RunDetail) -> Vec<(String, String)> {
+fn run_facts(run: &RunDetail) -> Vec<(String, String)> {
     let summary = &run.summary;
     let mut pairs = vec![
         ("Pipeline".to_owned(), summary.pipeline.to_string()),
@@ -92,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn hashes_paths_and_lists_are_named_and_are_no_columns() {
+    fn hashes_paths_and_lists_are_named_without_column() {
         let hashes =
             ["model.py 5f4dcc3b5aa765d61d8327deb882cf99", "model.py 098f6bcd4621d373cade4e832627b4f6"];
         let long = "numpy 1.24.2, ".repeat(12);
@@ -101,16 +104,16 @@ mod tests {
                 [("Load", load), ("Model files", hashes[at]), ("Model libraries", libraries), ("Same", "x")];
             detail(at as i64, &facts)
         };
-        let found = Differing::of_runs(&[of(0, "closed", &long), of(1, "20 Hz", "none")]);
+        let found = DifferingSettings::of_runs(&[of(0, "closed", &long), of(1, "20 Hz", "none")]);
         assert_eq!(found.axes, ["Load"]);
         assert_eq!(found.values, [["closed"], ["20 Hz"]]);
         assert_eq!(found.also, ["Model files", "Model libraries"]);
     }
 
     #[test]
-    fn columns_are_as_few_as_tell_runs_apart() {
+    fn fewest_distinguishing_columns_are_chosen() {
         let of = |at, load: &str| detail(at, &[("Load", load), ("Threads", load), ("Sensor", "camera")]);
-        let found = Differing::of_runs(&[of(1, "closed"), of(2, "20 Hz")]);
+        let found = DifferingSettings::of_runs(&[of(1, "closed"), of(2, "20 Hz")]);
         assert_eq!(found.axes, ["Load"]);
         let labels = ["closed", "20 Hz"].map(str::to_owned).to_vec();
         assert_eq!(found.settings, [Column { axis: "Threads".to_owned(), labels }]);

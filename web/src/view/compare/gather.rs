@@ -1,4 +1,4 @@
-//! Collection of the runs of a comparison, and of the settings in which they differ.
+//! Loading of the runs of a comparison, and of the settings in which they differ.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -8,17 +8,17 @@ use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
 use peernet_stream::Placement;
 
-use super::differing::Differing;
-use super::names::names;
-use super::{Comparison, Configuration, LeftOut, Setting, order};
+use super::differing::DifferingSettings;
+use super::names::configuration_names;
+use super::{Comparison, Configuration, ExcludedRun, Setting, order};
 use crate::error::WebError;
 
-/// Largest number of runs that an address may name.
-pub(crate) const MOST_TYPED: usize = 12;
-/// Largest number of runs of an experiment that are compared.
-pub(crate) const MOST_RUNS: u32 = 200;
+/// Maximum number of runs that a query may name.
+pub(crate) const MAX_SELECTED_RUNS: usize = 12;
+/// Maximum number of runs of an experiment that are compared.
+pub(crate) const MAX_EXPERIMENT_RUNS: u32 = 200;
 
-/// Selection of what to compare, as in an address.
+/// Selection of the runs to compare, from the query parameters.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum CompareSelection {
     /// These runs; each is a separate configuration.
@@ -28,12 +28,12 @@ pub(crate) enum CompareSelection {
 }
 
 impl CompareSelection {
-    /// Reads `runs=1,2&runs=3` or `experiment=ID`. `None` without a selection.
+    /// Parses `runs=1,2&runs=3` or `experiment=ID`. Returns `None` without a selection.
     ///
     /// # Errors
-    /// Returns an error when a number is invalid, when there are too many, when both are given, and when there is another parameter; the
-    /// error then lists `parameters`, the names of all.
-    pub(crate) fn of(pairs: &[(String, String)], parameters: &str) -> Result<Option<Self>, WebError> {
+    /// Returns an error when a number is invalid, there are too many numbers, or both parameters are given. Any other parameter is an error,
+    /// too, whose text lists `parameters`, the valid ones.
+    pub(crate) fn parse(pairs: &[(String, String)], parameters: &str) -> Result<Option<Self>, WebError> {
         let bad = |text: String| Err(WebError::BadRequest(format!("query parameter {text}")));
         let (mut runs, mut experiment) = (Vec::<i64>::new(), None);
         for (name, value) in pairs {
@@ -41,7 +41,7 @@ impl CompareSelection {
                 "runs" => {
                     for text in value.split(',').map(str::trim).filter(|text| !text.is_empty()) {
                         let Ok(number) = text.trim_start_matches('#').parse() else {
-                            return bad(format!("runs: {text:?} is no number of a run"));
+                            return bad(format!("runs: {text:?} is not the number of a run"));
                         };
                         if !runs.contains(&number) {
                             runs.push(number);
@@ -50,29 +50,34 @@ impl CompareSelection {
                 }
                 "experiment" if !value.is_empty() => experiment = Some(value.clone()),
                 "experiment" => {}
-                other => return bad(format!("{other}: unknown, give {parameters}")),
+                other => return bad(format!("{other}: unknown parameter; valid are {parameters}")),
             }
         }
         match (runs.len(), experiment) {
             (0, None) => Ok(None),
             (0, Some(id)) => Ok(Some(Self::Experiment(id))),
             (_, Some(_)) => bad("experiment: give either runs or an experiment".to_owned()),
-            (many, None) if many > MOST_TYPED => bad(format!("runs: {many} are more than {MOST_TYPED}")),
+            (many, None) if many > MAX_SELECTED_RUNS => {
+                bad(format!("runs: {many} are more than {MAX_SELECTED_RUNS}"))
+            }
             (_, None) => Ok(Some(Self::Runs(runs))),
         }
     }
 }
 
-/// Reads a comparison: the figures of all runs at once, from their roll-ups.
+/// Loads a comparison: the statistics of all runs, from their roll-ups.
 ///
-/// The sketches of all runs are in memory at the same time, eight bytes for each 2 % between the ends of a quantity: where the largest
-/// value is a thousand times the smallest, 3 kB. With the largest number of runs and 30 names each that is 17 MB, and at most the same
-/// for those of configurations; the sketches' own limit makes it ten times that.
+/// The sketches of all runs are in memory at the same time. A sketch takes eight bytes for each 2 % between the smallest and the largest
+/// value, which is 3 kB if they differ by a factor of a thousand. The maximum number of runs with 30 names each takes 17 MB, and the
+/// configurations at most as much again. The limit of a single sketch bounds this to ten times the size.
 ///
 /// # Errors
 /// Returns an error when a run or the experiment is not stored, or the store cannot be read.
-pub(crate) async fn gather(store: &Store, which: &CompareSelection) -> Result<Comparison, WebError> {
-    let (experiment, details, left_out, cut) = match which {
+pub(crate) async fn load_comparison(
+    store: &Store,
+    selection: &CompareSelection,
+) -> Result<Comparison, WebError> {
+    let (experiment, details, left_out, cut) = match selection {
         CompareSelection::Runs(numbers) => {
             let mut details = Vec::with_capacity(numbers.len());
             for number in numbers {
@@ -82,26 +87,29 @@ pub(crate) async fn gather(store: &Store, which: &CompareSelection) -> Result<Co
             (None, details, Vec::new(), false)
         }
         CompareSelection::Experiment(id) => {
-            let mut runs = store.runs_of_experiment(id, MOST_RUNS + 1).await?;
-            let cut = runs.len() > MOST_RUNS as usize;
-            runs.truncate(MOST_RUNS as usize);
+            let mut runs = store.runs_of_experiment(id, MAX_EXPERIMENT_RUNS + 1).await?;
+            let cut = runs.len() > MAX_EXPERIMENT_RUNS as usize;
+            runs.truncate(MAX_EXPERIMENT_RUNS as usize);
             let first = runs.first().and_then(|run| run.experiment.clone());
             let Some(first) = first else {
                 return Err(WebError::NotFound(format!(
                     "no run of an experiment with the id {id} is stored; GET /api/v1/runs shows the id of each run's experiment"
                 )));
             };
-            let (runs, left_out) = counted(runs);
-            // The summary of an experiment's run holds all that is needed.
+            let (runs, left_out) = select_runs(runs);
+            // The summary of an experiment's run has all that is needed, so the details need no query.
             let details = runs.into_iter().map(RunDetail::from).collect();
             (Some((first.name, first.id)), details, left_out, cut)
         }
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
-    let computing = Computing::of(store, &details).await?;
-    let Differing { axes, values, settings, also } =
-        if experiment.is_some() { Differing::of_experiment(&details) } else { Differing::of_runs(&details) };
+    let computing = ComputingPlacements::load(store, &details).await?;
+    let DifferingSettings { axes, values, settings, also } = if experiment.is_some() {
+        DifferingSettings::of_experiment(&details)
+    } else {
+        DifferingSettings::of_runs(&details)
+    };
     let kept: HashMap<i64, Arc<MergeableStatistics>> =
         numbers.iter().zip(&statistics).map(|(run, known)| (*run, Arc::clone(&known.kept))).collect();
     let mut groups: Vec<Group> = Vec::new();
@@ -124,14 +132,17 @@ pub(crate) async fn gather(store: &Store, which: &CompareSelection) -> Result<Co
         }
     }
     if experiment.is_some() {
-        groups.sort_by(|a, b| order::labels(&a.values, &b.values));
+        groups.sort_by(|a, b| order::compare_labels(&a.values, &b.values));
     }
     let setting = |(at, column): (usize, &Column)| Setting {
         name: column.axis.clone(),
         values: groups.iter().map(|group| group.settings[at].clone()).collect(),
     };
     let settings = settings.iter().enumerate().map(setting).collect();
-    let named = names(&axes, groups.iter().map(|group| (group.values.as_slice(), group.runs.as_slice())));
+    let named = configuration_names(
+        &axes,
+        groups.iter().map(|group| (group.values.as_slice(), group.runs.as_slice())),
+    );
     let configurations = groups.into_iter().zip(named).map(|(group, name)| {
         let RunStatistics { stages, bounds, kept } = RunStatistics::merged(&group.statistics);
         let computes = group.runs.iter().all(|run| computing.is_true_of(run));
@@ -141,25 +152,25 @@ pub(crate) async fn gather(store: &Store, which: &CompareSelection) -> Result<Co
     Ok(Comparison { experiment, axes, settings, also, configurations, kept, left_out, cut })
 }
 
-/// Returns the runs of an experiment that count, in their order, and those that do not.
-fn counted(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<LeftOut>) {
+/// Splits the runs of an experiment into those that are compared, in their order, and the excluded ones.
+fn select_runs(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<ExcludedRun>) {
     let excluded = exclusions(&runs.iter().map(Candidate::from).collect::<Vec<_>>());
     let name = |at: usize| format!("#{}", runs[at].number);
     let left_out = |(run, why): (&RunSummary, &Option<_>)| {
         let why: &Exclusion = why.as_ref()?;
-        Some(LeftOut { run: run.number, why: why.describe(name) })
+        Some(ExcludedRun { run: run.number, why: why.describe(name) })
     };
     let left_out = runs.iter().zip(&excluded).filter_map(left_out).collect();
-    let counted = runs.into_iter().zip(excluded).filter(|(_, why)| why.is_none()).map(|(run, _)| run);
-    (counted.collect(), left_out)
+    let selected = runs.into_iter().zip(excluded).filter(|(_, why)| why.is_none()).map(|(run, _)| run);
+    (selected.collect(), left_out)
 }
 
-/// Placements of models, each with `true` if the model computes something and does not only answer what it was sent.
-struct Computing(Vec<(Placement, bool)>);
+/// Placements of models, each with `false` if its model is an echo model, and else `true`.
+struct ComputingPlacements(Vec<(Placement, bool)>);
 
-impl Computing {
-    /// Reads one run of each placement, because a list of runs does not hold these facts.
-    async fn of(store: &Store, runs: &[RunDetail]) -> Result<Self, WebError> {
+impl ComputingPlacements {
+    /// Queries one run of each placement, because summaries of runs do not contain the facts of the model.
+    async fn load(store: &Store, runs: &[RunDetail]) -> Result<Self, WebError> {
         let mut known: Vec<(Placement, bool)> = Vec::new();
         for run in runs {
             if known.iter().any(|(placement, _)| *placement == run.summary.placement) {

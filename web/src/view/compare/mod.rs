@@ -1,6 +1,6 @@
 //! Comparison of runs, from their roll-ups and a bounded number of rows, so that its cost does not depend on the length of a run.
 
-mod ask;
+mod caveats;
 mod choice;
 mod differences;
 mod differing;
@@ -22,17 +22,17 @@ mod throughput;
 mod title;
 mod users;
 
-pub(crate) use ask::{commands, doubts, unknown_labels};
+pub(crate) use caveats::{caveats, commands, unknown_labels};
 pub(crate) use differences::{Differences, RunMeans, StageDifference, run_means};
 pub(crate) use distributions::{Address, Distributions, distributions};
-pub(crate) use gather::{CompareSelection, MOST_RUNS, gather};
+pub(crate) use gather::{CompareSelection, MAX_EXPERIMENT_RUNS, load_comparison};
 pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use pairwise::{PairwiseRow, pairwise};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
 pub(crate) use series::{OverTime, over_time, run_courses};
 pub(crate) use spread::{BoxRow, boxes};
-pub(crate) use table::{Changed, Table};
+pub(crate) use table::{DifferenceRow, Table};
 pub(crate) use throughput::{Throughput, throughput};
 pub(crate) use title::title;
 pub(crate) use users::{UsersRow, users};
@@ -51,27 +51,27 @@ use crate::error::WebError;
 /// Configurations to compare.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Comparison {
-    /// The experiment that all runs belong to, name and id, where one was asked for.
+    /// Name and id of the experiment, if one was selected.
     pub experiment: Option<(String, String)>,
     /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
-    /// Further settings in which configurations differ, and those that an experiment declares for all alike.
+    /// Further settings in which configurations differ, and settings that an experiment declares equally for all.
     pub settings: Vec<Setting>,
-    /// Names of further settings in which selected runs differ, in hashes, paths and lists that no table has room for.
+    /// Names of further settings that differ but are too long for a table, such as hashes, paths and lists.
     pub also: Vec<String>,
     /// Configurations: an experiment's by their labels, axis by axis; runs as requested.
     pub configurations: Vec<Configuration>,
     /// All stored statistics of each run, by its number.
     pub kept: HashMap<i64, Arc<MergeableStatistics>>,
     /// Excluded runs of the experiment, oldest first.
-    pub left_out: Vec<LeftOut>,
-    /// `true` if there were more runs than are compared.
+    pub left_out: Vec<ExcludedRun>,
+    /// `true` if the experiment has more runs than are compared.
     pub cut: bool,
 }
 
 /// An excluded run.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct LeftOut {
+pub(crate) struct ExcludedRun {
     /// Number of the run.
     pub run: i64,
     /// The reason.
@@ -100,7 +100,7 @@ pub(crate) struct Configuration {
     pub bounds: Vec<Bound>,
     /// All stored statistics of its runs together.
     pub kept: Arc<MergeableStatistics>,
-    /// `true` if its model computes something, and does not only answer what it was sent.
+    /// `false` if its model is an echo model.
     pub computes: bool,
 }
 
@@ -115,12 +115,12 @@ impl Configuration {
         self.kept.known(name)
     }
 
-    /// Returns the figures of the total, seconds; of the sensor alone where there is no more.
+    /// Returns the figures of `total`, seconds, or of `sensing` for a pipeline that only senses.
     pub(crate) fn total(&self) -> Option<&Figures> {
         self.figures("total").or_else(|| self.figures("sensing"))
     }
 
-    /// Returns the counts of the starts that an open loop ordered.
+    /// Returns the counts of executed and skipped starts of all runs.
     pub(crate) fn starts(&self) -> Starts {
         let of_runs = self.runs.iter().map(Starts::from);
         of_runs.fold(Starts::default(), |all, run| Starts {

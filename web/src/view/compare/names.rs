@@ -5,7 +5,7 @@ use peernet_store::RunSummary;
 
 /// Returns a name for each configuration, given its value on each axis and its runs: its values, and the number of its first run where
 /// there are none or another configuration has the same.
-pub(super) fn names<'a>(
+pub(super) fn configuration_names<'a>(
     axes: &[String],
     configurations: impl Iterator<Item = (&'a [String], &'a [RunSummary])>,
 ) -> Vec<String> {
@@ -41,12 +41,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_unique_and_never_empty() {
+    fn configuration_names_are_unique_and_never_empty() {
         let axes = ["where", "size"].map(str::to_owned);
         let values = [["cloud", "224"], ["local", NONE], ["local", NONE], [NONE, NONE]]
             .map(|values| values.map(str::to_owned));
         let runs: Vec<Vec<RunSummary>> = (1..5).map(|number| vec![run(number, Local)]).collect();
         let all = values.iter().map(|values| &values[..]).zip(runs.iter().map(Vec::as_slice));
-        assert_eq!(names(&axes, all), ["cloud, size 224", "local, #2", "local, #3", "#4"]);
+        assert_eq!(configuration_names(&axes, all), ["cloud, size 224", "local, #2", "local, #3", "#4"]);
     }
 }

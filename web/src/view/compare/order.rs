@@ -1,4 +1,4 @@
-//! Order of configurations. Runs are made in random order, but readers expect labels in their natural order.
+//! Order of configurations. Runs are executed in random order, but readers expect labels in their natural order.
 
 use std::cmp::Ordering;
 
@@ -20,19 +20,19 @@ const UNITS: [(&str, f64); 14] = [
     ("mhz", 1e6),
 ];
 
-/// Compares the labels of two configurations, axis by axis: the first axis groups, the next orders within.
-pub(super) fn labels(a: &[String], b: &[String]) -> Ordering {
-    let differ = a.iter().zip(b).map(|(a, b)| label(a, b)).find(|order| order.is_ne());
+/// Compares the labels of two configurations axis by axis: the first axis in which they differ decides.
+pub(super) fn compare_labels(a: &[String], b: &[String]) -> Ordering {
+    let differ = a.iter().zip(b).map(|(a, b)| compare_label(a, b)).find(|order| order.is_ne());
     differ.unwrap_or_else(|| a.len().cmp(&b.len()))
 }
 
-/// Numbers come first, by their value with their unit; then words, with the numbers in them by value.
-fn label(a: &str, b: &str) -> Ordering {
+/// Compares two labels. Numbers come first, ordered by value and unit. Words follow, ordered with the numbers in them by value.
+fn compare_label(a: &str, b: &str) -> Ordering {
     match (quantity(a), quantity(b)) {
         (Some(x), Some(y)) => x.total_cmp(&y).then_with(|| a.cmp(b)),
         (Some(_), None) => Ordering::Less,
         (None, Some(_)) => Ordering::Greater,
-        (None, None) => words(a).cmp(&words(b)).then_with(|| a.cmp(b)),
+        (None, None) => split_numbers(a).cmp(&split_numbers(b)).then_with(|| a.cmp(b)),
     }
 }
 
@@ -52,8 +52,8 @@ enum Piece {
     Word(String),
 }
 
-/// Words and whole numbers in turn.
-fn words(label: &str) -> Vec<Piece> {
+/// Splits a label into words and whole numbers.
+fn split_numbers(label: &str) -> Vec<Piece> {
     let mut pieces: Vec<(bool, String)> = Vec::new();
     for letter in label.to_lowercase().chars() {
         let digit = letter.is_ascii_digit();
@@ -76,7 +76,7 @@ mod tests {
     fn sorted(rows: &[&[&str]]) -> Vec<Vec<String>> {
         let mut rows: Vec<Vec<String>> =
             rows.iter().map(|row| row.iter().map(|label| (*label).to_owned()).collect()).collect();
-        rows.sort_by(|a, b| labels(a, b));
+        rows.sort_by(|a, b| compare_labels(a, b));
         rows
     }
 

@@ -109,7 +109,7 @@ fn routes(one: &Configuration) -> String {
         }
     }
     let route = |(placement, mut hosts): (&Placement, Vec<String>)| {
-        hosts.sort_by(|a, b| order::labels(slice::from_ref(a), slice::from_ref(b)));
+        hosts.sort_by(|a, b| order::compare_labels(slice::from_ref(a), slice::from_ref(b)));
         let more = hosts.len().saturating_sub(MOST_HOSTS);
         hosts.truncate(MOST_HOSTS);
         let rest = if more > 0 { format!(" and {more} more") } else { String::new() };

@@ -41,7 +41,7 @@ pub(crate) struct Header {
 /// One configuration. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row {
-    /// Value on each axis; the name of the configuration where there is no axis.
+    /// Value on each axis, or the name of the configuration if there is no axis.
     pub values: Vec<String>,
     /// Numbers of its runs.
     pub runs: Vec<i64>,
@@ -119,35 +119,38 @@ fn missed(one: &Configuration) -> Cell {
 
 /// A row of the difference of two configurations. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Changed {
+pub(crate) struct DifferenceRow {
     pub name: String,
     pub look: &'static str,
     pub first: String,
     pub second: String,
-    /// The second less the first, with its interval where there are enough values. Nothing where only one has it.
+    /// The second minus the first; a dash if only one of them has the stage.
     pub difference: String,
     pub interval: Option<String>,
     /// `true` if the difference is significant; `None` if that cannot be determined.
     pub certain: Option<bool>,
 }
 
-/// Largest number of decimals of a difference in ms.
-const MOST_DECIMALS: usize = 3;
+/// Maximum number of decimals of a difference in ms.
+const MAX_DECIMALS: usize = 3;
 
-impl Changed {
+impl DifferenceRow {
     /// Returns the stages of a configuration, with one number of decimals for all.
     pub(crate) fn of_stages(stages: &[StageDifference]) -> Vec<Self> {
         let decimals = stages.iter().filter_map(estimate).map(|estimate| estimate.decimals()).max();
-        let decimals = decimals.unwrap_or_default().min(MOST_DECIMALS);
-        stages.iter().map(|stage| Self::with(stage, |estimate| estimate.with_decimals(decimals))).collect()
+        let decimals = decimals.unwrap_or_default().min(MAX_DECIMALS);
+        stages
+            .iter()
+            .map(|stage| Self::format_with(stage, |estimate| estimate.with_decimals(decimals)))
+            .collect()
     }
 
     /// Returns a stage by itself.
     pub(crate) fn of(stage: &StageDifference) -> Self {
-        Self::with(stage, |estimate| estimate)
+        Self::format_with(stage, |estimate| estimate)
     }
 
-    fn with(stage: &StageDifference, form: impl Fn(Estimate) -> Estimate) -> Self {
+    fn format_with(stage: &StageDifference, form: impl Fn(Estimate) -> Estimate) -> Self {
         let mean = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), |mean| mean_std_ms(mean, None).0);
         let shown = COLUMNS.iter().find(|(known, _)| stage.name == **known);
         let has_interval = stage.found.is_some_and(|found| found.interval.is_some());

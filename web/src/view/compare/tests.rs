@@ -141,7 +141,7 @@ pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
 fn addresses_name_runs_or_an_experiment() {
     let of = |pairs: &[(&str, &str)]| {
         let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
-        CompareSelection::of(&pairs, "runs")
+        CompareSelection::parse(&pairs, "runs")
     };
     assert_eq!(of(&[]).expect("fine"), None);
     assert_eq!(
@@ -191,7 +191,7 @@ fn title_says_which_is_fastest_by_how_much() {
 }
 
 #[test]
-fn title_names_no_fastest_where_that_cannot_be_told() {
+fn title_without_ranking_names_no_fastest() {
     let equal = scaled(&[1.5, 1.5, 1.5, 1.5, 9.0]);
     let text = title_of(&equal, &totals(&equal, 20), 0);
     assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");

@@ -6,7 +6,7 @@ use peernet_statistics::number::{Estimate, SPACE, duration};
 use super::{Comparison, Configuration, Differences};
 
 /// Largest number of configurations that a title names in addition to the best.
-const NAMED: usize = 2;
+const MAX_NAMED: usize = 2;
 
 /// Returns the finding of the comparison in a sentence.
 pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> String {
@@ -42,7 +42,7 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         };
         return format!("{among}; too little is known{whom} to tell more");
     }
-    let Some((place, difference)) = compared_with(ranking, differences.baseline) else {
+    let Some((place, difference)) = reference_configuration(ranking, differences.baseline) else {
         return format!("{} is the fastest: {mean}", best.name);
     };
     let (lo, hi) = difference.interval.unwrap_or((difference.value, difference.value));
@@ -57,15 +57,14 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
 }
 
 /// Returns the configuration that the best is compared with: the baseline, or, where that is the best itself, the next one.
-fn compared_with(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
-    let known =
-        || ranking.differences.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
+fn reference_configuration(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
+    let known = || ranking.differences.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
     let next = || known().min_by(|a, b| a.1.value.total_cmp(&b.1.value));
     known().find(|(place, _)| *place == baseline).or_else(next)
 }
 
 fn names(all: &[Configuration], places: &[usize]) -> String {
-    let named: Vec<&str> = places.iter().take(NAMED).map(|place| all[*place].name.as_str()).collect();
+    let named: Vec<&str> = places.iter().take(MAX_NAMED).map(|place| all[*place].name.as_str()).collect();
     match places.len() - named.len() {
         0 => named.join(" and "),
         more => format!("{} and {more} more", named.join(", ")),

@@ -1,4 +1,4 @@
-//! Assumptions behind the bounds of one-way delays, in words.
+//! Texts about the assumptions of the bounds of one-way delays.
 
 use peernet_clock::{DelaySource, Offset, RelatedClocks, Span};
 use peernet_statistics::number::{SPACE, figure, fixed, length};
@@ -9,8 +9,8 @@ use super::course::Course;
 use super::panels::Pairs;
 use super::stats::ppm;
 
-/// Returns the clocks that are related, as the subject of a sentence.
-const fn both(clocks: RelatedClocks) -> &'static str {
+/// Returns the related clocks as the subject of a sentence.
+const fn clocks_subject(clocks: RelatedClocks) -> &'static str {
     match clocks {
         RelatedClocks::Raw => "the free-running clocks of both hosts",
         RelatedClocks::RawToWall => "the free-running clock of the edge and the wall clock of the cloud",
@@ -21,7 +21,7 @@ const fn both(clocks: RelatedClocks) -> &'static str {
 /// Returns the conditions under which the intervals contain the true delays: the sentence of README.md and docs/clocks.md with the
 /// figures of a link.
 pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
-    let clocks = both(assumptions.clocks);
+    let clocks = clocks_subject(assumptions.clocks);
     let drift = assumptions.max_drift_ppm.map_or_else(
         || "no faster than assumed".to_owned(),
         |drift| format!("by at most {}{SPACE}ppm", figure(drift)),
@@ -55,7 +55,7 @@ pub(crate) const fn source_words(source: DelaySource) -> &'static str {
     }
 }
 
-/// Returns the facts that a reader of the figures must know at once: claims that narrow the bounds, probes that anyone can forge.
+/// Returns the facts that limit the trust in the bounds: claims that narrow them, and probes without authentication.
 pub(crate) fn facts(subject: &Subject<'_>) -> Vec<String> {
     let mut facts = Vec::new();
     let claimed = |offset: &Offset| {
@@ -90,16 +90,19 @@ pub(crate) fn brief(assumptions: &DelayAssumptions) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the panel about assumptions: the assumptions, the results of the exchanges about them, and other facts that narrow a bound.
-/// Empty where both hosts read one clock.
+/// Returns the panel about assumptions: their limits, what the exchanges prove about them, and what else narrows a bound. It is empty if
+/// both hosts read one clock.
 pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     let Some(assumptions) = &subject.assumptions else { return Pairs::new() };
-    let newest = Newest::of(subject, course);
+    let newest = NewestBasis::of(subject, course);
     let clocks = match assumptions.clocks {
         RelatedClocks::Raw => {
-            format!("{} (CLOCK_MONOTONIC_RAW): no time daemon steps or slews them", both(assumptions.clocks))
+            format!(
+                "{} (CLOCK_MONOTONIC_RAW): no time daemon steps or slews them",
+                clocks_subject(assumptions.clocks)
+            )
         }
-        clocks => format!("{}: what steps or slews a wall clock reaches the delays", both(clocks)),
+        clocks => format!("{}: what steps or slews a wall clock reaches the delays", clocks_subject(clocks)),
     };
     let mut pairs: Pairs = vec![("Clocks related", clocks)];
     if let Some(drift) = assumptions.max_drift_ppm {
@@ -130,14 +133,14 @@ pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     pairs
 }
 
-/// Facts of a link's newest sample about its exchanges.
+/// What the newest sample of a link says about its exchanges.
 #[derive(Clone, Copy, Default)]
-struct Newest {
+struct NewestBasis {
     proven_skew_ppm: Option<(f64, f64)>,
     grown_window: Option<Span>,
 }
 
-impl Newest {
+impl NewestBasis {
     fn of(subject: &Subject<'_>, course: &Course) -> Self {
         match (subject.live, course.points.last()) {
             (Some(link), _) => link.live.now.basis.map_or_else(Self::default, |basis| Self {

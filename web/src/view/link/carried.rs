@@ -1,4 +1,4 @@
-//! Traffic of a link by pipeline. Pipelines are separate rows because a mean speed over messages of different sizes has no meaning.
+//! Traffic of a link by pipeline.
 
 use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_logger::stage;
@@ -7,9 +7,10 @@ use peernet_statistics::number::{NONE, bytes, rate};
 use super::super::now::Cell;
 use super::super::place;
 use super::super::speed::{self, NetworkDirection};
-use super::{LATELY, Subject};
+use super::{RECENT_SPAN, Subject};
 
 /// One pipeline that uses the link.
+// Each pipeline has its own row, because a mean speed over messages of different sizes is meaningless.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct CarriedRow {
     pub name: String,
@@ -24,15 +25,15 @@ pub(crate) struct CarriedRow {
 
 impl CarriedRow {
     /// Returns the pipelines that use the link, by name.
-    pub(crate) fn all(picture: &LiveState, subject: &Subject<'_>) -> Vec<Self> {
+    pub(crate) fn all(snapshot: &LiveState, subject: &Subject<'_>) -> Vec<Self> {
         let Some(link) = subject.live else { return Vec::new() };
         let uses =
             |one: &&PipelineSnapshot| one.host == link.edge && link.live.pipelines.contains(&one.pipeline);
-        picture.pipelines.iter().map(|one| &**one).filter(uses).filter_map(Self::new).collect()
+        snapshot.pipelines.iter().map(|one| &**one).filter(uses).filter_map(Self::new).collect()
     }
 
     fn new(pipeline: &PipelineSnapshot) -> Option<Self> {
-        let window = pipeline.window(LATELY.seconds() as u32)?;
+        let window = pipeline.window(RECENT_SPAN.seconds() as u32)?;
         let size =
             |name| window.value(name).map_or_else(|| NONE.to_owned(), |size| bytes(size.mean).to_string());
         let kind = pipeline.placement.kind;

@@ -10,15 +10,15 @@ use super::super::chip::Chip;
 use super::super::clocks;
 use super::super::speed::NetworkDirection;
 
-/// Statistics of the judged delays of one direction.
+/// Statistics of the delays of one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delays {
     pub way: NetworkDirection,
-    /// Number of judged delays.
+    /// Number of delays.
     pub count: u64,
     /// Median, with the bounds of the same delay.
     pub median: Option<DelayPoint>,
-    /// Worst verdict that at least a twentieth of the delays have.
+    /// Worst verdict that at least 5 % of the delays have.
     pub verdict: Option<Verdict>,
 }
 
@@ -30,7 +30,7 @@ pub(crate) fn of_point(point: &ClockPoint, way: NetworkDirection) -> Option<&Del
     }
 }
 
-/// Raises the lower bound of a delay to zero: nothing arrives before it was sent.
+/// Returns the bounds of a delay, seconds, at least zero: no message arrives before it was sent.
 pub(crate) fn bounds(point: &DelayPoint) -> (f64, f64) {
     (point.bounds.lo.seconds().max(0.0), point.bounds.hi.seconds().max(0.0))
 }
@@ -54,7 +54,7 @@ impl Delays {
         Self { way, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
     }
 
-    /// Returns the name of the stage, as a sentence begins with it.
+    /// Returns the name of the stage for the start of a sentence.
     pub(crate) const fn title(&self) -> &'static str {
         match self.way {
             NetworkDirection::Up => "Upload",
@@ -72,7 +72,7 @@ impl Delays {
         self.median.map_or_else(|| NONE.to_owned(), |point| digits(&point))
     }
 
-    /// Returns the interval that contains it in ms; `None` without a median.
+    /// Returns the interval that contains the median, in ms; `None` without a median.
     pub(crate) fn interval(&self) -> Option<String> {
         let (lo, hi) = bounds(self.median.as_ref()?);
         Some(if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) })

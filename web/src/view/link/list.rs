@@ -13,7 +13,7 @@ use super::stats::ppm;
 use super::{CONTRADICTION, Subject, course, is_live, is_young, known, panels};
 use crate::zone::{Zone, ZonedTime};
 
-/// One link, now.
+/// Current state of a link.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct LinkLine {
     pub name: String,
@@ -21,7 +21,7 @@ pub(crate) struct LinkLine {
     pub chip: Option<Chip>,
     /// Meaning of the verdict.
     pub meaning: &'static str,
-    /// `last seen …`, for a link whose edge does not report.
+    /// Time of the last report, for a link whose edge does not report now.
     pub away: Option<ZonedTime>,
     pub rehearsal: Option<Chip>,
     pub network: String,
@@ -34,7 +34,7 @@ pub(crate) struct LinkLine {
     pub pipelines: Vec<(String, String)>,
 }
 
-/// A link that is stored and not in the live picture.
+/// A link that is stored and not in the live state.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PastLine {
     pub name: String,
@@ -47,10 +47,10 @@ fn cell(known: Option<String>, why: &str) -> Cell {
 }
 
 impl LinkLine {
-    /// Returns the first `most` links of a picture.
-    pub(crate) fn first(most: usize, picture: &LiveState, zone: Zone) -> Vec<Self> {
-        let rehearsed = Rehearsed::of(picture);
-        picture.links.iter().take(most).map(|link| Self::new(link, &rehearsed, zone)).collect()
+    /// Returns the first `limit` links of the live state.
+    pub(crate) fn first(limit: usize, snapshot: &LiveState, zone: Zone) -> Vec<Self> {
+        let rehearsed = Rehearsed::of(snapshot);
+        snapshot.links.iter().take(limit).map(|link| Self::new(link, &rehearsed, zone)).collect()
     }
 
     fn new(link: &LinkSnapshot, rehearsed: &Rehearsed, zone: Zone) -> Self {
@@ -62,11 +62,11 @@ impl LinkLine {
         let trips = link.history.iter().rev().find_map(|point| point.round_trip);
         let rehearsed = rehearsed.concerns(&[&subject.edge, &subject.cloud]);
         let why = no_offset(&subject);
-        let shown = |of: Option<String>| {
+        let shown = |value: Option<String>| {
             if one_clock {
                 Cell { text: "0".into(), title: Some("both hosts read one clock".into()) }
             } else {
-                cell(of, why)
+                cell(value, why)
             }
         };
         Self {
@@ -117,9 +117,9 @@ pub(super) const TOO_YOUNG: &str =
     "too few exchanges yet: fewer than three since the link came up or a clock was stepped";
 
 impl PastLine {
-    /// Returns the stored links that are not in the live picture.
-    pub(crate) fn all(rows: &[LinkRow], picture: &LiveState, zone: Zone) -> Vec<Self> {
-        let past = rows.iter().filter(|row| !is_live(picture, row)).map(|row| {
+    /// Returns the stored links that are not in the live state.
+    pub(crate) fn all(rows: &[LinkRow], snapshot: &LiveState, zone: Zone) -> Vec<Self> {
+        let past = rows.iter().filter(|row| !is_live(snapshot, row)).map(|row| {
             let subject = Subject::past(row);
             Self { name: subject.route(), href: subject.href(), last: zone.moment(row.last) }
         });
@@ -128,8 +128,8 @@ impl PastLine {
 }
 
 /// Returns the answer to whether one-way delays can be trusted, in the title of the list.
-pub(crate) fn title(picture: &LiveState) -> String {
-    let links: Vec<Subject<'_>> = picture.links.iter().map(|link| Subject::live(link)).collect();
+pub(crate) fn title(snapshot: &LiveState) -> String {
+    let links: Vec<Subject<'_>> = snapshot.links.iter().map(|link| Subject::live(link)).collect();
     let verdicts: Vec<Verdict> = links.iter().filter_map(Subject::verdict).collect();
     let of =
         |wanted: fn(u8) -> bool| verdicts.iter().filter(|verdict| wanted(severity_rank(**verdict))).count();

@@ -1,4 +1,4 @@
-//! Panels of a link: its probing, the claims of its hosts' time daemons, refused exchanges.
+//! Panels of a link: its probing, claims of time daemons, and counts of exchanges.
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
@@ -11,7 +11,7 @@ use super::{CONTRADICTION, Subject, known};
 /// Pairs of a name and a text.
 pub(crate) type Pairs = Vec<(&'static str, String)>;
 
-/// One host's clock by its own account.
+/// The clock of a host, as the host reports it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct HostRow {
     pub name: String,
@@ -37,7 +37,7 @@ pub(crate) fn claims(clock: &HostClock) -> String {
 /// that is free-running for the guest.
 const FREE_RUNNING: [&str; 2] = ["tsc", "arch_sys_counter"];
 
-/// Returns what synchronises a clock and what supplies it, in words.
+/// Returns a text about the synchronisation and the supplier of a clock.
 pub(crate) fn discipline(clock: &HostClock) -> String {
     let text = match (clock.text.is_empty(), clock.discipline) {
         (false, _) => clock.text.clone(),
@@ -52,7 +52,7 @@ pub(crate) fn discipline(clock: &HostClock) -> String {
     }
 }
 
-/// Returns both hosts.
+/// Returns the rows of both hosts.
 pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
     let Some(link) = subject.live else { return Vec::new() };
     let row = |name: &str, role, clock: Option<&HostClock>| HostRow {
@@ -98,27 +98,27 @@ pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
     };
     let counts = course.probes();
     if counts != ProbeCounts::default() {
-        pairs.push(("In this time", counts_in_words(&counts)));
+        pairs.push(("In this time", format_counts(&counts)));
     }
     if let Some((min, median)) = course.round_trips() {
-        pairs.push(("Round trip", trip_in_words(min, median)));
+        pairs.push(("Round trip", format_round_trip(min, median)));
     }
     pairs
 }
 
-/// Returns `1,200 sent, 1,198 answered, 2 lost`; refused ones where there are any.
-fn counts_in_words(counts: &ProbeCounts) -> String {
+/// Returns `1,200 sent, 1,198 answered, 2 lost`, and the number of refused packets unless it is zero.
+fn format_counts(counts: &ProbeCounts) -> String {
     let [sent, answered, lost, refused] =
         [counts.sent, counts.answered, counts.lost, counts.refused].map(|one| count(one.into()));
     let refused = if counts.refused > 0 { format!(", {refused} refused") } else { String::new() };
     format!("{sent} sent, {answered} answered, {lost} lost{refused}")
 }
 
-fn trip_in_words(min: f64, median: f64) -> String {
+fn format_round_trip(min: f64, median: f64) -> String {
     format!("{}{SPACE}ms at least, {}{SPACE}ms median", trip_ms(min), trip_ms(median))
 }
 
-/// Returns the panel about the reflector that the configuration names; nothing where it names none.
+/// Returns the panel about the configured reflector; empty without one.
 pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
     let Some(reflector) = subject.live.and_then(|link| link.live.reflector.as_ref()) else {
         return Vec::new();
@@ -134,9 +134,9 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
         Probing::Off(reason) => ("Off", reason.clone()),
     };
     let mut pairs = vec![("Configured", reflector.address.clone()), state];
-    pairs.push(("In all", counts_in_words(&reflector.probes)));
+    pairs.push(("In all", format_counts(&reflector.probes)));
     if let Some(trip) = reflector.round_trip {
-        pairs.push(("Round trip", trip_in_words(trip.min.seconds(), trip.median.seconds())));
+        pairs.push(("Round trip", format_round_trip(trip.min.seconds(), trip.median.seconds())));
     }
     let offset = reflector.offset.as_ref().map(|offset| match known(offset) {
         Some((estimate, half)) => {

@@ -1,4 +1,4 @@
-//! The figures of a link, now.
+//! The current figures of a link.
 
 use peernet_clock::RelatedClocks;
 use peernet_statistics::number::{
@@ -12,12 +12,12 @@ use super::course::Course;
 use super::list::no_offset;
 use super::{CONTRADICTION, Subject, known};
 
-/// A quiet name, a figure with its unit, a quiet line.
+/// A figure with its name, its unit and a line of explanation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stat {
     pub name: String,
     pub number: String,
-    /// Empty where there is no number.
+    /// Unit of the number; empty without a number.
     pub unit: &'static str,
     /// Explanation of the number, or the reason for its absence.
     pub title: String,
@@ -92,7 +92,7 @@ fn offset(subject: &Subject<'_>) -> Stat {
     Stat::new(name, Some(offset_ms(estimate, half)), "ms", line)
 }
 
-/// Parts per million with a sign: `+12.4`.
+/// Formats parts per million with a sign: `+12.4`.
 pub(crate) fn ppm(value: f64) -> String {
     let text = fixed(value, 1);
     if value > 0.0 && text != "0.0" { format!("+{text}") } else { text }
@@ -119,8 +119,8 @@ fn round_trip(course: &Course) -> Stat {
         || "no probe came back".to_owned(),
         |(min, _)| format!("smallest {}{SPACE}ms", trip_ms(min)),
     );
-    let lately = course.points.iter().rev().find_map(|point| point.round_trip);
-    Stat::new("Probe round trip", lately.map(|trip| trip_ms(trip.median.seconds())), "ms", line)
+    let newest = course.points.iter().rev().find_map(|point| point.round_trip);
+    Stat::new("Probe round trip", newest.map(|trip| trip_ms(trip.median.seconds())), "ms", line)
 }
 
 fn lost(course: &Course) -> Stat {

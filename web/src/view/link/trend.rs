@@ -1,4 +1,4 @@
-//! Offset that a steady drift explains, so that a picture can omit it.
+//! The part of an offset that a steady drift explains, so that a chart can subtract it.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use peernet_store::ClockPoint;
 
 use super::known;
 
-/// A straight line per window between steps, through the estimates.
+/// A straight line through the estimates of each window, that is, between two steps.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trend {
     lines: BTreeMap<u64, Line>,
@@ -23,7 +23,7 @@ struct Line {
 }
 
 impl Trend {
-    /// Returns the trend of some points.
+    /// Fits the trend to points.
     pub(crate) fn of(points: &[ClockPoint]) -> Self {
         let mut windows: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
         for point in points {
@@ -35,14 +35,14 @@ impl Trend {
         Self { lines: lines.collect() }
     }
 
-    /// Returns the value of the trend at a moment, seconds; zero without a trend.
+    /// Returns the value of the trend at a time, seconds; zero without a trend.
     pub(crate) fn at(&self, window: u64, at: WallTime) -> f64 {
         self.lines.get(&window).map_or(0.0, |line| line.level + line.slope * (at - line.middle).seconds())
     }
 }
 
 impl Line {
-    /// Returns the line of Theil and Sen: a few points that belong elsewhere do not tilt it. Too few points have a level alone.
+    /// Fits a line by the Theil–Sen estimator, which a few outliers do not affect. With too few points the line is horizontal.
     fn through(known: &[(WallTime, f64)]) -> Option<Self> {
         let middle = known.get(known.len() / 2)?.0;
         let points: Vec<Point> =

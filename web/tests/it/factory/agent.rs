@@ -1,4 +1,4 @@
-//! The agent's end of the event stream over a real socket.
+//! An agent's end of the event stream, over a real socket.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -13,12 +13,12 @@ use peernet_stream::{
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
-/// Longest time that an operation may take before it counts as hung.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Timeout of an operation that should finish at once.
+const TEST_TIMEOUT: Duration = Duration::from_secs(60);
 /// Limits of the queue in memory, large enough that no event is dropped.
 const MEMORY: Usage = Usage { events: 1_000_000, bytes: 1 << 30 };
 
-/// An agent: the real state machine, a spool in memory, a socket.
+/// An agent: the real state machine with a spool in memory and a socket.
 pub(crate) struct Agent {
     id: HostId,
     sending: Sending,
@@ -47,7 +47,7 @@ impl Agent {
         self.id
     }
 
-    /// Returns the account of the events.
+    /// Returns the event counts.
     pub(crate) fn accounting(&self) -> Accounting {
         self.sending.accounting()
     }
@@ -87,7 +87,7 @@ impl Agent {
         }
     }
 
-    async fn until(&mut self, what: &str, done: impl Fn(&Sending) -> bool) {
+    async fn wait_until(&mut self, what: &str, done: impl Fn(&Sending) -> bool) {
         let speak = async {
             loop {
                 self.sending.tick(self.clock.stamp());
@@ -105,25 +105,28 @@ impl Agent {
                         let message: ToAgent = decode(message.part_slice(0).expect("a frame")).expect("a message");
                         self.sending.received(&message, self.clock.stamp());
                     }
-                    () = tokio::time::sleep(due.unwrap_or(PATIENCE).min(Duration::from_millis(50))) => {}
+                    () = tokio::time::sleep(due.unwrap_or(TEST_TIMEOUT).min(Duration::from_millis(50))) => {}
                 }
             }
         };
-        assert!(tokio::time::timeout(PATIENCE, speak).await.is_ok(), "waited in vain until {what}");
+        assert!(
+            tokio::time::timeout(TEST_TIMEOUT, speak).await.is_ok(),
+            "timeout while waiting until {what}"
+        );
     }
 
     /// Exchanges messages until the aggregator has accepted the connection.
-    pub(crate) async fn until_up(&mut self) {
-        self.until("the agent is welcome", Sending::is_up).await;
+    pub(crate) async fn wait_until_connected(&mut self) {
+        self.wait_until("the agent is welcome", Sending::is_up).await;
     }
 
-    /// Sends everything and waits until it is acknowledged.
-    pub(crate) async fn until_stored(&mut self) {
-        self.until("everything is stored", Sending::is_idle).await;
+    /// Sends all events and waits until they are acknowledged.
+    pub(crate) async fn wait_until_stored(&mut self) {
+        self.wait_until("everything is stored", Sending::is_idle).await;
     }
 
     /// Sends a live update.
-    pub(crate) async fn live(&self, update: LiveUpdate) {
+    pub(crate) async fn send_live_update(&self, update: LiveUpdate) {
         self.send(encode(&ToAggregator::Live(update))).await;
     }
 }

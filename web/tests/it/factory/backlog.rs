@@ -1,16 +1,17 @@
-//! Event accounts of agents with a backlog or a failing disk.
+//! Event counts of agents with a backlog or a failing disk.
 
 use peernet_clock::{Span, WallTime};
 use peernet_stream::Accounting;
 
-/// Initial delay of storing, seconds, and the seconds by which it falls per second.
+/// Initial lag of storage, seconds.
 const BEHIND_S: f64 = 14_400.0;
+/// Seconds by which the lag falls per second.
 const RATE: f64 = 48.0;
-/// Events per second of measuring.
+/// Events per second of measurement.
 const HZ: f64 = 300.0;
 
-/// Changes the reports of agents: the second one catches up since `since`, the third has a disk that fails.
-pub(crate) fn disguise(
+/// Changes the event counts of some agents: since `since`, the second one catches up with a backlog, and the third has a failing disk.
+pub(crate) fn add_backlog(
     account: Accounting,
     index: usize,
     since: Option<WallTime>,

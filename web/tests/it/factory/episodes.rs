@@ -27,7 +27,7 @@ impl Factory {
                 }
             }
             self.agents[index].offer(events);
-            self.agents[index].until_stored().await;
+            self.agents[index].wait_until_stored().await;
         }
     }
 }

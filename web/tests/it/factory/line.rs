@@ -10,7 +10,7 @@ use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second};
 pub(crate) enum Clocks {
     /// Both hosts read one clock.
     Shared,
-    /// Offset known to within this number of seconds either way.
+    /// The offset is known within ± this number of seconds.
     Within(f64),
     /// The clocks were never related.
     Unrelated,
@@ -23,7 +23,7 @@ pub(crate) struct Line {
     pub(crate) name: &'static str,
     /// The camera.
     pub(crate) host: &'static str,
-    /// `true` if it is served by the rack.
+    /// `true` if the rack computes for it.
     pub(crate) remote: bool,
     /// Iterations per second.
     pub(crate) hz: f64,
@@ -37,7 +37,7 @@ pub(crate) struct Line {
     pub(crate) stages: Vec<(Name, f64, f64)>,
     /// Current run.
     pub(crate) run: Option<RunId>,
-    /// `true` if the camera's clock is made wrong on purpose.
+    /// `true` if a fault is injected into the camera's clock.
     pub(crate) rehearsed: bool,
 }
 
@@ -134,8 +134,8 @@ impl Line {
         }
     }
 
-    /// Returns stage durations of one iteration in seconds; `when` is its position in the run, 0 to 1. The network is slow for a while,
-    /// and a few iterations take far longer.
+    /// Draws the stage durations of one iteration, seconds. `when` is its position in the run, 0 to 1. The network is slow for a part of
+    /// the run, and a few iterations take much longer.
     pub(crate) fn draw(&self, numbers: &mut SplitMix64, when: f64) -> Vec<(Name, f64)> {
         let slow = if (0.42..0.45).contains(&when) { 1.9 } else { 1.0 };
         let hiccup = numbers.unit() < 0.001;
@@ -198,7 +198,7 @@ impl Line {
             values[at].1.record(value);
         };
         let mut half_widths = Summary::default();
-        // Ten minutes are one run for `draw`: the slow network passes by.
+        // `draw` sees ten minutes as one run, so that each ten minutes contain its slow part.
         let when = (at % 600) as f64 / 600.0;
         for _ in 0..ok {
             let stages = self.draw(numbers, when);

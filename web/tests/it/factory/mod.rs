@@ -1,5 +1,5 @@
-//! An artificial factory: three cameras and a rack, as their agents would report them. All data passes through the aggregator's own
-//! socket, so that pages and API receive the same as in a real deployment.
+//! A simulated factory: agents of three cameras and of a rack that serves models. All data passes through the aggregator's socket, so
+//! that pages and API receive the same as in a real deployment.
 
 mod agent;
 mod backlog;
@@ -37,7 +37,7 @@ fn slug(name: &str) -> peernet_logger::Slug {
     name.parse().expect("a name")
 }
 
-/// Returns a host that introduces itself.
+/// Returns the description of a host.
 pub(crate) fn host(name: &str, gpu: &str, clock: ClockIdentity) -> HostDescription {
     HostDescription {
         id: HostId::random(),
@@ -69,16 +69,16 @@ impl Factory {
         let rack = host("rack-a", "NVIDIA GeForce RTX 3090", clock.identity().clone());
         agents.push(Agent::new(rack, address, &clock).await);
         for agent in &mut agents {
-            agent.until_up().await;
+            agent.wait_until_connected().await;
         }
         Self { lines, agents, backlog: None, clock, numbers: SplitMix64::new(7) }
     }
 
-    fn rack(&self) -> HostId {
+    fn rack_id(&self) -> HostId {
         self.agents.last().expect("there is a rack").id()
     }
 
-    /// Stores a run of each line: `iterations` of them, the last one ending now, and waits until they are stored.
+    /// Stores a run of each line with `iterations` iterations, the last of which ends now.
     pub(crate) async fn store_runs(&mut self, iterations: u64, ended: bool) -> Vec<RunId> {
         let mut runs = Vec::new();
         for index in 0..self.lines.len() {
@@ -86,13 +86,13 @@ impl Factory {
             let events = self.run(index, run, iterations, ended, None);
             self.lines[index].run = Some(run);
             self.agents[index].offer(events);
-            self.agents[index].until_stored().await;
+            self.agents[index].wait_until_stored().await;
             runs.push(run);
         }
         runs
     }
 
-    /// Stores an experiment: a run of each line, `repeats` times.
+    /// Stores an experiment with `repeats` runs of each line.
     pub(crate) async fn store_experiment(&mut self, iterations: u64, repeats: u32) {
         let id = RunId::random().to_string();
         for repeat in 0..repeats {
@@ -110,7 +110,7 @@ impl Factory {
         }
     }
 
-    /// Stores an experiment: a run of a line with samples of each size; an upload takes as much longer.
+    /// Stores an experiment with a run of one line for each sample size. The upload time is proportional to the size.
     pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[f64]) {
         let (id, usual) = (RunId::random().to_string(), self.lines[index].clone());
         for bytes in sizes {
@@ -129,7 +129,8 @@ impl Factory {
         self.lines[index] = usual;
     }
 
-    /// Stores an experiment. Each number gives the users that measure at once, the first lines; with more users the queue is longer.
+    /// Stores an experiment with a configuration for each number of concurrent users. Users are the first lines; more users have a longer
+    /// queue.
     pub(crate) async fn store_users(&mut self, iterations: u64, numbers: &[usize]) {
         let (id, usual) = (RunId::random().to_string(), self.lines.clone());
         for users in numbers {
@@ -155,7 +156,7 @@ impl Factory {
         self.lines = usual;
     }
 
-    /// Stores an experiment of many configurations with long labels, a run each.
+    /// Stores an experiment of many configurations with long labels, and one run of each.
     pub(crate) async fn store_grid(&mut self, iterations: u64, configurations: usize) {
         let id = RunId::random().to_string();
         for at in 0..configurations {
@@ -173,7 +174,7 @@ impl Factory {
         }
     }
 
-    /// Stores an experiment of one run on the first line, begun as often as there are reasons for its end.
+    /// Stores an experiment of one configuration on the first line, with one run for each end reason.
     pub(crate) async fn store_attempts(&mut self, iterations: u64, reasons: &[&str]) {
         let id = RunId::random().to_string();
         for reason in reasons {
@@ -187,14 +188,14 @@ impl Factory {
                 }
             }
             self.agents[0].offer(events);
-            self.agents[0].until_stored().await;
+            self.agents[0].wait_until_stored().await;
         }
     }
 
     async fn store_placed(&mut self, index: usize, iterations: u64, place: ExperimentPlace) {
         let events = self.run(index, RunId::random(), iterations, true, Some(place));
         self.agents[index].offer(events);
-        self.agents[index].until_stored().await;
+        self.agents[index].wait_until_stored().await;
     }
 
     fn run(
@@ -205,7 +206,7 @@ impl Factory {
         ended: bool,
         experiment: Option<ExperimentPlace>,
     ) -> Vec<Event> {
-        let (edge, rack) = (self.agents[index].id(), self.rack());
+        let (edge, rack) = (self.agents[index].id(), self.rack_id());
         let line = &self.lines[index];
         let step = Span::from_seconds_f64(1.0 / line.hz);
         let now = self.clock.wall();
@@ -229,7 +230,7 @@ impl Factory {
                 _ => Outcome::Ok,
             };
             let stages = line.draw(&mut self.numbers, number as f64 / iterations as f64);
-            let tree = tree::of(line, &stages, (edge, rack), at, outcome == Outcome::Ok);
+            let tree = tree::build_tree(line, &stages, (edge, rack), at, outcome == Outcome::Ok);
             let warm_up = number <= 20;
             events.push(Event::Iteration(Iteration {
                 run,
@@ -250,7 +251,7 @@ impl Factory {
 
     /// Stores the clock samples of the edges for the last `seconds`.
     pub(crate) async fn store_clocks(&mut self, seconds: i64) {
-        let (rack, now) = (self.rack(), self.clock.wall());
+        let (rack, now) = (self.rack_id(), self.clock.wall());
         for index in (0..self.lines.len()).filter(|index| self.lines[*index].remote) {
             let line = &self.lines[index];
             let samples = (0..seconds).rev().map(|ago| {
@@ -259,7 +260,7 @@ impl Factory {
             });
             let samples: Vec<Event> = samples.collect();
             self.agents[index].offer(samples);
-            self.agents[index].until_stored().await;
+            self.agents[index].wait_until_stored().await;
         }
     }
 
@@ -277,7 +278,7 @@ impl Factory {
             let at = now - Span::from_seconds(ago);
             let incident = Incident { at, kind, pipeline: None, run: None, peer: None, text: text.into() };
             self.agents[index].offer([Event::Incident(incident)]);
-            self.agents[index].until_stored().await;
+            self.agents[index].wait_until_stored().await;
         }
     }
 
@@ -294,7 +295,7 @@ impl Factory {
             reason: "no room in the agent's spool".to_owned(),
         });
         self.agents[index].offer(gaps.map(Event::Gap).collect::<Vec<_>>());
-        self.agents[index].until_stored().await;
+        self.agents[index].wait_until_stored().await;
     }
 
     /// Reports the seconds from `from` to `to` of all lines; the last one may be under way.
@@ -314,19 +315,19 @@ impl Factory {
                     seconds,
                 };
                 let load = 0.3 + 0.1 * index as f64;
-                self.live(index, vec![pipeline], chunk.first().copied(), load, to).await;
+                self.report_second(index, vec![pipeline], chunk.first().copied(), load, to).await;
                 // An update holds one second of a link: the other seconds are sent one after the other.
                 let others = if self.lines[index].remote { &chunk[1..] } else { &[] };
                 for at in others {
-                    self.live(index, Vec::new(), Some(*at), load, to).await;
+                    self.report_second(index, Vec::new(), Some(*at), load, to).await;
                 }
             }
             let rack = self.agents.len() - 1;
-            self.live(rack, Vec::new(), None, 0.12, to).await;
+            self.report_second(rack, Vec::new(), None, 0.12, to).await;
         }
     }
 
-    async fn live(
+    async fn report_second(
         &mut self,
         index: usize,
         pipelines: Vec<PipelineLive>,
@@ -334,7 +335,7 @@ impl Factory {
         load: f64,
         sent: WallTime,
     ) {
-        let rack = self.rack();
+        let rack = self.rack_id();
         let line = self.lines.get(index).filter(|line| line.remote);
         let link = line.zip(second).map(|(line, second)| {
             let at = WallTime::from_unix_nanos(second * 1_000_000_000);
@@ -361,13 +362,13 @@ impl Factory {
             links: link.into_iter().collect(),
             clock,
             metrics,
-            accounting: backlog::disguise(agent.accounting(), index, self.backlog, sent),
+            accounting: backlog::add_backlog(agent.accounting(), index, self.backlog, sent),
         };
-        agent.live(update).await;
+        agent.send_live_update(update).await;
     }
 }
 
-/// Returns the conditions of an edge; if `careless`, its processor governor is not set for performance.
+/// Returns the conditions of an edge. If `careless`, its CPU governor is not `performance`.
 fn conditions(host: &str, careless: bool) -> Vec<Condition> {
     let found = |about: &str, found: &str, grade, advice: &str| Condition {
         host: host.to_owned(),

@@ -16,8 +16,8 @@ impl Nodes {
     }
 }
 
-/// Returns the judged delay whose true value is `delay`.
-fn judge(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
+/// Returns the reported delay whose true value is `delay`.
+fn judged_delay(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
     match line.clocks {
         Clocks::Shared => OneWayDelay::same_clock(delay),
         Clocks::Unrelated => OneWayDelay::unsynchronised(raw),
@@ -34,15 +34,15 @@ fn judge(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
     }
 }
 
-/// Returns a pseudo-random length, which depends on the moment only.
+/// Returns a pseudo-random length of the answer that depends only on `at`.
 fn answer_bytes(line: &Line, at: WallTime) -> f64 {
     let (shortest, longest) = line.answer;
     let chance = at.unix_nanos().unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
     (shortest + (longest - shortest) * chance as f64 / f64::from(1 << 24)).round()
 }
 
-/// Returns the tree of an iteration that began at `at`. The rack's wall clock is 1.2 s ahead unless shared.
-pub(super) fn of(
+/// Returns the tree of an iteration that started at `at`. The rack's wall clock is 1.2 s ahead unless both read one clock.
+pub(super) fn build_tree(
     line: &Line,
     stages: &[(Name, f64)],
     (edge, rack): (HostId, HostId),
@@ -67,7 +67,7 @@ pub(super) fn of(
         let length = Span::from_seconds_f64(*seconds);
         if *name == stage::UPLOAD {
             let received = at + now + length + ahead;
-            let delay = judge(line, name, length, length + ahead);
+            let delay = judged_delay(line, name, length, length + ahead);
             let transit = Transit {
                 sent: at + now,
                 received: answered.then_some(received),
@@ -83,7 +83,7 @@ pub(super) fn of(
             host = 1;
         } else if *name == stage::DOWNLOAD {
             now += there;
-            let delay = judge(line, name, length, Span::ZERO - ahead + length);
+            let delay = judged_delay(line, name, length, Span::ZERO - ahead + length);
             let transit = Transit {
                 sent: at + now + ahead,
                 received: Some(at + now + length),

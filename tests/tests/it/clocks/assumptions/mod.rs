@@ -4,10 +4,10 @@
 //! be violated. No interval with the verdict `ok` or `limited` may miss the truth later than a window after that. No
 //! delay with the verdict `inconsistent` has a value or bounds.
 
-mod kept;
 mod outcome;
 mod paused;
 mod violated;
+mod within_limits;
 
 use std::path::Path;
 
@@ -15,20 +15,20 @@ use outcome::Outcome;
 use peernet_clock::{RawTime, Span};
 use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::HostClock;
-use peernet_tests::{ClockShim, Process, TwoHostTestbed, until, until_grown};
+use peernet_tests::{ClockShim, Process, TwoHostTestbed, wait_until, wait_until_grown};
 
 /// Length of the window by default. After a violation an interval may be wrong for this time.
 const WINDOW: Span = Span::from_seconds(10);
 
-const fn way(delay_ms: u32, jitter_ms: u32, loss_percent: u32) -> WireProperties {
+const fn wire_direction(delay_ms: u32, jitter_ms: u32, loss_percent: u32) -> WireProperties {
     WireProperties { delay_ms, jitter_ms, loss_percent }
 }
 
-fn cable(_: &Path) -> Network {
+fn direct_network(_: &Path) -> Network {
     Network::direct()
 }
 
-fn wire(up: WireProperties, down: WireProperties) -> impl FnOnce(&Path) -> Network {
+fn wire_network(up: WireProperties, down: WireProperties) -> impl FnOnce(&Path) -> Network {
     move |folder| Network::wire(folder, up, down)
 }
 
@@ -66,7 +66,7 @@ impl Scene {
         // Both hosts are on one machine: without an identity of its own the edge's clock would count as the cloud's.
         let pipeline = testbed.pipeline("misled", 1000, LOAD);
         let tables = format!("clock_identity = \"shown\"\n{CLOCK}{keys}\n{pipeline}");
-        let edge = testbed.edge(&tables, &edge.environment());
+        let edge = testbed.start_edge(&tables, &edge.environment());
         Self { what, edge, cloud: Some(cloud), shims, testbed }
     }
 
@@ -84,8 +84,8 @@ impl Scene {
     fn reboot_cloud(&mut self, step: Span, ppm: f64) {
         let [_, shim] = &self.shims;
         self.cloud.take().expect("it runs").kill();
-        let begin = shim.change(step, ppm, 0.0);
-        until("the cloud's clocks after its reboot", || (shim.now() > begin).then_some(()));
+        let begin = shim.schedule_change(step, ppm, 0.0);
+        wait_until("the cloud's clocks after its reboot", || (shim.now() > begin).then_some(()));
         self.cloud = Some(start_cloud(&self.testbed, shim));
     }
 
@@ -94,28 +94,28 @@ impl Scene {
         let sql = "SELECT t.received_raw_ns FROM transit AS t JOIN node USING (run, iteration, node) \
                    JOIN name ON name.id = node.name WHERE name.text = 'upload' AND t.received_raw_ns IS NOT NULL \
                    ORDER BY t.run DESC, t.iteration DESC LIMIT 1";
-        let shown = RawTime::from_nanos(self.testbed.ask(sql).trim().parse().ok()?);
+        let shown = RawTime::from_nanos(self.testbed.query_database(sql).trim().parse().ok()?);
         self.shims[1].errors().truths(shown).last().copied()
     }
 
     /// Waits until all uploads that arrived before a time are stored.
-    fn reach(&self, time: RawTime) {
-        until_grown(self.what, time.nanos().unsigned_abs(), || {
+    fn wait_until_stored_to(&self, time: RawTime) {
+        wait_until_grown(self.what, time.nanos().unsigned_abs(), || {
             Some(self.stored_until()?.nanos().unsigned_abs())
         });
     }
 
     /// Waits until the window is full: eleven seconds are stored. Returns the time of that.
-    fn settle(&self) -> RawTime {
-        let settled = until("the first upload", || self.stored_until()) + WINDOW + Span::from_seconds(1);
-        self.reach(settled);
+    fn wait_for_full_window(&self) -> RawTime {
+        let settled = wait_until("the first upload", || self.stored_until()) + WINDOW + Span::from_seconds(1);
+        self.wait_until_stored_to(settled);
         settled
     }
 
     /// Stops the edge and returns the stored delays.
     fn end(self) -> Outcome {
         assert_eq!(self.edge.stop().code(), 0);
-        self.testbed.api.until("/api/v1/runs", |runs| {
+        self.testbed.api.wait_until("/api/v1/runs", |runs| {
             let mut runs = runs["runs"].as_array()?.iter();
             runs.all(|run| run["reason"] == "stopped").then_some(())
         });
@@ -126,7 +126,7 @@ impl Scene {
 }
 
 fn start_cloud(testbed: &TwoHostTestbed, shim: &ClockShim) -> Process {
-    let cloud = testbed.cloud_with(CLOCK, &shim.environment());
+    let cloud = testbed.start_cloud_with(CLOCK, &shim.environment());
     cloud.wait_for("ready");
     cloud
 }

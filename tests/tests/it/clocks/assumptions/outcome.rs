@@ -1,11 +1,11 @@
 //! Comparison of a case's reported delays with the truth.
 
 use peernet_clock::{RawTime, Span};
-use peernet_tests::measured;
+use peernet_tests::record_figures;
 use peernet_tests::truth::{Delay, HostClock, Iteration, true_times};
 
 /// Error of the computed truth: the inverse of both clocks' drift is rounded, and so are stored values.
-const INEXACT: Span = Span::from_nanos(3);
+const TRUTH_ERROR: Span = Span::from_nanos(3);
 
 /// Length of the time at the end of a case whose delays show its result.
 const END: Span = Span::from_seconds(3);
@@ -20,7 +20,7 @@ struct JudgedDelay {
     /// `true` if the verdict is `ok` or `limited`.
     is_good: bool,
     /// Distance between the interval and the truth, for a good delay.
-    missed: Span,
+    error: Span,
 }
 
 impl JudgedDelay {
@@ -34,12 +34,12 @@ impl JudgedDelay {
                 "what is inconsistent has no bounds: {delay:?}"
             );
         }
-        let missed = match delay.bounds {
+        let error = match delay.bounds {
             Some((lo, hi)) if is_good => (lo - truth).max(truth - hi).max(Span::ZERO),
             None if is_good => panic!("good, and no bounds: {delay:?}"),
             _ => Span::ZERO,
         };
-        Self { sent, received, verdict: delay.verdict.clone(), is_good, missed }
+        Self { sent, received, verdict: delay.verdict.clone(), is_good, error }
     }
 }
 
@@ -69,10 +69,10 @@ impl Outcome {
     /// Prints how often and for how long intervals were wrong. None of a message that arrived before `violated`, or
     /// was sent later than `allowed` after it, may be wrong.
     pub(super) fn assert_wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
-        let wrong: Vec<&JudgedDelay> = self.delays.iter().filter(|delay| delay.missed > INEXACT).collect();
+        let wrong: Vec<&JudgedDelay> = self.delays.iter().filter(|delay| delay.error > TRUTH_ERROR).collect();
         let since = |delay: &JudgedDelay| delay.sent - violated;
         let longest = wrong.last().map_or(Span::ZERO, |last| since(last));
-        let most = wrong.iter().map(|delay| delay.missed).max().unwrap_or_default();
+        let most = wrong.iter().map(|delay| delay.error).max().unwrap_or_default();
         let good = self.delays.iter().filter(|delay| delay.is_good).count();
         let figures = [
             ("delays judged ok or limited", format!("{good} of {}", self.delays.len())),
@@ -80,7 +80,7 @@ impl Outcome {
             ("the last of those after the violation", longest.to_string()),
             ("truth missed by at most", most.to_string()),
         ];
-        measured(self.what, &figures);
+        record_figures(self.what, &figures);
         for delay in wrong {
             let is_allowed = delay.received >= violated && since(delay) <= allowed;
             assert!(is_allowed, "{}: {} after the violation: {delay:?}", self.what, since(delay));
@@ -98,7 +98,7 @@ impl Outcome {
     }
 
     /// Checks that all delays at the end are good.
-    pub(super) fn assert_good_at_the_end(&self) {
+    pub(super) fn assert_good_at_end(&self) {
         let bad: Vec<&JudgedDelay> = self.last().filter(|delay| !delay.is_good).collect();
         assert!(
             bad.is_empty(),
@@ -111,7 +111,7 @@ impl Outcome {
     }
 
     /// Checks that no delay at the end is good.
-    pub(super) fn assert_withdrawn_at_the_end(&self) {
+    pub(super) fn assert_no_good_delay_at_end(&self) {
         let believed: Vec<&JudgedDelay> = self.last().filter(|delay| delay.is_good).collect();
         assert!(believed.is_empty(), "{}: {believed:?}", self.what);
     }

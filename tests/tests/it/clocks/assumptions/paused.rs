@@ -3,7 +3,7 @@
 use peernet_clock::{RawTime, Span};
 use rustix::process::Signal;
 
-use super::{Outcome, Process, Scene, WINDOW, way, wire};
+use super::{Outcome, Process, Scene, WINDOW, wire_direction, wire_network};
 
 /// Stops a process for a while and calls `and` meanwhile. Returns the result, and the times at which the process was
 /// stopped and resumed.
@@ -13,10 +13,11 @@ fn stop(
     of: fn(&Scene) -> &Process,
     and: impl FnOnce(&Scene),
 ) -> (Outcome, RawTime, RawTime) {
-    let scene = Scene::new(what, wire(way(2, 0, 0), way(2, 0, 0)), "", |[edge, _]| {
-        edge.change(Span::from_seconds(77), 150.0, 0.0);
-    });
-    scene.settle();
+    let scene =
+        Scene::new(what, wire_network(wire_direction(2, 0, 0), wire_direction(2, 0, 0)), "", |[edge, _]| {
+            edge.schedule_change(Span::from_seconds(77), 150.0, 0.0);
+        });
+    scene.wait_for_full_window();
     of(&scene).signal(Signal::STOP);
     let stopped = scene.shim().now();
     and(&scene);
@@ -24,7 +25,7 @@ fn stop(
     std::thread::sleep((stopped + length - scene.shim().now()).to_duration());
     let resumed = scene.shim().now();
     of(&scene).signal(Signal::CONT);
-    scene.reach(resumed + WINDOW + Span::from_seconds(5));
+    scene.wait_until_stored_to(resumed + WINDOW + Span::from_seconds(5));
     (scene.end(), stopped, resumed)
 }
 
@@ -33,61 +34,66 @@ const fn edge(scene: &Scene) -> &Process {
 }
 
 /// Stops only the process; its clocks keep running.
-fn stopped_process(what: &'static str, length: Span, of: fn(&Scene) -> &Process) {
+fn check_stopped_process(what: &'static str, length: Span, of: fn(&Scene) -> &Process) {
     let (outcome, ..) = stop(what, length, of, |_| ());
     outcome.assert_never_wrong();
-    outcome.assert_good_at_the_end();
+    outcome.assert_good_at_end();
 }
 
 /// Stops process and clocks: when the process is resumed, its clocks are behind by the length of the pause.
-fn paused_machine(what: &'static str, length: Span) {
+fn check_paused_machine(what: &'static str, length: Span) {
     let (outcome, stopped, resumed) = stop(what, length, edge, |scene| {
         let begin = scene.shim().now() + Span::from_millis(200);
-        scene.shim().change_at(begin, -length, 150.0, 0.0);
+        scene.shim().schedule_change_at(begin, -length, 150.0, 0.0);
     });
     outcome.assert_wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
-    outcome.assert_good_at_the_end();
+    outcome.assert_good_at_end();
 }
 
 #[test]
 fn intervals_are_right_after_process_stop() {
-    stopped_process("the edge is stopped for 2 s, 2/2 ms", Span::from_seconds(2), edge);
+    check_stopped_process("the edge is stopped for 2 s, 2/2 ms", Span::from_seconds(2), edge);
 }
 
 #[test]
 fn intervals_are_right_after_cloud_process_stop() {
-    stopped_process("the cloud is stopped for 2 s, 2/2 ms", Span::from_seconds(2), Scene::cloud);
+    check_stopped_process("the cloud is stopped for 2 s, 2/2 ms", Span::from_seconds(2), Scene::cloud);
 }
 
 #[test]
 #[ignore = "takes eleven minutes; for make soak"]
 fn intervals_are_right_after_ten_minute_stop() {
-    stopped_process("the edge is stopped for 600 s, 2/2 ms", Span::from_seconds(600), edge);
+    check_stopped_process("the edge is stopped for 600 s, 2/2 ms", Span::from_seconds(600), edge);
 }
 
 #[test]
 fn paused_vm_affects_one_window_at_most() {
-    paused_machine("a virtual machine is paused for 0.5 s, 2/2 ms", Span::from_millis(500));
+    check_paused_machine("a virtual machine is paused for 0.5 s, 2/2 ms", Span::from_millis(500));
 }
 
 #[test]
 #[ignore = "takes eleven minutes; for make soak"]
 fn long_vm_pause_affects_one_window_at_most() {
-    paused_machine("a virtual machine is paused for 600 s, 2/2 ms", Span::from_seconds(600));
+    check_paused_machine("a virtual machine is paused for 600 s, 2/2 ms", Span::from_seconds(600));
 }
 
 #[test]
 fn intervals_are_right_after_cloud_reboot() {
     let what = "the cloud is rebooted, 2/6 ms";
-    let mut scene = Scene::new(what, wire(way(2, 0, 0), way(6, 0, 0)), "", |[edge, cloud]| {
-        edge.change(Span::from_seconds(3), -50.0, 0.0);
-        cloud.change(Span::from_seconds(7_200), 100.0, 0.0);
-    });
-    scene.settle();
+    let mut scene = Scene::new(
+        what,
+        wire_network(wire_direction(2, 0, 0), wire_direction(6, 0, 0)),
+        "",
+        |[edge, cloud]| {
+            edge.schedule_change(Span::from_seconds(3), -50.0, 0.0);
+            cloud.schedule_change(Span::from_seconds(7_200), 100.0, 0.0);
+        },
+    );
+    scene.wait_for_full_window();
     scene.reboot_cloud(Span::from_seconds(-7_000), -100.0);
     let rebooted = scene.shim().now();
-    scene.reach(rebooted + Span::from_seconds(8));
+    scene.wait_until_stored_to(rebooted + Span::from_seconds(8));
     let outcome = scene.end();
     outcome.assert_never_wrong();
-    outcome.assert_good_at_the_end();
+    outcome.assert_good_at_end();
 }

@@ -12,7 +12,7 @@ fn second(count: u32, value_ms: f64, verdict: Verdict) -> DelaySecond {
 }
 
 #[test]
-fn the_median_counts_each_delay_and_a_rare_verdict_does_not_colour_the_rest() {
+fn median_weighs_delays_and_ignores_rare_verdicts() {
     let many = [second(98, 6.0, Verdict::Ok), second(1, 60.0, Verdict::Ok), second(1, 1.0, Verdict::Stepped)];
     let all = Delays::merge(NetworkDirection::Up, &many);
     assert_eq!((all.value().as_str(), all.verdict, all.count), ("6.00", Some(Verdict::Ok), 100));

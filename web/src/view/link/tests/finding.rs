@@ -47,7 +47,7 @@ fn the_verdicts_are_told_with_this_links_numbers() {
 }
 
 #[test]
-fn a_young_link_says_so_and_its_first_moments_do_not_colour_it() {
+fn young_link_has_no_verdict_of_first_seconds() {
     let mut young = link(Some(0.00005), &[]);
     young.history.drain(..119);
     young.live.now.offset.iter_mut().for_each(|offset| {

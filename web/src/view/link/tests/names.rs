@@ -5,13 +5,13 @@ use crate::tests::samples::link;
 
 #[test]
 fn a_link_is_found_by_its_two_names() {
-    let picture = peernet_aggregator::LiveState {
+    let snapshot = peernet_aggregator::LiveState {
         links: vec![std::sync::Arc::new(link(Some(0.00065), &[]))],
-        ..crate::tests::samples::picture(Vec::new(), Vec::new())
+        ..crate::tests::samples::snapshot(Vec::new(), Vec::new())
     };
-    assert!(find(&picture, "cam-1~rack-a").is_some());
+    assert!(find(&snapshot, "cam-1~rack-a").is_some());
     for other in ["rack-a~cam-1", "cam-1", "cam-1~", "~", "cam-1~rack-a~"] {
-        assert!(find(&picture, other).is_none(), "{other}");
+        assert!(find(&snapshot, other).is_none(), "{other}");
     }
 }
 
@@ -33,7 +33,7 @@ fn name_of_a_link_leaves_zmq_tcp_out() {
 
 #[test]
 fn a_placement_uses_the_link_over_its_network() {
-    let mut shown = crate::tests::samples::picture(Vec::new(), Vec::new());
+    let mut shown = crate::tests::samples::snapshot(Vec::new(), Vec::new());
     shown.links = vec![Arc::new(crate::tests::samples::link_over_udp(None))];
     let placement = |network: Option<&str>| Placement {
         kind: PlacementKind::Remote,

@@ -111,7 +111,7 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
         last: NOW,
         network: NetworkName::default(),
     };
-    let past = Subject::past(&row).remembering(&course(&away));
+    let past = Subject::past(&row).with_last_offset(&course(&away));
     let stats = stats::all(&past, &course(&away));
     let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
     assert!(offset.line.contains("when last told"), "{offset:?}");
@@ -151,7 +151,7 @@ fn inconsistent(sources: usize) -> LinkSnapshot {
 }
 
 #[test]
-fn what_contradicts_itself_has_no_value_and_no_bound_anywhere() {
+fn contradictory_offset_is_shown_without_value() {
     for (sources, row, hint) in
         [(2, "no common interval", "chronyc tracking"), (1, "not to be trusted", "max_drift_ppm")]
     {

@@ -20,7 +20,7 @@ fn a_claim_is_told_as_it_is_meant() {
 }
 
 #[test]
-fn an_offset_that_may_be_none_is_neither_ahead_nor_behind() {
+fn offset_interval_with_zero_is_undecided() {
     let mut level = link(Some(0.000_004), &[]);
     let offset = level.live.now.offset.as_mut().expect("known");
     let half = Span::from_nanos(4_000);

@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_tests::ClockShim;
 use peernet_tests::network::WireProperties;
 
-use super::{Scene, way, wire};
+use super::{Scene, wire_direction, wire_network};
 
 /// Runs a case for this time after the window is full, and checks every interval.
 fn check_case(
@@ -13,52 +13,52 @@ fn check_case(
     for_s: i64,
     prepare: impl FnOnce([&ClockShim; 2]),
 ) {
-    let scene = Scene::new(what, wire(up, down), "", prepare);
-    let settled = scene.settle();
-    scene.reach(settled + Span::from_seconds(for_s));
+    let scene = Scene::new(what, wire_network(up, down), "", prepare);
+    let settled = scene.wait_for_full_window();
+    scene.wait_until_stored_to(settled + Span::from_seconds(for_s));
     let outcome = scene.end();
     outcome.assert_never_wrong();
-    outcome.assert_good_at_the_end();
+    outcome.assert_good_at_end();
 }
 
 /// Returns the preparation of a constant drift between the two hosts.
-fn steady(ppm: f64) -> impl FnOnce([&ClockShim; 2]) {
+fn constant_drift(ppm: f64) -> impl FnOnce([&ClockShim; 2]) {
     move |[edge, cloud]| {
-        edge.change(Span::from_seconds(-5), ppm / 2.0, 0.0);
+        edge.schedule_change(Span::from_seconds(-5), ppm / 2.0, 0.0);
         // The rate of one clock by the other's time differs slightly from the difference of both rates by the true
         // time.
-        cloud.change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, 0.0);
+        cloud.schedule_change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, 0.0);
     }
 }
 
 /// Simulates a crystal that is warmed and cooled: its rate stays within `ppm` of nominal and changes by `ppm_per_s`.
-fn warm_and_cool(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
+fn schedule_temperature_cycles(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
     let half = 2.0 * ppm / ppm_per_s;
-    let mut begin = shim.change(Span::from_seconds(1_234), -ppm, ppm_per_s);
+    let mut begin = shim.schedule_change(Span::from_seconds(1_234), -ppm, ppm_per_s);
     let turns = (for_s / half).ceil() as u32;
     for turn in 1..=turns {
         begin = begin + Span::from_seconds_f64(half);
         let sign = if turn % 2 == 0 { 1.0 } else { -1.0 };
-        shim.change_at(begin, Span::ZERO, -sign * ppm, sign * ppm_per_s);
+        shim.schedule_change_at(begin, Span::ZERO, -sign * ppm, sign * ppm_per_s);
     }
 }
 
 #[test]
 fn intervals_are_right_at_200_ppm() {
-    check_case("+200 ppm, 1/1 ms", [way(1, 0, 0); 2], 10, steady(200.0));
+    check_case("+200 ppm, 1/1 ms", [wire_direction(1, 0, 0); 2], 10, constant_drift(200.0));
 }
 
 #[test]
 fn intervals_hold_at_200_ppm_on_bad_path() {
-    let ways = [way(5, 3, 2), way(40, 3, 2)];
-    check_case("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", ways, 10, steady(-200.0));
+    let ways = [wire_direction(5, 3, 2), wire_direction(40, 3, 2)];
+    check_case("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", ways, 10, constant_drift(-200.0));
 }
 
 #[test]
 fn intervals_are_right_with_temperature_changes() {
     // A degree per second at 1 ppm/°C: the limit of the rate's change.
-    let waves = |[edge, _]: [&ClockShim; 2]| warm_and_cool(edge, 4.0, 0.999, 120.0);
-    check_case("rate changes by 1 ppm/s, 2/2 ms", [way(2, 0, 0); 2], 20, waves);
+    let waves = |[edge, _]: [&ClockShim; 2]| schedule_temperature_cycles(edge, 4.0, 0.999, 120.0);
+    check_case("rate changes by 1 ppm/s, 2/2 ms", [wire_direction(2, 0, 0); 2], 20, waves);
 }
 
 #[test]
@@ -66,7 +66,7 @@ fn intervals_are_right_with_temperature_changes() {
 fn intervals_are_right_for_all_crystals_and_paths() {
     let paths = [("1/1 ms", 1, 1), ("5/40 ms", 5, 40), ("20/20 ms", 20, 20), ("5/300 ms", 5, 300)];
     for (what, up, down) in paths {
-        let ways = [way(up, up / 2, 1), way(down, down / 4, 1)];
-        check_case(what, ways, 420, |[edge, _]| warm_and_cool(edge, 199.0, 0.999, 1_000.0));
+        let ways = [wire_direction(up, up / 2, 1), wire_direction(down, down / 4, 1)];
+        check_case(what, ways, 420, |[edge, _]| schedule_temperature_cycles(edge, 199.0, 0.999, 1_000.0));
     }
 }

@@ -2,7 +2,7 @@
 
 use peernet_tests::{Document, DocumentedCommands};
 
-use crate::experiments::{Results, column, done};
+use crate::experiments::{Results, column, wait_for_runs};
 
 pub(crate) const COMMANDS: [&str; 8] = [
     "peernet run configs/experiments/sensor-study.toml",
@@ -24,7 +24,7 @@ const SLIP: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsen
 fn readme_commands_without_aggregator_work() {
     let machines = DocumentedCommands::new(&COMMANDS);
     let typed = |command: &str, changes: &[(&str, &str)]| {
-        let ended = machines.on_edge(command, changes).ended();
+        let ended = machines.on_edge(command, changes).wait_for_end();
         (ended.code(), ended.log)
     };
     let named = |command: &str, more: &str| {
@@ -34,7 +34,7 @@ fn readme_commands_without_aggregator_work() {
     };
 
     machines.copy("configs/experiments/sensor-study.toml", &[("duration_s = 12", "iterations = 20")]);
-    let study = done(machines.on_edge("peernet run configs/experiments/sensor-study.toml", &[]), 4);
+    let study = wait_for_runs(machines.on_edge("peernet run configs/experiments/sensor-study.toml", &[]), 4);
     assert_eq!(study.code(), 0, "{}", study.log);
     let results = Results::of(machines.folder().join("results/sensor-study"));
     assert_eq!(results.stages(), ["finished"; 4]);
@@ -63,6 +63,6 @@ fn readme_commands_without_aggregator_work() {
     let file = ("/etc/bash_completion.d/peernet", "completion.bash");
     let (code, log) = typed("peernet completions bash > /etc/bash_completion.d/peernet", &[file]);
     assert_eq!(code, 0, "{log}");
-    assert_eq!(machines.run_on(machines.edge(), "bash -n completion.bash").ended().code(), 0);
+    assert_eq!(machines.run_on(machines.edge(), "bash -n completion.bash").wait_for_end().code(), 0);
     machines.finish();
 }

@@ -7,7 +7,7 @@ use peernet_tests::root;
 /// Commands, with the file that executes them and the words by which it does. Differences from the documents: fewer
 /// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
 /// machine.
-pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
+pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 9] = [
     (
         &[
             "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
@@ -51,7 +51,7 @@ pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
 ];
 
 /// Reasons that commands are never executed, and these commands.
-pub(super) const NOWHERE: [(&str, &[&str]); 4] = [
+pub(super) const NEVER_EXECUTED: [(&str, &[&str]); 4] = [
     (
         "what it fetches is the checkout that the tests are in",
         &["git clone https://github.com/peernet/peernet && cd peernet"],
@@ -87,7 +87,7 @@ pub(super) const NOWHERE: [(&str, &[&str]); 4] = [
 
 #[test]
 fn commands_executed_elsewhere_are_in_their_files() {
-    for (commands, file, words) in ELSEWHERE {
+    for (commands, file, words) in EXECUTED_ELSEWHERE {
         let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
         assert!(text.contains(words), "{file} has no {words:?}, which is to run {commands:?}");
     }

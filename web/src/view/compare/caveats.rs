@@ -1,5 +1,4 @@
-//! Caveats about the means of stored runs (skipped starts, samples without a score), and the commands that compare runs by every
-//! iteration.
+//! Caveats about the means of stored runs, such as skipped starts, and the commands that compare runs by all their iterations.
 
 use peernet_analysis::accuracy::{UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::compare::skipped_starts;
@@ -9,11 +8,11 @@ use peernet_stream::OutcomeCounts;
 
 use super::Comparison;
 
-/// Address of the dashboard in commands if the request's Host header is not plain text.
-const USUAL: &str = "127.0.0.1:8040";
+/// Address of the dashboard in commands if the Host header of the request has characters that a shell could interpret.
+const DEFAULT_ADDRESS: &str = "127.0.0.1:8040";
 
-/// Returns the caveats about the means: runs without their end, starts that were skipped, and iterations without an answer.
-pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
+/// Returns the caveats about the means: unfinished runs, skipped starts, and iterations without an answer.
+pub(crate) fn caveats(comparison: &Comparison) -> Vec<String> {
     let configurations = &comparison.configurations;
     let unfinished: Vec<String> = comparison
         .runs()
@@ -44,7 +43,7 @@ pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
     unfinished.into_iter().chain(skipped).chain(unanswered).collect()
 }
 
-/// Returns a sentence for each configuration with samples whose label is no class of its model.
+/// Returns a sentence for each configuration with samples whose label is not a class of its model.
 pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     let of = comparison.configurations.iter().filter_map(|one| {
         let unknown = UnknownLabels::new(one.figures(UNKNOWN_LABEL)?.count, &[])?;
@@ -54,13 +53,15 @@ pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     of.collect()
 }
 
-/// Returns the commands that fetch the runs from this dashboard, which the browser reaches as `host`, and compare them by all their
-/// iterations. `None` for an experiment, which has results that its own command wrote, and where there is nothing to compare.
+/// Returns the commands that download the runs from this dashboard and compare them by all their iterations. `host` is the address by
+/// which the browser reaches the dashboard. Returns `None` for fewer than two runs, and for an experiment, because its own command wrote
+/// its results to a folder.
 pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
     let runs: Vec<String> = comparison.runs().map(|run| run.number.to_string()).collect();
     (comparison.experiment.is_none() && runs.len() > 1).then_some(())?;
     let is_plain = |char: char| char.is_ascii_alphanumeric() || ".:[]-_".contains(char);
-    let host = Some(host).filter(|host| !host.is_empty() && host.chars().all(is_plain)).unwrap_or(USUAL);
+    let host =
+        Some(host).filter(|host| !host.is_empty() && host.chars().all(is_plain)).unwrap_or(DEFAULT_ADDRESS);
     let files: Vec<String> = runs.iter().map(|run| format!("run-{run}.csv")).collect();
     Some(format!(
         "curl -sSf \"http://{host}/api/v1/runs/{{{}}}/export\" -o \"run-#1.csv\"\npeernet compare {}",
@@ -78,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_are_fetched_and_compared_by_two_commands() {
+    fn commands_download_and_compare_runs() {
         let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
         assert_eq!(commands(&two, "localhost:8040"), None, "an experiment has its folder");
         two.experiment = None;
@@ -94,31 +95,31 @@ mod tests {
     }
 
     #[test]
-    fn starts_that_were_skipped_are_told_as_the_terminal_tells_them() {
+    fn skipped_starts_have_the_same_text_as_in_terminal() {
         let one = configuration(0, Local, 1.0, 1e3);
         let mut other = configuration(1, Local, 2.0, 1e3);
         let mut run = other.runs[0].clone();
         (run.counts.ok, run.counts.timeout, run.skipped_starts) = (90, 37, 73);
         other.runs[0].counts.ok = 0;
         other.runs.push(run);
-        assert!(doubts(&comparison(vec![one.clone()])).is_empty());
+        assert!(caveats(&comparison(vec![one.clone()])).is_empty());
         let text = "Starts were skipped because the pipeline could not keep up; these latencies are not those of the \
                     configured rate: B: 73 of 200 starts (36.5 %).";
         let unanswered = "B: 37 of 127 iterations have no answer; the figures are those of the others.";
-        assert_eq!(doubts(&comparison(vec![one, other])), [text, unanswered]);
+        assert_eq!(caveats(&comparison(vec![one, other])), [text, unanswered]);
     }
 
     #[test]
-    fn named_run_without_end_is_remarked() {
+    fn selected_run_without_end_is_a_caveat() {
         let mut one = configuration(0, Local, 1.0, 1e3);
         one.runs[0].reason = None;
-        let said = doubts(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
+        let said = caveats(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
         let text = "Named, and so compared, though not measured to the end: #1 (in progress or killed).";
         assert_eq!(said, [text]);
     }
 
     #[test]
-    fn labels_that_the_model_does_not_know_are_counted() {
+    fn labels_unknown_to_the_model_are_counted() {
         let mut one = configuration(1, Local, 1.0, 1e3);
         let mut unknown = one.stages[0].clone();
         (unknown.stage, unknown.figures.mean, unknown.figures.count) = (Name::from(UNKNOWN_LABEL), 1.0, 12);

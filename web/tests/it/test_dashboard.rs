@@ -1,4 +1,4 @@
-//! A real aggregator, fed by the factory through its socket, with the pages and the API in front.
+//! A real aggregator with its pages and API. The simulated factory sends it events through its socket.
 
 use std::sync::Arc;
 
@@ -69,24 +69,25 @@ impl TestDashboard {
         Self { aggregator, clock, stop, config, listening, router, _running: running, folder }
     }
 
-    /// Starts an aggregator with a stored run of each line; all lines are live.
-    pub(crate) async fn with(lines: Vec<Line>) -> (Self, Factory) {
-        let bed = Self::empty().await;
+    /// Starts an aggregator with a stored run and live data of each line.
+    pub(crate) async fn with_pipelines(lines: Vec<Line>) -> (Self, Factory) {
+        let dashboard = Self::empty().await;
         let expected = lines.len();
-        let mut factory = Factory::new(&bed.listening, bed.clock.clone(), lines).await;
+        let mut factory = Factory::new(&dashboard.listening, dashboard.clock.clone(), lines).await;
         factory.store_runs(ITERATIONS, true).await;
         factory.store_incidents().await;
         factory.store_clocks(120).await;
-        let now = bed.clock.wall();
+        let now = dashboard.clock.wall();
         factory.report(now - Span::from_seconds(70), now).await;
-        bed.until(|picture| {
-            let full = |second: &[Arc<peernet_aggregator::LiveSecond>]| second.len() >= 30;
-            picture.pipelines.len() == expected
-                && picture.pipelines.iter().all(|one| full(&one.series))
-                && picture.links.iter().all(|link| link.history.len() >= 70)
-        })
-        .await;
-        (bed, factory)
+        dashboard
+            .wait_until(|snapshot| {
+                let full = |second: &[Arc<peernet_aggregator::LiveSecond>]| second.len() >= 30;
+                snapshot.pipelines.len() == expected
+                    && snapshot.pipelines.iter().all(|one| full(&one.series))
+                    && snapshot.links.iter().all(|link| link.history.len() >= 70)
+            })
+            .await;
+        (dashboard, factory)
     }
 
     /// Returns the database's file.
@@ -94,19 +95,19 @@ impl TestDashboard {
         self.folder.path().join("store.sqlite")
     }
 
-    /// Moves the database's file, or something else into its place.
+    /// Renames a file in the folder of the database.
     pub(crate) fn move_database(&self, from: &str, to: &str) {
         std::fs::rename(self.folder.path().join(from), self.folder.path().join(to)).expect("moves");
     }
 
-    /// Waits for a picture.
-    pub(crate) async fn until(&self, done: impl Fn(&LiveState) -> bool) -> Arc<LiveState> {
+    /// Waits for a live state that fulfils a condition.
+    pub(crate) async fn wait_until(&self, done: impl Fn(&LiveState) -> bool) -> Arc<LiveState> {
         let mut live = self.aggregator.live();
-        let picture = live.wait_for(|picture| done(picture)).await.expect("the aggregator runs");
-        Arc::clone(&picture)
+        let snapshot = live.wait_for(|snapshot| done(snapshot)).await.expect("the aggregator runs");
+        Arc::clone(&snapshot)
     }
 
-    /// Sends a request as a program does: with a Host header.
+    /// Sends a request, with a Host header as programs do.
     pub(crate) async fn send(&self, mut request: Request<Body>) -> axum::response::Response {
         request.headers_mut().entry(HOST).or_insert(HeaderValue::from_static("127.0.0.1:8040"));
         self.router.clone().oneshot(request).await.expect("the router answers")

@@ -13,9 +13,9 @@ limit = { total = 50 }
 #[test]
 fn run_without_model_is_shown_on_all_pages() {
     let deployment = LoopbackDeployment::new();
-    let (_aggregator, api) = deployment.aggregator();
-    let edge = deployment.agent("edge", EDGE);
-    let run = api.finished_run();
+    let (_aggregator, api) = deployment.start_aggregator();
+    let edge = deployment.start_agent("edge", EDGE);
+    let run = api.wait_for_finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     assert_eq!(detail["counts"]["ok"].as_u64(), Some(45), "{detail}");
@@ -25,7 +25,7 @@ fn run_without_model_is_shown_on_all_pages() {
     );
     assert!(detail["placement"]["peer"].is_null(), "{detail}");
     // The live state arrives on a separate lane.
-    let kind = api.until("/api/v1/pipelines/edge/study", |pipeline| {
+    let kind = api.wait_until("/api/v1/pipelines/edge/study", |pipeline| {
         pipeline["placement"]["kind"].as_str().map(str::to_owned)
     });
     assert_eq!(kind, "none");

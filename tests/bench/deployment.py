@@ -1,4 +1,4 @@
-"""Daemons for one measurement: their configurations, their folder, their start in the order in which nothing waits."""
+"""The daemons of one measurement: their folder, their configurations and their start, receivers before senders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from programs import PEERNETD, ROOT, Program
 LOOPBACK = Host("", "127.0.0.1")
 
 
-class Plant:
+class Deployment:
     """A folder with daemons."""
 
     def __init__(self, folder: Path) -> None:
@@ -26,7 +26,7 @@ class Plant:
     def daemon(
         self, name: str, configuration: str, host: Host = LOOPBACK, environment: Mapping[str, str] | None = None
     ) -> Program:
-        """Starts `peernetd run` and waits until it says that it is ready."""
+        """Starts `peernetd run` and waits until it reports that it is ready."""
         path = self.folder / f"{name}.toml"
         path.write_text(configuration)
         command = [PEERNETD, "run", path]
@@ -43,11 +43,11 @@ class Plant:
                 },
             )
             self._running.append(program)
-            program.wait_until(f"{name} is ready", lambda: _said_ready(ready))
+            program.wait_until(f"{name} is ready", lambda: _has_reported_ready(ready))
         return program
 
     def aggregator(self, host: Host = LOOPBACK, *, events: int = 5550, web: int = 8040) -> Program:
-        """An aggregator with its database in this plant's folder."""
+        """Starts an aggregator with its database in this deployment's folder."""
         text = f"""
             [aggregator]
             name = "aggregator"
@@ -59,25 +59,25 @@ class Plant:
         return self.daemon("aggregator", text, host)
 
     def is_stored(self, pipeline: str) -> bool:
-        """Whether a run of this pipeline has come to its end in the database."""
+        """Returns whether the database has a finished run of this pipeline."""
         run = store.run_of(self.database, pipeline)
         return run is not None and run.ended
 
     def link(self, name: str) -> None:
-        """Makes a folder of the checkout visible under the same relative path, for configurations that name it."""
+        """Links a folder of the checkout under the same relative path, for configurations that name it."""
         (self.folder / name).symlink_to(ROOT / name)
 
     def stop(self) -> None:
-        """Ends the daemons, the last first: what they hold goes to those that were there before."""
+        """Stops the daemons in reverse order, so that each can still deliver its events to the ones before it."""
         while self._running:
             self._running.pop().stop()
 
 
 @contextmanager
-def plant() -> Iterator[Plant]:
-    """An empty plant; its daemons end with it and its folder goes."""
+def deployment() -> Iterator[Deployment]:
+    """Yields an empty deployment. Its daemons are stopped and its folder is removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder:
-        it = Plant(Path(folder))
+        it = Deployment(Path(folder))
         try:
             yield it
         finally:
@@ -85,7 +85,7 @@ def plant() -> Iterator[Plant]:
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports of loopback nobody listens on at the moment."""
+    """Returns loopback ports on which no program listens at present."""
     sockets = [socket.socket() for _ in range(count)]
     try:
         for one in sockets:
@@ -98,16 +98,16 @@ def free_ports(count: int) -> list[int]:
 
 @contextmanager
 def _ready_socket(path: Path) -> Iterator[socket.socket]:
-    """Where a daemon tells its service manager that it is ready."""
+    """Yields the socket on which a daemon reports to its service manager that it is ready."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ready:
-        # A daemon of the same name may have been there before.
+        # An earlier daemon of the same name may have left its socket.
         path.unlink(missing_ok=True)
         ready.bind(str(path))
         ready.setblocking(False)
         yield ready
 
 
-def _said_ready(ready: socket.socket) -> bool:
+def _has_reported_ready(ready: socket.socket) -> bool:
     try:
         while True:
             if b"READY=1" in ready.recv(4096):

@@ -1,8 +1,8 @@
 //! The shipped configurations, started manually: on two machines, and all in one process.
 
 use peernet_tests::network::Host;
-use peernet_tests::truth::ask;
-use peernet_tests::{Api, Document, DocumentedCommands, until};
+use peernet_tests::truth::query_database;
+use peernet_tests::{Api, Document, DocumentedCommands, wait_until};
 
 pub(crate) const COMMANDS: [&str; 6] = [
     "target/demo/peernetd run configs/aggregator.toml",
@@ -14,9 +14,9 @@ pub(crate) const COMMANDS: [&str; 6] = [
 ];
 
 /// Waits until the dashboard on a host shows this number of answered iterations of a pipeline.
-fn answered(host: &Host, pipeline: &'static str, count: u64) {
-    host.inside(move || {
-        Api::at(8040).until("/api/v1/runs", |runs| {
+fn wait_until_answered(host: &Host, pipeline: &'static str, count: u64) {
+    host.run_in_namespace(move || {
+        Api::on_port(8040).wait_until("/api/v1/runs", |runs| {
             let runs = runs["runs"].as_array()?.iter();
             let of_it = runs.filter(|run| run["pipeline"] == pipeline);
             let sum: u64 = of_it.filter_map(|run| run["counts"]["ok"].as_u64()).sum();
@@ -36,19 +36,19 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     let cloud = machines.on_cloud("target/demo/peernetd run configs/cloud.toml", &[]);
     let edge = machines.on_edge("target/demo/peernetd run configs/edge.toml", &[]);
     for pipeline in ["local", "offload-full", "offload-resized"] {
-        answered(machines.cloud(), pipeline, 5);
+        wait_until_answered(machines.cloud(), pipeline, 5);
     }
 
     aggregator.kill();
-    until("batches that wait", || {
-        let waits = machines.on_edge("peernetd doctor --config configs/edge.toml", &[]).ended();
+    wait_until("batches that wait", || {
+        let waits = machines.on_edge("peernetd doctor --config configs/edge.toml", &[]).wait_for_end();
         assert_eq!(waits.code(), 0, "{}", waits.log);
         waits.log.contains("waiting: batches").then_some(())
     });
     let aggregator = start();
     let said = edge.wait_for_nth("connected to the aggregator", 2);
     assert!(said.contains(" wait"), "how many events it brings: {said}");
-    answered(machines.cloud(), "offload-resized", 20);
+    wait_until_answered(machines.cloud(), "offload-resized", 20);
     for process in [edge, cloud, aggregator] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
@@ -57,7 +57,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     let database = machines.folder().join("data/aggregator/peernet.sqlite");
     let holes =
         "SELECT run, count(*), max(number) FROM iteration GROUP BY run HAVING count(*) <> max(number)";
-    assert_eq!(ask(&database, holes), "");
+    assert_eq!(query_database(&database, holes), "");
 
     // The remaining files are checked on one machine.
     for name in ["python.toml", "python/sweep.py", "python/nearest.py", "all-in-one.toml"] {
@@ -66,8 +66,8 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     }
     let own_code = machines.on_cloud("peernetd run configs/python.toml", &[]);
     let all = machines.on_edge("target/demo/peernetd run configs/all-in-one.toml", &[]);
-    answered(machines.edge(), "over-the-network", 5);
-    answered(machines.cloud(), "scan", 5);
+    wait_until_answered(machines.edge(), "over-the-network", 5);
+    wait_until_answered(machines.cloud(), "scan", 5);
     for process in [own_code, all] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);

@@ -1,0 +1,197 @@
+//! Slots that client addresses share: when all are taken, the address that has most of them loses its oldest one.
+//!
+//! An address that holds slots without using them, because it sends nothing or reads slowly, therefore cannot exclude other addresses.
+//! Among `n` addresses, each gets a share of `1/n` if it asks for it (max-min fairness).
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_networks::AddressGroup;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio_util::sync::CancellationToken;
+
+/// A fixed number of slots, and the addresses that hold them.
+#[derive(Clone, Debug)]
+pub(crate) struct FairSlots {
+    count: usize,
+    max_per_address: usize,
+    /// Slots that are not in use. It lags behind `held` while an evicted slot is still in use.
+    free: Arc<Semaphore>,
+    held: Arc<Mutex<HeldSlots>>,
+}
+
+#[derive(Debug, Default)]
+struct HeldSlots {
+    next: u64,
+    count: usize,
+    /// For each slot the token that ends its use, oldest slot first.
+    by_address: HashMap<AddressGroup, BTreeMap<u64, CancellationToken>>,
+}
+
+/// Reason why no slot is granted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum SlotRefusal {
+    /// The address holds this number of slots, the maximum of one address.
+    AddressLimitReached(usize),
+    /// All of this number of slots are taken, and no address has clearly more of them than the one that asks.
+    AllSlotsTaken(usize),
+}
+
+/// The slot of one open connection or stream; released when dropped.
+#[derive(Debug)]
+pub(crate) struct Slot {
+    _entry: Entry,
+    _permit: OwnedSemaphorePermit,
+}
+
+/// Entry of a slot in [`HeldSlots`]; removed when dropped.
+#[derive(Debug)]
+struct Entry {
+    address: AddressGroup,
+    id: u64,
+    held: Arc<Mutex<HeldSlots>>,
+}
+
+impl FairSlots {
+    /// Creates `count` slots, at least one, of which one address has at most `max_per_address`.
+    pub(crate) fn new(count: usize, max_per_address: usize) -> Self {
+        let count = count.max(1);
+        Self { count, max_per_address, free: Arc::new(Semaphore::new(count)), held: Arc::default() }
+    }
+
+    /// Acquires a slot for `address`. `evict` is cancelled when the slot is needed for another address.
+    ///
+    /// If all slots are taken, this evicts the oldest slot of the address that has most, and waits until it is dropped.
+    ///
+    /// # Errors
+    /// When the address has the maximum number of slots, or all are taken and no address has at least two more than this one.
+    pub(crate) async fn acquire(
+        &self,
+        address: AddressGroup,
+        evict: CancellationToken,
+    ) -> Result<Slot, SlotRefusal> {
+        let entry = self.register(address, evict)?;
+        let permit = Arc::clone(&self.free).acquire_owned().await.expect("the semaphore is never closed");
+        Ok(Slot { _entry: entry, _permit: permit })
+    }
+
+    fn register(&self, address: AddressGroup, evict: CancellationToken) -> Result<Entry, SlotRefusal> {
+        let mut held = lock(&self.held);
+        let held_by_address = held.by_address.get(&address).map_or(0, BTreeMap::len);
+        if held_by_address >= self.max_per_address {
+            return Err(SlotRefusal::AddressLimitReached(held_by_address));
+        }
+        if held.count == self.count {
+            // With a difference of one, two addresses would evict each other alternately.
+            let largest_holder = held.largest_holder().filter(|(_, slots)| *slots >= held_by_address + 2);
+            let (largest_holder, _) = largest_holder.ok_or(SlotRefusal::AllSlotsTaken(self.count))?;
+            held.evict_oldest(largest_holder);
+        }
+        let id = held.next;
+        held.next += 1;
+        held.count += 1;
+        held.by_address.entry(address).or_default().insert(id, evict);
+        Ok(Entry { address, id, held: Arc::clone(&self.held) })
+    }
+}
+
+impl HeldSlots {
+    fn largest_holder(&self) -> Option<(AddressGroup, usize)> {
+        let counts = self.by_address.iter().map(|(address, slots)| (*address, slots.len()));
+        counts.max_by_key(|(_, slots)| *slots)
+    }
+
+    fn evict_oldest(&mut self, address: AddressGroup) {
+        let oldest = self.by_address.get(&address).and_then(|slots| slots.first_key_value());
+        if let Some((&id, evict)) = oldest {
+            evict.cancel();
+            self.remove(address, id);
+        }
+    }
+
+    fn remove(&mut self, address: AddressGroup, id: u64) {
+        let Some(slots) = self.by_address.get_mut(&address) else { return };
+        if slots.remove(&id).is_some() {
+            self.count -= 1;
+        }
+        if slots.is_empty() {
+            self.by_address.remove(&address);
+        }
+    }
+}
+
+impl Drop for Entry {
+    fn drop(&mut self) {
+        lock(&self.held).remove(self.address, self.id);
+    }
+}
+
+fn lock(held: &Mutex<HeldSlots>) -> MutexGuard<'_, HeldSlots> {
+    held.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use futures::FutureExt;
+
+    use super::*;
+
+    fn group(text: &str) -> AddressGroup {
+        AddressGroup::of(format!("{text}:1").parse().expect("an address"))
+    }
+
+    /// Returns the result of `take` if it is ready at once.
+    fn take(slots: &FairSlots, address: &str) -> (Option<Result<Slot, SlotRefusal>>, CancellationToken) {
+        let evict = CancellationToken::new();
+        (slots.acquire(group(address), evict.clone()).now_or_never(), evict)
+    }
+
+    fn taken(slots: &FairSlots, address: &str) -> (Slot, CancellationToken) {
+        let (slot, evict) = take(slots, address);
+        (slot.expect("at once").expect("free"), evict)
+    }
+
+    #[tokio::test]
+    async fn full_slots_evict_oldest_of_largest_holder() {
+        let slots = FairSlots::new(4, 4);
+        let (oldest, evict_oldest_token) = taken(&slots, "192.0.2.1");
+        let (_second, evict_second) = taken(&slots, "192.0.2.1");
+        let (_third, evict_third) = taken(&slots, "192.0.2.1");
+        let (_other, evict_other) = taken(&slots, "192.0.2.2");
+
+        let next = tokio::spawn({
+            let slots = slots.clone();
+            async move { slots.acquire(group("192.0.2.3"), CancellationToken::new()).await }
+        });
+        evict_oldest_token.cancelled().await;
+        assert!(![evict_second, evict_third, evict_other].iter().any(CancellationToken::is_cancelled));
+        assert!(!next.is_finished(), "there are never more in use than slots");
+        drop(oldest);
+        next.await.expect("ends").expect("the evicted slot");
+    }
+
+    #[test]
+    fn address_with_equal_share_evicts_nobody() {
+        let slots = FairSlots::new(4, 4);
+        let held = ["192.0.2.1", "192.0.2.1", "192.0.2.2", "192.0.2.3"].map(|at| taken(&slots, at));
+        for address in ["192.0.2.1", "192.0.2.2"] {
+            let (slot, _) = take(&slots, address);
+            assert_eq!(slot.expect("at once").expect_err("refused"), SlotRefusal::AllSlotsTaken(4));
+        }
+        assert!(!held.iter().any(|(_, evict)| evict.is_cancelled()));
+    }
+
+    #[test]
+    fn released_slots_leave_no_entries() {
+        let slots = FairSlots::new(2, 2);
+        let held = [taken(&slots, "[2001:db8::1]"), taken(&slots, "[2001:db8::ffff:2]")];
+        // Both addresses are in one /64 network, which counts as one address.
+        let (refused, _) = take(&slots, "[2001:db8::3]");
+        assert_eq!(refused.expect("at once").expect_err("refused"), SlotRefusal::AddressLimitReached(2));
+        // This call waits for the evicted slot, and is dropped while it waits.
+        assert!(take(&slots, "192.0.2.1").0.is_none());
+        drop(held);
+        assert!(lock(&slots.held).by_address.is_empty());
+        assert_eq!((lock(&slots.held).count, slots.free.available_permits()), (0, 2));
+    }
+}

@@ -1,0 +1,55 @@
+//! State shortly after the start of an aggregator, when known agents have not reconnected yet.
+
+use peernet_aggregator::LiveState;
+use peernet_clock::{Span, WallTime};
+
+use super::counted;
+
+/// Title that replaces "no host has reported" and "no pipeline runs" while agents may still reconnect.
+pub(crate) const WAITING: &str = "Waiting for agents to report";
+/// Time after which an agent that has not reported counts as absent. Agents try to reconnect every few seconds.
+const RECONNECT_TIMEOUT: Span = Span::from_seconds(15);
+
+/// Returns whether agents may still reconnect to an aggregator that started at `since`. Until then, a host or pipeline that has not
+/// reported is not missing.
+pub(crate) fn is_waiting_for_agents(snapshot: &LiveState, since: WallTime) -> bool {
+    let has_known_hosts = snapshot.absent > 0 || !snapshot.hosts.is_empty();
+    has_known_hosts
+        && snapshot.pipelines.is_empty()
+        && (snapshot.hosts.is_empty() || snapshot.at - since < RECONNECT_TIMEOUT)
+}
+
+/// Returns a sentence such as `2 hosts are known from before`; `None` if no known host is absent.
+pub(crate) fn absent_hosts_sentence(snapshot: &LiveState) -> Option<String> {
+    (snapshot.absent > 0).then(|| {
+        let verb = if snapshot.absent == 1 { "is" } else { "are" };
+        format!("{} {verb} known from before", counted(snapshot.absent, "host", "hosts"))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Verdict;
+
+    use super::*;
+    use crate::tests::samples::{host, pipeline, snapshot};
+
+    #[test]
+    fn known_agents_are_expected_to_reconnect_after_start() {
+        let mut shown = snapshot(Vec::new(), Vec::new());
+        let (now, long_ago) = (shown.at - Span::from_seconds(3), shown.at - Span::from_seconds(3_600));
+        assert!(!is_waiting_for_agents(&shown, now), "a new aggregator knows nobody");
+        shown.absent = 2;
+        assert_eq!(absent_hosts_sentence(&shown).as_deref(), Some("2 hosts are known from before"));
+        assert!(is_waiting_for_agents(&shown, now) && is_waiting_for_agents(&shown, long_ago));
+
+        let mut shown = snapshot(vec![host("rack-a", "EPYC")], Vec::new());
+        shown.absent = 1;
+        assert!(
+            is_waiting_for_agents(&shown, now) && !is_waiting_for_agents(&shown, long_ago),
+            "the other one is away by then"
+        );
+        shown.pipelines.push(pipeline("line", 5.0, 1.0, Verdict::Ok, &[]).into());
+        assert!(!is_waiting_for_agents(&shown, now), "one runs");
+    }
+}
