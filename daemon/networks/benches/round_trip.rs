@@ -295,7 +295,7 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow
         let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
         let trip = clock.mono() - start;
         exchange.result?;
-        let upload = exchange.up.and_then(|up| exchange.log.tree().get(up)).map(|node| &node.measure);
+        let upload = exchange.upload.and_then(|up| exchange.log.tree().get(up)).map(|node| &node.measure);
         let Some(Measure::Transit(upload)) = upload else { return Err("no upload".into()) };
         let upload = upload.received.ok_or("upload did not end")? - upload.sent;
         seen.add(trip, upload);

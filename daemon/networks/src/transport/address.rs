@@ -43,14 +43,14 @@ pub(crate) enum AddressForm {
         /// Scheme of addresses that have a domain in place of host and port.
         in_domain: &'static str,
         /// Returns the address of the listener with this name, using the environment of this process.
-        find: fn(&str, Option<u64>) -> Result<String, UnknownAddress>,
+        find: fn(&str, Option<u64>) -> Result<String, ListenerLookupError>,
     },
 }
 
 /// Error: the environment does not say where a listener with a known name is to be looked up.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub struct UnknownAddress(pub(crate) String);
+pub struct ListenerLookupError(pub(crate) String);
 
 impl AddressForm {
     fn text(self, scheme: &str) -> &'static str {
@@ -71,7 +71,7 @@ struct Scheme {
 
 impl Scheme {
     /// Returns the first scheme of a network.
-    const fn of(network: NetworkKind) -> Self {
+    const fn from_network(network: NetworkKind) -> Self {
         Self { network, text: network.schemes()[0] }
     }
 
@@ -163,17 +163,17 @@ pub struct NetworkMismatch {
 /// Error: the network of this address does not carry the event stream between agent and aggregator.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the event stream goes over {default}, but {0} is an address of {network}; write {form}", default = NetworkKind::default(), network = .0.network(), form = forms_of(&[NetworkKind::default()]))]
-pub struct NoEventStream(pub Address);
+pub struct UnsupportedEventStreamNetwork(pub Address);
 
 impl Address {
     /// Returns the address `tcp://ip:port`.
-    pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
-        Self { scheme: Scheme::of(NetworkKind::ALL[0]), host: Host::Ip(ip), port, name: None }
+    pub const fn from_ip(ip: IpAddr, port: u16) -> Self {
+        Self { scheme: Scheme::from_network(NetworkKind::ALL[0]), host: Host::Ip(ip), port, name: None }
     }
 
     /// Returns the address with its host and port replaced.
     #[must_use]
-    pub fn at_ip(&self, ip: IpAddr, port: u16) -> Self {
+    pub fn with_ip(&self, ip: IpAddr, port: u16) -> Self {
         Self { scheme: self.scheme, host: Host::Ip(ip), port, name: self.name.clone() }
     }
 
@@ -210,8 +210,12 @@ impl Address {
     ///
     /// # Errors
     /// If it does not.
-    pub fn check_event_stream(&self) -> Result<(), NoEventStream> {
-        if self.network() == NetworkKind::default() { Ok(()) } else { Err(NoEventStream(self.clone())) }
+    pub fn check_event_stream(&self) -> Result<(), UnsupportedEventStreamNetwork> {
+        if self.network() == NetworkKind::default() {
+            Ok(())
+        } else {
+            Err(UnsupportedEventStreamNetwork(self.clone()))
+        }
     }
 
     /// Returns the host without brackets, or the number of the domain.

@@ -18,7 +18,8 @@ mod zmq_udp;
 pub mod zmtp;
 
 pub use address::{
-    Address, InvalidAddress, InvalidEventStreamAddress, NetworkMismatch, NoEventStream, UnknownAddress,
+    Address, InvalidAddress, InvalidEventStreamAddress, ListenerLookupError, NetworkMismatch,
+    UnsupportedEventStreamNetwork,
 };
 pub use address_group::AddressGroup;
 pub use host_checks::{UnusableAddress, UnusableSetting};
@@ -142,10 +143,11 @@ impl NetworkKind {
         self,
         name: &str,
         ros_version: Option<u64>,
-    ) -> Option<Result<Address, UnknownAddress>> {
+    ) -> Option<Result<Address, ListenerLookupError>> {
         let AddressForm::Named { find, .. } = self.address_form() else { return None };
-        let read =
-            |text: String| text.parse().map_err(|error: InvalidAddress| UnknownAddress(error.to_string()));
+        let read = |text: String| {
+            text.parse().map_err(|error: InvalidAddress| ListenerLookupError(error.to_string()))
+        };
         Some(find(name, ros_version).and_then(read))
     }
 }

@@ -246,13 +246,13 @@ pub(crate) async fn bind(
     let listener = ZmtpListener::bind(&address.authority(), limits(settings, ports)).await?;
     let bound = listener.address();
     let sender = Box::new(listener.sender());
-    let (address, receiver) = (address.at_ip(bound.ip(), bound.port()), Box::new(listener));
+    let (address, receiver) = (address.with_ip(bound.ip(), bound.port()), Box::new(listener));
     Ok(BoundPort { address, caveat: None, sender, receiver })
 }
 
 fn limits(settings: &SessionSettings, ports: NonZeroUsize) -> ListenerLimits {
     ListenerLimits {
-        max_connections: DescriptorShare::DataPort.connections_of_each(ports),
+        max_connections: DescriptorShare::DataPort.max_connections_per_port(ports),
         max_message_bytes: largest_message(settings),
         max_unfinished_bytes: settings.max_unfinished_bytes,
         hello_timeout: settings.hello_timeout(),

@@ -127,7 +127,7 @@ fn transits(exchange: &Exchange) -> (Transit, Transit) {
         Measure::Transit(transit) => (**transit).clone(),
         other => panic!("{other:?}"),
     };
-    (transit(exchange.up), transit(exchange.down))
+    (transit(exchange.upload), transit(exchange.download))
 }
 
 #[tokio::test]
@@ -228,7 +228,7 @@ async fn moved_cloud_clock_yields_no_observation() {
             clock.forward(Span::from_seconds(3));
             incoming.reply.send(incoming.log, Ok(incoming.sample));
             let exchange = within(pending).await.expect("no panic");
-            assert!(exchange.result.is_ok() && exchange.down.is_some());
+            assert!(exchange.result.is_ok() && exchange.download.is_some());
             assert_eq!(
                 exchange.observation.is_none(),
                 voids,
@@ -292,7 +292,7 @@ async fn request_without_model_answer_yields_no_observation() {
     let pending = request(&session, "forgotten", PATIENCE);
     drop(cloud.next_request().await);
     let exchange = within(pending).await.expect("no panic");
-    assert!(exchange.arrived.is_some());
+    assert!(exchange.arrived_at.is_some());
     assert_eq!(exchange.observation, None);
     let exchange = within(session.request(log(), &sample("x"), Duration::ZERO)).await;
     assert_eq!((exchange.result, exchange.observation), (Err(RequestError::Timeout), None));

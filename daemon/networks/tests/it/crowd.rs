@@ -24,7 +24,7 @@ async fn send_requests(session: Session, task: usize) -> Result<(), RequestError
         let sent = Sample::of(Description::bytes(), payload(task * REQUESTS + n));
         let exchange = session.request(log(), &sent, Duration::from_secs(60)).await;
         assert_eq!(exchange.result?, sent);
-        assert!(exchange.down.is_some());
+        assert!(exchange.download.is_some());
     }
     Ok(())
 }

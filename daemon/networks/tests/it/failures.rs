@@ -126,6 +126,6 @@ impl SilencingRelay {
                 () = cutting.notified() => std::future::pending().await,
             }
         });
-        Self { address: Address::of_ip(local.ip(), local.port()), cut }
+        Self { address: Address::from_ip(local.ip(), local.port()), cut }
     }
 }

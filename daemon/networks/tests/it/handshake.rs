@@ -105,7 +105,7 @@ async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let expected = match network.scheme() {
         "tcp" => OpenError::TimedOut { address, waited_ms },
         // The other end has identified itself as a cloud.
-        _ => OpenError::Unanswered { address, reason: format!("nothing came within {waited_ms} ms") },
+        _ => OpenError::Unanswered { address, reason: format!("no answer arrived within {waited_ms} ms") },
     };
     assert_eq!(error, expected);
     assert_eq!(cloud.next_closed().await.0, unanswered.session);
@@ -141,7 +141,7 @@ async fn sessions_beyond_limit_are_refused_until_one_closes(network: TestNetwork
     cloud.next_closed().await;
     let (third, _) = within(cloud.session(settings())).await;
     let exchange = echo(&mut cloud, &third, "in").await;
-    assert!(exchange.arrived.is_some());
+    assert!(exchange.arrived_at.is_some());
 }
 
 #[tokio::test]

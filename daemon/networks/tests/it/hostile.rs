@@ -301,7 +301,7 @@ async fn invalid_answers_change_no_tree() {
             .await;
         let exchange = within(pending).await.expect("no panic");
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
-        assert_eq!((exchange.down, exchange.log.tree().anchors().len()), (None, 1));
+        assert_eq!((exchange.download, exchange.log.tree().anchors().len()), (None, 1));
     }
     assert_eq!(session.statistics().malformed_messages, count);
 

@@ -73,9 +73,9 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let tree = exchange.log.tree();
     let anchors: Vec<_> = tree.anchors().iter().map(|anchor| anchor.host).collect();
     assert_eq!(anchors, [edge_host, cloud.host]);
-    assert_eq!(exchange.up, Some(upload));
+    assert_eq!(exchange.upload, Some(upload));
     let (down, download) = tree.find(&["download"]).expect("the way back");
-    assert_eq!(exchange.down, Some(down));
+    assert_eq!(exchange.download, Some(down));
     assert_eq!(download.host, HostIndex(1));
     let (_, inference) = tree.find(&["inference"]).expect("the cloud's node");
     assert_eq!((inference.host, inference.parent), (HostIndex(1), Some(NodeId::ROOT)));
@@ -89,7 +89,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     };
     let ((sent, received), (answered, arrived)) = (transit(upload), transit(down));
     assert_eq!(received, incoming.received.wall);
-    assert_eq!(Some(arrived), exchange.arrived.map(|stamp| stamp.wall));
+    assert_eq!(Some(arrived), exchange.arrived_at.map(|stamp| stamp.wall));
     assert!(sent <= received && received <= answered && answered <= arrived);
 
     let value = |name| tree.find(&[name]).and_then(|(_, node)| node.measure.value()).expect(name);
@@ -135,7 +135,7 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     incoming.reply.send(incoming.log, Err(Failure::Failed("not a JPEG".into())));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Failed("not a JPEG".into())));
-    assert!(exchange.down.is_some() && exchange.log.tree().find(&["preprocessing"]).is_some());
+    assert!(exchange.download.is_some() && exchange.log.tree().find(&["preprocessing"]).is_some());
 
     let pending = request(&session, "one too many", PATIENCE);
     let incoming = cloud.next_request().await;
@@ -147,7 +147,7 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     drop(cloud.next_request().await);
     let exchange = within(pending).await.expect("no panic");
     assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
-    assert!(exchange.arrived.is_some() && exchange.down.is_none());
+    assert!(exchange.arrived_at.is_some() && exchange.download.is_none());
     echo(&mut cloud, &session, "all is well").await;
 }
 
@@ -158,8 +158,8 @@ async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
     let slow = cloud.next_request().await;
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Timeout));
-    assert_eq!((exchange.arrived, exchange.down), (None, None));
-    let upload = exchange.log.tree().get(exchange.up.expect("was sent")).expect("in the tree");
+    assert_eq!((exchange.arrived_at, exchange.download), (None, None));
+    let upload = exchange.log.tree().get(exchange.upload.expect("was sent")).expect("in the tree");
     assert!(upload.measure.is_open());
     assert!(exchange.log.tree().find(&["upload-bytes"]).is_some());
 
@@ -201,7 +201,7 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     let incoming = cloud.next_request().await;
     let impatient = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
     assert_eq!(impatient.result, Err(RequestError::Timeout));
-    assert_eq!(impatient.up, None);
+    assert_eq!(impatient.upload, None);
     incoming.reply.send(incoming.log, Ok(incoming.sample));
     assert!(within(held).await.expect("no panic").result.is_ok());
 }
@@ -214,7 +214,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let exchange = within(session.request(log(), &large, PATIENCE)).await;
     let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
-    assert_eq!(exchange.up, None);
+    assert_eq!(exchange.upload, None);
     echo(&mut cloud, &session, "small").await;
 
     let mut cloud = Cloud::over(network).await;

@@ -1,7 +1,7 @@
 //! Tests of the statistics of a connection at both ends, and of those of the kernel.
 
 use peernet_clock::Span;
-use peernet_networks::interface_of;
+use peernet_networks::outgoing_interface;
 use peernet_stream::ConnectionStatistics;
 
 use crate::support::{Cloud, PATIENCE, log, sample, settings, within};
@@ -63,7 +63,7 @@ async fn tcp_connection_has_round_trip_and_interface() {
 
     let addresses = reader.addresses().expect("a TCP connection has addresses");
     assert_eq!(addresses.remote.port(), cloud.address().port());
-    let interface = interface_of(&addresses).expect("interfaces are listed").expect("it has one");
+    let interface = outgoing_interface(&addresses).expect("interfaces are listed").expect("it has one");
     assert_eq!((interface.name.as_str(), interface.kind.as_deref()), ("lo", Some("loopback")));
 
     session.close().await;

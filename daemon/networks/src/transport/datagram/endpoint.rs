@@ -151,7 +151,7 @@ impl Endpoint {
         // The prefix and a fragment's header must leave room for a fragment.
         let datagram = terms.datagram.min(own.datagram).max(MIN_DATAGRAM_BYTES);
         let known = self.table.find(to, nonce);
-        if known.is_none() && !self.make_room(AddressGroup::of(source)) {
+        if known.is_none() && !self.make_room(AddressGroup::from_address(source)) {
             tracing::debug!(%source, "refused a connection: as many are open as are allowed");
             let refused = Packet::Reset { id: nonce, reason: ResetReason::Full };
             return self.answers.push(route, &refused);

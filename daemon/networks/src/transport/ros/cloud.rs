@@ -74,7 +74,7 @@ pub(crate) async fn bind(
     let caveat = node.caveat().map(str::to_owned);
     let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
     // At least one, however few descriptors the process may open.
-    let max = (DescriptorShare::DataPort.connections_of_each(ports) / SOCKETS_OF_CONNECTION).max(1);
+    let max = (DescriptorShare::DataPort.max_connections_per_port(ports) / SOCKETS_OF_CONNECTION).max(1);
     let tasks = CloudTasks::default();
     let peers = Peers::new(
         (Arc::clone(&node), SharedClock::clone(clock)),

@@ -48,7 +48,7 @@ pub(crate) async fn bind(
         connection: connection_limits(settings),
         reassembly: reassembly_limits(settings),
         max_unfinished_bytes: settings.max_unfinished_bytes,
-        max_connections: DescriptorShare::DataPort.connections_of_each(ports),
+        max_connections: DescriptorShare::DataPort.max_connections_per_port(ports),
         hello_timeout: Span::from(settings.hello_timeout()),
         terms: own_terms(settings, &socket),
     };
@@ -59,7 +59,7 @@ pub(crate) async fn bind(
     let machine = CloudEnd { endpoint: Endpoint::new(secret, PREFIX, limits), is_closing: false };
     let (port, arrivals) = Port::serve(socket, machine, Instant::now());
     let sender = Box::new(UdpCloudSender(Arc::clone(&port)));
-    let address = address.at_ip(bound.ip(), bound.port());
+    let address = address.with_ip(bound.ip(), bound.port());
     Ok(BoundPort { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
 }
 

@@ -91,7 +91,7 @@ impl ZmtpConnection {
         Self {
             id,
             address,
-            group: AddressGroup::of(address),
+            group: AddressGroup::from_address(address),
             writer,
             codec: Mutex::new(codec),
             phase: AtomicU8::new(Phase::Handshake as u8),

@@ -221,7 +221,7 @@ async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mps
             let output = &shared.budgets.output;
             Arc::new(ZmtpConnection::new(id, address, writer, place, &shared.limits, output))
         };
-        match shared.table.insert(AddressGroup::of(address), make) {
+        match shared.table.insert(AddressGroup::from_address(address), make) {
             Ok(InsertedConnection { connection, replaced }) => {
                 for other in replaced {
                     other.advance(Phase::Replaced);

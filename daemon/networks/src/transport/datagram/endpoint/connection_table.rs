@@ -86,7 +86,7 @@ impl ConnectionTable {
         let max = max.max(1);
         let mut groups: HashMap<AddressGroup, (usize, usize)> = HashMap::new();
         for entry in self.entries.values() {
-            let (all, unadmitted) = groups.entry(AddressGroup::of(entry.source)).or_default();
+            let (all, unadmitted) = groups.entry(AddressGroup::from_address(entry.source)).or_default();
             *all += 1;
             *unadmitted += usize::from(matches!(entry.admission, Admission::Unadmitted { .. }));
         }
@@ -104,7 +104,7 @@ impl ConnectionTable {
         let oldest = self
             .entries
             .iter()
-            .filter(|(_, entry)| AddressGroup::of(entry.source) == crowded)
+            .filter(|(_, entry)| AddressGroup::from_address(entry.source) == crowded)
             .filter_map(|(id, entry)| match entry.admission {
                 Admission::Unadmitted { since } => Some((since, *id)),
                 _ => None,
@@ -159,7 +159,8 @@ mod tests {
     #[test]
     fn oldest_connection_without_session_is_replaced() {
         let mut table = ConnectionTable::default();
-        let (one, other) = (AddressGroup::of(address(1, 1)), AddressGroup::of(address(2, 1)));
+        let (one, other) =
+            (AddressGroup::from_address(address(1, 1)), AddressGroup::from_address(address(2, 1)));
         table.insert(1, entry(address(1, 1), 1, Admission::Admitted));
         assert_eq!(table.capacity(one, 8), Capacity::Free);
         table.insert(2, entry(address(1, 2), 2, unadmitted(5)));
@@ -176,6 +177,6 @@ mod tests {
         for n in 1..=4 {
             table.insert(n, entry(address(n as u8, 1), n, Admission::Admitted));
         }
-        assert_eq!(table.capacity(AddressGroup::of(address(9, 1)), 4), Capacity::Exhausted);
+        assert_eq!(table.capacity(AddressGroup::from_address(address(9, 1)), 4), Capacity::Exhausted);
     }
 }

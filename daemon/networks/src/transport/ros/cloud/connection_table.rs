@@ -231,7 +231,7 @@ mod tests {
         let (host, pipeline) = (host.to_owned(), pipeline.to_owned());
         let hello = SessionHello { header, host, pipeline, ..SessionHello::default() };
         let address: SocketAddr = format!("{address}:1").parse().expect("an address");
-        table.open(&hello, AddressGroup::of(address), CancellationToken::new())
+        table.open(&hello, AddressGroup::from_address(address), CancellationToken::new())
     }
 
     fn begun(opening: OpenOutcome) -> Arc<CloudConnection> {

@@ -86,7 +86,7 @@ impl Peers {
 
     /// Opens a connection that an edge asks for. An edge repeats its request until it is answered.
     pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
-        let group = AddressGroup::of(edge.remote);
+        let group = AddressGroup::from_address(edge.remote);
         let (connection, replaced) = match self.table.open(&hello, group, self.tasks.abort_token()) {
             OpenOutcome::Repeated => return,
             OpenOutcome::Refused(reason) => return self.refusals.refuse(&hello, edge, reason),
