@@ -85,7 +85,7 @@ pub(crate) async fn run(
                 Some(Arrival::Gone(connection, _)) => session.connection_closed(connection),
                 // TCP connections do not report these arrivals.
                 Some(
-                    Arrival::Garbage(..)
+                    Arrival::InvalidData(..)
                     | Arrival::Incomplete(..)
                     | Arrival::Lost(..)
                     | Arrival::Moved(..)

@@ -162,7 +162,7 @@ impl Listener {
                     return Some(Incoming::Remark { session, text });
                 }
                 Arrival::Refused(host, text) => return Some(Incoming::Refused { host, text }),
-                Arrival::Garbage(address, problem) => {
+                Arrival::InvalidData(address, problem) => {
                     // The transport has already logged it with its reason.
                     tracing::debug!(?address, problem, "dropped invalid data from a peer");
                     self.shared.output.counters.count_malformed();

@@ -8,7 +8,7 @@ use super::client::{HelloOutcome, classify_answer};
 use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
-use crate::transport::{DialFailure, Dialler, EdgeArrival, EdgeConnection, SendOptions};
+use crate::transport::{DialContext, DialFailure, EdgeArrival, EdgeConnection, SendOptions};
 use crate::{Address, SessionSettings};
 
 /// Reason why a session could not be opened.
@@ -97,8 +97,8 @@ pub(crate) async fn handshake(
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
     let waited_ms = settings.open_timeout_ms;
     let deadline = Instant::now() + settings.open_timeout();
-    let dialler = Dialler { hello: &hello, clock };
-    let connection = timeout_at(deadline, address.network().dial(address, settings, &dialler)).await;
+    let context = DialContext { hello: &hello, clock };
+    let connection = timeout_at(deadline, address.network().dial(address, settings, &context)).await;
     let mut connection =
         connection.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
             DialFailure::Unreachable(reason) => unreachable(reason),
@@ -142,7 +142,7 @@ pub(crate) async fn handshake(
             }
             // The transport repeats the messages that open a session.
             Ok(Ok(EdgeArrival::Incomplete(_) | EdgeArrival::Lost(_))) => continue,
-            Ok(Ok(EdgeArrival::Garbage(_))) => {
+            Ok(Ok(EdgeArrival::InvalidData(_))) => {
                 counters.count_malformed();
                 continue;
             }

@@ -101,7 +101,7 @@ impl ReceivingTask {
                         Ok(EdgeArrival::Lost(loss)) => {
                             self.shared.lose_request(loss, "it was lost on the way to the cloud");
                         }
-                        Ok(EdgeArrival::Garbage(problem)) => {
+                        Ok(EdgeArrival::InvalidData(problem)) => {
                             tracing::debug!(problem, "dropped invalid data from the cloud's address");
                             self.shared.counters.count_malformed();
                         }

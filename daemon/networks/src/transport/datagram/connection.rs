@@ -63,7 +63,7 @@ pub(crate) enum Event {
     /// A message that was sent did not arrive as a whole.
     Lost(MessageLoss),
     /// A packet arrived that cannot be right, for this reason.
-    Garbage(String),
+    InvalidData(String),
     /// The connection is over, for this reason.
     Gone(String),
 }
@@ -138,10 +138,10 @@ impl Connection {
                 match self.receiving.receive(number, &fragment, now) {
                     FragmentOutcome::Message(bytes, reserved) => match split_frames(bytes) {
                         Ok(frames) => self.events.push_back(Event::Message(frames, reserved)),
-                        Err(error) => self.events.push_back(Event::Garbage(error.to_string())),
+                        Err(error) => self.events.push_back(Event::InvalidData(error.to_string())),
                     },
                     FragmentOutcome::Nothing => {}
-                    FragmentOutcome::Garbage(problem) => self.events.push_back(Event::Garbage(problem)),
+                    FragmentOutcome::InvalidData(problem) => self.events.push_back(Event::InvalidData(problem)),
                 }
                 if let Some(progress) = self.receiving.progress() {
                     self.control.push(progress);
@@ -222,7 +222,7 @@ impl Connection {
 
     /// Reports a false claim as garbage. A false claim has no other effect.
     fn refuse<T>(&mut self, claim: Result<T, FalseClaim>) -> Option<T> {
-        claim.map_err(|claim| self.events.push_back(Event::Garbage(claim.to_string()))).ok()
+        claim.map_err(|claim| self.events.push_back(Event::InvalidData(claim.to_string()))).ok()
     }
 
     /// Returns the totals of the datagrams of both directions, and the round trip.

@@ -220,7 +220,7 @@ impl Endpoint {
     }
 
     fn garbage(&mut self, source: SocketAddr, problem: String) {
-        self.arrivals.push(Arrival::Garbage(Some(source), problem), None);
+        self.arrivals.push(Arrival::InvalidData(Some(source), problem), None);
     }
 
     /// Collects the events of a connection, and notes that it may have something to send.
@@ -236,7 +236,7 @@ impl Endpoint {
                 }
                 Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), None),
                 Event::Lost(loss) => (Arrival::Lost(connection, loss), None),
-                Event::Garbage(problem) => (Arrival::Garbage(Some(entry.source), problem), None),
+                Event::InvalidData(problem) => (Arrival::InvalidData(Some(entry.source), problem), None),
                 // The layer above has not heard of a connection without a message.
                 Event::Gone(_) if !entry.has_delivered => continue,
                 Event::Gone(reason) => (Arrival::Gone(connection, reason), None),
@@ -395,7 +395,7 @@ impl Endpoint {
     }
 
     /// Returns the memory of unfinished messages and of messages that were not handed on yet. Bytes.
-    pub(crate) fn held_bytes(&self) -> u64 {
-        self.budgets.held()
+    pub(crate) fn reserved_bytes(&self) -> u64 {
+        self.budgets.reserved_bytes()
     }
 }

@@ -106,7 +106,7 @@ impl Port {
         }
         let sent = self.endpoint.statistics(ConnectionId(self.connection), self.now).sent;
         assert!(sent.lost.max(sent.reordered) <= sent.datagrams, "{sent:?}");
-        assert!(self.endpoint.held_bytes() <= MAX_UNFINISHED + 16 * 1024 * 1024);
+        assert!(self.endpoint.reserved_bytes() <= MAX_UNFINISHED + 16 * 1024 * 1024);
         back
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 
-use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
+use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 
 /// Memory of a fragment behind a gap in addition to its bytes: its entry in the map and the overhead of the allocator.
 /// Bytes.
@@ -65,14 +65,14 @@ impl PartialMessage {
         offset: u32,
         bytes: &[u8],
         budget: &Arc<MemoryBudget>,
-    ) -> Result<AddOutcome, Exhausted> {
+    ) -> Result<AddOutcome, BudgetExhausted> {
         let arrived = self.start.len();
         if (offset as usize) < arrived || self.behind.contains_key(&offset) {
             return Ok(AddOutcome::Duplicate);
         }
         if offset as usize > arrived {
             let cost = self.behind_cost + bytes.len() as u64 + FRAGMENT_OVERHEAD;
-            self.reserved.set(budget, self.start.capacity() as u64 + cost)?;
+            self.reserved.resize(budget, self.start.capacity() as u64 + cost)?;
             self.behind_cost = cost;
             self.behind.insert(offset, bytes.into());
             return Ok(AddOutcome::New);
@@ -88,12 +88,12 @@ impl PartialMessage {
         Ok(AddOutcome::New)
     }
 
-    fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), Exhausted> {
+    fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), BudgetExhausted> {
         let needed = self.start.len() + bytes.len();
         if needed > self.start.capacity() {
             // At most twice the bytes that have arrived, so that a long message is copied seldom.
             let capacity = needed.max(self.start.len() * 2).min(self.total as usize);
-            self.reserved.set(budget, capacity as u64 + self.behind_cost)?;
+            self.reserved.resize(budget, capacity as u64 + self.behind_cost)?;
             self.start.reserve_exact(capacity - self.start.len());
         }
         self.start.extend_from_slice(bytes);
@@ -118,9 +118,13 @@ mod tests {
         for offset in [0, 1_000, 3_999_999_000] {
             let mut message = PartialMessage::new(4_000_000_000, &budget);
             message.add(offset, &[7; 1_000], &budget).expect("there is room");
-            assert!(budget.held() <= 2_000, "{} bytes for a fragment at {offset}", budget.held());
+            assert!(
+                budget.reserved_bytes() <= 2_000,
+                "{} bytes for a fragment at {offset}",
+                budget.reserved_bytes()
+            );
         }
-        assert_eq!(budget.held(), 0);
+        assert_eq!(budget.reserved_bytes(), 0);
     }
 
     #[test]
@@ -131,8 +135,8 @@ mod tests {
         assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::New));
         assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
         assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
-        assert_eq!(message.add(6_000, &[7; 1_000], &budget), Err(Exhausted));
-        assert_eq!(message.add(1_000, &[7; 1_000], &budget), Err(Exhausted));
+        assert_eq!(message.add(6_000, &[7; 1_000], &budget), Err(BudgetExhausted));
+        assert_eq!(message.add(1_000, &[7; 1_000], &budget), Err(BudgetExhausted));
     }
 
     proptest! {
@@ -155,12 +159,12 @@ mod tests {
                     arrived += part.len() as u64;
                     count += 1;
                 }
-                prop_assert!(budget.held() <= 2 * arrived + count * FRAGMENT_OVERHEAD);
+                prop_assert!(budget.reserved_bytes() <= 2 * arrived + count * FRAGMENT_OVERHEAD);
             }
             let (whole, reserved) = message.into_bytes();
             prop_assert_eq!(&whole[..], &bytes[..]);
             drop(reserved);
-            prop_assert_eq!(budget.held(), 0);
+            prop_assert_eq!(budget.reserved_bytes(), 0);
         }
     }
 }

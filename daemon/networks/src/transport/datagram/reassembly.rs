@@ -13,7 +13,7 @@ use peernet_clock::{MonoTime, Span};
 use super::fragment::fragment_count;
 use super::packet::Fragment;
 use super::partial_message::{AddOutcome, PartialMessage};
-use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
+use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 
 /// Largest number of message numbers whose state is kept.
 pub(crate) const MAX_SPAN: u64 = 1_024;
@@ -149,7 +149,7 @@ impl Reassembly {
         match received {
             Ok(ReassemblyOutcome::Stored) => self.finish(fragment.sequence),
             Ok(received) => received,
-            Err(Exhausted) => {
+            Err(BudgetExhausted) => {
                 self.give_up_slot(fragment.sequence);
                 ReassemblyOutcome::Stored
             }
@@ -157,7 +157,11 @@ impl Reassembly {
     }
 
     /// Starts a message of which nothing had arrived.
-    fn begin(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Result<ReassemblyOutcome, Exhausted> {
+    fn begin(
+        &mut self,
+        fragment: &Fragment<'_>,
+        now: MonoTime,
+    ) -> Result<ReassemblyOutcome, BudgetExhausted> {
         let count = fragment_count(fragment.total, fragment.stride);
         let mut unfinished = UnfinishedMessage {
             tag: fragment.tag,
@@ -174,7 +178,7 @@ impl Reassembly {
         // Too long for this end: counted as lost like a message without memory, so that the sender learns of it.
         let added = if fragment.total > self.limits.max_message_bytes {
             unfinished.received = 1;
-            Err(Exhausted)
+            Err(BudgetExhausted)
         } else {
             unfinished.add(fragment, &self.budget, now)
         };
@@ -337,7 +341,7 @@ impl UnfinishedMessage {
         fragment: &Fragment<'_>,
         budget: &Arc<MemoryBudget>,
         now: MonoTime,
-    ) -> Result<ReassemblyOutcome, Exhausted> {
+    ) -> Result<ReassemblyOutcome, BudgetExhausted> {
         let is_same = (fragment.tag, fragment.checksum, fragment.stride)
             == (self.tag, self.checksum, self.stride)
             && fragment.total == self.message.total();

@@ -58,7 +58,7 @@ pub(crate) enum FragmentOutcome {
     /// No message is complete.
     Nothing,
     /// The fragment is invalid, for this reason.
-    Garbage(String),
+    InvalidData(String),
 }
 
 impl ReceivingHalf {
@@ -91,9 +91,11 @@ impl ReceivingHalf {
             ReassemblyOutcome::Message { bytes, reserved } => FragmentOutcome::Message(bytes, reserved),
             ReassemblyOutcome::Stored | ReassemblyOutcome::Duplicate => FragmentOutcome::Nothing,
             ReassemblyOutcome::Inconsistent => {
-                FragmentOutcome::Garbage("a fragment that contradicts its message".into())
+                FragmentOutcome::InvalidData("a fragment that contradicts its message".into())
             }
-            ReassemblyOutcome::TooFarAhead => FragmentOutcome::Garbage(FalseClaim::TooFarAhead.to_string()),
+            ReassemblyOutcome::TooFarAhead => {
+                FragmentOutcome::InvalidData(FalseClaim::TooFarAhead.to_string())
+            }
         }
     }
 

@@ -153,7 +153,7 @@ impl Connection {
                 self.phase = Phase::Leaving(peernet_sample::printable_line(&info.reason).into_owned());
                 self.end_after_payloads();
             }
-            kind => self.events.push(Event::Garbage(format!("a message of the unknown kind {kind}"))),
+            kind => self.events.push(Event::InvalidData(format!("a message of the unknown kind {kind}"))),
         }
     }
 
@@ -228,7 +228,7 @@ impl Connection {
     /// Reports an invalid message of the peer.
     pub(super) fn garbage(&mut self, problem: String) {
         if !self.is_closed() {
-            self.events.push(Event::Garbage(problem));
+            self.events.push(Event::InvalidData(problem));
         }
     }
 

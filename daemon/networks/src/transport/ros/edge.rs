@@ -24,7 +24,7 @@ use super::serving::{ConnectionTask, Directive, Sink};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialFailure, Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    DialContext, DialFailure, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
     SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -48,13 +48,13 @@ const QUEUED_ARRIVALS: usize = 64;
 pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
-    dialler: &Dialler<'_>,
+    context: &DialContext<'_>,
 ) -> Result<EdgeConnection, DialFailure> {
     let id = uuid::Uuid::new_v4().simple().to_string();
-    let hello = dialler.hello;
+    let hello = context.hello;
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
     let name = format!("{prefix}{}", &id[..8]);
-    let node = open_node(address, &name, settings, dialler.clock).await?;
+    let node = open_node(address, &name, settings, context.clock).await?;
     // However dialling ends, the guard ends the node, so that the master is informed.
     let node = NodeGuard { node, patience: settings.close_timeout() };
     let pipeline = node.resolve(&allowed(hello.pipeline.as_str()))?;
@@ -69,7 +69,7 @@ pub(crate) async fn dial(
     let limits = ReceiveLimits { max_message_bytes: largest_message(settings), budget: Arc::clone(&budget) };
     let receiving = limits.subscriber_options(settings, &cloud);
     let opened = open(&topics, &**node, settings, receiving).await?;
-    let clock = SharedClock::clone(dialler.clock);
+    let clock = SharedClock::clone(context.clock);
     let sending = (opened.request_info, topics.request.payload);
     let channel = Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, sending);
     let wire = SessionHello {
@@ -223,7 +223,7 @@ impl Sink for EdgeSink {
             Event::Message(frames, reserved) => (Ok(EdgeArrival::Message(frames)), reserved),
             Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), Vec::new()),
             Event::Lost(loss) => (Ok(EdgeArrival::Lost(loss)), Vec::new()),
-            Event::Garbage(problem) => (Ok(EdgeArrival::Garbage(problem)), Vec::new()),
+            Event::InvalidData(problem) => (Ok(EdgeArrival::InvalidData(problem)), Vec::new()),
             Event::Remark(text) => (Ok(EdgeArrival::Remark(text)), Vec::new()),
             Event::Gone(reason) => (Err(Disconnected(reason)), Vec::new()),
         };

@@ -76,7 +76,7 @@ struct ReceivingMemory(Arc<MemoryBudget>);
 impl MemoryLimit for ReceivingMemory {
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>> {
         let mut reserved = Reservation::empty(&self.0);
-        reserved.set(&self.0, bytes as u64).ok()?;
+        reserved.resize(&self.0, bytes as u64).ok()?;
         Some(Box::new(reserved))
     }
 }

@@ -160,7 +160,7 @@ mod tests {
 
         fn add(&mut self, stamp: i64, half: Half) -> Option<Pair> {
             let mut reserved = Reservation::empty(&self.budget);
-            reserved.set(&self.budget, 10).expect("there is room");
+            reserved.resize(&self.budget, 10).expect("there is room");
             self.pairing.add(stamp, half, reserved, MonoTime::default(), &mut self.lost)
         }
 
@@ -188,7 +188,7 @@ mod tests {
         let pair = bench.info(3).expect("whole");
         assert_eq!((&pair.payload[..], pair.info.request), (&b"x"[..], 3));
         drop(pair);
-        assert_eq!((bench.budget.held(), bench.lost.len()), (0, 1));
+        assert_eq!((bench.budget.reserved_bytes(), bench.lost.len()), (0, 1));
     }
 
     #[test]
@@ -208,7 +208,7 @@ mod tests {
         assert_eq!(bench.lost, [loss(Some(1))]);
         let end = bench.pairing.next_timer().expect("three wait");
         bench.pairing.expire(end, &mut bench.lost);
-        assert_eq!((bench.lost.len(), bench.budget.held()), (4, 0));
+        assert_eq!((bench.lost.len(), bench.budget.reserved_bytes()), (4, 0));
         assert_eq!(bench.pairing.next_timer(), None);
     }
 }

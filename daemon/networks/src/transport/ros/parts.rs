@@ -35,7 +35,7 @@ impl Parts {
         };
         let mut parts = parts.filter(|parts| parts.is_of(part)).unwrap_or_else(begin);
         let length = (parts.bytes.len() + part.frames.len()) as u64;
-        if length > most_bytes || parts.reserved.set(budget, length).is_err() {
+        if length > most_bytes || parts.reserved.resize(budget, length).is_err() {
             return None;
         }
         parts.bytes.extend_from_slice(&part.frames);
@@ -91,9 +91,9 @@ mod tests {
         let parts =
             Parts::extended(parts, (&part(1, b"def"), MonoTime::default()), &budget, 10).expect("fits");
         assert!(parts.is_of(&part(1, b"")) && !parts.is_of(&part(2, b"")));
-        assert_eq!(budget.held(), 6);
+        assert_eq!(budget.reserved_bytes(), 6);
         assert_eq!(parts.joined(&frames), "abcdefg");
-        assert_eq!(budget.held(), 0);
+        assert_eq!(budget.reserved_bytes(), 0);
     }
 
     #[test]
@@ -101,9 +101,9 @@ mod tests {
         let budget = MemoryBudget::new(5);
         let parts = Parts::extended(None, (&part(1, b"abc"), MonoTime::default()), &budget, 10);
         let parts = Parts::extended(parts, (&part(2, b"de"), MonoTime::default()), &budget, 10);
-        assert_eq!(budget.held(), 2);
+        assert_eq!(budget.reserved_bytes(), 2);
         assert!(Parts::extended(parts, (&part(2, b"fghi"), MonoTime::default()), &budget, 10).is_none());
         assert!(Parts::extended(None, (&part(3, b"abc"), MonoTime::default()), &budget, 2).is_none());
-        assert_eq!(budget.held(), 0);
+        assert_eq!(budget.reserved_bytes(), 0);
     }
 }

@@ -53,7 +53,7 @@ impl ReassemblyBudgets {
     }
 
     /// Returns the memory of unfinished messages and of messages that were not handed on yet. Bytes.
-    pub(super) fn held(&self) -> u64 {
-        self.admitted.held() + self.unadmitted.held()
+    pub(super) fn reserved_bytes(&self) -> u64 {
+        self.admitted.reserved_bytes() + self.unadmitted.reserved_bytes()
     }
 }

@@ -78,7 +78,7 @@ impl Peers {
 
     /// Hands up that a node sent invalid data.
     pub(super) fn garbage(&self, from: SocketAddr, problem: &str) {
-        let garbage = Arrival::Garbage(Some(from), peernet_sample::printable_line(problem).into_owned());
+        let garbage = Arrival::InvalidData(Some(from), peernet_sample::printable_line(problem).into_owned());
         if self.deliveries.try_send((garbage, Vec::new())).is_err() {
             tracing::debug!(%from, problem, "a message that makes no sense is not counted, because nobody receives");
         }

@@ -64,7 +64,7 @@ impl Sink for CloudSink {
             Event::Message(frames, reserved) => (Arrival::Message(self.peer.clone(), frames), reserved),
             Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), Vec::new()),
             Event::Lost(loss) => (Arrival::Lost(connection, loss), Vec::new()),
-            Event::Garbage(problem) => (Arrival::Garbage(self.peer.address, problem), Vec::new()),
+            Event::InvalidData(problem) => (Arrival::InvalidData(self.peer.address, problem), Vec::new()),
             Event::Remark(text) => (Arrival::Remark(connection, text), Vec::new()),
             Event::Gone(reason) => (Arrival::Gone(connection, reason), Vec::new()),
         };

@@ -66,7 +66,7 @@ impl MessageAssembly {
             info.frames = parts.joined(&info.frames);
         }
         if let Err(problem) = frames::check(&info, self.max_message_bytes) {
-            events.push(Event::Garbage(problem.to_string()));
+            events.push(Event::InvalidData(problem.to_string()));
             return;
         }
         let Some(reserved) = self.reserve(info.frames.len()) else {
@@ -106,7 +106,7 @@ impl MessageAssembly {
         }
         let length = payload.len() as u64;
         if length > self.max_message_bytes {
-            events.push(Event::Garbage(format!("a payload of {length} bytes")));
+            events.push(Event::InvalidData(format!("a payload of {length} bytes")));
             return;
         }
         // If memory is short, the companion reports the loss, because it has the number of the request and is still to
@@ -160,14 +160,14 @@ impl MessageAssembly {
 
     fn reserve(&self, bytes: usize) -> Option<Reservation> {
         let mut reserved = Reservation::empty(&self.budget);
-        reserved.set(&self.budget, bytes as u64).ok().map(|()| reserved)
+        reserved.resize(&self.budget, bytes as u64).ok().map(|()| reserved)
     }
 }
 
 fn deliver(info: &MessageInfo, payload: Option<&Bytes>, reserved: Vec<Reservation>, events: &mut EventQueue) {
     events.push(match frames::unpack(info, payload) {
         Ok(frames) => Event::Message(frames, reserved),
-        Err(problem) => Event::Garbage(problem.to_string()),
+        Err(problem) => Event::InvalidData(problem.to_string()),
     });
 }
 
@@ -203,7 +203,7 @@ mod tests {
         assert!(matches!(&first, Some(Event::Message(..))), "{first:?}");
         assert!(matches!(events.pop(), Some(Event::Incomplete(MessageLoss { tag: Some(2), .. }))));
         drop(first);
-        assert_eq!(budget.held(), 0);
+        assert_eq!(budget.reserved_bytes(), 0);
     }
 
     #[test]
@@ -215,7 +215,7 @@ mod tests {
         let large = MemoryBudget::new(10);
         assembly.set_budget(Arc::clone(&large));
         assembly.receive_payload(2, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
-        assert_eq!((small.held(), large.held()), (0, 2));
+        assert_eq!((small.reserved_bytes(), large.reserved_bytes()), (0, 2));
         assert!(assembly.next_timer().is_some() && events.pop().is_none());
     }
 }
