@@ -119,7 +119,7 @@ fn reduced_path_mtu_is_reported_and_session_continues() {
         said.contains("long datagrams do not arrive any more") && said.contains("datagram_bytes"),
         "{said}"
     );
-    edge.wait_for("going on with 1200 bytes");
+    edge.wait_for("continuing with 1200 bytes");
     edge.wait_for_nth("connected to cloud", 2);
     until_answered(&testbed, 20);
     shows(&testbed, "long datagrams do not arrive any more");

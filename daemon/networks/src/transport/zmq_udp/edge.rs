@@ -162,7 +162,7 @@ impl Machine for EdgeEnd {
         // Only the IP addresses are compared, because the sending port of a RADIO socket is arbitrary.
         let is_other_address = source.ip() != self.peer.ip();
         match Packet::read(Role::Edge, body) {
-            Ok(Packet::PathConfirmed { connection, token })
+            Ok(Packet::PathResponse { connection, token })
                 if is_other_address && (connection, token) == (self.id, self.token) =>
             {
                 self.peer = SocketAddr::new(source.ip(), self.peer.port());
@@ -203,7 +203,7 @@ impl Machine for EdgeEnd {
             *must_send = false;
             let begin = out.len();
             out.extend_from_slice(PREFIX);
-            Packet::Path { connection: self.id, token: self.token }.write(Role::Edge, out);
+            Packet::PathChallenge { connection: self.id, token: self.token }.write(Role::Edge, out);
             return Some((Route { to: *to, from: None }, Batch { segment: out.len() - begin, count: 1 }));
         }
         let batch = self.connection.fill(out, max_datagrams, now)?;

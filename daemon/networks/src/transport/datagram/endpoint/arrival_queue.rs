@@ -5,7 +5,8 @@ use std::collections::VecDeque;
 use crate::transport::Arrival;
 use crate::transport::memory::Reservation;
 
-/// Number of arrivals from which on dispensable ones are dropped. It is reached if the layer above does not take them.
+/// Number of queued arrivals from which on losses and invalid data are dropped. It is reached if the layer above does not
+/// receive the arrivals.
 const MAX_ARRIVALS: usize = 1_024;
 
 /// An arrival, and the reservation of its memory.

@@ -48,7 +48,7 @@ fn missing_fragment_loses_message_with_counts() {
     }
     reassembly.tick(at(1_000));
     assert_eq!(reassembly.take_lost(), [], "the rest may not have left yet");
-    reassembly.expect(1, at(1_000));
+    reassembly.note_sent(1, at(1_000));
     reassembly.tick(at(1_099));
     assert_eq!(reassembly.take_lost(), []);
     reassembly.tick(at(1_100));
@@ -85,7 +85,7 @@ fn deadline_ends_message_before_timeout() {
 #[test]
 fn missing_message_is_lost_with_zero_fragments() {
     let mut reassembly = new(1 << 20);
-    reassembly.expect(2, at(0));
+    reassembly.note_sent(2, at(0));
     let later = reassembly.receive(&fragments(2, &[1, 2, 3], 100)[0], at(1));
     assert!(matches!(later, ReassemblyOutcome::Message { .. }), "{later:?}");
     reassembly.tick(at(100));
@@ -175,7 +175,7 @@ fn message_number_far_ahead_takes_no_memory() {
         assert!(matches!(far, ReassemblyOutcome::TooFarAhead), "{far:?}");
     }
     assert_eq!((reassembly.take_lost(), reassembly.floor()), (Vec::new(), 0));
-    reassembly.expect(u64::MAX, at(0));
+    reassembly.note_sent(u64::MAX, at(0));
     assert_eq!(reassembly.take_lost().len(), 1, "only what had begun to arrive is told");
     assert!(reassembly.slots.len() as u64 <= MAX_SPAN);
     reassembly.give_up_all();
@@ -207,7 +207,7 @@ proptest! {
             lost.extend(reassembly.take_lost().iter().map(|lost| lost.sequence));
             prop_assert!(reassembly.budget.reserved_bytes() <= 8_000);
         }
-        reassembly.expect(6, at(now));
+        reassembly.note_sent(6, at(now));
         reassembly.tick(at(now + 1_000));
         lost.extend(reassembly.take_lost().iter().map(|lost| lost.sequence));
         let mut settled = [delivered, lost].concat();
