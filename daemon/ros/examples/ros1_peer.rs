@@ -52,7 +52,7 @@ async fn input_ends() {
 }
 
 async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyhow::Result<()> {
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let publisher = node.publish(topic, kind, PublisherOptions::default()).await?;
     print("ready");
     publisher.wait_for_subscribers(1).await?;
@@ -73,7 +73,7 @@ async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyho
 
 async fn latch(node: &Node, topic: &str, text: &str) -> anyhow::Result<()> {
     let options = PublisherOptions { is_latching: true, ..PublisherOptions::default() };
-    let publisher = node.publish(topic, TopicType::of::<StringMessage>(), options).await?;
+    let publisher = node.publish(topic, TopicType::from_message::<StringMessage>(), options).await?;
     publisher.publish(StringMessage { data: text.into() }.encode(WireForm::Ros1)?)?;
     print("ready");
     input_ends().await;
@@ -114,7 +114,7 @@ async fn rate(node: &Node, topic: &str, count: usize) -> anyhow::Result<()> {
 }
 
 async fn state(node: &Node, topic: &str) -> anyhow::Result<()> {
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let subscriber = node.subscribe(topic, kind, SubscriberOptions::default()).await?;
     loop {
         let changed = subscriber.publishers_changed();
@@ -133,7 +133,7 @@ async fn state(node: &Node, topic: &str) -> anyhow::Result<()> {
 }
 
 async fn echo(node: &Node, from: &str, to: &str) -> anyhow::Result<()> {
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let publisher = node.publish(to, kind.clone(), PublisherOptions::default()).await?;
     let mut subscriber = node.subscribe(from, kind, SubscriberOptions::default()).await?;
     print("ready");
@@ -150,7 +150,7 @@ async fn echo(node: &Node, from: &str, to: &str) -> anyhow::Result<()> {
 
 async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -> anyhow::Result<()> {
     let clock = SystemClock::new(ClockIdentity::new("peer", "peer"));
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let mut subscriber = node.subscribe(back, kind.clone(), SubscriberOptions::default()).await?;
     let publisher = node.publish(out, kind, PublisherOptions::default()).await?;
     publisher.wait_for_subscribers(1).await?;

@@ -36,13 +36,13 @@ pub fn any_connection(data: &[u8]) {
     let publication = Publication {
         node: "/publisher".into(),
         topic: "/topic".into(),
-        kind: TopicType::of::<StringMessage>(),
+        kind: TopicType::from_message::<StringMessage>(),
         is_latching: false,
     };
     let subscription = Subscription {
         node: "/subscriber".into(),
         topic: "/topic".into(),
-        kind: TopicType::of::<StringMessage>(),
+        kind: TopicType::from_message::<StringMessage>(),
     };
     let mut buffer = FrameBuffer::new(MAX_FRAME_BYTES);
     let mut rest = data;

@@ -54,12 +54,14 @@ impl Robot {
     }
 
     fn publish<M: Message>(&self, topic: &str) -> Publisher {
-        let publishing = self.node.publish(topic, TopicType::of::<M>(), PublisherOptions::default());
+        let publishing =
+            self.node.publish(topic, TopicType::from_message::<M>(), PublisherOptions::default());
         self.runtime.block_on(publishing).expect("the master answers")
     }
 
     fn subscribe<M: Message>(&self, topic: &str) -> Subscriber {
-        let subscribing = self.node.subscribe(topic, TopicType::of::<M>(), SubscriberOptions::default());
+        let subscribing =
+            self.node.subscribe(topic, TopicType::from_message::<M>(), SubscriberOptions::default());
         self.runtime.block_on(subscribing).expect("the master answers")
     }
 

@@ -77,7 +77,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&master, "viewer").await;
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let mut pictures = viewer
         .subscribe(&request_topic(&pipeline), kind, SubscriberOptions::default())
         .await
@@ -181,8 +181,8 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     let cloud = Cloud::start_at(&master.address(), settings()).await;
     let node = foreign_node(&master, "rosbag").await;
     for (ending, kind, said) in [
-        ("_info", TopicType::of::<MessageInfo>(), "node /rosbag publishes topic"),
-        ("", TopicType::of::<StringMessage>(), "node /rosbag publishes topic"),
+        ("_info", TopicType::from_message::<MessageInfo>(), "node /rosbag publishes topic"),
+        ("", TopicType::from_message::<StringMessage>(), "node /rosbag publishes topic"),
     ] {
         let hello = hello();
         let topic = format!("{}{ending}", request_topic(hello.pipeline.as_str()));
@@ -192,7 +192,7 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     }
     let hello = hello();
     let topic = format!("/{}/response_info", hello.pipeline.as_str().replace('-', "_"));
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let _publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
     let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
     assert!(error.contains("std_msgs/String") && error.contains(&topic), "{error}");
@@ -206,7 +206,7 @@ async fn messages_of_second_publishers_are_dropped() {
     let node = foreign_node(&master, "stranger").await;
     let topic = format!("{}_info", request_topic(&pipeline));
     let publisher = node
-        .publish(&topic, TopicType::of::<MessageInfo>(), PublisherOptions::default())
+        .publish(&topic, TopicType::from_message::<MessageInfo>(), PublisherOptions::default())
         .await
         .expect("registered");
     within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");

@@ -57,7 +57,7 @@ async fn other_address_cannot_replace_connection() {
 async fn hellos_to(cloud: &Cloud, node: &Node) -> Publisher {
     let address = cloud.address().to_string();
     let topic = format!("/{}/sessions", address.rsplit('/').next().expect("a name"));
-    let kind = TopicType::of::<SessionHello>();
+    let kind = TopicType::from_message::<SessionHello>();
     let publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
     within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
     publisher
@@ -84,8 +84,10 @@ async fn connections_without_session_leave_memory_to_sessions() {
     for number in 0..OTHERS {
         let pipeline = format!("/crowd/line{number}");
         let topic = format!("{pipeline}/request_info");
-        let publisher =
-            node.publish(&topic, TopicType::of::<MessageInfo>(), options).await.expect("registered");
+        let publisher = node
+            .publish(&topic, TopicType::from_message::<MessageInfo>(), options)
+            .await
+            .expect("registered");
         send_hello(&hellos, &node, "crowd".to_owned(), pipeline).await;
         within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
         for sequence in 0..4 {

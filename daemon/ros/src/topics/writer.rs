@@ -46,7 +46,7 @@ impl TopicWriter {
                 RosVersion::Ros1 => {
                     let environment = Environment::from_process()?;
                     let publish = async |node: &crate::ros1::Node| {
-                        node.publish(topic, TopicType::of::<M>(), PublisherOptions::default()).await
+                        node.publish(topic, TopicType::from_message::<M>(), PublisherOptions::default()).await
                     };
                     let (publisher, node) = open_on_ros1(&environment, clock, publish).await?;
                     Ok::<_, TopicError>(VersionedPublisher::Ros1(publisher, node))

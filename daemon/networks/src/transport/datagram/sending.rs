@@ -222,8 +222,9 @@ impl SendingHalf {
         Ok(())
     }
 
-    /// Handles the report of a lost message; `lost` is as in [`loses_all_long_datagrams`](Self::loses_all_long_datagrams). Returns the tag and the
-    /// number of fragments for the answer, and the loss to be passed on.
+    /// Handles the report of a lost message. `lost` is as in
+    /// [`loses_all_long_datagrams`](Self::loses_all_long_datagrams). Returns the tag and the number of fragments for the
+    /// answer, and the loss for the layer above.
     ///
     /// # Errors
     /// If the message was not sent, or has fewer fragments than are reported as received.

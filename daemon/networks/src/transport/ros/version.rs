@@ -6,7 +6,7 @@ use peernet_ros::ros1::Environment;
 use peernet_ros::ros2::Ros2Settings;
 use peernet_ros::topics::{RosVersion, VersionError};
 
-use super::names::allowed;
+use super::names::to_ros_name;
 use crate::transport::ListenerLookupError;
 
 /// Returns the address of the cloud with this name. The version is `version` or that of the environment. In ROS 1 the
@@ -20,7 +20,7 @@ fn find_with(
     version: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<String, ListenerLookupError> {
-    let name = allowed(name);
+    let name = to_ros_name(name);
     if requested_version(version, &variable)? == RosVersion::Ros2 {
         let settings = Ros2Settings::default().with_environment(variable);
         let settings = settings.map_err(|error| ListenerLookupError(error.to_string()))?;

@@ -23,7 +23,7 @@ pub struct TopicType {
 
 impl TopicType {
     /// Returns the type of a [`Message`].
-    pub fn of<M: Message>() -> Self {
+    pub fn from_message<M: Message>() -> Self {
         let definition = M::DEFINITION;
         Self {
             name: definition.name.into(),

@@ -26,8 +26,8 @@ fn sent(header: &ConnectionHeader) -> ConnectionHeader {
 
 #[test]
 fn equal_types_connect() {
-    let publication = publication(TopicType::of::<CompressedImage>());
-    for kind in [TopicType::of::<CompressedImage>(), TopicType::any()] {
+    let publication = publication(TopicType::from_message::<CompressedImage>());
+    for kind in [TopicType::from_message::<CompressedImage>(), TopicType::any()] {
         let subscription = subscription(kind);
         let (answer, subscriber) = publication.answer(&sent(&subscription.request())).unwrap();
         assert_eq!(&*subscriber, "/sub");
@@ -40,8 +40,8 @@ fn equal_types_connect() {
 
 #[test]
 fn type_mismatch_names_both_types() {
-    let publication = publication(TopicType::of::<CompressedImage>());
-    let subscription = subscription(TopicType::of::<StringMessage>());
+    let publication = publication(TopicType::from_message::<CompressedImage>());
+    let subscription = subscription(TopicType::from_message::<StringMessage>());
     let error = publication.answer(&sent(&subscription.request())).unwrap_err();
     assert_eq!(
         error.to_string(),

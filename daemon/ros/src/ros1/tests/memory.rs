@@ -59,7 +59,7 @@ async fn foreign_publisher(master: &TestMaster, name: &str, stop: &CancellationT
     let publication = Publication {
         node: name.into(),
         topic: "/t".into(),
-        kind: TopicType::of::<StringMessage>(),
+        kind: TopicType::from_message::<StringMessage>(),
         is_latching: false,
     };
     let (server, messages) = (listener().await, listener().await);
@@ -88,7 +88,7 @@ async fn claimed_lengths_leave_memory_for_messages_of_others() {
     const CLAIMED: u32 = 50_000_000;
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let limit = TestLimit::new(4_000_000);
     let options = SubscriberOptions { memory: limit.option(), ..SubscriberOptions::default() };
     let mut subscriber = b.subscribe("t", kind.clone(), options).await.unwrap();

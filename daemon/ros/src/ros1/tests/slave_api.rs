@@ -22,7 +22,7 @@ async fn value(node: &Node, method: &str) -> Value {
 async fn tools_get_answers() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
     within(publisher.wait_for_subscribers(1)).await.unwrap();
@@ -53,8 +53,10 @@ async fn tools_get_answers() {
 async fn unknown_topics_and_protocols_are_refused() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
-    let _publisher =
-        a.publish("t", TopicType::of::<StringMessage>(), PublisherOptions::default()).await.unwrap();
+    let _publisher = a
+        .publish("t", TopicType::from_message::<StringMessage>(), PublisherOptions::default())
+        .await
+        .unwrap();
     for (topic, protocol, reason) in [
         ("/other", "TCPROS", "topic /other is not published by node /a"),
         ("/t", "UDPROS", "node /a offers TCPROS only, asked for [\"UDPROS\"]"),
@@ -82,8 +84,10 @@ async fn node_shuts_down_when_asked() {
 async fn node_with_unique_name_ignores_shutdown_call() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
-    let publisher =
-        a.publish("t", TopicType::of::<StringMessage>(), PublisherOptions::default()).await.unwrap();
+    let publisher = a
+        .publish("t", TopicType::from_message::<StringMessage>(), PublisherOptions::default())
+        .await
+        .unwrap();
     // The call is meant for a node that ended and whose port this node has.
     let reason = "[/camera] Reason: new node registered with same name";
     ask(&a, "shutdown", vec!["/master".into(), reason.into()]).await.unwrap();
@@ -104,7 +108,7 @@ async fn node_with_unique_name_ignores_shutdown_call() {
 async fn running_nodes_are_those_with_the_topic() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let _subscriber = a.subscribe("u", kind, SubscriberOptions::default()).await.unwrap();
     let nodes = ["/a".to_owned(), "/none".to_owned()];
