@@ -209,7 +209,10 @@ fn check_names_topic_errors() {
     let [sensor, actuator] = ["topic = \"/words\", ros_version = 1", "topic = \"/answers\", ros_version = 1"];
     let (code, said) = check(&deployment, "topic = \"/words\"", actuator);
     assert_eq!(code, 78, "{said}");
-    assert!(said.contains("pipeline[0].sensor: which version of ROS? set ros_version = 1 or 2"), "{said}");
+    assert!(
+        said.contains("pipeline[0].sensor: the version of ROS is not configured; set ros_version = 1 or 2"),
+        "{said}"
+    );
     let (code, said) = check(&deployment, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
     assert_eq!(code, 78, "{said}");
     assert!(said.contains("`words` cannot be the name of a ROS message type"), "{said}");

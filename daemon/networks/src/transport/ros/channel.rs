@@ -170,9 +170,11 @@ impl Channel {
         let encoded: Vec<EncodedMessage> =
             encoded.collect::<Result<_, _>>().map_err(|error| gone(error.to_string()))?;
         match self.info.publish_to(&peer.node, &encoded).map_err(|error| gone(error.to_string()))? {
-            Delivery::Taken => Ok(()),
+            Delivery::Accepted => Ok(()),
             Delivery::Full => Err(SendFailure::Full),
-            Delivery::Absent => Err(gone(format!("node {} has left topic {}", peer.node, self.info.topic()))),
+            Delivery::NotConnected => {
+                Err(gone(format!("node {} has left topic {}", peer.node, self.info.topic())))
+            }
         }
     }
 

@@ -125,10 +125,10 @@ impl PayloadTopic {
             return Ok(false);
         };
         match publisher.publish_to(peer, &[message]) {
-            Ok(Delivery::Taken) => Ok(is_confirmed),
+            Ok(Delivery::Accepted) => Ok(is_confirmed),
             Ok(Delivery::Full) if is_confirmed => Err(SendFailure::Full),
             // The companion has the payload as well, so that nothing is lost.
-            Ok(Delivery::Full | Delivery::Absent) => Ok(false),
+            Ok(Delivery::Full | Delivery::NotConnected) => Ok(false),
             Err(error) => Err(SendFailure::Gone(error.to_string())),
         }
     }

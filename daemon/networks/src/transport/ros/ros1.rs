@@ -202,11 +202,11 @@ impl SessionPublisher for Publisher {
     fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         for message in messages {
             let delivery = Self::publish_to(self, node, message.clone())?;
-            if delivery != Delivery::Taken {
+            if delivery != Delivery::Accepted {
                 return Ok(delivery);
             }
         }
-        Ok(Delivery::Taken)
+        Ok(Delivery::Accepted)
     }
 
     // Never refused here: the master and the headers of connections detect such problems earlier.

@@ -215,7 +215,10 @@ async fn unexpected_publisher_is_ignored_with_reason() {
         }
     })
     .await;
-    assert!(reason.contains("node /a publishes it, too") && reason.contains("node /b"), "{reason}");
+    assert!(
+        reason.contains("node /a publishes this topic as well") && reason.contains("node /b"),
+        "{reason}"
+    );
 }
 
 #[tokio::test]

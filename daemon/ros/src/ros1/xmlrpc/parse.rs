@@ -305,7 +305,7 @@ impl<'a> Parser<'a> {
     }
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "what map_err calls takes a value")]
+#[expect(clippy::needless_pass_by_value, reason = "map_err passes the error by value")]
 fn malformed(error: impl ToString) -> ParseError {
     ParseError::Malformed { reason: error.to_string() }
 }

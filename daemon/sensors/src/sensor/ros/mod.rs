@@ -10,8 +10,8 @@ use peernet_clock::{OneWayDelay, SharedClock, Stamp, WallTime};
 use peernet_logger::{Measure, Name, Recorder, Unit};
 use peernet_ros::ros2::{QosProfile, Reliability};
 use peernet_ros::topics::{
-    MessageType, ReaderOptions, RosVersion, TopicError, TopicMessage, TopicReader, TopicUse, check_topic,
-    survey_topic,
+    MessageType, ReaderOptions, RosVersion, TopicAccess, TopicError, TopicMessage, TopicReader, check_topic,
+    check_topic_at_master,
 };
 use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
@@ -101,7 +101,7 @@ impl SensorKind for RosSensorConfig {
     // by themselves, are no errors.
     fn remarks(&self) -> Vec<String> {
         let Ok(version) = self.checked() else { return Vec::new() };
-        match survey_topic(version, &self.topic, self.message_type.as_ref(), TopicUse::Read) {
+        match check_topic_at_master(version, &self.topic, self.message_type.as_ref(), TopicAccess::Read) {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],
         }
@@ -133,7 +133,7 @@ impl Ros {
         };
         let read = reader.read(Duration::from_millis(config.timeout_ms.get()));
         if let Err(error) = &read
-            && error.is_end()
+            && error.needs_reopening()
         {
             self.reader = None;
         }
@@ -162,7 +162,7 @@ impl Sensor for Ros {
         log.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),
-            of: message.of.to_string(),
+            of: message.type_name.to_string(),
             reason: error.to_string(),
         })?;
         if let Some(stamp) = payload.stamp {

@@ -46,7 +46,7 @@ impl SessionPublisher for TestNode {
 
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.published.fetch_add(messages.len(), Ordering::Relaxed);
-        Ok(Delivery::Taken)
+        Ok(Delivery::Accepted)
     }
 
     fn refusal(&self, node: &str) -> Option<String> {

@@ -99,7 +99,7 @@ impl Ros2SessionPublisher {
             queue.messages.push_back(message);
             shared.changed.notify_one();
         }
-        Ok(Delivery::Taken)
+        Ok(Delivery::Accepted)
     }
 }
 
