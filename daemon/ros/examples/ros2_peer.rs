@@ -97,21 +97,21 @@ fn all_kept() -> QosProfile {
 
 async fn publish(node: &Ros2Node, plan: &Plan) -> Outcome {
     let clock = clock()?;
-    let publisher = node.publisher(&plan.topic, plan.kind.type_name(), &all_kept())?;
-    publisher.await_peer(PATIENCE).await?;
+    let publisher = node.create_publisher(&plan.topic, plan.kind.type_name(), &all_kept())?;
+    publisher.wait_for_peer(PATIENCE).await?;
     // The subscription may not have found us although we have found it, and DDS does not report this; earlier messages
     // would be lost.
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
     }
-    publisher.await_acknowledgment(PATIENCE).await?;
+    publisher.wait_for_acknowledgment(PATIENCE).await?;
     println!("published and acknowledged: {}", plan.count);
     Ok(())
 }
 
 async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
-    let mut subscription = node.subscription(&plan.topic, plan.kind.type_name(), &all_kept())?;
+    let mut subscription = node.create_subscription(&plan.topic, plan.kind.type_name(), &all_kept())?;
     let mut payloads = Vec::with_capacity(plan.count);
     while payloads.len() < plan.count {
         let received = tokio::time::timeout(PATIENCE, subscription.receive()).await;
@@ -138,11 +138,11 @@ async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
 async fn echo(node: &Ros2Node, plan: &Plan) -> Outcome {
     let clock = clock()?;
     let (ping, pong) = (format!("{}/ping", plan.topic), format!("{}/pong", plan.topic));
-    let publisher = node.publisher(&pong, plan.kind.type_name(), &QosProfile::default())?;
-    let mut subscription = node.subscription(&ping, plan.kind.type_name(), &QosProfile::default())?;
+    let publisher = node.create_publisher(&pong, plan.kind.type_name(), &QosProfile::default())?;
+    let mut subscription = node.create_subscription(&ping, plan.kind.type_name(), &QosProfile::default())?;
     for _ in 0..plan.count {
         let received = tokio::time::timeout(PATIENCE, subscription.receive()).await??;
         publisher.publish(received.payload, clock.wall()).await?;
     }
-    Ok(publisher.await_acknowledgment(PATIENCE).await?)
+    Ok(publisher.wait_for_acknowledgment(PATIENCE).await?)
 }

@@ -144,7 +144,7 @@ pub enum AddressProblem {
     #[error("port {0} is above 65535")]
     PortTooLarge(String),
     /// The domain is not the number of a domain.
-    #[error("{0:?} is not a domain; domains of ROS 2 go from 0 to {most}", most = Ros2Settings::MAX_DOMAIN_ID)]
+    #[error("{0:?} is not a domain; ROS 2 has the domains 0 to {max}", max = Ros2Settings::MAX_DOMAIN_ID)]
     InvalidDomain(String),
     /// The listener's name cannot be part of a topic name.
     #[error("the name {0:?} must begin with a letter and have only letters, digits and _")]

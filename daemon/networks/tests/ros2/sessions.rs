@@ -84,7 +84,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
     let viewer = foreign_node(&cloud).await;
     let kind = "sensor_msgs/msg/CompressedImage";
     let mut pictures = viewer
-        .subscription(&topic(&pipeline, "request"), kind, &QosProfile::default())
+        .create_subscription(&topic(&pipeline, "request"), kind, &QosProfile::default())
         .expect("a subscription");
     let sample = picture(300_000);
     // The first pictures are sent in the companions until the topic is open.
@@ -131,7 +131,7 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     for (ending, kind) in [("request_info", INFO), ("request", "sensor_msgs/msg/Image")] {
         let hello = hello();
         let topic = topic(hello.pipeline.as_str(), ending);
-        let _publisher = node.publisher(&topic, kind, &qos).expect("a publisher");
+        let _publisher = node.create_publisher(&topic, kind, &qos).expect("a publisher");
         let error = open(&cloud.address(), hello, settings()).await.expect_err("taken").to_string();
         assert!(
             error.contains(&format!("node /viewer on this host publishes topic {topic}"))
@@ -141,7 +141,7 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     }
     let hello = hello();
     let topic = topic(hello.pipeline.as_str(), "response_info");
-    let _publisher = node.publisher(&topic, "std_msgs/msg/String", &qos).expect("a publisher");
+    let _publisher = node.create_publisher(&topic, "std_msgs/msg/String", &qos).expect("a publisher");
     let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
     assert!(error.contains("std_msgs/msg/String for node /viewer") && error.contains(&topic), "{error}");
 }
@@ -151,15 +151,16 @@ async fn messages_of_second_publishers_are_dropped() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let node = foreign_node(&cloud).await;
-    let publisher =
-        node.publisher(&topic(&pipeline, "request_info"), INFO, &QosProfile::default()).expect("a publisher");
-    publisher.await_peer(PATIENCE).await.expect("the cloud subscribes");
+    let publisher = node
+        .create_publisher(&topic(&pipeline, "request_info"), INFO, &QosProfile::default())
+        .expect("a publisher");
+    publisher.wait_for_peer(PATIENCE).await.expect("the cloud subscribes");
     let goodbye = MessageInfo { kind: MessageInfo::GOODBYE, ..MessageInfo::default() };
     let goodbye = goodbye.encode(WireForm::Cdr).expect("can be written").into_bytes();
     for message in [goodbye, Bytes::from_static(&[0, 1, 0, 0, 9])] {
         publisher.publish(message, WallTime::from_unix_nanos(1)).await.expect("published");
     }
-    publisher.await_acknowledgment(PATIENCE).await.expect("the cloud has them");
+    publisher.wait_for_acknowledgment(PATIENCE).await.expect("the cloud has them");
     echo(&mut cloud, &session, "the session goes on").await;
     second_publisher_is_remarked(&mut cloud, &session, "node /viewer", publisher.topic()).await;
 }
@@ -250,7 +251,11 @@ async fn slow_subscriber_delays_nothing() {
     let viewer = foreign_node(&cloud).await;
     // It never takes a message.
     let watching = viewer
-        .subscription(&topic(&pipeline, "request"), "std_msgs/msg/UInt8MultiArray", &QosProfile::default())
+        .create_subscription(
+            &topic(&pipeline, "request"),
+            "std_msgs/msg/UInt8MultiArray",
+            &QosProfile::default(),
+        )
         .expect("a subscription");
     for _ in 0..60 {
         let sample = Sample::of(Description::bytes(), Bytes::from(vec![1; 1_000_000]));

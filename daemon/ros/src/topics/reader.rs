@@ -104,7 +104,7 @@ impl TopicReader {
                 let Ok(message) = timeout(time_limit, subscriber.recv()).await else {
                     let reason = describe_missing_publisher(subscriber, environment).await;
                     let topic = subscriber.topic().to_owned();
-                    return Err(TopicError::NoMessage { topic, waited: time_limit, reason });
+                    return Err(TopicError::NoMessage { topic, time_limit, reason });
                 };
                 let message = message?;
                 // The counts are totals; the message reports the increase since the last one.
@@ -120,10 +120,10 @@ impl TopicReader {
             VersionedSubscriber::Ros2 { subscription, type_name, .. } => {
                 let Ok(sample) = timeout(time_limit, subscription.receive()).await else {
                     // If there is no publisher, the error says what discovery has seen.
-                    subscription.await_peer(Duration::ZERO).await?;
+                    subscription.wait_for_peer(Duration::ZERO).await?;
                     let reason = "its publishers are connected, but publish nothing".to_owned();
                     let topic = subscription.topic().to_owned();
-                    return Err(TopicError::NoMessage { topic, waited: time_limit, reason });
+                    return Err(TopicError::NoMessage { topic, time_limit, reason });
                 };
                 let sample = sample?;
                 let undecodable = subscription.counts().undecodable;
@@ -171,7 +171,7 @@ async fn open_ros2(
     let message_type = message_type.ok_or_else(|| TopicError::TypeRequired { topic: topic.to_owned() })?;
     let qos = QosProfile { reliability: options.reliability, depth: options.queue, ..QosProfile::default() };
     let node = ros2_node().await?;
-    let subscription = node.subscription(topic, message_type.as_str(), &qos)?;
+    let subscription = node.create_subscription(topic, message_type.as_str(), &qos)?;
     Ok(VersionedSubscriber::Ros2 {
         subscription: Box::new(subscription),
         type_name: message_type.as_str().into(),

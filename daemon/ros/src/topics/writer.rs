@@ -53,7 +53,8 @@ impl TopicWriter {
                 }
                 RosVersion::Ros2 => {
                     let node = ros2_node().await?;
-                    let publisher = node.publisher(topic, M::DEFINITION.name, &QosProfile::default())?;
+                    let publisher =
+                        node.create_publisher(topic, M::DEFINITION.name, &QosProfile::default())?;
                     Ok(VersionedPublisher::Ros2(Box::new(publisher), node))
                 }
             }

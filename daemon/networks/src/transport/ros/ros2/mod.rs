@@ -175,7 +175,7 @@ impl SessionNode for Ros2SessionNode {
     ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>> {
         let open = || {
             let qos = self.qos.profile(EndpointRole::Publisher, purpose);
-            let publisher = self.participant.node()?.publisher(topic, &ros2_name(&kind.name), &qos)?;
+            let publisher = self.participant.node()?.create_publisher(topic, &ros2_name(&kind.name), &qos)?;
             let clock = SharedClock::clone(&self.clock);
             let publisher = Ros2SessionPublisher::new(publisher, queue.bytes, clock, &self.publishing);
             Ok(Box::new(publisher) as Box<dyn SessionPublisher>)
@@ -195,7 +195,7 @@ impl SessionNode for Ros2SessionNode {
             let subscriber = match kind.is_any() {
                 true => Ros2SessionSubscriber::with_any_type(&node, topic, qos, &options),
                 false => {
-                    let subscription = node.subscription(topic, &ros2_name(&kind.name), &qos)?;
+                    let subscription = node.create_subscription(topic, &ros2_name(&kind.name), &qos)?;
                     Ros2SessionSubscriber::from_subscription(&node, subscription, kind.name, &options)
                 }
             };

@@ -148,7 +148,7 @@ impl PublisherState {
                 }
             }
         }
-        if let Err(error) = self.publisher.await_acknowledgment(MAX_UNACKNOWLEDGED_TIME).await {
+        if let Err(error) = self.publisher.wait_for_acknowledgment(MAX_UNACKNOWLEDGED_TIME).await {
             tracing::debug!(topic = self.topic, %error, "a ROS 2 topic ended before all messages were acknowledged");
         }
     }
@@ -161,7 +161,7 @@ impl PublisherState {
             }
             let others = self.publisher.peers().borrow().matched.len();
             let wait = if others > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
-            match timeout(wait, self.publisher.await_acknowledgment(wait)).await {
+            match timeout(wait, self.publisher.wait_for_acknowledgment(wait)).await {
                 Ok(Ok(())) => self.queue().unacknowledged_bytes = 0,
                 // Messages that another program misses are kept for it, but do not stop the others.
                 Ok(Err(Ros2Error::Unacknowledged { .. })) | Err(_) => self.publisher.forget_unacknowledged(),

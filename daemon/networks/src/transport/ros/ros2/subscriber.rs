@@ -10,7 +10,7 @@ use futures::future::BoxFuture;
 use peernet_ros::messages::{CompressedImage, Image, Message, UInt8MultiArray};
 use peernet_ros::ros1::{MemoryLimit, MessageMemory, SubscriberOptions};
 use peernet_ros::ros2::{
-    EndpointId, EndpointRole, FoundEndpoint, ParticipantId, QosProfile, Ros2Node, Ros2Subscription,
+    DiscoveredEndpoint, EndpointId, EndpointRole, ParticipantId, QosProfile, Ros2Node, Ros2Subscription,
 };
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
@@ -96,7 +96,7 @@ impl Ros2SessionSubscriber {
             // The next connection of a pipeline may give its topic another type.
             loop {
                 let type_name = receiving.payload_type().await;
-                match receiving.node.subscription(&receiving.topic, &ros2_name(type_name), &qos) {
+                match receiving.node.create_subscription(&receiving.topic, &ros2_name(type_name), &qos) {
                     Ok(subscription) => {
                         if receiving.run(subscription, type_name.into()).await == SubscriptionEnd::Closed {
                             return;
@@ -147,7 +147,7 @@ impl SubscriberTask {
     fn payload_types(&self) -> Vec<&'static str> {
         let types =
             [Image::DEFINITION.name, CompressedImage::DEFINITION.name, UInt8MultiArray::DEFINITION.name];
-        let is_from_publisher = |found: &&FoundEndpoint| {
+        let is_from_publisher = |found: &&DiscoveredEndpoint| {
             let wanted = self.publisher.as_deref();
             found.role == EndpointRole::Publisher
                 && wanted.is_none_or(|wanted| found.id.participant().to_string() == wanted)
