@@ -15,7 +15,7 @@ use peernet_ros::ros2::{QosProfile, Ros2Node, Ros2Settings};
 type Outcome = Result<(), Box<dyn Error + Send + Sync>>;
 
 /// Longest wait for a peer or a message.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIME_LIMIT: Duration = Duration::from_secs(20);
 
 #[derive(Clone, Copy)]
 enum Kind {
@@ -98,14 +98,14 @@ fn all_kept() -> QosProfile {
 async fn publish(node: &Ros2Node, plan: &Plan) -> Outcome {
     let clock = clock()?;
     let publisher = node.create_publisher(&plan.topic, plan.kind.type_name(), &all_kept())?;
-    publisher.wait_for_peer(PATIENCE).await?;
+    publisher.wait_for_peer(TIME_LIMIT).await?;
     // The subscription may not have found us although we have found it, and DDS does not report this; earlier messages
     // would be lost.
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
     }
-    publisher.wait_for_acknowledgment(PATIENCE).await?;
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await?;
     println!("published and acknowledged: {}", plan.count);
     Ok(())
 }
@@ -114,7 +114,7 @@ async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
     let mut subscription = node.create_subscription(&plan.topic, plan.kind.type_name(), &all_kept())?;
     let mut payloads = Vec::with_capacity(plan.count);
     while payloads.len() < plan.count {
-        let received = tokio::time::timeout(PATIENCE, subscription.receive()).await;
+        let received = tokio::time::timeout(TIME_LIMIT, subscription.receive()).await;
         let received = received.map_err(|_| format!("only {} of {} came", payloads.len(), plan.count))??;
         payloads.push(received.payload);
     }
@@ -128,7 +128,7 @@ async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
     // The publisher stays until it knows that everything was received.
     let mut peers = subscription.peers();
     let gone = peers.wait_for(|peers| peers.matched.is_empty());
-    tokio::time::timeout(PATIENCE, gone).await.map_err(|_| "the publisher never left")??;
+    tokio::time::timeout(TIME_LIMIT, gone).await.map_err(|_| "the publisher never left")??;
     let counts = subscription.counts();
     println!("received unchanged: {} (lost {})", counts.received, counts.lost);
     if counts.lost == 0 { Ok(()) } else { Err("messages were lost".into()) }
@@ -141,8 +141,8 @@ async fn echo(node: &Ros2Node, plan: &Plan) -> Outcome {
     let publisher = node.create_publisher(&pong, plan.kind.type_name(), &QosProfile::default())?;
     let mut subscription = node.create_subscription(&ping, plan.kind.type_name(), &QosProfile::default())?;
     for _ in 0..plan.count {
-        let received = tokio::time::timeout(PATIENCE, subscription.receive()).await??;
+        let received = tokio::time::timeout(TIME_LIMIT, subscription.receive()).await??;
         publisher.publish(received.payload, clock.wall()).await?;
     }
-    Ok(publisher.wait_for_acknowledgment(PATIENCE).await?)
+    Ok(publisher.wait_for_acknowledgment(TIME_LIMIT).await?)
 }

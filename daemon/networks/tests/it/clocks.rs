@@ -13,7 +13,7 @@ use peernet_networks::{Exchange, PeerClock, RawClock, RequestError};
 use peernet_stream::VersionRange;
 
 use crate::hostile::plain_session;
-use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, accepted, echo, log, request, sample, settings, within};
 use crate::wire::Header;
 
 /// Version 4 of the protocol alone, as releases before 0.3.0 speak it.
@@ -194,7 +194,7 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
         let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_by(edge, VersionRange::single(version)).await;
         open.push(session.clone());
-        let pending = request(&session, "stepped", PATIENCE);
+        let pending = request(&session, "stepped", TIME_LIMIT);
         let incoming = cloud.next_request().await;
         // Not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
         clock.wall.step_unnoticed(Span::from_seconds(3));
@@ -223,7 +223,7 @@ async fn moved_cloud_clock_yields_no_observation() {
         let session = cloud.session_by(edge, VersionRange::single(version)).await;
         open.push(session.clone());
         for (clock, voids) in [(moved, true), (untouched, false)] {
-            let pending = request(&session, "moved at the cloud", PATIENCE);
+            let pending = request(&session, "moved at the cloud", TIME_LIMIT);
             let incoming = cloud.next_request().await;
             clock.forward(Span::from_seconds(3));
             incoming.reply.send(incoming.log, Ok(incoming.sample));
@@ -251,7 +251,7 @@ async fn interrupted_raw_clock_of_edge_yields_no_observation() {
         let session = cloud.session_by(clock.clone(), VersionRange::single(version)).await;
         open.push(session.clone());
         for (moved, voids) in [(&clock.raw, true), (&clock.wall, false)] {
-            let pending = request(&session, "moved at the edge", PATIENCE);
+            let pending = request(&session, "moved at the edge", TIME_LIMIT);
             let incoming = cloud.next_request().await;
             moved.forward(Span::from_seconds(3));
             incoming.reply.send(incoming.log, Ok(incoming.sample));
@@ -289,7 +289,7 @@ async fn clock_moved_after_first_stamp_yields_no_observation() {
 async fn request_without_model_answer_yields_no_observation() {
     let mut cloud = Cloud::start().await;
     let (session, _) = cloud.session(settings()).await;
-    let pending = request(&session, "forgotten", PATIENCE);
+    let pending = request(&session, "forgotten", TIME_LIMIT);
     drop(cloud.next_request().await);
     let exchange = within(pending).await.expect("no panic");
     assert!(exchange.arrived_at.is_some());

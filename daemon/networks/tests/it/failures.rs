@@ -7,7 +7,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, accepted, echo, hello, log, open, over_every_network, request, sample,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, echo, hello, log, open, over_every_network, request, sample,
     settings, within,
 };
 
@@ -20,7 +20,7 @@ over_every_network!(
 async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
+    let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), TIME_LIMIT)).collect();
     let mut held = Vec::new();
     for _ in 0..5 {
         held.push(cloud.next_request().await);
@@ -33,7 +33,7 @@ async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
     assert_eq!(session.statistics().lost_messages, 5);
 
-    let exchange = within(session.request(log(), &sample("too late"), PATIENCE)).await;
+    let exchange = within(session.request(log(), &sample("too late"), TIME_LIMIT)).await;
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     // Answers to a listener that is gone are dropped without an error.
     for request in held {
@@ -97,7 +97,7 @@ async fn silent_connection_ends_after_heartbeat_timeout() {
     let session = within(edge).await.expect("no panic").expect("accepted");
     echo(&mut cloud, &session, "the wire works").await;
 
-    let pending = request(&session, "the wire is cut", PATIENCE);
+    let pending = request(&session, "the wire is cut", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     wire.cut.notify_waiters();
     let exchange = within(pending).await.expect("no panic");

@@ -11,7 +11,7 @@ use tokio::net::TcpStream;
 use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
-use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, accepted, echo, log, request, sample, settings, within};
 use crate::wire::{self, Header, Id, Outcome, PROTOCOL, PlainSocket};
 
 fn tree() -> Bytes {
@@ -248,7 +248,7 @@ async fn oversize_message_ends_only_its_connection() {
 async fn session_unknown_to_cloud_ends() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session().await;
-    let pending = request(&session, "do you know me?", PATIENCE);
+    let pending = request(&session, "do you know me?", TIME_LIMIT);
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
     cloud.send_message(&to, &Header::UnknownSession { session: id, request: number }, Vec::new()).await;
@@ -288,7 +288,7 @@ async fn invalid_answers_change_no_tree() {
     ];
     let count = bad.len() as u64;
     for delta in bad {
-        let pending = request(&session, "x", PATIENCE);
+        let pending = request(&session, "x", TIME_LIMIT);
         let (_, header) = cloud.receive_message().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
         let answer = Outcome::Answer((Vec::new(), String::new(), None));
@@ -322,7 +322,7 @@ async fn invalid_answers_change_no_tree() {
     }
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request(log(), &sample("y"), PATIENCE).await }
+        async move { session.request(log(), &sample("y"), TIME_LIMIT).await }
     });
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
@@ -344,7 +344,7 @@ async fn version_five_reply_without_raw_stamps_is_invalid() {
     let (session, to, id) = cloud.session_of_version(5).await;
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request(log(), &sample("x"), PATIENCE).await }
+        async move { session.request(log(), &sample("x"), TIME_LIMIT).await }
     });
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };

@@ -8,7 +8,7 @@ use peernet_networks::{Failure, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, any_port, echo, log, over_every_network, request, sample, settings, text,
+    Cloud, TIME_LIMIT, TestNetwork, any_port, echo, log, over_every_network, request, sample, settings, text,
     within,
 };
 
@@ -29,7 +29,7 @@ async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
     let (session, _) = cloud.session(settings()).await;
     let mut full = log();
     while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
-    let pending = tokio::spawn(async move { session.request(full, &sample("hello"), PATIENCE).await });
+    let pending = tokio::spawn(async move { session.request(full, &sample("hello"), TIME_LIMIT).await });
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(sample("answer")));
     let exchange = within(pending).await.expect("no panic");
@@ -57,7 +57,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let edge_host = edge_log.tree().anchors()[0].host;
     let pending = tokio::spawn({
         let (session, two) = (session.clone(), two.clone());
-        async move { session.request(edge_log, &two, PATIENCE).await }
+        async move { session.request(edge_log, &two, TIME_LIMIT).await }
     });
 
     let mut incoming = cloud.next_request().await;
@@ -106,7 +106,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
 async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
+    let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), TIME_LIMIT)).collect();
     let mut incoming = Vec::new();
     for _ in 0..pending.len() {
         incoming.push(cloud.next_request().await);
@@ -137,13 +137,13 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     assert_eq!(exchange.result, Err(RequestError::Failed("not a JPEG".into())));
     assert!(exchange.download.is_some() && exchange.log.tree().find(&["preprocessing"]).is_some());
 
-    let pending = request(&session, "one too many", PATIENCE);
+    let pending = request(&session, "one too many", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Err(Failure::Overloaded("16 samples wait".into())));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Overloaded("16 samples wait".into())));
 
-    let pending = request(&session, "forgotten", PATIENCE);
+    let pending = request(&session, "forgotten", TIME_LIMIT);
     drop(cloud.next_request().await);
     let exchange = within(pending).await.expect("no panic");
     assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
@@ -174,7 +174,7 @@ async fn abandoned_request_frees_its_place(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let one = SessionSettings { max_in_flight: 1, ..settings() };
     let (session, _) = cloud.session(one).await;
-    let pending = request(&session, "dropped", PATIENCE);
+    let pending = request(&session, "dropped", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     pending.abort();
     assert!(within(pending).await.expect_err("aborted").is_cancelled());
@@ -187,7 +187,7 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     let two = SessionSettings { max_in_flight: 1, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), two).await;
     let (session, _) = cloud.session(settings()).await;
-    let (first, second) = (request(&session, "a", PATIENCE), request(&session, "b", PATIENCE));
+    let (first, second) = (request(&session, "a", TIME_LIMIT), request(&session, "b", TIME_LIMIT));
     for _ in 0..2 {
         let incoming = cloud.next_request().await;
         incoming.reply.send(incoming.log, Ok(incoming.sample));
@@ -197,7 +197,7 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     let waited = |exchange: &peernet_networks::Exchange| exchange.log.tree().find(&["send-queue"]).is_some();
     assert_eq!([waited(&first), waited(&second)].iter().filter(|waited| **waited).count(), 1);
 
-    let held = request(&session, "c", PATIENCE);
+    let held = request(&session, "c", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     let impatient = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
     assert_eq!(impatient.result, Err(RequestError::Timeout));
@@ -211,7 +211,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let mut cloud = Cloud::start_at(&any_port(network), small.clone()).await;
     let (session, _) = cloud.session(settings()).await;
     let large = Sample::of(Description::bytes(), vec![0; 100_001].into());
-    let exchange = within(session.request(log(), &large, PATIENCE)).await;
+    let exchange = within(session.request(log(), &large, TIME_LIMIT)).await;
     let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
     assert_eq!(exchange.upload, None);
@@ -219,7 +219,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
 
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(small).await;
-    let pending = request(&session, "zoom in", PATIENCE);
+    let pending = request(&session, "zoom in", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(large));
     let exchange = within(pending).await.expect("no panic");
@@ -235,13 +235,13 @@ async fn samples_beyond_header_limits_fail_alone(network: TestNetwork) {
     let crowded = Sample { parts: vec![part; 65], source: String::new(), label: None };
     let talkative = Sample { source: "x".repeat(70_000), ..sample("x") };
     for bad in [crowded, talkative] {
-        let exchange = within(session.request(log(), &bad, PATIENCE)).await;
+        let exchange = within(session.request(log(), &bad, TIME_LIMIT)).await;
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
     }
     let empty = Sample { parts: Vec::new(), source: String::new(), label: None };
     let pending = tokio::spawn({
         let (session, empty) = (session.clone(), empty.clone());
-        async move { session.request(log(), &empty, PATIENCE).await }
+        async move { session.request(log(), &empty, TIME_LIMIT).await }
     });
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(incoming.sample));

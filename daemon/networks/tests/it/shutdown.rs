@@ -9,7 +9,7 @@ use peernet_networks::{CloseReason, RequestError, SessionSettings};
 use tokio::sync::oneshot;
 
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, any_port, clock, over_every_network, request, settings, text, within,
+    Cloud, TIME_LIMIT, TestNetwork, any_port, clock, over_every_network, request, settings, text, within,
 };
 
 over_every_network!(closing_waits_for_answers_and_sends_goodbye, closing_ends_after_timeout);
@@ -54,7 +54,7 @@ async fn closing_waits_for_answer_being_sent() {
     let gate = PausingClock { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
     let mut cloud = Cloud::start_by(Arc::new(gate)).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending = [request(&session, "one", PATIENCE), request(&session, "other", PATIENCE)];
+    let pending = [request(&session, "one", TIME_LIMIT), request(&session, "other", TIME_LIMIT)];
     let (slow, quick) = (cloud.next_request().await, cloud.next_request().await);
     // The request is answered, but the answer has not been sent yet.
     let held = thread::Builder::new().name(PAUSED_THREAD.to_owned());
@@ -77,7 +77,7 @@ async fn closing_waits_for_answer_being_sent() {
 async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending = request(&session, "almost done", PATIENCE);
+    let pending = request(&session, "almost done", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     let (closing, closed) = tokio::sync::oneshot::channel();
     let listener = cloud.listener;
@@ -97,7 +97,7 @@ async fn closing_ends_after_timeout(network: TestNetwork) {
     let hasty = SessionSettings { close_timeout_ms: 50, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), hasty).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending = request(&session, "never done", PATIENCE);
+    let pending = request(&session, "never done", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     within(cloud.listener.close()).await;
     let exchange = within(pending).await.expect("no panic");

@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_networks::outgoing_interface;
 use peernet_stream::ConnectionStatistics;
 
-use crate::support::{Cloud, PATIENCE, log, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, log, sample, settings, within};
 
 #[tokio::test]
 async fn both_ends_count_same_bytes_and_messages() {
@@ -13,7 +13,7 @@ async fn both_ends_count_same_bytes_and_messages() {
     for size in [0, 10, 300_000] {
         let pending = tokio::spawn({
             let session = session.clone();
-            async move { session.request(log(), &sample(&"x".repeat(size)), PATIENCE).await }
+            async move { session.request(log(), &sample(&"x".repeat(size)), TIME_LIMIT).await }
         });
         let incoming = cloud.next_request().await;
         incoming.reply.send(incoming.log, Ok(sample("answer")));

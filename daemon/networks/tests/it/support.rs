@@ -18,7 +18,7 @@ use peernet_stream::{Hardware, VersionRange};
 use crate::ros_master::RosMaster;
 
 /// Time limit of every operation, far above what is needed. A test that hangs fails.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const TIME_LIMIT: Duration = Duration::from_secs(20);
 
 /// Makes tests from a function that takes a [`TestNetwork`]: one for each network whose listeners have ports.
 macro_rules! over_every_port {
@@ -109,7 +109,7 @@ fn any_domain() -> String {
 }
 
 pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, what).await.expect("the test hangs")
+    tokio::time::timeout(TIME_LIMIT, what).await.expect("the test hangs")
 }
 
 pub(crate) fn clock() -> SharedClock {
@@ -278,7 +278,7 @@ pub(crate) fn request(session: &Session, what: &str, timeout: Duration) -> tokio
 
 /// Sends a request and lets the cloud echo it, which shows that the session works.
 pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, what: &str) -> Exchange {
-    let pending = request(session, what, PATIENCE);
+    let pending = request(session, what, TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(incoming.sample));
     let exchange = within(pending).await.expect("no panic");

@@ -11,7 +11,7 @@ use tokio::net::UdpSocket;
 use tokio::task::JoinSet;
 
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, accepted, echo, hello, log, open, request, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, echo, hello, log, open, request, settings, within,
 };
 use crate::udp_relay::{PathImpairment, UdpRelay};
 
@@ -46,7 +46,7 @@ async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> 
         tasks.spawn(async move {
             let _place = places.acquire().await.expect("open");
             let sent = sample_of(payload(size, n));
-            let exchange = session.request(log(), &sent, PATIENCE).await;
+            let exchange = session.request(log(), &sent, TIME_LIMIT).await;
             match exchange.result {
                 Ok(answer) => {
                     assert_eq!(answer, sent);
@@ -60,7 +60,7 @@ async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> 
             }
         });
     }
-    let outcomes = tokio::time::timeout(4 * PATIENCE, tasks.join_all()).await.expect("the test hangs");
+    let outcomes = tokio::time::timeout(4 * TIME_LIMIT, tasks.join_all()).await.expect("the test hangs");
     let answered = outcomes.iter().filter(|answered| **answered).count();
     (answered, outcomes.len() - answered)
 }
@@ -114,7 +114,7 @@ async fn datagrams_of_both_directions_are_counted() {
         [direction.lost, direction.duplicated, direction.reordered].iter().all(|count| *count > Some(5))
     };
     let mut ticks = tokio::time::interval(Duration::from_millis(50));
-    let counted = tokio::time::timeout(PATIENCE, async {
+    let counted = tokio::time::timeout(TIME_LIMIT, async {
         loop {
             ticks.tick().await;
             let known = session.statistics();
@@ -145,7 +145,7 @@ async fn interrupted_path_ends_session_and_next_one_works() {
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
     echo(&mut cloud, &session, "the path works").await;
-    let pending = request(&session, "the path is cut", PATIENCE);
+    let pending = request(&session, "the path is cut", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     relay.cut();
     let exchange = within(pending).await.expect("no panic");
@@ -164,7 +164,7 @@ async fn interrupted_path_ends_session_and_next_one_works() {
         }
     }
     let session = within(edge).await.expect("no panic").expect("accepted");
-    let pending = request(&session, "again", PATIENCE);
+    let pending = request(&session, "again", TIME_LIMIT);
     loop {
         match cloud.next().await {
             Incoming::Request(request) => break request.reply.send(request.log, Ok(request.sample)),
@@ -195,7 +195,7 @@ async fn next_request_notices_restarted_cloud() {
     }
     let _cloud = Cloud::start_at(&address.to_string(), settings()).await;
     relay.mend();
-    let exchange = within(request(&session, "who are you?", PATIENCE)).await.expect("no panic");
+    let exchange = within(request(&session, "who are you?", TIME_LIMIT)).await.expect("no panic");
     let Err(RequestError::Lost(reason)) = exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("restarted"), "{reason}");
 }
@@ -259,7 +259,7 @@ async fn configured_rate_is_kept() {
     let slow = SessionSettings { max_send_bits_per_second: 8_000_000, ..settings() };
     let session = open(&address, hello(), slow).await.expect("accepted");
     let begin = tokio::time::Instant::now();
-    let exchange = within(session.request(log(), &sample_of(payload(300_000, 1)), PATIENCE)).await;
+    let exchange = within(session.request(log(), &sample_of(payload(300_000, 1)), TIME_LIMIT)).await;
     assert!(exchange.result.is_ok(), "{:?}", exchange.result);
     let taken = begin.elapsed();
     assert!(taken >= Duration::from_millis(290), "300 kB at 1 MB/s took {taken:?}");

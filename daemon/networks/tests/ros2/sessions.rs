@@ -15,7 +15,7 @@ use crate::ros::{
     exchange, pipeline_of_another_host_is_refused, replace_connections, second_publisher_is_remarked, session,
 };
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
 };
 
 /// Returns settings with changed settings for the topics of ROS 2.
@@ -154,13 +154,13 @@ async fn messages_of_second_publishers_are_dropped() {
     let publisher = node
         .create_publisher(&topic(&pipeline, "request_info"), INFO, &QosProfile::default())
         .expect("a publisher");
-    publisher.wait_for_peer(PATIENCE).await.expect("the cloud subscribes");
+    publisher.wait_for_peer(TIME_LIMIT).await.expect("the cloud subscribes");
     let goodbye = MessageInfo { kind: MessageInfo::GOODBYE, ..MessageInfo::default() };
     let goodbye = goodbye.encode(WireForm::Cdr).expect("can be written").into_bytes();
     for message in [goodbye, Bytes::from_static(&[0, 1, 0, 0, 9])] {
         publisher.publish(message, WallTime::from_unix_nanos(1)).await.expect("published");
     }
-    publisher.wait_for_acknowledgment(PATIENCE).await.expect("the cloud has them");
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("the cloud has them");
     echo(&mut cloud, &session, "the session goes on").await;
     second_publisher_is_remarked(&mut cloud, &session, "node /viewer", publisher.topic()).await;
 }
@@ -229,7 +229,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
     for _ in 0..10 {
         let burst = (0..8).map(|_| {
             let session = session.clone();
-            tokio::spawn(async move { session.request(log(), &picture(2_000_000), PATIENCE).await.result })
+            tokio::spawn(async move { session.request(log(), &picture(2_000_000), TIME_LIMIT).await.result })
         });
         for request in burst.collect::<Vec<_>>() {
             match within(request).await.expect("no panic") {

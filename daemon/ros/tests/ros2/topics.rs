@@ -12,7 +12,7 @@ use peernet_ros::ros2::{
 
 const BYTES: &str = "std_msgs/msg/UInt8MultiArray";
 /// Time limit of every wait, far above what is needed.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIME_LIMIT: Duration = Duration::from_secs(30);
 
 /// Returns settings with a domain that no other test of this process uses.
 fn settings() -> Ros2Settings {
@@ -35,8 +35,8 @@ async fn connected(
 ) -> (Ros2Publisher, Ros2Subscription) {
     let publisher = first.create_publisher(topic, BYTES, qos).expect("a publisher");
     let subscription = second.create_subscription(topic, BYTES, qos).expect("a subscription");
-    publisher.wait_for_peer(PATIENCE).await.expect("a subscription");
-    subscription.wait_for_peer(PATIENCE).await.expect("a publisher");
+    publisher.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
+    subscription.wait_for_peer(TIME_LIMIT).await.expect("a publisher");
     (publisher, subscription)
 }
 
@@ -54,7 +54,7 @@ fn is_same(sent: &Bytes, received: &Bytes) -> bool {
 }
 
 async fn receive(subscription: &mut Ros2Subscription) -> peernet_ros::ros2::ReceivedSample {
-    let received = tokio::time::timeout(PATIENCE, subscription.receive());
+    let received = tokio::time::timeout(TIME_LIMIT, subscription.receive());
     received.await.expect("a message in time").expect("a message")
 }
 
@@ -74,7 +74,7 @@ async fn messages_of_every_size_arrive_unchanged() {
     }
     let counts = subscription.counts();
     assert_eq!((counts.received, counts.lost, counts.late), (5, 0, 0));
-    publisher.wait_for_acknowledgment(PATIENCE).await.expect("acknowledged");
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("acknowledged");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -87,7 +87,7 @@ async fn burst_of_large_messages_arrives_whole() {
             let time = WallTime::from_unix_nanos(1);
             publisher.publish(payload(1_000_000, number), time).await.expect("published");
         }
-        publisher.wait_for_acknowledgment(PATIENCE).await.expect("acknowledged");
+        publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("acknowledged");
         publisher
     });
     for number in 0..20 {
@@ -105,14 +105,14 @@ async fn unread_message_is_counted_as_lost() {
     let publisher = nodes.0.create_publisher("/slow", BYTES, &writer_qos).expect("a publisher");
     let reader_qos = QosProfile { depth: 1, ..QosProfile::default() };
     let mut subscription = nodes.1.create_subscription("/slow", BYTES, &reader_qos).expect("a subscription");
-    publisher.wait_for_peer(PATIENCE).await.expect("a subscription");
+    publisher.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
     let publish = |number| publisher.publish(payload(100_000, number), WallTime::from_unix_nanos(1));
     publish(0).await.expect("published");
     receive(&mut subscription).await;
     for number in 1..=10 {
         publish(number).await.expect("published");
     }
-    publisher.wait_for_acknowledgment(PATIENCE).await.expect("acknowledged");
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("acknowledged");
     while receive(&mut subscription).await.sequence < 11 {}
     let counts = subscription.counts();
     assert_eq!(counts.received + counts.lost, 11, "{counts:?}");
@@ -143,7 +143,7 @@ async fn incompatible_qos_is_named_at_both_ends() {
         requested: "reliable".into(),
     };
     for mut peers in [publisher.peers(), subscription.peers()] {
-        let refused = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| !peers.refused.is_empty()));
+        let refused = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| !peers.refused.is_empty()));
         let refused = refused.await.expect("in time").expect("the endpoint exists").refused.clone();
         assert_eq!(refused.values().collect::<Vec<_>>(), [&expected]);
     }
@@ -161,14 +161,14 @@ async fn messages_of_another_type_are_dropped() {
     let mut subscription = nodes.1.create_subscription("/type", BYTES, &qos).expect("a subscription");
     let other = nodes.0.create_publisher("/type", "std_msgs/msg/String", &qos).expect("a publisher");
     let mut peers = subscription.peers();
-    let refused = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| !peers.refused.is_empty()));
+    let refused = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| !peers.refused.is_empty()));
     let refused = refused.await.expect("in time").expect("the endpoint exists").refused.clone();
     let expected = Refusal::OtherType { type_name: "std_msgs/msg/String".into() };
     assert_eq!(refused.get(&other.id()), Some(&expected));
     let error = subscription.wait_for_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
     assert!(error.contains("its message type is std_msgs/msg/String"), "{error}");
     let right = nodes.0.create_publisher("/type", BYTES, &qos).expect("a publisher");
-    right.wait_for_peer(PATIENCE).await.expect("a subscription");
+    right.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
     other.publish(payload(10, 0), WallTime::from_unix_nanos(1)).await.expect("published");
     right.publish(payload(10, 1), WallTime::from_unix_nanos(1)).await.expect("published");
     assert_eq!(receive(&mut subscription).await.writer, right.id());
@@ -198,11 +198,11 @@ async fn shutdown_ends_receiving_and_peer_notices() {
     let (publisher, mut subscription) = connected(&nodes, "/end", &QosProfile::default()).await;
     let receiving = tokio::spawn(async move { subscription.receive().await.map(|_| ()) });
     let (first, second) = nodes;
-    tokio::time::timeout(PATIENCE, second.shut_down()).await.expect("in time").expect("shut down");
-    let ended = tokio::time::timeout(PATIENCE, receiving).await.expect("in time").expect("no panic");
+    tokio::time::timeout(TIME_LIMIT, second.shut_down()).await.expect("in time").expect("shut down");
+    let ended = tokio::time::timeout(TIME_LIMIT, receiving).await.expect("in time").expect("no panic");
     assert!(matches!(ended, Err(Ros2Error::ShutDown { .. })), "{ended:?}");
     let mut peers = publisher.peers();
-    let gone = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| peers.matched.is_empty()));
+    let gone = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| peers.matched.is_empty()));
     assert_eq!(gone.await.expect("in time").expect("the endpoint exists").unmatched_total, 1);
     first.shut_down().await.expect("shut down");
     let late = publisher.publish(payload(1, 1), WallTime::from_unix_nanos(1)).await;
@@ -237,7 +237,7 @@ async fn publishers_of_a_topic_are_found_without_a_subscription() {
                 changes.changed().await.expect("the node is there");
             }
         };
-        tokio::time::timeout(PATIENCE, found).await.expect("in time");
+        tokio::time::timeout(TIME_LIMIT, found).await.expect("in time");
     };
     until(1).await;
     let found = second.publishers_of("/found").remove(0);
