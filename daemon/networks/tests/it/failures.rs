@@ -18,7 +18,7 @@ over_every_network!(
 );
 
 async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), TIME_LIMIT)).collect();
     let mut held = Vec::new();
@@ -42,7 +42,7 @@ async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
 }
 
 async fn restarted_cloud_accepts_new_session_on_same_port(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (old, _) = cloud.session(settings()).await;
     let address = cloud.address();
     echo(&mut cloud, &old, "before").await;
@@ -54,8 +54,7 @@ async fn restarted_cloud_accepts_new_session_on_same_port(network: TestNetwork) 
     echo(&mut cloud, &new, "after").await;
 }
 
-/// Starts a cloud on the port of an earlier one. The port is free as soon as the old listener's task has noticed its
-/// end.
+/// Starts a cloud on the port of an earlier one. The port is free as soon as the task of the old listener has ended.
 async fn restart(address: &Address) -> Cloud {
     let is_taken = || match address.scheme() {
         // Binding asks the master or the domain, which find an earlier cloud.
@@ -70,7 +69,7 @@ async fn restart(address: &Address) -> Cloud {
 }
 
 async fn vanished_edge_closes_its_sessions(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let address = cloud.address();
     // The edge's runtime is dropped with all its sockets, without a goodbye.
     let edge = std::thread::spawn(move || {
@@ -89,7 +88,7 @@ async fn vanished_edge_closes_its_sessions(network: TestNetwork) {
 #[tokio::test]
 async fn silent_connection_ends_after_heartbeat_timeout() {
     let mut cloud = Cloud::start().await;
-    let wire = SilencingRelay::before(cloud.address()).await;
+    let wire = SilencingRelay::start(cloud.address()).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let address = wire.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), quick).await });
@@ -112,7 +111,7 @@ struct SilencingRelay {
 }
 
 impl SilencingRelay {
-    async fn before(cloud: Address) -> Self {
+    async fn start(cloud: Address) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let local = listener.local_addr().expect("bound");
         let cut = Arc::new(Notify::new());

@@ -37,9 +37,9 @@ pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
     }
 }
 
-/// Waits until the listener has handled everything in transfer: a session's echo has returned. Then checks the count of
+/// Waits until the listener has handled all messages in transfer, by an echo over a new session. Then checks the count of
 /// malformed messages.
-async fn malformed_after(cloud: &mut Cloud, expected: u64) {
+async fn check_malformed_count(cloud: &mut Cloud, expected: u64) {
     let (session, _) = cloud.session(settings()).await;
     echo(cloud, &session, "the port still serves").await;
     within(session.close()).await;
@@ -80,7 +80,7 @@ async fn bytes_that_are_not_zmtp_are_dropped_and_counted() {
         // Until the listener closes the connection, in whatever way.
         let _ = within(stream.read_to_end(&mut Vec::new())).await;
     }
-    malformed_after(&mut cloud, 2).await;
+    check_malformed_count(&mut cloud, 2).await;
 }
 
 #[tokio::test]
@@ -118,7 +118,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
         plain.send_message(header, Vec::new()).await;
         expected += 1;
     }
-    malformed_after(&mut cloud, expected).await;
+    check_malformed_count(&mut cloud, expected).await;
 }
 
 #[tokio::test]
@@ -147,7 +147,7 @@ async fn invalid_requests_are_answered_as_failed() {
             "{number}: {header:?}"
         );
     }
-    malformed_after(&mut cloud, count).await;
+    check_malformed_count(&mut cloud, count).await;
 }
 
 #[tokio::test]
@@ -221,7 +221,7 @@ async fn silent_connections_do_not_block_new_edges() {
     let (session, _) = cloud.session(settings()).await;
     echo(&mut cloud, &session, "still served").await;
     // They are closed when the time limit for the handshake has passed.
-    malformed_after(&mut cloud, 300).await;
+    check_malformed_count(&mut cloud, 300).await;
     drop(silent);
 }
 
@@ -230,7 +230,7 @@ async fn chosen_routing_id_is_refused() {
     let mut cloud = Cloud::start().await;
     let plain = PlainSocket::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
     plain.send_message(&wire::open(PROTOCOL), Vec::new()).await;
-    malformed_after(&mut cloud, 1).await;
+    check_malformed_count(&mut cloud, 1).await;
 }
 
 #[tokio::test]

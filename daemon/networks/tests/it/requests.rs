@@ -8,8 +8,8 @@ use peernet_networks::{Failure, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, any_port, echo, log, over_every_network, request, sample, settings, text,
-    within,
+    Cloud, TIME_LIMIT, TestNetwork, echo, log, over_every_network, request, sample, settings, text,
+    unused_address, within,
 };
 
 over_every_network!(
@@ -25,7 +25,7 @@ over_every_network!(
 );
 
 async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let mut full = log();
     while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
@@ -41,7 +41,7 @@ async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
 }
 
 async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, id) = cloud.session(settings()).await;
     let opened = session.statistics();
     let two = Sample {
@@ -104,7 +104,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
 }
 
 async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), TIME_LIMIT)).collect();
     let mut incoming = Vec::new();
@@ -125,7 +125,7 @@ async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
 }
 
 async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
 
     // A timeout that the clock cannot represent counts as no timeout.
@@ -152,7 +152,7 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
 }
 
 async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
     let slow = cloud.next_request().await;
@@ -171,7 +171,7 @@ async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
 }
 
 async fn abandoned_request_frees_its_place(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let one = SessionSettings { max_in_flight: 1, ..settings() };
     let (session, _) = cloud.session(one).await;
     let pending = request(&session, "dropped", TIME_LIMIT);
@@ -185,7 +185,7 @@ async fn abandoned_request_frees_its_place(network: TestNetwork) {
 
 async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) {
     let two = SessionSettings { max_in_flight: 1, ..settings() };
-    let mut cloud = Cloud::start_at(&any_port(network), two).await;
+    let mut cloud = Cloud::start_at(&unused_address(network), two).await;
     let (session, _) = cloud.session(settings()).await;
     let (first, second) = (request(&session, "a", TIME_LIMIT), request(&session, "b", TIME_LIMIT));
     for _ in 0..2 {
@@ -208,7 +208,7 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
 
 async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
-    let mut cloud = Cloud::start_at(&any_port(network), small.clone()).await;
+    let mut cloud = Cloud::start_at(&unused_address(network), small.clone()).await;
     let (session, _) = cloud.session(settings()).await;
     let large = Sample::of(Description::bytes(), vec![0; 100_001].into());
     let exchange = within(session.request(log(), &large, TIME_LIMIT)).await;
@@ -217,7 +217,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     assert_eq!(exchange.upload, None);
     echo(&mut cloud, &session, "small").await;
 
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(small).await;
     let pending = request(&session, "zoom in", TIME_LIMIT);
     let incoming = cloud.next_request().await;
@@ -229,7 +229,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
 }
 
 async fn samples_beyond_header_limits_fail_alone(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let part = Part { description: Description::bytes(), bytes: "x".into() };
     let crowded = Sample { parts: vec![part; 65], source: String::new(), label: None };

@@ -26,7 +26,7 @@ fn with(change: impl FnOnce(&mut Ros2SessionSettings)) -> SessionSettings {
 }
 
 async fn cloud() -> Cloud {
-    Cloud::over(TestNetwork::Ros2).await
+    Cloud::on_network(TestNetwork::Ros2).await
 }
 
 /// Returns a node of another program in the cloud's domain.
@@ -178,7 +178,7 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn connection_without_session_ends_after_hello_timeout() {
     let hasty = SessionSettings { hello_timeout_ms: 2_000, ..settings() };
-    let mut cloud = Cloud::start_at(&crate::support::any_port(TestNetwork::Ros2), hasty).await;
+    let mut cloud = Cloud::start_at(&crate::support::unused_address(TestNetwork::Ros2), hasty).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     cloud.next_open().await.refuse("no");
@@ -213,7 +213,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
             ros2.deadline_ms = Some(500);
         })
     };
-    let mut cloud = Cloud::start_at(&crate::support::any_port(TestNetwork::Ros2), best_effort()).await;
+    let mut cloud = Cloud::start_at(&crate::support::unused_address(TestNetwork::Ros2), best_effort()).await;
     let (address, hello) = (cloud.address(), hello());
     let edge = tokio::spawn(async move { open(&address, hello, best_effort()).await });
     assert!(cloud.next_open().await.accept(accepted(cloud.host)));
@@ -249,7 +249,7 @@ async fn slow_subscriber_delays_nothing() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;
-    // It never takes a message.
+    // It reads no message.
     let watching = viewer
         .create_subscription(
             &topic(&pipeline, "request"),

@@ -17,8 +17,8 @@ const TIME_LIMIT: Duration = Duration::from_secs(30);
 /// Returns settings with a domain that no other test of this process uses.
 fn settings() -> Ros2Settings {
     static NEXT: AtomicU16 = AtomicU16::new(0);
-    let of_process = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
-    let domain_id = Some(1 + of_process + NEXT.fetch_add(1, Ordering::Relaxed));
+    let process_base = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
+    let domain_id = Some(1 + process_base + NEXT.fetch_add(1, Ordering::Relaxed));
     Ros2Settings { domain_id, interfaces: vec!["127.0.0.1".into()], ..Ros2Settings::default() }
 }
 
@@ -28,7 +28,7 @@ async fn two_nodes() -> (Ros2Node, Ros2Node) {
     (first, Ros2Node::new(settings).await.expect("a node"))
 }
 
-async fn connected(
+async fn connected_pair(
     (first, second): &(Ros2Node, Ros2Node),
     topic: &str,
     qos: &QosProfile,
@@ -61,7 +61,7 @@ async fn receive(subscription: &mut Ros2Subscription) -> peernet_ros::ros2::Rece
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_of_every_size_arrive_unchanged() {
     let nodes = two_nodes().await;
-    let (publisher, mut subscription) = connected(&nodes, "/bytes", &QosProfile::default()).await;
+    let (publisher, mut subscription) = connected_pair(&nodes, "/bytes", &QosProfile::default()).await;
     for (number, size) in (1..).zip([0, 1, 1_000, 60_000, 1_200_000]) {
         let (sent, time) = (payload(size, number), WallTime::from_unix_nanos(1_700_000_000_123_456_789));
         let sequence = publisher.publish(sent.clone(), time).await.expect("published");
@@ -81,7 +81,7 @@ async fn messages_of_every_size_arrive_unchanged() {
 async fn burst_of_large_messages_arrives_whole() {
     let nodes = two_nodes().await;
     let qos = QosProfile { depth: 20, ..QosProfile::default() };
-    let (publisher, mut subscription) = connected(&nodes, "/burst", &qos).await;
+    let (publisher, mut subscription) = connected_pair(&nodes, "/burst", &qos).await;
     let sender = tokio::spawn(async move {
         for number in 0..20 {
             let time = WallTime::from_unix_nanos(1);
@@ -195,7 +195,7 @@ async fn missing_peer_error_names_domain_interface_and_topics() {
 #[tokio::test(flavor = "multi_thread")]
 async fn shutdown_ends_receiving_and_peer_notices() {
     let nodes = two_nodes().await;
-    let (publisher, mut subscription) = connected(&nodes, "/end", &QosProfile::default()).await;
+    let (publisher, mut subscription) = connected_pair(&nodes, "/end", &QosProfile::default()).await;
     let receiving = tokio::spawn(async move { subscription.receive().await.map(|_| ()) });
     let (first, second) = nodes;
     tokio::time::timeout(TIME_LIMIT, second.shut_down()).await.expect("in time").expect("shut down");
@@ -231,7 +231,7 @@ async fn publishers_of_a_topic_are_found_without_a_subscription() {
     assert_eq!(second.publishers_of("/found"), []);
     let publisher = first.create_publisher("/found", BYTES, &QosProfile::default()).expect("a publisher");
     let _other = first.create_publisher("/other", BYTES, &QosProfile::default()).expect("a publisher");
-    let mut until = async |count: usize| {
+    let mut wait_for_count = async |count: usize| {
         let found = async {
             while second.publishers_of("/found").len() != count {
                 changes.changed().await.expect("the node is there");
@@ -239,11 +239,11 @@ async fn publishers_of_a_topic_are_found_without_a_subscription() {
         };
         tokio::time::timeout(TIME_LIMIT, found).await.expect("in time");
     };
-    until(1).await;
+    wait_for_count(1).await;
     let found = second.publishers_of("/found").remove(0);
     assert_eq!((found.id, found.type_name.as_str()), (publisher.id(), BYTES));
     assert_eq!(found.host, None, "it is on this host");
     assert!(second.describe_domain().contains("127.0.0.1"), "{}", second.describe_domain());
     drop(publisher);
-    until(0).await;
+    wait_for_count(0).await;
 }
