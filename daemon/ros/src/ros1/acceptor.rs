@@ -21,7 +21,7 @@ use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, HeaderError, 
 /// Delay after a failed `accept`. Without a free descriptor it would fail again at once.
 const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(100);
 
-/// Reason why a connection did not become a subscriber's.
+/// Reason why a subscriber was not connected.
 #[derive(Debug, Error)]
 enum AcceptError {
     #[error(transparent)]

@@ -67,7 +67,7 @@ impl FrameBuffer {
         Some(usize::try_from(length).unwrap_or(usize::MAX))
     }
 
-    /// Returns the buffer for the next bytes, with room for at least one byte.
+    /// Returns the buffer for the next bytes, with space for at least one byte.
     ///
     /// # Errors
     /// If there is no memory for more of a long frame. The connection must then be closed.
@@ -76,7 +76,7 @@ impl FrameBuffer {
         let (arrived, frame) = (self.bytes.len(), PREFIX_BYTES + length);
         let missing = frame.saturating_sub(arrived).max(1);
         if self.bytes.capacity() - arrived < missing.min(READ_BYTES) {
-            // A long frame gets room only for itself, so that no bytes of the next frame share its buffer.
+            // The buffer of a long frame has no space for the next frame, so that the two do not share memory.
             let growth = (arrived * MAX_GROWTH).max(READ_BYTES);
             self.bytes.reserve(missing.clamp(READ_BYTES, growth));
         }

@@ -47,7 +47,7 @@ fn type_mismatch_names_both_types() {
         error.to_string(),
         "topic /t has two message types: sensor_msgs/CompressedImage (md5sum 8f7a12909da2c9d3332d540a0977563f) here, \
          std_msgs/String (md5sum 992ce8a1687cec8c8bd883ec73ca41d1) at node /sub; \
-         let both use the same definition of the type"
+         both must use the same definition of the type"
     );
     let refusal = subscription.accept(&sent(&ConnectionHeader::error(&error.to_string()))).unwrap_err();
     assert!(matches!(refusal, HandshakeError::Refused { reason, .. } if reason == error.to_string()));

@@ -41,14 +41,14 @@ impl TestLimit {
 impl MemoryLimit for TestLimit {
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>> {
         let taken = self.taken.fetch_add(bytes, Relaxed) + bytes;
-        let part = Part(Arc::clone(&self.taken), bytes);
-        (taken <= self.max).then(|| Box::new(part) as Box<dyn Any + Send + Sync>)
+        let reservation = Reservation(Arc::clone(&self.taken), bytes);
+        (taken <= self.max).then(|| Box::new(reservation) as Box<dyn Any + Send + Sync>)
     }
 }
 
-struct Part(Arc<AtomicUsize>, usize);
+struct Reservation(Arc<AtomicUsize>, usize);
 
-impl Drop for Part {
+impl Drop for Reservation {
     fn drop(&mut self) {
         self.0.fetch_sub(self.1, Relaxed);
     }
