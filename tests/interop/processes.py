@@ -1,16 +1,16 @@
-"""Programs that the checks with foreign peers start and read."""
+"""Runs programs for the interoperability checks and reads their output."""
 import queue
 import socket
 import subprocess
 import threading
 import time
 
-# Longest time in seconds that anything may take.
-PATIENCE = 60
+# Time limit of each wait. Seconds.
+TIMEOUT_S = 60
 
 
 class Process:
-    """A program whose lines are read one by one, and which ends with the check."""
+    """A program whose output is read line by line, and which ends with the check."""
 
     def __init__(self, *command, environment=None):
         self.command = [str(part) for part in command]
@@ -32,10 +32,10 @@ class Process:
     def line(self):
         """Returns the next line."""
         try:
-            line = self.lines.get(timeout=PATIENCE)
+            line = self.lines.get(timeout=TIMEOUT_S)
         except queue.Empty:
             line = None
-        assert line is not None, f"{self.command} says nothing more; its errors: {self.errors}"
+        assert line is not None, f"{self.command} printed no further line; its errors: {self.errors}"
         return line
 
     def wait_for(self, part):
@@ -51,19 +51,19 @@ class Process:
         return next((line for line in reversed(lines) if line and part in line), None)
 
     def has_error(self, part):
-        """Returns whether a line of its errors contains a text."""
+        """Returns whether a line of its standard error contains a text."""
         return any(part in line for line in list(self.errors) if line)
 
     def finish(self):
-        """Ends the program's input, and waits for its success."""
+        """Closes the standard input of the program, and waits until it exits with status 0."""
         self.process.stdin.close()
-        status = self.process.wait(timeout=PATIENCE)
+        status = self.process.wait(timeout=TIMEOUT_S)
         assert status == 0, f"{self.command} ended with {status}; its errors: {self.errors}"
 
     def stop(self):
-        """Asks a daemon to end, and waits for its success."""
+        """Terminates a daemon, and waits until it exits with status 0."""
         self.process.terminate()
-        status = self.process.wait(timeout=PATIENCE)
+        status = self.process.wait(timeout=TIMEOUT_S)
         assert status == 0, f"{self.command} ended with {status}; its errors: {self.errors}"
 
     def kill(self):
@@ -77,11 +77,11 @@ class Process:
         self.kill()
 
 
-def wait_until(condition, what, patience=PATIENCE):
-    """Returns the seconds until a condition holds; `what` describes it, or is a function that does."""
+def wait_until(condition, what, timeout=TIMEOUT_S):
+    """Waits until a condition holds, and returns the seconds. `what` is its description, or a function that returns it."""
     start = time.monotonic()
     while not condition():
-        assert time.monotonic() - start < patience, f"not within {patience} s: {what() if callable(what) else what}"
+        assert time.monotonic() - start < timeout, f"not within {timeout} s: {what() if callable(what) else what}"
         time.sleep(0.02)
     return time.monotonic() - start
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the checks with foreign peers, one folder after the other, and says how long each took. All of them, unless some are named.
+# Runs the interoperability tests one folder after the other, and prints how long each took. Runs all of them unless some are named.
 # Usage: run.sh [FOLDER]…    (such as ros1)
 set -euo pipefail
 cd "$(dirname "$0")"

@@ -36,8 +36,9 @@ fn say(line: &str) {
 }
 
 async fn camera(node: &Node, clock: &SharedClock, topic: &str, hz: f64) -> anyhow::Result<()> {
-    let publisher =
-        node.publish(topic, TopicType::of::<CompressedImage>(), PublisherOptions::default()).await?;
+    let publisher = node
+        .publish(topic, TopicType::from_message::<CompressedImage>(), PublisherOptions::default())
+        .await?;
     say("ready");
     let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / hz));
     for seq in 0.. {
@@ -57,7 +58,7 @@ async fn relay(
     [from, to]: [&str; 2],
     Relay { delay, drop, restamps }: Relay,
 ) -> anyhow::Result<()> {
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let publisher = node.publish(to, kind.clone(), PublisherOptions::default()).await?;
     let mut subscriber = node.subscribe(from, kind, SubscriberOptions::default()).await?;
     say("ready");
@@ -89,7 +90,7 @@ async fn relay(
 
 async fn talk(node: &Node, topic: &str) -> anyhow::Result<()> {
     let publisher =
-        node.publish(topic, TopicType::of::<StringMessage>(), PublisherOptions::default()).await?;
+        node.publish(topic, TopicType::from_message::<StringMessage>(), PublisherOptions::default()).await?;
     say("ready");
     let mut ticks = tokio::time::interval(Duration::from_millis(50));
     loop {

@@ -4,7 +4,8 @@ use peernet_clock::SharedClock;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_ros::messages::{StringMessage, UInt8MultiArray};
 use peernet_ros::topics::{
-    MessageType, RosVersion, TopicError, TopicUse, TopicWriter, WriteOutcome, check_topic, survey_topic,
+    MessageType, RosVersion, TopicAccess, TopicError, TopicWriter, WriteOutcome, check_topic,
+    check_topic_at_master,
 };
 use peernet_sample::{Part, Sample};
 use serde::{Deserialize, Serialize};
@@ -91,7 +92,7 @@ impl ActuatorKind for RosActuatorConfig {
 
     fn remarks(&self) -> Vec<String> {
         let Ok((version, of)) = self.validated() else { return Vec::new() };
-        match survey_topic(version, &self.topic, Some(&of), TopicUse::Write) {
+        match check_topic_at_master(version, &self.topic, Some(&of), TopicAccess::Write) {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],
         }
@@ -127,8 +128,7 @@ impl Ros {
                 self.writer().and_then(|writer| writer.write(&message))
             }
         };
-        if written.as_ref().is_err_and(TopicError::is_end) {
-            // The next answer starts another node and publishes again.
+        if written.as_ref().is_err_and(TopicError::needs_reopening) {
             self.writer = None;
         }
         Ok(written?)

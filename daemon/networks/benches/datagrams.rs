@@ -1,8 +1,8 @@
 //! Closed-loop round trips over loopback: a session over `zmq-udp` and bare UDP with the same datagrams, alternately.
 //!
 //! `cargo bench -p peernet-networks --bench datagrams -- [--sizes BYTES,…] [--rounds N] [--datagram BYTES]`. The edge
-//! sends the payload, the cloud answers with 64 bytes. The bare contender uses one system call for each datagram and
-//! does not reassemble messages.
+//! sends the payload, the cloud answers with 64 bytes. Bare UDP uses one system call for each datagram and does not
+//! reassemble messages.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
@@ -22,16 +22,16 @@ use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
 use socket2::SockRef;
 
-type Anyhow<T> = Result<T, Box<dyn Error + Send + Sync>>;
+type BenchResult<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
 /// Length of an answer. Bytes.
-const ANSWER: usize = 64;
+const ANSWER_BYTES: usize = 64;
 
 fn clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")))
 }
 
-fn main() -> Anyhow<()> {
+fn main() -> BenchResult<()> {
     let (mut sizes, mut rounds, mut datagram) = (vec![1_000, 150_000, 1_200_000], 20, 1_200_usize);
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
@@ -50,7 +50,7 @@ fn main() -> Anyhow<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let address = runtime.block_on(serve(settings.clone()))?;
     let session = runtime.block_on(async { tokio::spawn(open(address, settings)).await })??;
-    println!("datagrams of {datagram} bytes, answers of {ANSWER} bytes, two threads");
+    println!("datagrams of {datagram} bytes, answers of {ANSWER_BYTES} bytes, two threads");
     println!(
         "{:>9} | {:>9} {:>9} | {:>9} {:>9} | {:>8} {:>8} {:>6}",
         "bytes", "UDP p50", "p99", "p50", "p99", "UDP/s", "/s", "ratio"
@@ -58,38 +58,38 @@ fn main() -> Anyhow<()> {
     for size in sizes {
         let payload = Bytes::from(vec![7; size]);
         let trips = (20_000_000 / (size + 20_000)).clamp(20, 500);
-        let (mut theirs, mut ours) = (Vec::new(), Vec::new());
+        let (mut bare_times, mut session_times) = (Vec::new(), Vec::new());
         for round in 0..=rounds {
             let a = bare.round(size, trips)?;
-            let task = trip(session.clone(), payload.clone(), trips);
+            let task = round_session(session.clone(), payload.clone(), trips);
             let b = runtime.block_on(async { tokio::spawn(task).await })??;
             // The first round only warms up both contenders.
             if round > 0 {
-                theirs.extend(a);
-                ours.extend(b);
+                bare_times.extend(a);
+                session_times.extend(b);
             }
         }
-        report(size, &mut theirs, &mut ours);
+        report(size, &mut bare_times, &mut session_times);
     }
     println!("\ntimes in µs; {:?}", session.statistics());
     runtime.block_on(session.close());
     Ok(())
 }
 
-fn report(size: usize, theirs: &mut [Span], ours: &mut [Span]) {
+fn report(size: usize, bare_times: &mut [Span], session_times: &mut [Span]) {
     let at = |spans: &mut [Span], q: f64| {
         spans.sort_unstable();
         spans[((spans.len() - 1) as f64 * q) as usize].seconds() * 1e6
     };
     let rate = |spans: &[Span]| spans.len() as f64 / spans.iter().copied().sum::<Span>().seconds();
-    let (their_rate, our_rate) = (rate(theirs), rate(ours));
+    let (bare_rate, session_rate) = (rate(bare_times), rate(session_times));
     println!(
-        "{size:>9} | {:>9.1} {:>9.1} | {:>9.1} {:>9.1} | {their_rate:>8.0} {our_rate:>8.0} {:>6.2}",
-        at(theirs, 0.5),
-        at(theirs, 0.99),
-        at(ours, 0.5),
-        at(ours, 0.99),
-        our_rate / their_rate,
+        "{size:>9} | {:>9.1} {:>9.1} | {:>9.1} {:>9.1} | {bare_rate:>8.0} {session_rate:>8.0} {:>6.2}",
+        at(bare_times, 0.5),
+        at(bare_times, 0.99),
+        at(session_times, 0.5),
+        at(session_times, 0.99),
+        session_rate / bare_rate,
     );
 }
 
@@ -100,10 +100,10 @@ struct BareUdp {
 }
 
 impl BareUdp {
-    fn start(datagram: usize) -> Anyhow<Self> {
+    fn start(datagram: usize) -> BenchResult<Self> {
         let server = Self::socket()?;
         let address: SocketAddr = server.local_addr()?;
-        std::thread::spawn(move || -> Anyhow<()> {
+        std::thread::spawn(move || -> BenchResult<()> {
             let mut buffer = vec![0; 65_536];
             let mut received = 0;
             loop {
@@ -112,7 +112,7 @@ impl BareUdp {
                 received += 1;
                 if received >= count {
                     received = 0;
-                    server.send_to(&[7; ANSWER], from)?;
+                    server.send_to(&[7; ANSWER_BYTES], from)?;
                 }
             }
         });
@@ -122,19 +122,19 @@ impl BareUdp {
         Ok(Self { socket, datagram })
     }
 
-    fn socket() -> Anyhow<UdpSocket> {
+    fn socket() -> BenchResult<UdpSocket> {
         let socket = UdpSocket::bind("127.0.0.1:0")?;
         SockRef::from(&socket).set_recv_buffer_size(4 << 20)?;
         SockRef::from(&socket).set_send_buffer_size(4 << 20)?;
         Ok(socket)
     }
 
-    fn round(&self, size: usize, trips: usize) -> Anyhow<Vec<Span>> {
+    fn round(&self, size: usize, trips: usize) -> BenchResult<Vec<Span>> {
         let clock = clock();
         let mut buffer = vec![7; self.datagram];
         let count = size.div_ceil(self.datagram).max(1);
         buffer[..4].copy_from_slice(&(count as u32).to_le_bytes());
-        let mut answer = [0; ANSWER];
+        let mut answer = [0; ANSWER_BYTES];
         (0..trips)
             .map(|_| {
                 let start = clock.mono();
@@ -149,7 +149,7 @@ impl BareUdp {
     }
 }
 
-async fn serve(settings: SessionSettings) -> Anyhow<Address> {
+async fn serve(settings: SessionSettings) -> BenchResult<Address> {
     let (host, any) = (HostId::random(), "udp://127.0.0.1:0".parse()?);
     let mut listener = Listener::bind(&any, settings, host, clock()).await?;
     let address = listener.address().clone();
@@ -175,7 +175,7 @@ async fn serve(settings: SessionSettings) -> Anyhow<Address> {
                     open.accept(accepted);
                 }
                 Incoming::Request(request) => {
-                    let answer = request.sample.parts[0].bytes.slice(..ANSWER);
+                    let answer = request.sample.parts[0].bytes.slice(..ANSWER_BYTES);
                     request.reply.send(request.log, Ok(Sample::from_part(Description::bytes(), answer)));
                 }
                 _ => {}
@@ -185,7 +185,7 @@ async fn serve(settings: SessionSettings) -> Anyhow<Address> {
     Ok(address)
 }
 
-async fn open(address: Address, settings: SessionSettings) -> Anyhow<Session> {
+async fn open(address: Address, settings: SessionSettings) -> BenchResult<Session> {
     let hello = SessionHello {
         versions: SESSION_VERSIONS,
         host: HostId::random(),
@@ -199,7 +199,7 @@ async fn open(address: Address, settings: SessionSettings) -> Anyhow<Session> {
     Ok(Session::open(&address, hello, settings, clock()).await?)
 }
 
-async fn trip(session: Session, payload: Bytes, trips: usize) -> Anyhow<Vec<Span>> {
+async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchResult<Vec<Span>> {
     let (clock, host) = (clock(), HostId::random());
     let mut spans = Vec::new();
     for _ in 0..trips {

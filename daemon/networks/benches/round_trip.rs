@@ -24,7 +24,7 @@ use peernet_networks::{
 use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
 
-type Anyhow<T> = Result<T, Box<dyn Error + Send + Sync>>;
+type BenchResult<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
 #[derive(Clone, Debug)]
 struct Plan {
@@ -36,7 +36,7 @@ struct Plan {
     cloud: bool,
 }
 
-fn main() -> Anyhow<()> {
+fn main() -> BenchResult<()> {
     let plan = Plan::from_arguments()?;
     if plan.cloud {
         let (bare, session) = start_cloud(&plan)?;
@@ -70,7 +70,7 @@ fn main() -> Anyhow<()> {
 }
 
 impl Plan {
-    fn from_arguments() -> Anyhow<Self> {
+    fn from_arguments() -> BenchResult<Self> {
         let mut plan = Self {
             sizes: vec![64, 1_000, 150_000, 1_200_000],
             answer: Some(64),
@@ -102,7 +102,7 @@ impl Plan {
         Ok(plan)
     }
 
-    fn runtime(&self) -> Anyhow<tokio::runtime::Runtime> {
+    fn runtime(&self) -> BenchResult<tokio::runtime::Runtime> {
         let mut builder = if self.multi_thread {
             tokio::runtime::Builder::new_multi_thread()
         } else {
@@ -121,7 +121,7 @@ fn clock() -> SharedClock {
 }
 
 /// Starts the servers of both contenders. Returns their addresses.
-fn start_cloud(plan: &Plan) -> Anyhow<(String, Address)> {
+fn start_cloud(plan: &Plan) -> BenchResult<(String, Address)> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let bare = listener.local_addr()?.to_string();
     std::thread::spawn(move || {
@@ -130,18 +130,18 @@ fn start_cloud(plan: &Plan) -> Anyhow<(String, Address)> {
             let _ = stream.map_err(Into::into).and_then(serve_bare);
         }
     });
-    let (tell, told) = std::sync::mpsc::sync_channel(1);
+    let (address_sender, address_receiver) = std::sync::mpsc::sync_channel(1);
     let plan = plan.clone();
-    std::thread::spawn(move || -> Anyhow<()> {
+    std::thread::spawn(move || -> BenchResult<()> {
         let runtime = plan.runtime()?;
         // In a task, as in an agent: the main future of a multi-thread runtime does not run on a worker thread.
-        runtime.block_on(async { tokio::spawn(serve_session(plan, tell)).await })?
+        runtime.block_on(async { tokio::spawn(serve_session(plan, address_sender)).await })?
     });
-    Ok((bare, told.recv()?))
+    Ok((bare, address_receiver.recv()?))
 }
 
 /// Serves `size u64 | answer u64 | payload` with `arrival stamp i64 | answer`.
-fn serve_bare(mut stream: TcpStream) -> Anyhow<()> {
+fn serve_bare(mut stream: TcpStream) -> BenchResult<()> {
     let clock = clock();
     stream.set_nodelay(true)?;
     let mut payload = Vec::new();
@@ -163,11 +163,11 @@ fn word(bytes: &[u8]) -> u64 {
     bytes.try_into().map_or(0, u64::from_le_bytes)
 }
 
-async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -> Anyhow<()> {
+async fn serve_session(plan: Plan, address_sender: std::sync::mpsc::SyncSender<Address>) -> BenchResult<()> {
     let (host, clock) = (HostId::random(), clock());
     let any = "tcp://127.0.0.1:0".parse()?;
     let mut listener = Listener::bind(&any, SessionSettings::default(), host, clock.clone()).await?;
-    tell.send(listener.address().clone())?;
+    address_sender.send(listener.address().clone())?;
     while let Some(incoming) = listener.next().await {
         match incoming {
             Incoming::Open(open) => {
@@ -213,7 +213,7 @@ impl ContenderTimes {
     }
 }
 
-fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
+fn edge(plan: &Plan, bare: &str, address: &Address) -> BenchResult<()> {
     let runtime = plan.runtime()?;
     let mut stream = TcpStream::connect(bare)?;
     stream.set_nodelay(true)?;
@@ -242,7 +242,7 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
     for &size in &plan.sizes {
         let payload = Bytes::from((0..size).map(|i| (i * 31) as u8).collect::<Vec<u8>>());
         let trips = (20_000_000 / (size + 20_000)).clamp(30, 500);
-        let (mut tcp, mut ours) = (ContenderTimes::default(), ContenderTimes::default());
+        let (mut tcp_times, mut session_times) = (ContenderTimes::default(), ContenderTimes::default());
         for round in 0..=plan.rounds {
             let mut a = ContenderTimes::default();
             round_bare(&mut stream, &payload, plan.answer_bytes(size), trips, &mut a)?;
@@ -250,13 +250,13 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
             let mut b = runtime.block_on(async { tokio::spawn(task).await })??;
             // The first round only warms up both contenders.
             if round > 0 {
-                tcp.trips.append(&mut a.trips);
-                tcp.uploads.append(&mut a.uploads);
-                ours.trips.append(&mut b.trips);
-                ours.uploads.append(&mut b.uploads);
+                tcp_times.trips.append(&mut a.trips);
+                tcp_times.uploads.append(&mut a.uploads);
+                session_times.trips.append(&mut b.trips);
+                session_times.uploads.append(&mut b.uploads);
             }
         }
-        report(size, &mut tcp, &mut ours);
+        report(size, &mut tcp_times, &mut session_times);
     }
     println!("\ntimes in µs, upload p50; {:?}", session.statistics());
     runtime.block_on(session.close());
@@ -268,8 +268,8 @@ fn round_bare(
     payload: &[u8],
     answer: usize,
     trips: usize,
-    seen: &mut ContenderTimes,
-) -> Anyhow<()> {
+    times: &mut ContenderTimes,
+) -> BenchResult<()> {
     let clock = clock();
     let mut message = (payload.len() as u64).to_le_bytes().to_vec();
     message.extend_from_slice(&(answer as u64).to_le_bytes());
@@ -281,13 +281,13 @@ fn round_bare(
         stream.read_exact(&mut reply)?;
         let arrived = word(&reply[..8]) as i64;
         let upload = Span::from_nanos(arrived - start.wall.unix_nanos());
-        seen.add(clock.mono() - start.mono, upload);
+        times.add(clock.mono() - start.mono, upload);
     }
     Ok(())
 }
 
-async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow<ContenderTimes> {
-    let (clock, host, mut seen) = (clock(), HostId::random(), ContenderTimes::default());
+async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchResult<ContenderTimes> {
+    let (clock, host, mut times) = (clock(), HostId::random(), ContenderTimes::default());
     for _ in 0..trips {
         let sample = Sample::from_part(Description::bytes(), payload.clone());
         let start = clock.mono();
@@ -295,29 +295,29 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow
         let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
         let trip = clock.mono() - start;
         exchange.result?;
-        let upload = exchange.up.and_then(|up| exchange.log.tree().get(up)).map(|node| &node.measure);
+        let upload = exchange.upload.and_then(|up| exchange.log.tree().get(up)).map(|node| &node.measure);
         let Some(Measure::Transit(upload)) = upload else { return Err("no upload".into()) };
         let upload = upload.received.ok_or("upload did not end")? - upload.sent;
-        seen.add(trip, upload);
+        times.add(trip, upload);
     }
-    Ok(seen)
+    Ok(times)
 }
 
-fn report(size: usize, tcp: &mut ContenderTimes, ours: &mut ContenderTimes) {
+fn report(size: usize, tcp_times: &mut ContenderTimes, session_times: &mut ContenderTimes) {
     let at = |spans: &mut Vec<Span>, q: f64| {
         spans.sort_unstable();
         spans[((spans.len() - 1) as f64 * q) as usize].seconds() * 1e6
     };
     let rate = |spans: &[Span]| spans.len() as f64 / spans.iter().copied().sum::<Span>().seconds();
-    let (tcp_rate, our_rate) = (rate(&tcp.trips), rate(&ours.trips));
-    let (tcp_up, our_up) = (at(&mut tcp.uploads, 0.5), at(&mut ours.uploads, 0.5));
+    let (tcp_rate, session_rate) = (rate(&tcp_times.trips), rate(&session_times.trips));
+    let (tcp_upload, session_upload) = (at(&mut tcp_times.uploads, 0.5), at(&mut session_times.uploads, 0.5));
     println!(
-        "{size:>9} | {:>8.1} {:>8.1} {:>8.1} {:>8.1} | {tcp_rate:>7.0} {our_rate:>7.0} {:>6.2} | {tcp_up:>7.1} {our_up:>7.1} {:>6.2}",
-        at(&mut tcp.trips, 0.5),
-        at(&mut tcp.trips, 0.99),
-        at(&mut ours.trips, 0.5),
-        at(&mut ours.trips, 0.99),
-        our_rate / tcp_rate,
-        our_up / tcp_up,
+        "{size:>9} | {:>8.1} {:>8.1} {:>8.1} {:>8.1} | {tcp_rate:>7.0} {session_rate:>7.0} {:>6.2} | {tcp_upload:>7.1} {session_upload:>7.1} {:>6.2}",
+        at(&mut tcp_times.trips, 0.5),
+        at(&mut tcp_times.trips, 0.99),
+        at(&mut session_times.trips, 0.5),
+        at(&mut session_times.trips, 0.99),
+        session_rate / tcp_rate,
+        session_upload / tcp_upload,
     );
 }

@@ -1,8 +1,8 @@
-//! An edge and a cloud of `zmq-udp` with a foreign program between them, for the test with libzmq
+//! An edge and a cloud of `zmq-udp` with a relay of another project between them, for the test with libzmq
 //! (`tests/interop/zmq-udp`). Fails unless every request is answered byte for byte or recorded as lost.
 //!
 //! Usage: `zmq_udp_peer RELAY`, a program that gets the cloud's address and prints its own.
-#![expect(clippy::print_stdout, reason = "people read what it prints")]
+#![expect(clippy::print_stdout, reason = "a test program prints its results")]
 
 use std::error::Error;
 use std::io::{BufRead, BufReader};
@@ -19,7 +19,7 @@ use peernet_networks::{
 use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
 
-/// Longest time until an answer must have arrived.
+/// Time limit of an answer.
 const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Length of a request in bytes, and number of requests of this length.
@@ -137,7 +137,7 @@ async fn run(relay: &str, datagram_bytes: u64) -> Result<(), Box<dyn Error>> {
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn Error>> {
-    let relay = std::env::args().nth(1).ok_or("no relay is named")?;
+    let relay = std::env::args().nth(1).ok_or("usage: zmq_udp_peer RELAY")?;
     for datagram_bytes in [1_200, 8_192] {
         run(&relay, datagram_bytes).await?;
     }

@@ -32,26 +32,26 @@ pub enum DescriptorShare {
 
 impl DescriptorShare {
     /// Returns how many connections the port may keep open under the current limit of this process.
-    pub fn connections(self) -> usize {
-        self.connections_of_each(NonZeroUsize::MIN)
+    pub fn max_connections(self) -> usize {
+        self.max_connections_per_port(NonZeroUsize::MIN)
     }
 
     /// Returns how many connections each of `ports` ports of this kind may keep open.
-    pub fn connections_of_each(self, ports: NonZeroUsize) -> usize {
-        self.connections_of(getrlimit(Resource::Nofile).current, ports)
+    pub fn max_connections_per_port(self, ports: NonZeroUsize) -> usize {
+        self.max_connections_under(getrlimit(Resource::Nofile).current, ports)
     }
 
     /// Returns the number of connections of each port under `limit`. `None` means no limit: the result is the maximum
     /// of the kind of port.
-    fn connections_of(self, limit: Option<u64>, ports: NonZeroUsize) -> usize {
+    fn max_connections_under(self, limit: Option<u64>, ports: NonZeroUsize) -> usize {
         // The shares of the table in the module documentation.
-        let (sixteenths, most) = match self {
+        let (sixteenths, max_per_port) = match self {
             Self::EventPort | Self::DataPort => (5, 4_096),
             Self::Web => (2, 1_024),
         };
-        let all = limit.map_or(u64::MAX, |limit| limit / 16 * sixteenths);
-        let share = (all / ports.get() as u64).saturating_sub(PORT_OVERHEAD);
-        usize::try_from(share.clamp(1, most)).unwrap_or(usize::MAX)
+        let share = limit.map_or(u64::MAX, |limit| limit / 16 * sixteenths);
+        let per_port = (share / ports.get() as u64).saturating_sub(PORT_OVERHEAD);
+        usize::try_from(per_port.clamp(1, max_per_port)).unwrap_or(usize::MAX)
     }
 }
 
@@ -74,27 +74,31 @@ mod tests {
     const SHARES: [DescriptorShare; 3] =
         [DescriptorShare::EventPort, DescriptorShare::DataPort, DescriptorShare::Web];
 
-    fn one(share: DescriptorShare, limit: Option<u64>) -> usize {
-        share.connections_of(limit, NonZeroUsize::MIN)
+    fn max_connections_of_one_port(share: DescriptorShare, limit: Option<u64>) -> usize {
+        share.max_connections_under(limit, NonZeroUsize::MIN)
     }
 
     #[test]
     fn all_ports_leave_a_quarter_of_descriptors() {
         for limit in [256, 1_024, 4_096, 1 << 20] {
-            let connections = SHARES.map(|share| one(share, Some(limit)) as u64 + PORT_OVERHEAD);
+            let connections =
+                SHARES.map(|share| max_connections_of_one_port(share, Some(limit)) as u64 + PORT_OVERHEAD);
             assert!(connections.iter().sum::<u64>() <= limit * 3 / 4, "{limit}: {connections:?}");
         }
-        assert_eq!(SHARES.map(|share| one(share, Some(1_024))), [302, 302, 110]);
-        assert_eq!(SHARES.map(|share| one(share, None)), [4_096, 4_096, 1_024]);
-        assert_eq!(SHARES.map(|share| one(share, Some(1 << 19))), [4_096, 4_096, 1_024]);
-        assert_eq!(SHARES.map(|share| one(share, Some(10))), [1, 1, 1]);
+        assert_eq!(SHARES.map(|share| max_connections_of_one_port(share, Some(1_024))), [302, 302, 110]);
+        assert_eq!(SHARES.map(|share| max_connections_of_one_port(share, None)), [4_096, 4_096, 1_024]);
+        assert_eq!(
+            SHARES.map(|share| max_connections_of_one_port(share, Some(1 << 19))),
+            [4_096, 4_096, 1_024]
+        );
+        assert_eq!(SHARES.map(|share| max_connections_of_one_port(share, Some(10))), [1, 1, 1]);
     }
 
     #[test]
     fn several_data_ports_take_one_share() {
         let of_each = |ports| {
             let ports = NonZeroUsize::new(ports).expect("above 0");
-            DescriptorShare::DataPort.connections_of(Some(1_024), ports)
+            DescriptorShare::DataPort.max_connections_under(Some(1_024), ports)
         };
         assert_eq!([1, 2, 4, 100].map(of_each), [302, 142, 62, 1]);
     }

@@ -25,32 +25,30 @@ const TUNNELS: [u32; 5] = [
     65_534, // neither hardware nor address: TUN, WireGuard
 ];
 
-/// Returns the interface over which the packets of a connection leave. `None` if no interface has the local address any
-/// more.
-///
-/// The interface is found by the local address of the connection.
+/// Returns the interface over which the packets of a connection leave, found by the connection's local address. `None`
+/// if no interface has that address any more.
 ///
 /// # Errors
 /// If the system cannot list its interfaces.
-pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<NetworkInterface>> {
+pub fn outgoing_interface(addresses: &ConnectionAddresses) -> io::Result<Option<NetworkInterface>> {
     let (local, remote) = (addresses.local.ip().to_canonical(), addresses.remote.ip().to_canonical());
     let mut by_address = None;
     let mut loopback = None;
-    let mut stays_here = remote.is_loopback();
+    let mut is_local = remote.is_loopback();
     for entry in getifaddrs()? {
         if entry.flags.contains(InterfaceFlags::IFF_LOOPBACK) {
             loopback.get_or_insert_with(|| entry.interface_name.clone());
         }
-        let Some(address) = entry.address.as_ref().and_then(ip) else { continue };
-        stays_here |= address == remote;
+        let Some(address) = entry.address.as_ref().and_then(to_ip) else { continue };
+        is_local |= address == remote;
         if address == local {
             by_address.get_or_insert(entry.interface_name);
         }
     }
     // Linux sends packets to one of the host's own addresses over the loopback interface, whichever interface has the
     // address.
-    let name = if stays_here { loopback } else { by_address };
-    Ok(name.map(|name| describe(Path::new(SYSFS), name)))
+    let name = if is_local { loopback } else { by_address };
+    Ok(name.map(|name| describe_interface(Path::new(SYSFS), name)))
 }
 
 /// Returns whether an interface is wireless. `folder` is its directory in sysfs.
@@ -59,23 +57,23 @@ pub fn is_wireless(folder: &Path) -> bool {
     ["phy80211", "wireless"].iter().any(|entry| folder.join(entry).exists())
 }
 
-fn ip(address: &nix::sys::socket::SockaddrStorage) -> Option<IpAddr> {
+fn to_ip(address: &nix::sys::socket::SockaddrStorage) -> Option<IpAddr> {
     let v4 = address.as_sockaddr_in().map(|address| IpAddr::V4(address.ip()));
     v4.or_else(|| address.as_sockaddr_in6().map(|address| IpAddr::V6(address.ip())))
 }
 
-fn describe(sysfs: &Path, name: String) -> NetworkInterface {
+fn describe_interface(sysfs: &Path, name: String) -> NetworkInterface {
     let folder = sysfs.join(&name);
-    let number = |file: &str| fs::read_to_string(folder.join(file)).ok()?.trim().parse::<u32>().ok();
+    let read_number = |file: &str| fs::read_to_string(folder.join(file)).ok()?.trim().parse::<u32>().ok();
     let is_wireless = is_wireless(&folder);
-    let kind = number("type").map(|hardware| match hardware {
+    let kind = read_number("type").map(|hardware| match hardware {
         _ if is_wireless => "wireless".to_owned(),
         ETHERNET => "ethernet".to_owned(),
         LOOPBACK => "loopback".to_owned(),
         hardware if TUNNELS.contains(&hardware) => "tunnel".to_owned(),
         other => format!("type {other}"),
     });
-    NetworkInterface { name, kind, mtu_bytes: number("mtu") }
+    NetworkInterface { name, kind, mtu_bytes: read_number("mtu") }
 }
 
 #[cfg(test)]
@@ -93,7 +91,7 @@ mod tests {
             ("[::ffff:127.0.0.1]:40000", "[::ffff:127.0.0.1]:5551"),
         ] {
             let addresses = ConnectionAddresses { local: at(local), remote: at(remote) };
-            let interface = interface_of(&addresses).expect("interfaces are listed").expect(local);
+            let interface = outgoing_interface(&addresses).expect("interfaces are listed").expect(local);
             assert_eq!(
                 (interface.name.as_str(), interface.kind.as_deref()),
                 ("lo", Some("loopback")),
@@ -108,7 +106,7 @@ mod tests {
         let at = |text: &str| text.parse::<SocketAddr>().expect("an address");
         // TEST-NET-1 and TEST-NET-2 (RFC 5737).
         let addresses = ConnectionAddresses { local: at("192.0.2.1:1"), remote: at("198.51.100.1:2") };
-        assert_eq!(interface_of(&addresses).expect("interfaces are listed"), None);
+        assert_eq!(outgoing_interface(&addresses).expect("interfaces are listed"), None);
     }
 
     #[test]
@@ -119,7 +117,7 @@ mod tests {
             return;
         }
         let own = socket.local_addr().expect("connected");
-        let interface = interface_of(&ConnectionAddresses { local: own, remote: own });
+        let interface = outgoing_interface(&ConnectionAddresses { local: own, remote: own });
         let interface = interface.expect("interfaces are listed").expect("the address is of this host");
         assert_eq!(interface.name, "lo");
     }
@@ -140,9 +138,9 @@ mod tests {
             fs::write(folder.join("mtu"), "1280\n").expect("a file");
             let expected =
                 NetworkInterface { name: name.into(), kind: Some(kind.into()), mtu_bytes: Some(1_280) };
-            assert_eq!(describe(sysfs.path(), name.into()), expected);
+            assert_eq!(describe_interface(sysfs.path(), name.into()), expected);
         }
         let gone = NetworkInterface { name: "usb0".into(), kind: None, mtu_bytes: None };
-        assert_eq!(describe(sysfs.path(), "usb0".into()), gone);
+        assert_eq!(describe_interface(sysfs.path(), "usb0".into()), gone);
     }
 }

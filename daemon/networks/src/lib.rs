@@ -13,9 +13,9 @@ mod settings;
 mod statistics;
 mod transport;
 
-pub use interface::{interface_of, is_wireless};
+pub use interface::{is_wireless, outgoing_interface};
 pub use message::{
-    ClockSocketName, MAX_CONDITIONS, NoClockSocketName, PeerClock, ProbeKey, RAW_STAMPS_SINCE, RawClock,
+    ClockSocketName, InvalidClockSocketName, MAX_CONDITIONS, PeerClock, ProbeKey, RAW_STAMPS_SINCE, RawClock,
     SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId,
 };
 pub use session::{
@@ -26,6 +26,6 @@ pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
     Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress,
-    InvalidEventStreamAddress, MessageLoss, NetworkKind, NetworkMismatch, NoEventStream, Peer, SendFailure,
-    UnknownAddress, UnusableAddress, UnusableSetting, datagram, zmtp,
+    InvalidEventStreamAddress, ListenerLookupError, MessageLoss, NetworkKind, NetworkMismatch, Peer,
+    SendFailure, UnsupportedEventStreamNetwork, UnusableAddress, UnusableSetting, datagram, zmtp,
 };

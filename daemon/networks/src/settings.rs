@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// Longest time that can be set: one day. Milliseconds.
 const MAX_TIME_MS: u64 = 24 * 3600 * 1000;
 
-/// Largest number of requests in flight that can be set. The transports reserve a place for each.
+/// Largest number of requests in flight that can be set. The queues of the transports are as long as this number.
 const MAX_IN_FLIGHT: u32 = 4_096;
 
 /// Largest number of bytes in flight that can be set: 1 TiB.
@@ -20,15 +20,15 @@ const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
 /// Largest number of sessions that can be set.
 const MAX_SESSIONS: u32 = 65_536;
 
-/// Smallest and largest value of each of the other keys.
-const OPEN_TIMEOUT_MS: (u64, u64) = (1, MAX_TIME_MS);
-const TIME_MS: (u64, u64) = (10, MAX_TIME_MS);
-const CLOSE_TIMEOUT_MS: (u64, u64) = (0, MAX_TIME_MS);
-const MESSAGE_BYTES: (u64, u64) = (4 << 10, 4 << 30);
-const IN_FLIGHT_BYTES: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
-const UNFINISHED_BYTES: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
-const DATAGRAM_BYTES: (u64, u64) = (512, 8_192);
-const SOCKET_BUFFER_BYTES: (u64, u64) = (64 << 10, 1 << 30);
+// Smallest and largest value of each of the other keys.
+const OPEN_TIMEOUT_MS_RANGE: (u64, u64) = (1, MAX_TIME_MS);
+const TIME_MS_RANGE: (u64, u64) = (10, MAX_TIME_MS);
+const CLOSE_TIMEOUT_MS_RANGE: (u64, u64) = (0, MAX_TIME_MS);
+const MESSAGE_BYTES_RANGE: (u64, u64) = (4 << 10, 4 << 30);
+const IN_FLIGHT_BYTES_RANGE: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
+const UNFINISHED_BYTES_RANGE: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
+const DATAGRAM_BYTES_RANGE: (u64, u64) = (512, 8_192);
+const SOCKET_BUFFER_BYTES_RANGE: (u64, u64) = (64 << 10, 1 << 30);
 
 /// Timeouts and limits of a session. Each end has its own; where a limit concerns both ends, the smaller value applies.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -46,14 +46,16 @@ pub struct SessionSettings {
     pub close_timeout_ms: u64,
     /// Largest message that is accepted, all frames together. Bytes.
     pub max_message_bytes: u64,
-    /// Largest number of requests of one session in flight. On the edge further requests wait; the cloud answers
-    /// further requests as overloaded.
+    /// Largest number of requests of one session in flight. The edge delays further requests; the cloud answers them as
+    /// overloaded.
     pub max_in_flight: u32,
-    /// Largest number of bytes of the requests of all sessions of a listener, from their arrival until they are
-    /// answered. Further requests are answered as overloaded. A request that is alone is accepted even if it is larger.
+    /// Largest number of bytes of the requests in flight of all sessions of a listener. Requests count from their arrival
+    /// until they are answered. Further requests are answered as overloaded. While no other request is in flight, a
+    /// request of any size is accepted.
     pub max_in_flight_bytes: u64,
-    /// Largest number of bytes of unfinished messages of all sessions of a listener. A connection whose message finds
-    /// no room is closed. A message that is alone is always accepted. A connection without a session may hold 64 KiB.
+    /// Largest number of bytes of unfinished messages of all sessions of a listener. A connection whose message would
+    /// exceed it is closed. While no other message is unfinished, a message of any allowed size is accepted. A
+    /// connection without a session may have 64 KiB of unfinished messages.
     pub max_unfinished_bytes: u64,
     /// Largest number of sessions of a listener. One host may hold at most half of the sessions that others leave free.
     pub max_sessions: u32,
@@ -62,8 +64,8 @@ pub struct SessionSettings {
     /// Rate at which datagrams are sent; 0 adapts the rate to what arrives. Bits per second. For networks over
     /// datagrams only.
     pub max_send_bits_per_second: u64,
-    /// Time limit for the fragments of a message of which the last one has been sent. Milliseconds. For networks over
-    /// datagrams only.
+    /// Time that the receiver waits for missing fragments after the last fragment of their message was sent.
+    /// Milliseconds. For networks over datagrams only.
     pub reassembly_timeout_ms: u64,
     /// Size of the system's buffers of each socket. Bytes. For networks over datagrams and for ROS 2.
     pub socket_buffer_bytes: u64,
@@ -93,7 +95,7 @@ impl Default for SessionSettings {
     }
 }
 
-/// Error: a setting cannot work.
+/// Error: the value of a setting is not allowed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{key} = {value}: {problem}")]
 pub struct InvalidSettings {
@@ -101,38 +103,39 @@ pub struct InvalidSettings {
     pub key: &'static str,
     /// Configured value.
     pub value: u64,
-    /// Reason why the value cannot work.
+    /// Reason why the value is not allowed.
     pub problem: String,
 }
 
-fn check_range(key: &'static str, value: u64, (least, most): (u64, u64)) -> Result<(), InvalidSettings> {
-    if (least..=most).contains(&value) {
+fn check_range(key: &'static str, value: u64, (min, max): (u64, u64)) -> Result<(), InvalidSettings> {
+    if (min..=max).contains(&value) {
         return Ok(());
     }
-    Err(InvalidSettings { key, value, problem: format!("must be between {least} and {most}") })
+    Err(InvalidSettings { key, value, problem: format!("must be between {min} and {max}") })
 }
 
 impl SessionSettings {
     /// Checks the ranges of all values.
     ///
     /// # Errors
-    /// If a session could never work with these settings. The error names the key and its range.
+    /// If a value is out of range, or the heartbeat timeout is shorter than two heartbeat intervals. The error names the
+    /// key and what is allowed.
     pub fn check(&self) -> Result<(), InvalidSettings> {
-        check_range("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS)?;
-        check_range("hello_timeout_ms", self.hello_timeout_ms, TIME_MS)?;
-        check_range("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS)?;
-        check_range("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS)?;
-        check_range("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS)?;
-        check_range("max_message_bytes", self.max_message_bytes, MESSAGE_BYTES)?;
+        check_range("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS_RANGE)?;
+        check_range("hello_timeout_ms", self.hello_timeout_ms, TIME_MS_RANGE)?;
+        check_range("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS_RANGE)?;
+        check_range("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS_RANGE)?;
+        check_range("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS_RANGE)?;
+        check_range("max_message_bytes", self.max_message_bytes, MESSAGE_BYTES_RANGE)?;
         check_range("max_in_flight", u64::from(self.max_in_flight), (1, u64::from(MAX_IN_FLIGHT)))?;
-        check_range("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES)?;
-        check_range("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES)?;
+        check_range("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES_RANGE)?;
+        check_range("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES_RANGE)?;
         check_range("max_sessions", u64::from(self.max_sessions), (1, u64::from(MAX_SESSIONS)))?;
-        check_range("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES)?;
-        check_range("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
-        check_range("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
+        check_range("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES_RANGE)?;
+        check_range("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS_RANGE)?;
+        check_range("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES_RANGE)?;
         self.ros2.check()?;
-        // Otherwise a single late heartbeat would end the connection.
+        // With a shorter timeout, a single late heartbeat would end the connection.
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
                 key: "heartbeat_timeout_ms",
@@ -148,24 +151,28 @@ impl SessionSettings {
 
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
     pub(crate) fn clamped(self) -> Self {
-        let clamped = |value: u64, (least, most): (u64, u64)| value.clamp(least, most);
+        let clamped = |value: u64, (min, max): (u64, u64)| value.clamp(min, max);
         // At most half of the range, so that a timeout of twice the interval is within the range.
-        let heartbeat_interval_ms = clamped(self.heartbeat_interval_ms, (TIME_MS.0, TIME_MS.1 / 2));
+        let heartbeat_interval_ms =
+            clamped(self.heartbeat_interval_ms, (TIME_MS_RANGE.0, TIME_MS_RANGE.1 / 2));
         Self {
-            open_timeout_ms: clamped(self.open_timeout_ms, OPEN_TIMEOUT_MS),
-            hello_timeout_ms: clamped(self.hello_timeout_ms, TIME_MS),
+            open_timeout_ms: clamped(self.open_timeout_ms, OPEN_TIMEOUT_MS_RANGE),
+            hello_timeout_ms: clamped(self.hello_timeout_ms, TIME_MS_RANGE),
             heartbeat_interval_ms,
-            heartbeat_timeout_ms: clamped(self.heartbeat_timeout_ms, (2 * heartbeat_interval_ms, TIME_MS.1)),
-            close_timeout_ms: clamped(self.close_timeout_ms, CLOSE_TIMEOUT_MS),
-            max_message_bytes: clamped(self.max_message_bytes, MESSAGE_BYTES),
+            heartbeat_timeout_ms: clamped(
+                self.heartbeat_timeout_ms,
+                (2 * heartbeat_interval_ms, TIME_MS_RANGE.1),
+            ),
+            close_timeout_ms: clamped(self.close_timeout_ms, CLOSE_TIMEOUT_MS_RANGE),
+            max_message_bytes: clamped(self.max_message_bytes, MESSAGE_BYTES_RANGE),
             max_in_flight: self.max_in_flight.clamp(1, MAX_IN_FLIGHT),
-            max_in_flight_bytes: clamped(self.max_in_flight_bytes, IN_FLIGHT_BYTES),
-            max_unfinished_bytes: clamped(self.max_unfinished_bytes, UNFINISHED_BYTES),
+            max_in_flight_bytes: clamped(self.max_in_flight_bytes, IN_FLIGHT_BYTES_RANGE),
+            max_unfinished_bytes: clamped(self.max_unfinished_bytes, UNFINISHED_BYTES_RANGE),
             max_sessions: self.max_sessions.clamp(1, MAX_SESSIONS),
-            datagram_bytes: clamped(self.datagram_bytes, DATAGRAM_BYTES),
+            datagram_bytes: clamped(self.datagram_bytes, DATAGRAM_BYTES_RANGE),
             max_send_bits_per_second: self.max_send_bits_per_second,
-            reassembly_timeout_ms: clamped(self.reassembly_timeout_ms, TIME_MS),
-            socket_buffer_bytes: clamped(self.socket_buffer_bytes, SOCKET_BUFFER_BYTES),
+            reassembly_timeout_ms: clamped(self.reassembly_timeout_ms, TIME_MS_RANGE),
+            socket_buffer_bytes: clamped(self.socket_buffer_bytes, SOCKET_BUFFER_BYTES_RANGE),
             ros2: self.ros2.clamped(),
         }
     }

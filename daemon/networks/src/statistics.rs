@@ -50,25 +50,25 @@ pub struct ConnectionAddresses {
 }
 
 impl Counters {
-    pub(crate) fn sent(&self, bytes: u64) {
+    pub(crate) fn count_sent(&self, bytes: u64) {
         self.sent_messages.fetch_add(1, Ordering::Relaxed);
         self.sent_bytes.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    pub(crate) fn received(&self, bytes: u64) {
+    pub(crate) fn count_received(&self, bytes: u64) {
         self.received_messages.fetch_add(1, Ordering::Relaxed);
         self.received_bytes.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    pub(crate) fn malformed(&self) {
+    pub(crate) fn count_malformed(&self) {
         self.malformed.fetch_add(1, Ordering::Relaxed);
     }
 
-    pub(crate) fn late(&self) {
+    pub(crate) fn count_late(&self) {
         self.late.fetch_add(1, Ordering::Relaxed);
     }
 
-    pub(crate) fn lost(&self, count: u64) {
+    pub(crate) fn count_lost(&self, count: u64) {
         self.lost.fetch_add(count, Ordering::Relaxed);
     }
 
@@ -76,8 +76,8 @@ impl Counters {
     pub(crate) fn statistics(&self, transport: &TransportStatistics) -> ConnectionStatistics {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         ConnectionStatistics {
-            sent: direction(read(&self.sent_messages), read(&self.sent_bytes), transport.sent),
-            received: direction(
+            sent: direction_statistics(read(&self.sent_messages), read(&self.sent_bytes), transport.sent),
+            received: direction_statistics(
                 read(&self.received_messages),
                 read(&self.received_bytes),
                 transport.received,
@@ -90,7 +90,11 @@ impl Counters {
     }
 }
 
-const fn direction(messages: u64, bytes: u64, transport: DatagramStatistics) -> DirectionStatistics {
+const fn direction_statistics(
+    messages: u64,
+    bytes: u64,
+    transport: DatagramStatistics,
+) -> DirectionStatistics {
     let DatagramStatistics { datagrams, lost, duplicated, reordered, retransmitted } = transport;
     DirectionStatistics { bytes, messages, datagrams, lost, duplicated, reordered, retransmitted }
 }

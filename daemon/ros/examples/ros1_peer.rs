@@ -11,7 +11,7 @@
 //! ros1_peer ping NAME OUT IN COUNT BYTES        round trips: prints the median and the 99th percentile in microseconds
 //! ```
 //! Pictures are `sensor_msgs/CompressedImage` unless said otherwise; byte i of picture n is i + n (mod 251).
-#![expect(clippy::print_stdout, reason = "the tests read what it prints")]
+#![expect(clippy::print_stdout, reason = "the tests read its output")]
 
 use std::io::Read;
 use std::process::ExitCode;
@@ -36,11 +36,11 @@ fn picture(number: usize, length: usize) -> CompressedImage {
     }
 }
 
-fn print(line: &str) {
+fn print_line(line: &str) {
     println!("{line}");
 }
 
-async fn input_ends() {
+async fn wait_for_end_of_input() {
     let (ended, end) = tokio::sync::oneshot::channel();
     // A thread outside the runtime, which does not keep the process alive.
     std::thread::spawn(move || {
@@ -52,9 +52,9 @@ async fn input_ends() {
 }
 
 async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyhow::Result<()> {
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let publisher = node.publish(topic, kind, PublisherOptions::default()).await?;
-    print("ready");
+    print_line("ready");
     publisher.wait_for_subscribers(1).await?;
     for number in 0..count {
         let PublishOutcome { dropped, .. } =
@@ -62,9 +62,9 @@ async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyho
         anyhow::ensure!(dropped == 0, "message {number} was dropped");
     }
     // A message counts as sent when the kernel has accepted it; the subscriber reports its arrival.
-    input_ends().await;
+    wait_for_end_of_input().await;
     let counts = publisher.counts();
-    print(&format!(
+    print_line(&format!(
         "offered {} sent {} dropped {} lost {}",
         counts.offered, counts.sent, counts.dropped, counts.lost
     ));
@@ -73,57 +73,57 @@ async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyho
 
 async fn latch(node: &Node, topic: &str, text: &str) -> anyhow::Result<()> {
     let options = PublisherOptions { is_latching: true, ..PublisherOptions::default() };
-    let publisher = node.publish(topic, TopicType::of::<StringMessage>(), options).await?;
+    let publisher = node.publish(topic, TopicType::from_message::<StringMessage>(), options).await?;
     publisher.publish(StringMessage { data: text.into() }.encode(WireForm::Ros1)?)?;
-    print("ready");
-    input_ends().await;
+    print_line("ready");
+    wait_for_end_of_input().await;
     Ok(())
 }
 
 async fn subscribe(node: &Node, topic: &str, count: usize) -> anyhow::Result<()> {
     let mut subscriber = node.subscribe(topic, TopicType::any(), SubscriberOptions::default()).await?;
-    print("ready");
+    print_line("ready");
     for _ in 0..count {
         let message = subscriber.recv().await?;
         if &*message.publisher.kind.name == "std_msgs/String" {
-            print(&format!("text {}", StringMessage::decode(WireForm::Ros1, message.bytes)?.data));
+            print_line(&format!("text {}", StringMessage::decode(WireForm::Ros1, message.bytes)?.data));
             continue;
         }
         let image = CompressedImage::decode(WireForm::Ros1, message.bytes)?;
         let number = usize::try_from(image.header.stamp.sec)?;
         let is_intact = image.data == picture(number, image.data.len()).data;
         let state = if is_intact { "intact" } else { "damaged" };
-        print(&format!("picture {number} {} {state} from {}", image.data.len(), message.publisher.node));
+        print_line(&format!("picture {number} {} {state} from {}", image.data.len(), message.publisher.node));
     }
     let counts = subscriber.counts();
-    print(&format!("messages {} dropped {}", counts.messages, counts.dropped));
+    print_line(&format!("messages {} dropped {}", counts.messages, counts.dropped));
     Ok(())
 }
 
 async fn rate(node: &Node, topic: &str, count: usize) -> anyhow::Result<()> {
     let mut subscriber = node.subscribe(topic, TopicType::any(), SubscriberOptions::default()).await?;
-    print("ready");
+    print_line("ready");
     let first = subscriber.recv().await?.received.mono;
     let mut last = first;
     for _ in 1..count {
         last = subscriber.recv().await?.received.mono;
     }
     let seconds = (last - first).nanos() as f64 / 1e9;
-    print(&format!("rate {:.0} dropped {}", (count - 1) as f64 / seconds, subscriber.counts().dropped));
+    print_line(&format!("rate {:.0} dropped {}", (count - 1) as f64 / seconds, subscriber.counts().dropped));
     Ok(())
 }
 
 async fn state(node: &Node, topic: &str) -> anyhow::Result<()> {
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let subscriber = node.subscribe(topic, kind, SubscriberOptions::default()).await?;
     loop {
         let changed = subscriber.publishers_changed();
         for publisher in subscriber.publishers() {
             match publisher.state {
                 PublisherState::Connecting => {}
-                PublisherState::Connected(info) => print(&format!("connected to {}", info.node)),
+                PublisherState::Connected(info) => print_line(&format!("connected to {}", info.node)),
                 PublisherState::Failed(reason) => {
-                    print(&format!("failed: {reason}"));
+                    print_line(&format!("failed: {reason}"));
                     return Ok(());
                 }
             }
@@ -133,12 +133,12 @@ async fn state(node: &Node, topic: &str) -> anyhow::Result<()> {
 }
 
 async fn echo(node: &Node, from: &str, to: &str) -> anyhow::Result<()> {
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let publisher = node.publish(to, kind.clone(), PublisherOptions::default()).await?;
     let mut subscriber = node.subscribe(from, kind, SubscriberOptions::default()).await?;
-    print("ready");
+    print_line("ready");
     tokio::select! {
-        () = input_ends() => Ok(()),
+        () = wait_for_end_of_input() => Ok(()),
         result = async {
             loop {
                 let message = subscriber.recv().await?;
@@ -150,7 +150,7 @@ async fn echo(node: &Node, from: &str, to: &str) -> anyhow::Result<()> {
 
 async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -> anyhow::Result<()> {
     let clock = SystemClock::new(ClockIdentity::new("peer", "peer"));
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let mut subscriber = node.subscribe(back, kind.clone(), SubscriberOptions::default()).await?;
     let publisher = node.publish(out, kind, PublisherOptions::default()).await?;
     publisher.wait_for_subscribers(1).await?;
@@ -158,13 +158,13 @@ async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -
     let image = picture(0, length);
     // A rospy node may count as connected before it sends. The message is repeated until an answer arrives, and until
     // the last answer has arrived.
-    let pause = std::time::Duration::from_millis(300);
+    let retry_interval = std::time::Duration::from_millis(300);
     let mut has_answer = false;
     loop {
         if !has_answer {
             publisher.publish(image.encode(WireForm::Ros1)?)?;
         }
-        match tokio::time::timeout(pause, subscriber.recv()).await {
+        match tokio::time::timeout(retry_interval, subscriber.recv()).await {
             Ok(message) => has_answer = message.is_ok(),
             Err(_) if has_answer => break,
             Err(_) => {}
@@ -185,7 +185,7 @@ async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -
     let quantile = |percent: usize| micros[(micros.len() - 1) * percent / 100];
     let total: i64 = micros.iter().sum();
     let rate = count as f64 * 1e6 / total as f64;
-    print(&format!("median {} p99 {} rate {rate:.0}", quantile(50), quantile(99)));
+    print_line(&format!("median {} p99 {} rate {rate:.0}", quantile(50), quantile(99)));
     Ok(())
 }
 
@@ -204,7 +204,7 @@ async fn run(arguments: &[String]) -> anyhow::Result<()> {
         ("ping", [out, back, count, length]) => ping(&node, out, back, count.parse()?, length.parse()?).await,
         _ => bail!("unknown command {command} with {} arguments", rest.len()),
     }?;
-    node.shutdown().await.context("the end of the node")
+    node.shutdown().await.context("cannot shut down the node")
 }
 
 #[tokio::main]
@@ -214,7 +214,7 @@ async fn main() -> ExitCode {
     match run(&arguments).await {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            print(&format!("error: {error:#}"));
+            print_line(&format!("error: {error:#}"));
             ExitCode::FAILURE
         }
     }

@@ -1,9 +1,9 @@
-//! Publishes, receives or echoes patterned messages: our end of the tests with ROS 2 peers of other projects.
+//! Publishes, receives or echoes patterned messages, for the tests with ROS 2 programs of other projects.
 //!
 //! `ros2_peer publish|receive TOPIC string|image COUNT BYTES`, `ros2_peer echo TOPIC string|image COUNT`. Domain and
 //! interface come from `ROS_DOMAIN_ID` and `ROS_LOCALHOST_ONLY`.
 
-#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for tests says what it saw")]
+#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a test program prints its results")]
 
 use std::error::Error;
 use std::time::Duration;
@@ -12,10 +12,10 @@ use bytes::{BufMut, Bytes, BytesMut};
 use peernet_clock::{Clock, ClockIdentity, SystemClock};
 use peernet_ros::ros2::{QosProfile, Ros2Node, Ros2Settings};
 
-type Outcome = Result<(), Box<dyn Error + Send + Sync>>;
+type PeerResult = Result<(), Box<dyn Error + Send + Sync>>;
 
 /// Longest wait for a peer or a message.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIME_LIMIT: Duration = Duration::from_secs(20);
 
 #[derive(Clone, Copy)]
 enum Kind {
@@ -61,7 +61,7 @@ struct Plan {
 }
 
 #[tokio::main]
-async fn main() -> Outcome {
+async fn main() -> PeerResult {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let usage = "ros2_peer publish|receive|echo TOPIC string|image COUNT [BYTES]";
     let [mode, topic, kind, count, rest @ ..] = &arguments[..] else { return Err(usage.into()) };
@@ -91,58 +91,61 @@ fn clock() -> Result<SystemClock, Box<dyn Error + Send + Sync>> {
 
 /// Returns a profile that keeps more messages than are sent. With the usual depth of ten, a lost message may be gone
 /// before it is repaired.
-fn all_kept() -> QosProfile {
+fn keep_all_qos() -> QosProfile {
     QosProfile { depth: 100, ..QosProfile::default() }
 }
 
-async fn publish(node: &Ros2Node, plan: &Plan) -> Outcome {
+async fn publish(node: &Ros2Node, plan: &Plan) -> PeerResult {
     let clock = clock()?;
-    let publisher = node.publisher(&plan.topic, plan.kind.type_name(), &all_kept())?;
-    publisher.await_peer(PATIENCE).await?;
-    // The subscription may not have found us although we have found it, and DDS does not report this; earlier messages
-    // would be lost.
+    let publisher = node.create_publisher(&plan.topic, plan.kind.type_name(), &keep_all_qos())?;
+    publisher.wait_for_peer(TIME_LIMIT).await?;
+    // The subscription may not have discovered this publisher yet, which DDS does not report. It would miss earlier
+    // messages.
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
     }
-    publisher.await_acknowledgment(PATIENCE).await?;
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await?;
     println!("published and acknowledged: {}", plan.count);
     Ok(())
 }
 
-async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
-    let mut subscription = node.subscription(&plan.topic, plan.kind.type_name(), &all_kept())?;
+async fn receive(node: &Ros2Node, plan: &Plan) -> PeerResult {
+    let mut subscription = node.create_subscription(&plan.topic, plan.kind.type_name(), &keep_all_qos())?;
     let mut payloads = Vec::with_capacity(plan.count);
     while payloads.len() < plan.count {
-        let received = tokio::time::timeout(PATIENCE, subscription.receive()).await;
-        let received = received.map_err(|_| format!("only {} of {} came", payloads.len(), plan.count))??;
+        let received = tokio::time::timeout(TIME_LIMIT, subscription.receive()).await;
+        let received =
+            received.map_err(|_| format!("only {} of {} messages arrived", payloads.len(), plan.count))??;
         payloads.push(received.payload);
     }
     // Compared afterwards, because messages that are not read before the publisher leaves are lost.
     for (number, payload) in payloads.iter().enumerate() {
         let expected = plan.kind.message(plan.size, number);
         if !payload.starts_with(&expected) || payload.len() >= expected.len() + 4 {
-            return Err(format!("message {number} is not what was published").into());
+            return Err(format!("message {number} differs from the published one").into());
         }
     }
-    // The publisher stays until it knows that everything was received.
+    // The publisher continues until all messages are acknowledged.
     let mut peers = subscription.peers();
-    let gone = peers.wait_for(|peers| peers.matched.is_empty());
-    tokio::time::timeout(PATIENCE, gone).await.map_err(|_| "the publisher never left")??;
+    let publisher_lost = peers.wait_for(|peers| peers.matched.is_empty());
+    tokio::time::timeout(TIME_LIMIT, publisher_lost)
+        .await
+        .map_err(|_| "the publisher did not end in time")??;
     let counts = subscription.counts();
     println!("received unchanged: {} (lost {})", counts.received, counts.lost);
     if counts.lost == 0 { Ok(()) } else { Err("messages were lost".into()) }
 }
 
 /// Echoes every message of `TOPIC/ping` on `TOPIC/pong`.
-async fn echo(node: &Ros2Node, plan: &Plan) -> Outcome {
+async fn echo(node: &Ros2Node, plan: &Plan) -> PeerResult {
     let clock = clock()?;
     let (ping, pong) = (format!("{}/ping", plan.topic), format!("{}/pong", plan.topic));
-    let publisher = node.publisher(&pong, plan.kind.type_name(), &QosProfile::default())?;
-    let mut subscription = node.subscription(&ping, plan.kind.type_name(), &QosProfile::default())?;
+    let publisher = node.create_publisher(&pong, plan.kind.type_name(), &QosProfile::default())?;
+    let mut subscription = node.create_subscription(&ping, plan.kind.type_name(), &QosProfile::default())?;
     for _ in 0..plan.count {
-        let received = tokio::time::timeout(PATIENCE, subscription.receive()).await??;
+        let received = tokio::time::timeout(TIME_LIMIT, subscription.receive()).await??;
         publisher.publish(received.payload, clock.wall()).await?;
     }
-    Ok(publisher.await_acknowledgment(PATIENCE).await?)
+    Ok(publisher.wait_for_acknowledgment(TIME_LIMIT).await?)
 }

@@ -10,7 +10,7 @@ use crate::ros1::TopicType;
 use crate::ros1::tcpros::{ConnectionHeader, FrameBuffer, Publication, Subscription};
 use crate::ros1::xmlrpc::{parse_call, parse_response, write_call, write_response};
 
-/// Longest frame that [`any_connection`] allows. Bytes.
+/// Longest frame in [`any_connection`]. Bytes.
 const MAX_FRAME_BYTES: usize = 64 * 1024;
 
 /// Parses the bytes as a call and as a response of XML-RPC.
@@ -19,10 +19,10 @@ const MAX_FRAME_BYTES: usize = 64 * 1024;
 /// If a call or response that was read cannot be written and read again.
 pub fn any_xml_rpc(data: &[u8]) {
     if let Ok(call) = parse_call(data) {
-        parse_call(write_call(&call).as_bytes()).expect("what was read is written so that it can be read");
+        parse_call(write_call(&call).as_bytes()).expect("a written call can be read");
     }
     if let Ok(response) = parse_response(data) {
-        parse_response(write_response(&response).as_bytes()).expect("and so is a response");
+        parse_response(write_response(&response).as_bytes()).expect("a written response can be read");
     }
 }
 
@@ -36,13 +36,13 @@ pub fn any_connection(data: &[u8]) {
     let publication = Publication {
         node: "/publisher".into(),
         topic: "/topic".into(),
-        kind: TopicType::of::<StringMessage>(),
+        kind: TopicType::from_message::<StringMessage>(),
         is_latching: false,
     };
     let subscription = Subscription {
         node: "/subscriber".into(),
         topic: "/topic".into(),
-        kind: TopicType::of::<StringMessage>(),
+        kind: TopicType::from_message::<StringMessage>(),
     };
     let mut buffer = FrameBuffer::new(MAX_FRAME_BYTES);
     let mut rest = data;
@@ -61,7 +61,7 @@ pub fn any_connection(data: &[u8]) {
             };
             let Ok(header) = ConnectionHeader::decode(&frame) else { continue };
             assert_eq!(ConnectionHeader::decode(&header.encode()[4..]).as_ref(), Ok(&header));
-            // Accepting and refusing are both right; only a crash is a failure.
+            // Both acceptance and refusal are correct. Only a panic is a failure.
             let _ = subscription.accept(&header);
             let error = match publication.answer(&header) {
                 Ok(_) => continue,

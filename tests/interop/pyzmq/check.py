@@ -1,4 +1,4 @@
-"""Checks a cloud of ours with edges that libzmq speaks for. Usage: check.py PEERNETD"""
+"""Checks a cloud of PEERNet with edges that use libzmq. Usage: check.py PEERNETD"""
 import os
 import socket
 import subprocess
@@ -28,7 +28,7 @@ name = "sleep"
 kind = "sleep"
 inference_ms = 300
 """
-# Longer than the heartbeat timeout of a cloud, 5 s by default, after which a silent peer is given up.
+# Longer than the heartbeat timeout of a cloud, 5 s by default, after which the session of a silent peer ends.
 IDLE_S = 12
 
 
@@ -70,7 +70,7 @@ def check_stages_of_the_cloud_come_with_the_answer(context, address):
     session.close()
 
 
-def check_unknown_model_is_refused_with_those_there_are(context, address):
+def check_unknown_model_is_refused_with_the_known_models(context, address):
     try:
         Session(context, address, "no-such-model")
     except Refused as refused:

@@ -6,16 +6,16 @@ import msgpack
 import zmq
 
 PROTOCOL = 4
-# Longest time in seconds that an answer may take.
-PATIENCE_S = 30
-# Numbers of the standard names that the tree of a request needs.
+# Time limit of an answer. Seconds.
+TIMEOUT_S = 30
+# Number of the standard name of the root of a request's tree.
 ITERATION = 0
-# Kinds of nodes.
+# Number of the node kind "container".
 CONTAINER = 0
 
 
 class Refused(Exception):
-    """The cloud does not open the session."""
+    """The cloud refused the session."""
 
 
 def boot_id():
@@ -29,7 +29,7 @@ class Session:
     def __init__(self, context, address, model=None, pipeline="pyzmq"):
         self.socket = context.socket(zmq.DEALER)
         self.socket.setsockopt(zmq.LINGER, 1000)
-        self.socket.setsockopt(zmq.RCVTIMEO, PATIENCE_S * 1000)
+        self.socket.setsockopt(zmq.RCVTIMEO, TIMEOUT_S * 1000)
         self.socket.connect(address)
         self.host = uuid.uuid4().bytes
         self.next_request = 0
@@ -55,7 +55,7 @@ class Session:
         self.socket.send_multipart([msgpack.packb(header), *frames])
 
     def receive(self):
-        """Returns the kind and content of the next message but news of the clock, and its other frames."""
+        """Returns the kind, content and further frames of the next message. Clock updates are skipped."""
         while True:
             header, *frames = self.socket.recv_multipart()
             [(kind, content)] = msgpack.unpackb(header).items()

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# An edge in Python, with libzmq through pyzmq, at a cloud of ours. It knows the session protocol from docs/session-protocol.md.
+# An edge in Python with libzmq (pyzmq) against a cloud of PEERNet. It implements the session protocol of docs/session-protocol.md.
 # Runs on loopback, on a free port.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)

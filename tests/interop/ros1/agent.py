@@ -5,13 +5,13 @@ import re
 import sys
 import tempfile
 
-from harness import ROSPY, start_master, tool
+from harness import ROSPY, run_tool, start_master
 from processes import Process, wait_until
 
 PICTURES = 50
 PICTURE_BYTES = 1_000_000
 
-# `log` writes a line for each answer; `/answer` is published for whoever listens.
+# The actuator `log` writes a line for each answer. `/answer` is published for all subscribers.
 CONFIGURATION = """
 [agent]
 name = "robot"
@@ -57,27 +57,27 @@ def main():
     master = start_master()
     try:
         with agent() as robot:
-            wait_until(lambda: "/seen" in tool("rostopic", "list").split(), "the agent publishes its answers")
-            nodes = [node for node in tool("rosnode", "list").split() if node.startswith("/peernet_")]
+            wait_until(lambda: "/seen" in run_tool("rostopic", "list").split(), "the agent publishes its answers")
+            nodes = [node for node in run_tool("rosnode", "list").split() if node.startswith("/peernet_")]
             assert len(nodes) == 2, f"one node, and another for the second pipeline on a topic: {nodes}"
-            assert tool("rostopic", "type", "/seen").strip() == "std_msgs/UInt8MultiArray"
+            assert run_tool("rostopic", "type", "/seen").strip() == "std_msgs/UInt8MultiArray"
             with Process(*ROSPY, "collect", "collector", "/seen", PICTURES) as collector:
                 collector.wait_for("ready")
-                wait_until(lambda: "/collector" in tool("rostopic", "info", "/seen"), "the collector subscribes")
+                wait_until(lambda: "/collector" in run_tool("rostopic", "info", "/seen"), "the collector subscribes")
                 with Process(*ROSPY, "publish", "source", "/camera", PICTURES, PICTURE_BYTES, 2) as source:
                     for number in range(PICTURES):
                         assert collector.wait_for("picture") == f"picture {number} {PICTURE_BYTES} intact"
                     source.finish()
                 collector.finish()
-            print(f"ok    {PICTURES} pictures of {PICTURE_BYTES} bytes of rospy went through sensor and actuator", flush=True)
+            print(f"ok    {PICTURES} pictures of {PICTURE_BYTES} bytes of rospy passed sensor and actuator", flush=True)
             answers = sum(f"bytes={PICTURE_BYTES}" in (line or "") for line in robot.errors)
-            assert answers == PICTURES, f"the other pipeline had {answers}"
-            print("ok    another pipeline sensed the same topic", flush=True)
+            assert answers == PICTURES, f"the other pipeline had {answers} answers"
+            print("ok    another pipeline received the same topic", flush=True)
             with Process("rostopic", "echo", "/answer") as echo:
-                wait_until(lambda: "rostopic_" in tool("rostopic", "info", "/answer"), "rostopic subscribes")
-                tool("rostopic", "pub", "--once", "/words", "std_msgs/String", "turn left")
+                wait_until(lambda: "rostopic_" in run_tool("rostopic", "info", "/answer"), "rostopic subscribes")
+                run_tool("rostopic", "pub", "--once", "/words", "std_msgs/String", "turn left")
                 assert re.search("turn left", echo.wait_for("data:"))
-            print("ok    rostopic echo sees the answer to what rostopic pub sent", flush=True)
+            print("ok    rostopic echo receives the answer to the message of rostopic pub", flush=True)
     finally:
         master.kill()
 

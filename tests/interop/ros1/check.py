@@ -1,7 +1,7 @@
-"""Checks nodes of ours against rosmaster, rostopic, rosnode and rospy. Usage: check.py ROS1_PEER [measure]
+"""Checks nodes of PEERNet against rosmaster, rostopic, rosnode and rospy. Usage: check.py ROS1_PEER [measure]
 
-Needs the packages that `deploy/install-tools.sh interop` installs. Everything runs on loopback, with a master on a port of
-its own. The last line counts what passed.
+Needs the packages that `deploy/install-tools.sh interop` installs. Everything runs on loopback, with a master on a
+free port. The last line has the number of passed checks.
 """
 import ctypes
 import glob
@@ -14,11 +14,11 @@ import time
 import traceback
 import xmlrpc.client
 
-from harness import ROSPY, start_master, tool
-from processes import PATIENCE, Process, wait_until
+from harness import ROSPY, run_tool, start_master
+from processes import TIMEOUT_S, Process, wait_until
 
-# Longest time in seconds until a restarted master knows all topics again; the same is documented in daemon/ros/src/ros1.
-REGISTERED_AGAIN = 5
+# Longest time until all topics are registered again at a restarted master, as documented in daemon/ros/src/ros1. Seconds.
+MAX_REREGISTRATION_S = 5
 PICTURES = 200
 PICTURE_BYTES = 1_000_000
 
@@ -36,15 +36,15 @@ def rospy(*arguments):
 def check_tools_see_our_publisher():
     with ours("latch", "talker", "/text", "hello from us") as talker:
         talker.wait_for("ready")
-        assert "hello from us" in tool("rostopic", "echo", "-n", "1", "/text")
-        assert "/text" in tool("rostopic", "list").split()
-        assert tool("rostopic", "type", "/text").strip() == "std_msgs/String"
-        assert "/talker" in tool("rostopic", "info", "/text")
-        assert "/talker" in tool("rosnode", "list").split()
-        assert "reply from" in tool("rosnode", "ping", "-c", "1", "/talker")
+        assert "hello from us" in run_tool("rostopic", "echo", "-n", "1", "/text")
+        assert "/text" in run_tool("rostopic", "list").split()
+        assert run_tool("rostopic", "type", "/text").strip() == "std_msgs/String"
+        assert "/talker" in run_tool("rostopic", "info", "/text")
+        assert "/talker" in run_tool("rosnode", "list").split()
+        assert "reply from" in run_tool("rosnode", "ping", "-c", "1", "/talker")
         with Process("rostopic", "echo", "/text") as echo:
             echo.wait_for("hello from us")
-            information = tool("rosnode", "info", "/talker")
+            information = run_tool("rosnode", "info", "/talker")
             assert "direction: outbound" in information, information
         talker.finish()
     assert master.publishers("/text") == []
@@ -53,14 +53,14 @@ def check_tools_see_our_publisher():
 def check_rosnode_kill_ends_our_node():
     with ours("subscribe", "victim", "/text", 1) as victim:
         victim.wait_for("ready")
-        tool("rosnode", "kill", "/victim")
+        run_tool("rosnode", "kill", "/victim")
         assert "asked it to shut down" in victim.wait_for("error")
 
 
 def check_we_receive_from_rostopic_pub():
     with ours("subscribe", "listener", "/from_tool", 1) as listener:
         listener.wait_for("ready")
-        tool("rostopic", "pub", "-1", "/from_tool", "std_msgs/String", "data: 'from the tool'")
+        run_tool("rostopic", "pub", "-1", "/from_tool", "std_msgs/String", "data: 'from the tool'")
         assert listener.wait_for("text") == "text from the tool"
         listener.finish()
 
@@ -130,10 +130,10 @@ def check_restarted_master_knows_our_topics():
         master.kill()
         time.sleep(1)
         master.start()
-        seconds = wait_until(lambda: master.publishers("/text") == ["/talker"], "registered", REGISTERED_AGAIN)
-        print(f"    registered again {seconds:.1f} s after the master's return")
-        assert "still here" in tool("rostopic", "echo", "-n", "1", "/text")
-        tool("rostopic", "pub", "-1", "/later", "std_msgs/String", "data: 'after the restart'")
+        seconds = wait_until(lambda: master.publishers("/text") == ["/talker"], "registered", MAX_REREGISTRATION_S)
+        print(f"    registered again {seconds:.1f} s after the master's restart")
+        assert "still here" in run_tool("rostopic", "echo", "-n", "1", "/text")
+        run_tool("rostopic", "pub", "-1", "/later", "std_msgs/String", "data: 'after the restart'")
         assert listener.wait_for("text") == "text after the restart"
 
 
@@ -143,7 +143,7 @@ def tcp_options(pid, port):
     process = os.pidfd_open(pid)
     found = []
     for entry in os.listdir(f"/proc/{pid}/fd"):
-        # pidfd_getfd, which Python has no name for.
+        # pidfd_getfd, for which Python has no function.
         copy = library.syscall(438, process, int(entry), 0)
         if copy < 0:
             continue
@@ -175,13 +175,13 @@ def check_own_address_is_found_without_variables():
     environment["ROS_MASTER_URI"] = f"http://localhost:{master.port}"
     with Process(OURS, "latch", "talker", "/text", "found", environment=environment) as talker:
         talker.wait_for("ready")
-        assert "found" in tool("rostopic", "echo", "-n", "1", "/text")
+        assert "found" in run_tool("rostopic", "echo", "-n", "1", "/text")
         talker.finish()
 
 
 def check_no_master_is_named():
     environment = dict(os.environ, ROS_MASTER_URI="http://127.0.0.1:9")
-    done = subprocess.run([OURS, "state", "lonely", "/t"], env=environment, capture_output=True, text=True, timeout=PATIENCE)
+    done = subprocess.run([OURS, "state", "lonely", "/t"], env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
     expected = "no ROS master answers at http://127.0.0.1:9: Connection refused (os error 111)"
     assert done.returncode == 1 and expected in done.stdout, done
 
@@ -224,7 +224,7 @@ try:
         except Exception:
             failed += 1
             print(f"FAIL  {title}\n{traceback.format_exc()}", flush=True)
-    # Meaningful with a release build alone.
+    # Only meaningful with a release build.
     if sys.argv[2:] == ["measure"]:
         measure()
 finally:

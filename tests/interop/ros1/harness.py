@@ -5,7 +5,7 @@ import subprocess
 import tempfile
 import xmlrpc.client
 
-from processes import PATIENCE, free_port, wait_until
+from processes import TIMEOUT_S, free_port, wait_until
 
 # Debian's packages belong to Debian's Python.
 ROSPY = ["/usr/bin/python3", os.path.join(os.path.dirname(os.path.abspath(__file__)), "rospy_peer.py")]
@@ -40,9 +40,9 @@ class Master:
         self.process.wait()
 
 
-def tool(*command):
+def run_tool(*command):
     """Runs a command-line tool of ROS and returns its output."""
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S)
     assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
     return done.stdout
 

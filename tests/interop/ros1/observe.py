@@ -1,7 +1,7 @@
-"""Profiles a chain of rospy nodes without a change of theirs. Usage: observe.py PEERNETD
+"""Observes a chain of unmodified rospy nodes. Usage: observe.py PEERNETD
 
-Each of three nodes takes a known time; what an agent reports must be within a millisecond of what the node says it took, by
-medians of 20 messages, by one agent and by two.
+Each of three nodes takes a known time. The medians of 20 messages that an agent reports must be within a millisecond of those that
+the node measured, with one agent and with two.
 """
 import contextlib
 import os

@@ -1,8 +1,8 @@
-"""A rospy node of a chain: a camera, or a node that answers after a known time.
+"""A rospy node of a chain: a camera, or a relay that answers after a known time.
 
 rospy_chain.py camera NAME TOPIC HZ
 rospy_chain.py relay NAME IN OUT DELAY_S
-A relay prints the median of what it really took, in seconds, after each 20 messages.
+A relay prints the median of its real processing times, in seconds, after each 20 messages.
 """
 import statistics
 import sys
@@ -12,13 +12,13 @@ import rospy
 from sensor_msgs.msg import CompressedImage
 
 
-def say(line):
+def print_line(line):
     print(line, flush=True)
 
 
 def camera(topic, hz):
     publisher = rospy.Publisher(topic, CompressedImage, queue_size=10)
-    say("ready")
+    print_line("ready")
     rate = rospy.Rate(float(hz))
     while not rospy.is_shutdown():
         message = CompressedImage(format="jpeg", data=bytes(10_000))
@@ -29,19 +29,19 @@ def camera(topic, hz):
 
 def relay(source, target, delay):
     publisher = rospy.Publisher(target, CompressedImage, queue_size=10)
-    taken = []
+    durations = []
 
     def answer(message):
-        begun = time.monotonic()
+        start = time.monotonic()
         time.sleep(float(delay))
         publisher.publish(message)
-        taken.append(time.monotonic() - begun)
-        if len(taken) == 20:
-            say(f"median {statistics.median(taken)}")
-            taken.clear()
+        durations.append(time.monotonic() - start)
+        if len(durations) == 20:
+            print_line(f"median {statistics.median(durations)}")
+            durations.clear()
 
     rospy.Subscriber(source, CompressedImage, answer, tcp_nodelay=True)
-    say("ready")
+    print_line("ready")
     rospy.spin()
 
 

@@ -2,7 +2,7 @@
 
 rospy_peer.py publish NAME TOPIC COUNT BYTES [SUBSCRIBERS]
 rospy_peer.py subscribe NAME TOPIC COUNT
-rospy_peer.py collect NAME TOPIC COUNT      the same of byte arrays that are the data of pictures
+rospy_peer.py collect NAME TOPIC COUNT      like subscribe, for byte arrays with the data of pictures
 rospy_peer.py rate NAME TOPIC COUNT
 rospy_peer.py refused NAME TOPIC
 rospy_peer.py echo NAME IN OUT
@@ -16,11 +16,11 @@ import rospy
 from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import String, UInt8MultiArray
 
-# Bytes of the queues: rospy reads a message of 1 MB in one go only if its buffer holds it.
+# Size of the receive buffers. rospy reads a message in one call only if its buffer holds it.
 BUFFER_BYTES = 1 << 24
 
 
-def say(line):
+def print_line(line):
     print(line, flush=True)
 
 
@@ -36,7 +36,7 @@ def picture(number, length):
 
 def publish(topic, count, length, subscribers=1):
     publisher = rospy.Publisher(topic, CompressedImage, queue_size=int(count))
-    say("ready")
+    print_line("ready")
     while publisher.get_num_connections() < int(subscribers):
         rospy.sleep(0.01)
     for number in range(int(count)):
@@ -47,21 +47,21 @@ def publish(topic, count, length, subscribers=1):
 def subscribe(topic, count):
     arrived = queue.Queue()
     rospy.Subscriber(topic, CompressedImage, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
-    say("ready")
+    print_line("ready")
     for _ in range(int(count)):
         message = arrived.get()
         number = message.header.stamp.secs
         intact = message.data == picture(number, len(message.data)).data
-        say(f"picture {number} {len(message.data)} {'intact' if intact else 'damaged'}")
+        print_line(f"picture {number} {len(message.data)} {'intact' if intact else 'damaged'}")
 
 
 def collect(topic, count):
     arrived = queue.Queue()
     rospy.Subscriber(topic, UInt8MultiArray, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
-    say("ready")
+    print_line("ready")
     for number in range(int(count)):
         data = arrived.get().data
-        say(f"picture {number} {len(data)} {'intact' if data == picture(number, len(data)).data else 'damaged'}")
+        print_line(f"picture {number} {len(data)} {'intact' if data == picture(number, len(data)).data else 'damaged'}")
 
 
 def rate(topic, count):
@@ -70,24 +70,24 @@ def rate(topic, count):
     rospy.Subscriber(
         topic, CompressedImage, lambda message: stamps.put(time.monotonic()), buff_size=BUFFER_BYTES, tcp_nodelay=True
     )
-    say("ready")
+    print_line("ready")
     first = last = stamps.get()
     for _ in range(1, int(count)):
         last = stamps.get()
-    say(f"rate {(int(count) - 1) / (last - first):.0f} dropped 0")
+    print_line(f"rate {(int(count) - 1) / (last - first):.0f} dropped 0")
 
 
 def refused(topic):
-    """Subscribes with another type than the topic has."""
-    rospy.Subscriber(topic, String, lambda message: say("message"))
-    say("ready")
+    """Subscribes with a type that is not the topic's."""
+    rospy.Subscriber(topic, String, lambda message: print_line("message"))
+    print_line("ready")
     sys.stdin.read()
 
 
 def echo(source, target):
     publisher = rospy.Publisher(target, CompressedImage, queue_size=1000, tcp_nodelay=True)
     rospy.Subscriber(source, CompressedImage, publisher.publish, buff_size=BUFFER_BYTES, tcp_nodelay=True)
-    say("ready")
+    print_line("ready")
     sys.stdin.read()
 
 
@@ -99,7 +99,8 @@ def ping(out, back, count, length):
     while publisher.get_num_connections() == 0 or subscriber.get_num_connections() == 0:
         rospy.sleep(0.01)
     message = picture(0, int(length))
-    # A rospy node may count as connected before it sends: repeated until an answer comes, and until the last one has come.
+    # A rospy node may count as connected before it sends. The message is repeated until an answer arrives, and then the remaining
+    # answers are awaited.
     answers = 0
     while True:
         if not answers:
@@ -118,7 +119,7 @@ def ping(out, back, count, length):
         micros.append((time.monotonic_ns() - start) // 1000)
     micros.sort()
     quantile = lambda percent: micros[(len(micros) - 1) * percent // 100]
-    say(f"median {quantile(50)} p99 {quantile(99)} rate {int(count) * 1e6 / sum(micros):.0f}")
+    print_line(f"median {quantile(50)} p99 {quantile(99)} rate {int(count) * 1e6 / sum(micros):.0f}")
 
 
 def main():

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Nodes and agents of ours against the ROS 1 of Debian: rosmaster, rostopic, rosnode and rospy.
+# Nodes and agents of PEERNet against the ROS 1 of Debian: rosmaster, rostopic, rosnode and rospy.
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 tests/interop/build.sh

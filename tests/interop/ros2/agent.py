@@ -19,14 +19,14 @@ state_dir = "{folder}/robot"
 name = "echo"
 kind = "echo"
 
-# Of the pictures nothing may be missing or changed.
+# No picture may be missing or changed.
 [[pipeline]]
 name = "camera"
 sensor = {{ kind = "ros", topic = "/camera", type = "sensor_msgs/msg/CompressedImage", queue = {pictures} }}
 placement = {{ kind = "local", model = "echo" }}
 actuator = {{ kind = "ros", topic = "/seen", type = "std_msgs/UInt8MultiArray" }}
 
-# The publisher is best-effort. One sensor asks for more than it offers, the other does not.
+# The publisher is best-effort. One sensor requests more than it offers, the other does not.
 [[pipeline]]
 name = "strict"
 sensor = {{ kind = "ros", topic = "/sketchy", type = "sensor_msgs/msg/CompressedImage" }}
@@ -52,11 +52,11 @@ def main():
                 with Process(*CYCLONE, "publish", "/camera", "image", PICTURES, PICTURE_BYTES) as publisher:
                     publisher.finish()
                 receiver.finish()
-            print(f"ok      {PICTURES} pictures of {PICTURE_BYTES} bytes of Cyclone DDS went through sensor and actuator")
+            print(f"ok      {PICTURES} pictures of {PICTURE_BYTES} bytes of Cyclone DDS passed sensor and actuator")
             with Process(*CYCLONE, "offer", "/sketchy", "image", 10_000, 1000):
                 wait_until(lambda: agent.has_error("bytes=1000"), "best-effort pictures reach a best-effort sensor")
                 wait_until(lambda: agent.has_error(REFUSED), "the log names the QoS policy")
-            print("ok      a reliable sensor names the QoS policy of a best-effort publisher, and a best-effort one takes it")
+            print("ok      a reliable sensor names the QoS policy of a best-effort publisher, and a best-effort sensor accepts it")
             agent.stop()
 
 

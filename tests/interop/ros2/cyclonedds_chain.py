@@ -1,8 +1,8 @@
-"""A Cyclone DDS node of a chain: a camera, or a node that answers after a known time.
+"""A Cyclone DDS node of a chain: a camera, or a relay that answers after a known time.
 
 cyclonedds_chain.py camera TOPIC HZ
 cyclonedds_chain.py relay IN OUT DELAY_S [DROPPED EXTRA]
-The camera is best-effort, the relays are reliable. A relay prints the median of what it really took, in seconds, after each
+The camera is best-effort, the relays are reliable. A relay prints the median of its real processing times, in seconds, after each
 20 messages. It leaves each DROPPED-th message without an answer, and publishes a message of another stamp after each EXTRA-th.
 """
 import statistics
@@ -16,13 +16,13 @@ from cyclonedds_peer import CompressedImage_, Header_, Incoming, Outgoing, Time_
 BEST_EFFORT = Qos(Policy.Reliability.BestEffort)
 
 
-def say(line):
+def print_line(line):
     print(line, flush=True)
 
 
 def camera(participant, topic, hz):
     outgoing = Outgoing(participant, "rt" + topic, CompressedImage_, BEST_EFFORT)
-    say("ready")
+    print_line("ready")
     while True:
         now = time.time_ns()
         header = Header_(Time_(now // 1_000_000_000, now % 1_000_000_000), "cam")
@@ -33,23 +33,23 @@ def camera(participant, topic, hz):
 def relay(participant, source, target, delay, dropped=0, extra=0):
     incoming = Incoming(participant, "rt" + source, CompressedImage_, BEST_EFFORT)
     outgoing = Outgoing(participant, "rt" + target, CompressedImage_)
-    say("ready")
-    taken, number = [], 0
+    print_line("ready")
+    durations, number = [], 0
     while True:
         message = incoming.next()
-        begun = time.monotonic()
+        start = time.monotonic()
         number += 1
         if int(dropped) and number % int(dropped) == 0:
             continue
         time.sleep(float(delay))
         outgoing.writer.write(message)
-        taken.append(time.monotonic() - begun)
+        durations.append(time.monotonic() - start)
         if int(extra) and number % int(extra) == 0:
             message.header.stamp.nanosec = (message.header.stamp.nanosec + 1) % 1_000_000_000
             outgoing.writer.write(message)
-        if len(taken) == 20:
-            say(f"median {statistics.median(taken)}")
-            taken.clear()
+        if len(durations) == 20:
+            print_line(f"median {statistics.median(durations)}")
+            durations.clear()
 
 
 command, *arguments = sys.argv[1:]

@@ -1,8 +1,8 @@
-"""The end of the tests with foreign ROS 2 peers that Eclipse Cyclone DDS speaks.
+"""Peer of the ROS 2 interoperability tests that uses Eclipse Cyclone DDS.
 
 cyclonedds_peer.py publish|receive TOPIC string|image|bytes COUNT BYTES
 cyclonedds_peer.py ping|pong TOPIC string|image|bytes COUNT BYTES      round trips; `ping` prints their quantiles
-cyclonedds_peer.py offer TOPIC string|image|bytes COUNT BYTES    publishes ten times a second, best-effort, for whoever listens
+cyclonedds_peer.py offer TOPIC string|image|bytes COUNT BYTES    publishes ten times a second, best-effort
 cyclonedds_peer.py nodes NAME                                    waits until the node list has NAME with an endpoint
 """
 
@@ -19,7 +19,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 RELIABLE = Qos(Policy.Reliability.Reliable(duration(seconds=10)), Policy.History.KeepAll)
 
 
@@ -100,7 +100,7 @@ def message(kind, size, number):
     return CompressedImage_(Header_(Time_(number, 7), "cam"), "jpeg", data)
 
 
-def same(kind, sample, expected):
+def is_same(kind, sample, expected):
     if kind == "string":
         return sample.data == expected.data
     if kind == "bytes":
@@ -124,7 +124,7 @@ class Incoming:
 
     def next(self):
         while not self.taken:
-            if not self.waitset.wait(duration(seconds=PATIENCE_S)):
+            if not self.waitset.wait(duration(seconds=TIMEOUT_S)):
                 raise SystemExit("cyclonedds: nothing arrived in time")
             self.taken = [sample for sample in self.reader.take(64) if sample.sample_info.valid_data]
         return self.taken.pop(0)
@@ -134,8 +134,8 @@ class Outgoing:
     def __init__(self, participant, topic, type_, qos=RELIABLE):
         self.writer = DataWriter(participant, Topic(participant, topic, type_, qos=qos), qos=qos)
 
-    def await_reader(self):
-        end = time.monotonic() + PATIENCE_S
+    def wait_for_subscription(self):
+        end = time.monotonic() + TIMEOUT_S
         while not self.writer.get_matched_subscriptions():
             if time.monotonic() > end:
                 raise SystemExit("cyclonedds: no subscription was found in time")
@@ -144,13 +144,13 @@ class Outgoing:
 
 def publish(participant, topic, kind, count, size):
     outgoing = Outgoing(participant, topic, TYPES[kind])
-    outgoing.await_reader()
-    # The other end may not know us yet although we know it; it would get nothing from before.
+    outgoing.wait_for_subscription()
+    # The subscription may not have discovered this publisher yet; it would miss earlier messages.
     time.sleep(1)
     for number in range(count):
         outgoing.writer.write(message(kind, size, number))
-    if not outgoing.writer.wait_for_acks(duration(seconds=PATIENCE_S)):
-        raise SystemExit("cyclonedds: not everything was acknowledged in time")
+    if not outgoing.writer.wait_for_acks(duration(seconds=TIMEOUT_S)):
+        raise SystemExit("cyclonedds: some messages were not acknowledged in time")
     # rustdds drops what was not read before its publisher leaves.
     time.sleep(1)
     print("published and acknowledged:", count)
@@ -159,8 +159,8 @@ def publish(participant, topic, kind, count, size):
 def receive(participant, topic, kind, count, size):
     incoming = Incoming(participant, topic, TYPES[kind])
     for number in range(count):
-        if not same(kind, incoming.next(), message(kind, size, number)):
-            raise SystemExit(f"cyclonedds: message {number} is not what was published")
+        if not is_same(kind, incoming.next(), message(kind, size, number)):
+            raise SystemExit(f"cyclonedds: message {number} differs from the published one")
     print("received unchanged:", count)
 
 
@@ -176,13 +176,13 @@ def pong(participant, topic, kind, count, _size):
     incoming = Incoming(participant, topic + "/ping", TYPES[kind])
     for _ in range(count):
         outgoing.writer.write(incoming.next())
-    outgoing.writer.wait_for_acks(duration(seconds=PATIENCE_S))
+    outgoing.writer.wait_for_acks(duration(seconds=TIMEOUT_S))
 
 
 def ping(participant, topic, kind, count, size):
     outgoing = Outgoing(participant, topic + "/ping", TYPES[kind])
     incoming = Incoming(participant, topic + "/pong", TYPES[kind])
-    outgoing.await_reader()
+    outgoing.wait_for_subscription()
     while not incoming.reader.get_matched_publications():
         time.sleep(0.02)
     sample, times = message(kind, size, 1), []
@@ -191,7 +191,7 @@ def ping(participant, topic, kind, count, size):
         outgoing.writer.write(sample)
         incoming.next()
         times.append(time.perf_counter() - start)
-    # The first ones are for warming up.
+    # The first tenth is warm-up.
     times = sorted(times[len(times) // 10 :])
     p50, p99 = times[len(times) // 2], times[len(times) * 99 // 100]
     rate = len(times) / sum(times)

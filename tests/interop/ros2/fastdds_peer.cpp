@@ -1,4 +1,4 @@
-// The end of the tests with foreign ROS 2 peers that eProsima Fast DDS speaks, with types written by hand.
+// Peer of the ROS 2 interoperability tests that uses eProsima Fast DDS, with hand-written types.
 //
 // fastdds_peer publish|receive TOPIC string|image COUNT BYTES [SOCKET_BUFFER_BYTES]
 
@@ -25,9 +25,9 @@ using eprosima::fastrtps::rtps::InstanceHandle_t;
 using eprosima::fastrtps::rtps::SerializedPayload_t;
 using Bytes = std::vector<unsigned char>;
 
-static const eprosima::fastrtps::Duration_t patience{20, 0};
+static const eprosima::fastrtps::Duration_t time_limit{20, 0};
 
-// A message that is bytes already, with its encapsulation header.
+// A message that is serialised already, with its encapsulation header.
 class RawType : public TopicDataType {
 public:
     explicit RawType(const char* name) {
@@ -88,7 +88,7 @@ int main(int argc, char** argv) {
     const char* domain = std::getenv("ROS_DOMAIN_ID");
 
     DomainParticipantQos participant_qos;
-    // UDP over loopback alone; no shared memory, which only another Fast DDS has.
+    // Only UDP over loopback. Shared memory would only reach another Fast DDS.
     auto udp = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
     udp->interfaceWhiteList.push_back("127.0.0.1");
     participant_qos.transport().use_builtin_transports = false;
@@ -122,14 +122,14 @@ int main(int argc, char** argv) {
             writer->get_publication_matched_status(status);
         }
         if (status.current_count == 0) return fail("no subscription was found in time");
-        // The other end may not know us yet although we know it; it would get nothing from before.
+        // The subscription may not have discovered this publisher yet; it would miss earlier messages.
         std::this_thread::sleep_for(std::chrono::seconds(1));
         for (size_t number = 0; number < count; ++number) {
             Bytes bytes = message(is_string, size, number);
             if (!writer->write(&bytes)) return fail("cannot write message " + std::to_string(number));
         }
-        if (writer->wait_for_acknowledgments(patience) != ReturnCode_t::RETCODE_OK)
-            return fail("not everything was acknowledged in time");
+        if (writer->wait_for_acknowledgments(time_limit) != ReturnCode_t::RETCODE_OK)
+            return fail("some messages were not acknowledged in time");
         // rustdds drops what was not read before its publisher leaves.
         std::this_thread::sleep_for(std::chrono::seconds(1));
         std::cout << "published and acknowledged: " << count << "\n";
@@ -142,14 +142,14 @@ int main(int argc, char** argv) {
         for (size_t number = 0; number < count && result == 0; ++number) {
             Bytes bytes;
             SampleInfo info;
-            if (!reader->wait_for_unread_message(patience)) {
-                result = fail("message " + std::to_string(number) + " of " + std::to_string(count) + " never came");
+            if (!reader->wait_for_unread_message(time_limit)) {
+                result = fail("message " + std::to_string(number) + " of " + std::to_string(count) + " did not arrive");
             } else if (reader->take_next_sample(&bytes, &info) != ReturnCode_t::RETCODE_OK) {
                 result = fail("cannot take message " + std::to_string(number));
             } else {
                 const Bytes expected = message(is_string, size, number);
                 if (bytes.size() < expected.size() || std::memcmp(bytes.data(), expected.data(), expected.size()) != 0)
-                    result = fail("message " + std::to_string(number) + " is not what was published");
+                    result = fail("message " + std::to_string(number) + " differs from the published one");
             }
         }
         if (result == 0) std::cout << "received unchanged: " << count << "\n";

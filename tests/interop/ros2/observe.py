@@ -1,7 +1,7 @@
-"""Profiles a chain of Cyclone DDS nodes without a change of theirs. Usage: observe.py PEERNETD
+"""Observes a chain of unmodified Cyclone DDS nodes. Usage: observe.py PEERNETD
 
-Each of three nodes takes a known time; what an agent reports must be within a millisecond of what the node says it took, by
-medians of 20 messages, by one agent and by two. Another node drops some messages and publishes others that belong to none.
+Each of three nodes takes a known time. The medians of 20 messages that an agent reports must be within a millisecond of those that
+the node measured, with one agent and with two. Another node drops some messages and publishes others without an input.
 """
 import contextlib
 import os
@@ -15,7 +15,7 @@ from processes import Process, wait_until
 HERE = pathlib.Path(__file__).resolve().parent
 CHAIN = [sys.executable, HERE / "cyclonedds_chain.py"]
 OFFER = [sys.executable, HERE / "cyclonedds_peer.py", "offer"]
-# Each DROPPED-th message has no answer, each EXTRA-th has one more with another stamp.
+# Each DROPPED-th message has no answer. Each EXTRA-th message has a second one with another stamp.
 MESSAGES, DROPPED, EXTRA = 120, 4, 5
 TIMEOUT_MS, HZ = 500, 20
 
@@ -29,7 +29,7 @@ def check_chain(started, peernetd, folder):
     pipelines = "".join(pipeline(f"hop{index}", 2, source, target) for index, (source, target, _) in enumerate(HOPS))
     with Observer(peernetd, folder, pipelines) as observer:
         check_latencies(observer, relays)
-        facts = str(observer.get(f"runs/{observer.run_of('hop0')['number']}")["facts"])
+        facts = str(observer.get(f"runs/{observer.newest_run('hop0')['number']}")["facts"])
         for part in ("ROS 2, domain 0 on lo (127.0.0.1)", "/camera (sensor_msgs/msg/CompressedImage)", "on this host"):
             assert part in facts, f"{part} is missing in {facts}"
         assert "measures nothing" not in facts, facts
@@ -43,17 +43,17 @@ def check_counts(started, peernetd, folder):
     started.enter_context(Process(*CHAIN, "camera", "/lossy/in", HZ)).wait_for("ready")
     keys = f"timeout_ms = {TIMEOUT_MS}\nwarm_up = {{ iterations = 0 }}\nlimit = {{ iterations = {MESSAGES} }}"
     with Observer(peernetd, folder, pipeline("lossy", 2, "/lossy/in", "/lossy/out", keys)) as observer:
-        wait_until(lambda: (observer.run_of("lossy") or {}).get("reason") == "finished", "the run ends by itself")
-        run = observer.run_of("lossy")["number"]
+        wait_until(lambda: (observer.newest_run("lossy") or {}).get("reason") == "finished", "the run ends by itself")
+        run = observer.newest_run("lossy")["number"]
         counts = observer.get(f"runs/{run}")["counts"]
         assert (counts["ok"], counts["lost"]) == (MESSAGES - MESSAGES // DROPPED, MESSAGES // DROPPED), counts
         stages = observer.get(f"runs/{run}/stages")["stages"]
         unmatched = sum(one["count"] * one["mean"] for one in stages if one["name"] == "output-unmatched")
-        # An EXTRA-th message that is also a DROPPED-th has no answer at all. Not counted are those of the first and the last
-        # half second, of which it is not known yet.
-        most = MESSAGES // EXTRA - MESSAGES // (EXTRA * DROPPED)
-        unknown = 2 * (HZ * TIMEOUT_MS // 1000 // EXTRA + 1)
-        assert most - unknown <= unmatched <= most, f"{unmatched} of {most}"
+        # An EXTRA-th message that is also a DROPPED-th has no answer at all. Those of the first and the last half second are not
+        # counted, because they may still be matched.
+        max_unmatched = MESSAGES // EXTRA - MESSAGES // (EXTRA * DROPPED)
+        undecided = 2 * (HZ * TIMEOUT_MS // 1000 // EXTRA + 1)
+        assert max_unmatched - undecided <= unmatched <= max_unmatched, f"{unmatched} of {max_unmatched}"
         observer.stop()
     print(f"ok      {counts['lost']} of {MESSAGES} messages were lost, {unmatched:.0f} of others were unmatched", flush=True)
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Our ROS 2 client against foreign ones: Eclipse Cyclone DDS (PyPI) and eProsima Fast DDS (Debian), both directions,
-# without a ROS installation. Runs in a network namespace of its own that has the loopback interface alone, and needs root.
+# PEERNet's ROS 2 client against Eclipse Cyclone DDS (PyPI) and eProsima Fast DDS (Debian) in both directions, without a ROS
+# installation. Runs in a separate network namespace that has only the loopback interface, and needs root.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../../.." && pwd)
@@ -59,7 +59,7 @@ for load in "string 50 10" "string 50 60000" "image 50 150000" "image 40 1000000
     check "us to Fast DDS, $kind of $size bytes" "$fast" receive "${message[@]}" 4194304 -- "$ours" publish "${message[@]}"
 done
 
-# The node must still be there when its entry is looked for, so it waits for messages of a peer that comes later.
+# The node must still run when its entry is looked for. Therefore it waits for a message.
 "$ours" echo /interop/node string 1 >"$work/log.node" 2>&1 &
 node=$!
 if cyclone nodes /peernet; then echo "ok      node list"; else echo "FAILED  node list"; failed=1; fi
@@ -72,6 +72,6 @@ done
 PYTHONPATH=$root/tests/interop "$venv/bin/python" "$here/session.py" "$root/target/debug/peernet" \
     "$root/models/quality-control/pictures/part-0001.jpg" || failed=1
 
-# Between nodes of our own: the client, and sessions over it.
+# The client and sessions between nodes of PEERNet.
 "$root/tests/interop/build.sh" --test ros2 || failed=1
 exit "$failed"

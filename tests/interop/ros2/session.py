@@ -1,4 +1,4 @@
-"""Runs the published commands over ROS 2 while Cyclone DDS watches the pictures. Usage: session.py PEERNET JPEG"""
+"""Runs the published commands over ROS 2 while Cyclone DDS receives the pictures. Usage: session.py PEERNET JPEG"""
 import csv
 import os
 import pathlib

@@ -1,7 +1,7 @@
-"""Plays the bag of a session and compares what agents make of it. Usage: replay.py BAG
+"""Plays the bag of a session and compares what agents receive with it. Usage: replay.py BAG
 
-The agents sense `/robot/request` and `/robot/response` and publish what they have on `/seen/request` and `/seen/response`: of a
-picture its file, of any other message its serialised bytes.
+The agents subscribe to `/robot/request` and `/robot/response` and publish the samples on `/seen/request` and `/seen/response`: of
+a picture its file, of any other message its serialised bytes.
 """
 import subprocess
 import sys
@@ -12,8 +12,8 @@ import rosbag
 import rospy
 from std_msgs.msg import UInt8MultiArray
 
-# Longest time in seconds that the replay may take.
-PATIENCE = 60
+# Time limit of the replay. Seconds.
+TIMEOUT_S = 60
 TOPICS = ["request", "response"]
 
 
@@ -39,18 +39,18 @@ def main():
 
     rospy.init_node("collector", disable_signals=True)
     subscribers = [rospy.Subscriber(f"/seen/{topic}", UInt8MultiArray, collect, topic) for topic in TOPICS]
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + TIMEOUT_S
     while not all(one.get_num_connections() for one in subscribers):
         assert time.monotonic() < end, "the agents do not publish"
         time.sleep(0.02)
     subprocess.run(
-        ["rosbag", "play", "--quiet", "--wait-for-subscribers", "--delay=1", sys.argv[1]], check=True, timeout=PATIENCE
+        ["rosbag", "play", "--quiet", "--wait-for-subscribers", "--delay=1", sys.argv[1]], check=True, timeout=TIMEOUT_S
     )
     with progress:
-        progress.wait_for(lambda: all(len(seen[topic]) >= len(expected[topic]) for topic in TOPICS), PATIENCE)
+        progress.wait_for(lambda: all(len(seen[topic]) >= len(expected[topic]) for topic in TOPICS), TIMEOUT_S)
     for topic in TOPICS:
         counts = f"{len(seen[topic])} of {len(expected[topic])}"
-        assert seen[topic] == expected[topic], f"/robot/{topic}: {counts} messages came, or some were changed"
+        assert seen[topic] == expected[topic], f"/robot/{topic}: {counts} messages arrived, or some were changed"
         print(f"ok    {counts} messages of /robot/{topic} were replayed unchanged", flush=True)
     rospy.signal_shutdown("done")
 

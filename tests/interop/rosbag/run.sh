@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# A session over the network `ros` is recorded by the rosbag of Debian, and the sensor `ros` of an agent takes what rosbag plays:
-# all of it, unchanged.
+# The rosbag of Debian records a session over the network `ros`. The sensor `ros` of an agent must receive the replay completely and
+# unchanged.
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 tests/interop/build.sh

@@ -119,7 +119,7 @@ fn reduced_path_mtu_is_reported_and_session_continues() {
         said.contains("long datagrams do not arrive any more") && said.contains("datagram_bytes"),
         "{said}"
     );
-    edge.wait_for("going on with 1200 bytes");
+    edge.wait_for("continuing with 1200 bytes");
     edge.wait_for_nth("connected to cloud", 2);
     wait_until_answered(&testbed, 20);
     wait_until_page_contains(&testbed, "long datagrams do not arrive any more");

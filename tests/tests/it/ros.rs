@@ -54,12 +54,14 @@ impl Robot {
     }
 
     fn publish<M: Message>(&self, topic: &str) -> Publisher {
-        let publishing = self.node.publish(topic, TopicType::of::<M>(), PublisherOptions::default());
+        let publishing =
+            self.node.publish(topic, TopicType::from_message::<M>(), PublisherOptions::default());
         self.runtime.block_on(publishing).expect("the master answers")
     }
 
     fn subscribe<M: Message>(&self, topic: &str) -> Subscriber {
-        let subscribing = self.node.subscribe(topic, TopicType::of::<M>(), SubscriberOptions::default());
+        let subscribing =
+            self.node.subscribe(topic, TopicType::from_message::<M>(), SubscriberOptions::default());
         self.runtime.block_on(subscribing).expect("the master answers")
     }
 
@@ -207,7 +209,10 @@ fn check_names_topic_errors() {
     let [sensor, actuator] = ["topic = \"/words\", ros_version = 1", "topic = \"/answers\", ros_version = 1"];
     let (code, said) = check(&deployment, "topic = \"/words\"", actuator);
     assert_eq!(code, 78, "{said}");
-    assert!(said.contains("pipeline[0].sensor: which version of ROS? set ros_version = 1 or 2"), "{said}");
+    assert!(
+        said.contains("pipeline[0].sensor: the version of ROS is not configured; set ros_version = 1 or 2"),
+        "{said}"
+    );
     let (code, said) = check(&deployment, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
     assert_eq!(code, 78, "{said}");
     assert!(said.contains("`words` cannot be the name of a ROS message type"), "{said}");

@@ -28,7 +28,7 @@ pub struct ServeConfig {
 impl Default for ServeConfig {
     fn default() -> Self {
         Self {
-            listen: Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 5551).into(),
+            listen: Address::from_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 5551).into(),
             network: None,
             calibration: true,
             session: SessionSettings::default(),

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use peernet_clock::{MonoTime, Span};
-use peernet_networks::{ConnectionAddresses, interface_of};
+use peernet_networks::{ConnectionAddresses, outgoing_interface};
 use peernet_stream::{Connection, NetworkInterface};
 
 use super::shared::Session;
@@ -61,7 +61,7 @@ impl Connections {
     }
 
     fn interface(&mut self, addresses: &ConnectionAddresses) -> Option<NetworkInterface> {
-        interface_of(addresses).unwrap_or_else(|error| {
+        outgoing_interface(addresses).unwrap_or_else(|error| {
             if !std::mem::replace(&mut self.has_complained, true) {
                 let local = addresses.local;
                 tracing::info!(%error, %local, "cannot list the network interfaces: those of connections are not shown");

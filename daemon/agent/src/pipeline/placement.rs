@@ -144,7 +144,7 @@ impl Placement {
     pub(super) async fn close(&self, planned_iterations: Option<u64>) {
         match (self, planned_iterations) {
             (Self::Remote { session, .. }, Some(planned_iterations)) => {
-                session.close_after(planned_iterations).await;
+                session.close_after_run(planned_iterations).await;
             }
             (Self::Remote { session, .. }, None) => session.close().await,
             (Self::Local(_) | Self::None, _) => {}

@@ -171,8 +171,8 @@ async fn sessions(
                     // On a blocking thread: a model may load for minutes, and other peers are served meanwhile.
                     loading.spawn_blocking(move || prepare(wish, listener, &context));
                 }
-                Some(Incoming::Closed { session, said_goodbye, ordered }) => {
-                    server.closed(session, said_goodbye, ordered);
+                Some(Incoming::Closed { session, said_goodbye, planned_iterations }) => {
+                    server.closed(session, said_goodbye, planned_iterations);
                 }
                 Some(Incoming::Remark { session, text }) => server.remark(session, &text),
                 Some(Incoming::Refused { host, text }) => {
@@ -342,12 +342,13 @@ impl Server {
     }
 
     /// Handles the end of a session. A goodbye is not an incident, because every session ends.
-    fn closed(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
+    fn closed(&mut self, session: SessionId, said_goodbye: bool, planned_iterations: Option<u64>) {
         // A session that was never accepted is not in the map.
         let Some(Peer { host, name, pipeline, counted, .. }) = self.peers.remove(&session) else { return };
         self.tell_reflectors(None);
         let is_goodbye = said_goodbye && counted.is_some();
-        let missed = if is_goodbye { self.request_counts.missed(host, &pipeline, ordered) } else { 0 };
+        let missed =
+            if is_goodbye { self.request_counts.missed(host, &pipeline, planned_iterations) } else { 0 };
         self.served.send_modify(|served| {
             served.sessions = self.peers.len();
             served.missed = served.missed.saturating_add(missed);

@@ -40,7 +40,7 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
         listen.parse().map_err(|error| Problem { key: "listen", message: format!("{error}") })?;
     let limits = ListenerLimits {
         // A share of the file descriptors, so that agents leave some to the database and the dashboard.
-        max_connections: DescriptorShare::EventPort.connections(),
+        max_connections: DescriptorShare::EventPort.max_connections(),
         max_message_bytes: MAX_MESSAGE_BYTES + FRAMING_BYTES,
         max_unfinished_bytes: config.max_unfinished_bytes,
         hello_timeout: config.hello_timeout(),
@@ -53,7 +53,7 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
         .await
         .map_err(|source| StartError::Listen { address: listen.clone(), source })?;
     let bound = listener.address();
-    Ok((listener, Address::of_ip(bound.ip(), bound.port()).to_string()))
+    Ok((listener, Address::from_ip(bound.ip(), bound.port()).to_string()))
 }
 
 /// The channels and shared objects of the ingest task.
@@ -86,7 +86,7 @@ pub(crate) async fn run(
                 Some(Arrival::Gone(connection, _)) => session.handle_connection_closed(connection),
                 // TCP connections do not report these arrivals.
                 Some(
-                    Arrival::Garbage(..)
+                    Arrival::InvalidData(..)
                     | Arrival::Incomplete(..)
                     | Arrival::Lost(..)
                     | Arrival::Moved(..)

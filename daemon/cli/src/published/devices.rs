@@ -9,7 +9,7 @@ use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_analysis::record::NetworkConfig;
 use peernet_logger::Slug;
-use peernet_networks::{Address, NetworkKind, Ros2SessionSettings, UnknownAddress};
+use peernet_networks::{Address, ListenerLookupError, NetworkKind, Ros2SessionSettings};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
@@ -36,8 +36,8 @@ enum DeviceError {
     #[error("{at:?} is no address of the device {name}: {source}")]
     Address { at: String, name: String, source: AddressError },
     #[error("no address of the device {name}: {source}")]
-    Unknown { name: String, source: UnknownAddress },
-    #[error("the device {0} has port 0, which cannot be reached: set start_port to at least 1")]
+    Unknown { name: String, source: ListenerLookupError },
+    #[error("the device {0} has port 0, at which nobody could ask it: give start_port a number from 1")]
     PortZero(String),
 }
 

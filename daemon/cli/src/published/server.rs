@@ -75,5 +75,5 @@ fn all_interfaces(address: &Address) -> Address {
         Ok(IpAddr::V6(_)) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
         _ => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
     };
-    address.at_ip(ip, address.port())
+    address.with_ip(ip, address.port())
 }

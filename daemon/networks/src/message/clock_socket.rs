@@ -14,7 +14,7 @@ pub struct ClockSocketName([u8; Self::BYTES]);
 /// Error: the text is not the name of a clock socket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("not the name of a clock socket: {PREFIX} and 32 hexadecimal digits in lower case")]
-pub struct NoClockSocketName;
+pub struct InvalidClockSocketName;
 
 const PREFIX: &str = "peernet-clock-";
 
@@ -43,14 +43,14 @@ impl fmt::Debug for ClockSocketName {
 }
 
 impl FromStr for ClockSocketName {
-    type Err = NoClockSocketName;
+    type Err = InvalidClockSocketName;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let digits = text.strip_prefix(PREFIX).ok_or(NoClockSocketName)?;
+        let digits = text.strip_prefix(PREFIX).ok_or(InvalidClockSocketName)?;
         let are_valid = digits.len() == 2 * Self::BYTES
             && digits.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));
-        let number = u128::from_str_radix(digits, 16).map_err(|_| NoClockSocketName)?;
-        if are_valid { Ok(Self(number.to_be_bytes())) } else { Err(NoClockSocketName) }
+        let number = u128::from_str_radix(digits, 16).map_err(|_| InvalidClockSocketName)?;
+        if are_valid { Ok(Self(number.to_be_bytes())) } else { Err(InvalidClockSocketName) }
     }
 }
 
@@ -61,7 +61,7 @@ impl Serialize for ClockSocketName {
 }
 
 /// Deserializes a peer's optional name. A text of another form becomes `None`, so that nothing connects to it.
-pub(super) fn well_formed<'de, D: Deserializer<'de>>(
+pub(super) fn deserialize_optional_socket_name<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<ClockSocketName>, D::Error> {
     let text: Option<String> = Option::deserialize(deserializer)?;
@@ -92,7 +92,7 @@ mod tests {
             "/run/systemd/notify",
         ];
         for text in bad {
-            assert_eq!(text.parse::<ClockSocketName>(), Err(NoClockSocketName), "{text:?}");
+            assert_eq!(text.parse::<ClockSocketName>(), Err(InvalidClockSocketName), "{text:?}");
         }
         assert!("x".repeat(60_000).parse::<ClockSocketName>().is_err());
     }

@@ -30,13 +30,14 @@ use super::{Header, decode_tree, decode_tree_delta, encode_tree, encode_tree_del
 /// Contents of fixture files by file name.
 type Files = BTreeMap<String, Bytes>;
 
-fn folder() -> PathBuf {
+fn fixture_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/wire/session")
 }
 
 fn files() -> Files {
-    let folder = folder();
-    let entries = fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
+    let fixture_folder = fixture_folder();
+    let entries =
+        fs::read_dir(&fixture_folder).unwrap_or_else(|error| panic!("{}: {error}", fixture_folder.display()));
     entries
         .map(|entry| {
             let entry = entry.expect("the folder of the fixtures can be listed");
@@ -74,7 +75,7 @@ impl Content {
             Self::Header(header) => header.encode().expect("the headers of the fixtures are short"),
             Self::Tree(tree) => encode_tree(tree).expect("the trees of the fixtures are small"),
             Self::TreeDelta(delta) => {
-                encode_tree_delta(delta).expect("the growths of the fixtures are small")
+                encode_tree_delta(delta).expect("the tree deltas of the fixtures are small")
             }
         }
     }
@@ -104,9 +105,9 @@ fn values() -> Files {
 #[test]
 #[ignore = "writes the files of new messages"]
 fn write_missing_fixtures() {
-    fs::create_dir_all(folder()).expect("the folder of the fixtures can be made");
+    fs::create_dir_all(fixture_folder()).expect("the folder of the fixtures can be made");
     for (file, frame) in values() {
-        let path = folder().join(file);
+        let path = fixture_folder().join(file);
         if !path.exists() {
             fs::write(path, frame).expect("a fixture can be written");
         }

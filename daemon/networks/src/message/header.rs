@@ -11,7 +11,7 @@ use peernet_sample::{Description, Part, Sample};
 use peernet_stream::{ConnectionStatistics, VersionMismatch, VersionRange};
 use serde::{Deserialize, Serialize};
 
-use super::{PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, words};
+use super::{PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, deserialize_text};
 
 /// Largest header in both directions. Bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 64 * 1024;
@@ -28,21 +28,21 @@ const MAX_DEPTH: usize = 32;
 /// Error: a header cannot be sent or cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum HeaderError {
-    #[error("the header would take {0} bytes, more than {MAX_HEADER_BYTES}: shorten source, label or shapes")]
+    #[error("the header would have {0} bytes, more than {MAX_HEADER_BYTES}: shorten source, label or shapes")]
     TooLong(usize),
     #[error("the sample has {0} parts, more than {MAX_PARTS}")]
     TooManyParts(usize),
     #[error("the header cannot be encoded: {0}")]
-    Unencodable(String),
-    #[error("a header of {0} bytes, more than {MAX_HEADER_BYTES}")]
+    NotEncodable(String),
+    #[error("the header has {0} bytes, more than {MAX_HEADER_BYTES}")]
     Oversize(usize),
-    #[error("no header: {0}")]
+    #[error("the header is invalid: {0}")]
     Unreadable(String),
-    #[error("{0} bytes after the header's end")]
-    Trailing(usize),
-    #[error("a hello of {peer}", peer = .0.peer)]
+    #[error("{0} bytes follow the end of the header")]
+    TrailingBytes(usize),
+    #[error("the hello has no protocol version that this program speaks: the peer speaks {peer}", peer = .0.peer)]
     NoCommonVersion(VersionMismatch),
-    #[error("{described} parts described, {sent} sent")]
+    #[error("the header describes {described} payload parts, and {sent} were sent")]
     PartCount { described: usize, sent: usize },
 }
 
@@ -95,21 +95,21 @@ pub(crate) struct Refused {
     #[serde(flatten)]
     pub(crate) versions: VersionRange,
     pub(crate) kind: RefusalKind,
-    #[serde(deserialize_with = "words")]
+    #[serde(deserialize_with = "deserialize_text")]
     pub(crate) reason: String,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum RefusalKind {
-    /// The cloud does not serve the requested model or device, or has no room.
+    /// The cloud does not serve the requested model or device, or has reached a limit of sessions.
     Refused,
     /// The cloud speaks no version of the protocol that the edge speaks.
     Incompatible,
 }
 
-/// Departure of a message, stamped as late as possible: after its tree was encoded, so that `upload` and `download`
-/// contain the network and not the encoding. The receiver adds the transit to the tree.
+/// Departure of a message. It is stamped after the tree was encoded, so that `upload` and `download` contain the network
+/// and not the encoding. The receiver adds the transit node to the tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Departure {
     /// Sender's wall clock at the departure.
@@ -118,8 +118,8 @@ pub(crate) struct Departure {
     /// arrival of the request. In a reply the value is therefore the time from the arrival of the request to the
     /// departure of the reply.
     pub(crate) start: Span,
-    /// Sender's epoch, read after `sent` was stamped: [`peernet_clock::Clock::epoch`], in versions before
-    /// [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE) [`peernet_clock::Clock::wall_epoch`].
+    /// Sender's epoch, read after `sent` was stamped. It is [`peernet_clock::Clock::epoch`]; in versions before
+    /// [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE) it is [`peernet_clock::Clock::wall_epoch`].
     pub(crate) epoch: u32,
     /// Sender's free-running clock at `sent`. Exists since [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -146,7 +146,8 @@ pub(crate) struct Request {
 pub(crate) struct Reply {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// Present if and only if the tree delta is. An answer that no model computed has neither.
+    /// Departure of the reply. Present if and only if the reply has a tree delta. A reply that no model computed has
+    /// neither.
     pub(crate) departure: Option<Departure>,
     /// Cloud's epoch right before the arrival of the request was stamped. If it differs from the epoch of the
     /// departure, the cloud's clock was stepped in between.
@@ -162,8 +163,8 @@ pub(crate) struct Reply {
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Outcome {
     Answer(SampleHeader),
-    Failed(#[serde(deserialize_with = "words")] String),
-    Overloaded(#[serde(deserialize_with = "words")] String),
+    Failed(#[serde(deserialize_with = "deserialize_text")] String),
+    Overloaded(#[serde(deserialize_with = "deserialize_text")] String),
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -188,12 +189,12 @@ pub(crate) struct UnknownSession {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Goodbye {
     pub(crate) session: SessionId,
-    #[serde(deserialize_with = "words")]
+    #[serde(deserialize_with = "deserialize_text")]
     pub(crate) reason: String,
-    /// Number of iterations that the edge's run was to have, if the run is over. A cloud that serves a fixed number of
-    /// answers then does not wait for the missing ones. Releases without this field ignore it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) ordered: Option<u64>,
+    /// Number of iterations that the edge's run was configured to have, if the run is over. A cloud that serves a fixed
+    /// number of requests then does not wait for missing ones. Releases without this field ignore it.
+    #[serde(default, rename = "ordered", skip_serializing_if = "Option::is_none")]
+    pub(crate) planned_iterations: Option<u64>,
 }
 
 impl Header {
@@ -208,7 +209,7 @@ impl Header {
             Self::Request(_) | Self::Reply(_) => rmp_serde::encode::write(&mut wire, self),
             _ => rmp_serde::encode::write_named(&mut wire, self),
         };
-        written.map_err(|error| HeaderError::Unencodable(error.to_string()))?;
+        written.map_err(|error| HeaderError::NotEncodable(error.to_string()))?;
         if wire.len() > MAX_HEADER_BYTES { Err(HeaderError::TooLong(wire.len())) } else { Ok(wire.into()) }
     }
 
@@ -222,36 +223,37 @@ impl Header {
         }
         let mut reader = rmp_serde::Deserializer::new(wire);
         reader.set_max_depth(MAX_DEPTH);
-        // Only the versions of a later hello are certain to be readable.
+        // A later version may change everything in a hello except its versions. An unreadable hello is therefore
+        // reported as a version mismatch where its versions show one.
         let header = Self::deserialize(&mut reader).map_err(|error| {
-            mismatch(wire)
+            version_mismatch(wire)
                 .map_or_else(|| HeaderError::Unreadable(error.to_string()), HeaderError::NoCommonVersion)
         })?;
         match reader.get_ref().len() {
             0 => Ok(header),
-            rest => Err(HeaderError::Trailing(rest)),
+            rest => Err(HeaderError::TrailingBytes(rest)),
         }
     }
 }
 
 /// Returns the version mismatch of a hello that is unreadable apart from its versions. `None` if a common version
 /// exists or the versions are unreadable as well.
-fn mismatch(wire: &[u8]) -> Option<VersionMismatch> {
+fn version_mismatch(wire: &[u8]) -> Option<VersionMismatch> {
     #[derive(Deserialize)]
     #[serde(rename_all = "kebab-case")]
-    enum Probe {
-        Open(OpenProbe),
+    enum MessageVersions {
+        Open(OpenVersions),
     }
     #[derive(Deserialize)]
-    struct OpenProbe {
-        hello: HelloProbe,
+    struct OpenVersions {
+        hello: HelloVersions,
     }
     #[derive(Deserialize)]
-    struct HelloProbe {
+    struct HelloVersions {
         #[serde(flatten)]
         versions: VersionRange,
     }
-    let Probe::Open(open) = rmp_serde::from_slice(wire).ok()?;
+    let MessageVersions::Open(open) = rmp_serde::from_slice(wire).ok()?;
     SESSION_VERSIONS.highest_common(&open.hello.versions).err()
 }
 
@@ -260,7 +262,7 @@ impl SampleHeader {
     ///
     /// # Errors
     /// If the sample has more than [`MAX_PARTS`] parts.
-    pub(crate) fn of(sample: &Sample) -> Result<Self, HeaderError> {
+    pub(crate) fn from_sample(sample: &Sample) -> Result<Self, HeaderError> {
         if sample.parts.len() > MAX_PARTS {
             return Err(HeaderError::TooManyParts(sample.parts.len()));
         }
@@ -331,7 +333,7 @@ mod tests {
     fn sample_is_assembled_from_all_its_parts_only() {
         let part = |text: &'static str| Part { description: Description::bytes(), bytes: text.into() };
         let sample = Sample { parts: vec![part("a"), part("b")], source: "s".into(), label: None };
-        let header = SampleHeader::of(&sample).expect("two parts");
+        let header = SampleHeader::from_sample(&sample).expect("two parts");
         let frames: [Bytes; 3] = ["a".into(), "b".into(), "c".into()];
         assert_eq!(header.clone().into_sample(frames[..2].iter().cloned()), Ok(sample));
         for wrong in [1, 3] {
@@ -347,11 +349,11 @@ mod tests {
             source: String::new(),
             label: None,
         };
-        assert_eq!(SampleHeader::of(&many), Err(HeaderError::TooManyParts(MAX_PARTS + 1)));
+        assert_eq!(SampleHeader::from_sample(&many), Err(HeaderError::TooManyParts(MAX_PARTS + 1)));
         let goodbye = super::super::Goodbye {
             session: SessionId::random(),
             reason: "x".repeat(MAX_HEADER_BYTES),
-            ordered: None,
+            planned_iterations: None,
         };
         assert!(matches!(Header::Goodbye(goodbye).encode(), Err(HeaderError::TooLong(_))));
         let oversize = vec![0xc0; MAX_HEADER_BYTES + 1];
@@ -364,7 +366,11 @@ mod tests {
     fn text_of_peer_contains_no_control_characters() {
         let session = SessionId::random();
         let goodbye = |reason: &str| {
-            Header::Goodbye(super::super::Goodbye { session, reason: reason.to_owned(), ordered: None })
+            Header::Goodbye(super::super::Goodbye {
+                session,
+                reason: reason.to_owned(),
+                planned_iterations: None,
+            })
         };
         let wire = goodbye("bye\n\u{1b}[2Jthere, 30 °C").encode().expect("short enough");
         assert_eq!(Header::decode(&wire), Ok(goodbye("bye  [2Jthere, 30 °C")));

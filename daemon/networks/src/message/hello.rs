@@ -9,9 +9,9 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use uuid::Uuid;
 
-use super::clock_socket::{ClockSocketName, well_formed};
+use super::clock_socket::{ClockSocketName, deserialize_optional_socket_name};
 use super::probe_key::ProbeKey;
-use super::{printable, words};
+use super::{deserialize_text, printable};
 
 /// Versions of the session protocol that this release speaks, as an edge and as a cloud.
 ///
@@ -36,9 +36,9 @@ pub(crate) const STATISTICS_SINCE: u16 = 5;
 
 /// Largest number of conditions of a host that a peer may send.
 pub const MAX_CONDITIONS: usize = 32;
-/// Largest number of a peer's accelerators that are kept; further ones are ignored.
+/// Largest number of accelerators that are read of a peer's hardware; further ones are ignored.
 const MAX_GPUS: usize = 16;
-/// Largest number of characters that are kept of each text about a peer's hardware.
+/// Largest number of characters that are read of each text about a peer's hardware.
 const MAX_TEXT_CHARS: usize = 128;
 
 /// Random identifier of a session, chosen by the cloud.
@@ -82,11 +82,15 @@ pub struct SessionHello {
     /// Requested model; `None` requests the only model of the cloud.
     pub model: Option<Slug>,
     /// Requested device, such as `cuda:0`; `None` leaves the choice to the cloud.
-    #[serde(default, deserialize_with = "perhaps_words")]
+    #[serde(default, deserialize_with = "deserialize_optional_text")]
     pub device: Option<String>,
     /// Socket through which the cloud can prove that both hosts read one clock. `None` if the edge has no such socket,
     /// and in releases before 0.3.0. A name of another form is read as `None`.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "well_formed")]
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "deserialize_optional_socket_name"
+    )]
     pub clock_socket: Option<ClockSocketName>,
 }
 
@@ -100,15 +104,15 @@ pub struct SessionAccepted {
     /// Clock of the cloud's stamps.
     pub clock: ClockIdentity,
     /// Version of the cloud's program, for people.
-    #[serde(deserialize_with = "words")]
+    #[serde(deserialize_with = "deserialize_text")]
     pub version: String,
     /// Name of the model.
     pub model: Slug,
     /// Device on which the model runs.
-    #[serde(deserialize_with = "words")]
+    #[serde(deserialize_with = "deserialize_text")]
     pub device: String,
-    /// Descriptions of the model as names and values, for the page of the run.
-    #[serde(deserialize_with = "pairs")]
+    /// Properties of the model as pairs of name and value, for the page of the run.
+    #[serde(deserialize_with = "deserialize_text_pairs")]
     pub facts: Vec<(String, String)>,
     /// State of the cloud's clocks at the acceptance; [`Session::peer_clock`](crate::Session::peer_clock) returns later
     /// states.
@@ -122,30 +126,30 @@ pub struct SessionAccepted {
     /// releases before 0.3.0 and for clouds with a configured key.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probe_key: Option<ProbeKey>,
-    /// Conditions found on the cloud before the session; at most [`MAX_CONDITIONS`]. A message with more conditions
-    /// cannot be read.
-    #[serde(deserialize_with = "few")]
+    /// Conditions found on the cloud before the session; at most [`MAX_CONDITIONS`]. A message with more conditions is
+    /// refused.
+    #[serde(deserialize_with = "deserialize_conditions")]
     pub conditions: Vec<Condition>,
-    /// Hardware of the cloud. Of a received value the first 128 characters of each text and 16 accelerators are kept.
-    #[serde(deserialize_with = "short")]
+    /// Hardware of the cloud. Deserialization shortens each text to 128 characters and the accelerators to the first 16.
+    #[serde(deserialize_with = "deserialize_hardware")]
     pub hardware: Hardware,
 }
 
 /// State of a host's clocks, sent when a session opens and whenever it changes.
 ///
-/// A message whose interval ends before it begins, or whose drift is not finite, cannot be read.
+/// A message is refused if its interval ends before it begins or its drift is not finite.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PeerClock {
     /// Epoch of the wall clock, [`peernet_clock::Clock::wall_epoch`].
     pub epoch: u32,
     /// Claim of the host's time daemon about the wall clock.
-    #[serde(deserialize_with = "ordered")]
+    #[serde(deserialize_with = "deserialize_discipline")]
     pub discipline: Option<Discipline>,
-    /// Description of that claim in words.
-    #[serde(deserialize_with = "words")]
+    /// Description of that claim, for people.
+    #[serde(deserialize_with = "deserialize_text")]
     pub text: String,
     /// Clock fault that is injected on this host, if any.
-    #[serde(deserialize_with = "finite")]
+    #[serde(deserialize_with = "deserialize_clock_faults")]
     pub rehearsal: Option<ClockFaults>,
     /// State of the free-running clock; `None` in versions before [`RAW_STAMPS_SINCE`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -159,7 +163,7 @@ impl PeerClock {
         if version < RAW_STAMPS_SINCE {
             self.raw = None;
             if let Some(rehearsal) = &mut self.rehearsal {
-                // Such a peer would take them for steps of the wall clock.
+                // A peer of an older version knows only steps of the wall clock and would apply these to it.
                 rehearsal.steps.retain(|step| step.clock.is_wall());
             }
         }
@@ -173,25 +177,27 @@ pub struct RawClock {
     /// Epoch of the free-running clock, [`peernet_clock::Clock::epoch`].
     pub epoch: u32,
     /// Difference wall clock minus free-running clock when the message was made, [`peernet_clock::Clock::wall_ahead`].
-    #[serde(deserialize_with = "ordered_ends")]
+    #[serde(deserialize_with = "deserialize_interval")]
     pub wall_ahead: Interval,
     /// Clocksource of the kernel, such as `tsc` or `kvm-clock`; empty if unknown.
-    #[serde(deserialize_with = "words")]
+    #[serde(deserialize_with = "deserialize_text")]
     pub clocksource: String,
 }
 
-fn perhaps_words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<String>, D::Error> {
+fn deserialize_optional_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<String>, D::Error> {
     Ok(Option::<String>::deserialize(deserializer)?.map(|text| printable(&text)))
 }
 
-fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(String, String)>, D::Error> {
+fn deserialize_text_pairs<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Vec<(String, String)>, D::Error> {
     let pairs: Vec<(String, String)> = Vec::deserialize(deserializer)?;
     Ok(pairs.into_iter().map(|(name, value)| (printable(&name), printable(&value))).collect())
 }
 
 /// Deserializes at most [`MAX_CONDITIONS`] conditions and makes their texts printable, because they are shown on
 /// terminals and pages.
-fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::Error> {
+fn deserialize_conditions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::Error> {
     let conditions: Vec<Condition> = Vec::deserialize(deserializer)?;
     if conditions.len() > MAX_CONDITIONS {
         return Err(D::Error::custom(format_args!("more than {MAX_CONDITIONS} conditions")));
@@ -207,45 +213,49 @@ fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::
 }
 
 /// Deserializes a peer's hardware and shortens its texts, because they are stored in files and shown on pages.
-fn short<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hardware, D::Error> {
+fn deserialize_hardware<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hardware, D::Error> {
     let Hardware { cpu, cores, memory_bytes, gpus, system, architecture } =
         Hardware::deserialize(deserializer)?;
-    let short = |text: String| printable(&text.chars().take(MAX_TEXT_CHARS).collect::<String>());
+    let shorten = |text: String| printable(&text.chars().take(MAX_TEXT_CHARS).collect::<String>());
     Ok(Hardware {
-        cpu: short(cpu),
+        cpu: shorten(cpu),
         cores,
         memory_bytes,
-        gpus: gpus.into_iter().take(MAX_GPUS).map(short).collect(),
-        system: short(system),
-        architecture: short(architecture),
+        gpus: gpus.into_iter().take(MAX_GPUS).map(shorten).collect(),
+        system: shorten(system),
+        architecture: shorten(architecture),
     })
 }
 
-fn ordered_ends<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Interval, D::Error> {
+fn deserialize_interval<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Interval, D::Error> {
     let interval = Interval::deserialize(deserializer)?;
     if interval.hi < interval.lo {
-        return Err(D::Error::custom("an interval that ends before it begins"));
+        return Err(D::Error::custom("the interval ends before it begins"));
     }
     Ok(interval)
 }
 
-/// Deserializes a time daemon's claim and refuses one that ends before it begins, because intervals are computed from
-/// it.
-fn ordered<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Discipline>, D::Error> {
+/// Deserializes a time daemon's claim. Refuses a claim whose interval ends before it begins, because the intervals of
+/// delays are computed from it.
+fn deserialize_discipline<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<Discipline>, D::Error> {
     let discipline: Option<Discipline> = Option::deserialize(deserializer)?;
     match discipline {
         Some(Discipline { error, .. }) if error.hi < error.lo => {
-            Err(D::Error::custom("an interval that ends before it begins"))
+            Err(D::Error::custom("the interval ends before it begins"))
         }
         discipline => Ok(discipline),
     }
 }
 
-fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ClockFaults>, D::Error> {
+fn deserialize_clock_faults<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<ClockFaults>, D::Error> {
     let rehearsal: Option<ClockFaults> = Option::deserialize(deserializer)?;
     match rehearsal {
         Some(rehearsal) if !rehearsal.drift_ppm.is_finite() => {
-            Err(D::Error::custom("a drift that is no number"))
+            Err(D::Error::custom("the clock drift is not a finite number"))
         }
         rehearsal => Ok(rehearsal),
     }

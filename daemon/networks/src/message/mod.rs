@@ -9,7 +9,7 @@
 //! | clock | cloud | session, state of the cloud's clocks | | |
 //! | statistics | cloud | session, statistics of the cloud's end of the connection | | |
 //! | unknown-session | cloud | session, number | | |
-//! | goodbye | either | session, reason; from an edge whose run is over: the number of iterations that it was to have | | |
+//! | goodbye | either | session, reason; from an edge whose run is over: its configured number of iterations | | |
 //!
 //! The tree is encoded first, then the departure is stamped, then the small header is encoded. `upload` and `download`
 //! therefore contain the network and no encoding. The transit node itself is in neither tree; the receiver adds it from
@@ -29,7 +29,7 @@ mod fixtures;
 #[cfg(test)]
 pub(crate) mod strategies;
 
-pub use clock_socket::{ClockSocketName, NoClockSocketName};
+pub use clock_socket::{ClockSocketName, InvalidClockSocketName};
 pub(crate) use header::{
     Accepted, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
     Refused, Reply, Request, SampleHeader, StatisticsReport, UnknownSession,
@@ -48,7 +48,7 @@ use peernet_sample::printable_line;
 use serde::{Deserialize, Deserializer};
 
 /// Deserializes a peer's text. Control characters become spaces, because the text is shown on terminals and in logs.
-fn words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+fn deserialize_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     String::deserialize(deserializer).map(|text| printable(&text))
 }
 

@@ -1,4 +1,4 @@
-//! The probe key that a session brings.
+//! The probe key that a cloud sends when it accepts a session.
 
 use std::fmt;
 

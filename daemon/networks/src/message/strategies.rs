@@ -30,7 +30,7 @@ fn clock() -> impl Strategy<Value = ClockIdentity> {
 }
 
 pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
-    let device = proptest::option::of(words());
+    let device = proptest::option::of(printable_text());
     let socket = any::<Option<[u8; ClockSocketName::BYTES]>>();
     (versions(), host(), slug(), clock(), slug(), proptest::option::of(slug()), device, socket).prop_map(
         |(versions, host, name, clock, pipeline, model, device, socket)| SessionHello {
@@ -77,26 +77,26 @@ fn rehearsal() -> impl Strategy<Value = ClockFaults> {
 
 pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
     let (discipline, rehearsal) = (proptest::option::of(discipline()), proptest::option::of(rehearsal()));
-    (any::<u32>(), discipline, words(), rehearsal, proptest::option::of(raw_clock())).prop_map(
+    (any::<u32>(), discipline, printable_text(), rehearsal, proptest::option::of(raw_clock())).prop_map(
         |(epoch, discipline, text, rehearsal, raw)| PeerClock { epoch, discipline, text, rehearsal, raw },
     )
 }
 
 fn raw_clock() -> impl Strategy<Value = RawClock> {
-    (any::<u32>(), span(), span(), words()).prop_map(|(epoch, a, b, clocksource)| {
+    (any::<u32>(), span(), span(), printable_text()).prop_map(|(epoch, a, b, clocksource)| {
         let wall_ahead = Interval { lo: a.min(b), hi: a.max(b) };
         RawClock { epoch, wall_ahead, clocksource }
     })
 }
 
 pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
-    let facts = proptest::collection::vec((words(), words()), 0..4);
+    let facts = proptest::collection::vec((printable_text(), printable_text()), 0..4);
     let clocks = (clock(), peer_clock(), any::<(Option<u16>, u64, Option<[u8; 32]>)>());
     let conditions = proptest::collection::vec(condition(), 0..4);
-    let words = (words(), words(), facts, conditions, hardware());
-    (host(), slug(), clocks, slug(), words).prop_map(
-        |(host, name, (clock, host_clock, (probes, instance, key)), model, words)| {
-            let (version, device, facts, conditions, hardware) = words;
+    let printable_text = (printable_text(), printable_text(), facts, conditions, hardware());
+    (host(), slug(), clocks, slug(), printable_text).prop_map(
+        |(host, name, (clock, host_clock, (probes, instance, key)), model, printable_text)| {
+            let (version, device, facts, conditions, hardware) = printable_text;
             SessionAccepted {
                 host,
                 name,
@@ -117,8 +117,8 @@ pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
 }
 
 fn hardware() -> impl Strategy<Value = Hardware> {
-    let gpus = proptest::collection::vec(words(), 0..3);
-    (words(), any::<(u32, u64)>(), gpus, words(), words()).prop_map(
+    let gpus = proptest::collection::vec(printable_text(), 0..3);
+    (printable_text(), any::<(u32, u64)>(), gpus, printable_text(), printable_text()).prop_map(
         |(cpu, (cores, memory_bytes), gpus, system, architecture)| Hardware {
             cpu,
             cores,
@@ -132,13 +132,8 @@ fn hardware() -> impl Strategy<Value = Hardware> {
 
 fn condition() -> impl Strategy<Value = Condition> {
     let grade = prop_oneof![Just(Grade::Good), Just(Grade::Unknown), Just(Grade::Doubtful), Just(Grade::Bad)];
-    (words(), words(), words(), grade, words()).prop_map(|(host, about, found, grade, advice)| Condition {
-        host,
-        about,
-        found,
-        grade,
-        advice,
-    })
+    (printable_text(), printable_text(), printable_text(), grade, printable_text())
+        .prop_map(|(host, about, found, grade, advice)| Condition { host, about, found, grade, advice })
 }
 
 fn description() -> impl Strategy<Value = Description> {
@@ -173,15 +168,15 @@ fn raw() -> impl Strategy<Value = Option<RawTime>> {
 }
 
 /// Returns texts that decoding leaves unchanged: it replaces control characters and line separators.
-fn words() -> impl Strategy<Value = String> {
+fn printable_text() -> impl Strategy<Value = String> {
     "[^\\pC\\p{Zl}\\p{Zp}]{0,30}"
 }
 
 fn outcome() -> impl Strategy<Value = Outcome> {
     prop_oneof![
         sample().prop_map(Outcome::Answer),
-        words().prop_map(Outcome::Failed),
-        words().prop_map(Outcome::Overloaded),
+        printable_text().prop_map(Outcome::Failed),
+        printable_text().prop_map(Outcome::Overloaded),
     ]
 }
 
@@ -199,14 +194,14 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
         proptest::option::of(departure()),
         outcome(),
         (hello(), accepted(), peer_clock()),
-        (kind, words(), any::<u64>(), any::<Option<u64>>(), raw()),
+        (kind, printable_text(), any::<u64>(), any::<Option<u64>>(), raw()),
     )
         .prop_flat_map(
             |((session, request, departure), sample, returned, outcome, (hello, accepted, clock), rest)| {
-                let (kind, reason, max_message_bytes, ordered, arrived_raw) = rest;
+                let (kind, reason, max_message_bytes, planned_iterations, arrived_raw) = rest;
                 let (versions, arrival_epoch) = (hello.versions, clock.epoch);
                 let protocol = versions.oldest();
-                let lost = ordered.filter(|_| reason.is_empty());
+                let lost = planned_iterations.filter(|_| reason.is_empty());
                 let sent = DirectionStatistics { bytes: max_message_bytes, lost, ..DirectionStatistics::default() };
                 let counted = ConnectionStatistics { sent, ..ConnectionStatistics::default() };
                 prop_oneof![
@@ -224,7 +219,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     1 => Just(Header::Clock(Box::new(ClockUpdate { session, clock }))),
                     1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics: counted }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),
-                    1 => Just(Header::Goodbye(Goodbye { session, reason, ordered })),
+                    1 => Just(Header::Goodbye(Goodbye { session, reason, planned_iterations })),
                 ]
             },
         )

@@ -10,7 +10,7 @@ use super::Departure;
 /// Error: a tree or a tree delta cannot be sent or cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TreeFrameError {
-    #[error("the tree takes {0} bytes, more than {MAX_BYTES}")]
+    #[error("the tree has {0} bytes, more than {MAX_BYTES}")]
     TooLong(usize),
     #[error(transparent)]
     Unreadable(#[from] wire::WireError),
@@ -26,7 +26,7 @@ pub(crate) fn add_upload(tree: &mut Tree, departure: Departure) -> NodeId {
 pub(crate) fn encode_tree(tree: &Tree) -> Result<Bytes, TreeFrameError> {
     let mut out = Vec::with_capacity(512);
     wire::encode(tree, &mut out);
-    sendable(out)
+    check_length(out)
 }
 
 pub(crate) fn decode_tree(bytes: &[u8]) -> Result<Tree, TreeFrameError> {
@@ -36,14 +36,15 @@ pub(crate) fn decode_tree(bytes: &[u8]) -> Result<Tree, TreeFrameError> {
 pub(crate) fn encode_tree_delta(delta: &TreeDelta) -> Result<Bytes, TreeFrameError> {
     let mut out = Vec::with_capacity(512);
     wire::encode_tree_delta(delta, &mut out);
-    sendable(out)
+    check_length(out)
 }
 
 pub(crate) fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, TreeFrameError> {
     Ok(wire::decode_tree_delta(bytes)?)
 }
 
-fn sendable(out: Vec<u8>) -> Result<Bytes, TreeFrameError> {
+/// Returns the frame if the receiver accepts its length.
+fn check_length(out: Vec<u8>) -> Result<Bytes, TreeFrameError> {
     if out.len() > MAX_BYTES {
         return Err(TreeFrameError::TooLong(out.len()));
     }

@@ -27,7 +27,7 @@ impl Announcer {
         }
     }
 
-    /// Sends to each open session the statistics of this end of its connection. Never waits. Asks the system about each
+    /// Sends to each open session the statistics of this end of its connection. Never waits. Queries the system about each
     /// connection, which takes about 30 µs for TCP.
     pub fn report_statistics(&self) {
         if let Some(shared) = self.shared.upgrade() {

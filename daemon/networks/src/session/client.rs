@@ -14,7 +14,7 @@ pub enum CloseReason {
     Local,
     /// The cloud said goodbye, with this reason.
     Goodbye(String),
-    /// The cloud does not know the session: it was restarted, or it gave the session up.
+    /// The cloud does not know the session: it was restarted, or it ended the session.
     UnknownSession,
     /// The connection broke, for this reason.
     Broken(String),
@@ -31,7 +31,7 @@ impl fmt::Display for CloseReason {
     }
 }
 
-/// Outcome of a hello.
+/// Meaning of a message for the opening of a session.
 #[derive(Debug)]
 pub(crate) enum HelloOutcome {
     /// The cloud accepted the session.
@@ -40,8 +40,8 @@ pub(crate) enum HelloOutcome {
     Refused(String),
     /// The cloud speaks none of our versions of the protocol.
     Incompatible(VersionMismatch),
-    /// The message is not an answer to a hello. The answer may still come.
-    Nonsense,
+    /// The message does not answer the hello. The answer may still come.
+    Unrelated,
 }
 
 /// Classifies a message that arrives while a session opens.
@@ -60,17 +60,17 @@ pub(crate) fn classify_answer(header: Header) -> HelloOutcome {
             }
         }
         Header::Refused(refused) => HelloOutcome::Refused(refused.reason),
-        _ => HelloOutcome::Nonsense,
+        _ => HelloOutcome::Unrelated,
     }
 }
 
 /// An open session at the edge. `W` is the type of a waiter for an answer.
 #[derive(Debug)]
-pub(crate) struct Client<W> {
+pub(crate) struct ClientSession<W> {
     session: SessionId,
-    next: u64,
-    waiting: HashMap<u64, W>,
-    over: Option<CloseReason>,
+    next_request: u64,
+    waiters: HashMap<u64, W>,
+    close_reason: Option<CloseReason>,
 }
 
 /// Effect of a message from the cloud on the session.
@@ -78,40 +78,40 @@ pub(crate) struct Client<W> {
 pub(crate) enum CloudMessage<W> {
     /// The answer for this waiter.
     Answer(W, Reply),
-    /// An answer to a request that was given up.
-    Late,
+    /// An answer to a request that was cancelled or has ended already.
+    LateAnswer,
     /// New state of the cloud's clocks.
     Clock(PeerClock),
     /// Statistics of the cloud's end of the connection.
     Statistics(Box<ConnectionStatistics>),
     /// The message is not valid in this session, for this reason.
     Malformed(&'static str),
-    /// The session is over; these waiters get no answer.
-    Over(CloseReason, Vec<W>),
+    /// The session ended for this reason; these waiters get no answer.
+    SessionEnded(CloseReason, Vec<W>),
 }
 
-impl<W> Client<W> {
+impl<W> ClientSession<W> {
     pub(crate) fn new(session: SessionId) -> Self {
-        Self { session, next: 0, waiting: HashMap::new(), over: None }
+        Self { session, next_request: 0, waiters: HashMap::new(), close_reason: None }
     }
 
     /// Starts a request and returns its number.
     ///
     /// # Errors
     /// If the session is over.
-    pub(crate) fn begin(&mut self, waiter: W) -> Result<u64, CloseReason> {
-        if let Some(reason) = &self.over {
+    pub(crate) fn start_request(&mut self, waiter: W) -> Result<u64, CloseReason> {
+        if let Some(reason) = &self.close_reason {
             return Err(reason.clone());
         }
-        let request = self.next;
-        self.next += 1;
-        self.waiting.insert(request, waiter);
+        let request = self.next_request;
+        self.next_request += 1;
+        self.waiters.insert(request, waiter);
         Ok(request)
     }
 
-    /// Stops waiting for an answer. Returns whether it was still waited for.
-    pub(crate) fn give_up(&mut self, request: u64) -> bool {
-        self.waiting.remove(&request).is_some()
+    /// Stops waiting for the answer to a request. Returns whether the request was still in flight.
+    pub(crate) fn cancel_request(&mut self, request: u64) -> bool {
+        self.waiters.remove(&request).is_some()
     }
 
     /// Handles a message from the cloud.
@@ -120,13 +120,13 @@ impl<W> Client<W> {
             Header::Reply(reply) if reply.session != self.session => {
                 CloudMessage::Malformed("a reply of another session")
             }
-            Header::Reply(reply) if reply.request >= self.next => {
-                CloudMessage::Malformed("a reply to no request")
+            Header::Reply(reply) if reply.request >= self.next_request => {
+                CloudMessage::Malformed("a reply to a request that was never sent")
             }
-            Header::Reply(reply) => match self.waiting.remove(&reply.request) {
+            Header::Reply(reply) => match self.waiters.remove(&reply.request) {
                 Some(waiter) => CloudMessage::Answer(waiter, reply),
                 // An answer may arrive after its request timed out; it must not be mistaken for an invalid one.
-                None => CloudMessage::Late,
+                None => CloudMessage::LateAnswer,
             },
             Header::Clock(update) if update.session == self.session => CloudMessage::Clock(update.clock),
             Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
@@ -135,34 +135,34 @@ impl<W> Client<W> {
             }
             Header::Statistics(_) => CloudMessage::Malformed("the statistics of another session"),
             Header::UnknownSession(unknown) if unknown.session == self.session => {
-                self.end_with(CloseReason::UnknownSession)
+                self.end_by_cloud(CloseReason::UnknownSession)
             }
             Header::Goodbye(goodbye) if goodbye.session == self.session => {
-                self.end_with(CloseReason::Goodbye(goodbye.reason))
+                self.end_by_cloud(CloseReason::Goodbye(goodbye.reason))
             }
             Header::UnknownSession(_) | Header::Goodbye(_) => {
                 CloudMessage::Malformed("the end of another session")
             }
             Header::Open(_) | Header::Accepted(_) | Header::Refused(_) | Header::Request(_) => {
-                CloudMessage::Malformed("out of place in an open session")
+                CloudMessage::Malformed("a message that an open session never receives")
             }
         }
     }
 
-    /// Ends a request that was lost, or whose answer was lost. Returns its waiter unless the request has ended already.
-    pub(crate) fn lose(&mut self, request: u64) -> Option<W> {
-        self.waiting.remove(&request)
+    /// Ends a request that was lost on the way, or whose answer was. Returns its waiter unless the request has ended already.
+    pub(crate) fn lose_request(&mut self, request: u64) -> Option<W> {
+        self.waiters.remove(&request)
     }
 
     /// Ends the session; the first reason is kept. Returns the waiters that get no answer.
     pub(crate) fn end(&mut self, reason: CloseReason) -> Vec<W> {
-        self.over.get_or_insert(reason);
-        self.waiting.drain().map(|(_, waiter)| waiter).collect()
+        self.close_reason.get_or_insert(reason);
+        self.waiters.drain().map(|(_, waiter)| waiter).collect()
     }
 
-    fn end_with(&mut self, reason: CloseReason) -> CloudMessage<W> {
+    fn end_by_cloud(&mut self, reason: CloseReason) -> CloudMessage<W> {
         let waiters = self.end(reason.clone());
-        CloudMessage::Over(reason, waiters)
+        CloudMessage::SessionEnded(reason, waiters)
     }
 }
 
@@ -189,12 +189,12 @@ mod tests {
     #[test]
     fn second_answer_to_a_request_is_late() {
         let session = SessionId::random();
-        let mut client = Client::new(session);
-        let (a, b) = (client.begin('a').expect("open"), client.begin('b').expect("open"));
+        let mut client = ClientSession::new(session);
+        let (a, b) = (client.start_request('a').expect("open"), client.start_request('b').expect("open"));
         assert!(matches!(client.receive(reply(session, b)), CloudMessage::Answer('b', _)));
-        assert_eq!(client.receive(reply(session, b)), CloudMessage::Late);
-        assert!(client.give_up(a) && !client.give_up(a));
-        assert_eq!(client.receive(reply(session, a)), CloudMessage::Late);
+        assert_eq!(client.receive(reply(session, b)), CloudMessage::LateAnswer);
+        assert!(client.cancel_request(a) && !client.cancel_request(a));
+        assert_eq!(client.receive(reply(session, a)), CloudMessage::LateAnswer);
         assert!(matches!(client.receive(reply(session, b + 1)), CloudMessage::Malformed(_)));
         assert!(matches!(client.receive(reply(SessionId::random(), a)), CloudMessage::Malformed(_)));
     }
@@ -202,30 +202,30 @@ mod tests {
     #[test]
     fn first_end_reason_is_kept() {
         let session = SessionId::random();
-        let mut client = Client::new(session);
-        client.begin('a').expect("open");
+        let mut client = ClientSession::new(session);
+        client.start_request('a').expect("open");
         let over = client.receive(Header::UnknownSession(UnknownSession { session, request: 0 }));
-        assert_eq!(over, CloudMessage::Over(CloseReason::UnknownSession, vec!['a']));
+        assert_eq!(over, CloudMessage::SessionEnded(CloseReason::UnknownSession, vec!['a']));
         assert_eq!(client.end(CloseReason::Broken("later".into())), Vec::<char>::new());
-        assert_eq!(client.begin('b'), Err(CloseReason::UnknownSession));
-        let other = Goodbye { session: SessionId::random(), reason: String::new(), ordered: None };
+        assert_eq!(client.start_request('b'), Err(CloseReason::UnknownSession));
+        let other = Goodbye { session: SessionId::random(), reason: String::new(), planned_iterations: None };
         assert!(matches!(client.receive(Header::Goodbye(other)), CloudMessage::Malformed(_)));
     }
 
     #[derive(Clone, Debug)]
     enum Step {
-        Begin,
-        GiveUp(u64),
-        Lose(u64),
+        StartRequest,
+        CancelRequest(u64),
+        LoseRequest(u64),
         Receive(Header),
         End,
     }
 
     fn steps(session: SessionId) -> impl Strategy<Value = Vec<Step>> {
         let step = prop_oneof![
-            6 => Just(Step::Begin),
-            2 => (0..16_u64).prop_map(Step::GiveUp),
-            2 => (0..16_u64).prop_map(Step::Lose),
+            6 => Just(Step::StartRequest),
+            2 => (0..16_u64).prop_map(Step::CancelRequest),
+            2 => (0..16_u64).prop_map(Step::LoseRequest),
             8 => strategies::header(vec![session]).prop_map(Step::Receive),
             1 => Just(Step::End),
         ];
@@ -237,12 +237,12 @@ mod tests {
         fn every_request_ends_once(
             (session, steps) in any::<()>().prop_map(|()| SessionId::random()).prop_flat_map(|s| (Just(s), steps(s)))
         ) {
-            let mut client = Client::new(session);
+            let mut client = ClientSession::new(session);
             // In this test the waiter of a request is the request's number.
             let (mut begun, mut ended, mut over) = (0, HashSet::new(), false);
             for step in steps {
                 match step {
-                    Step::Begin => match client.begin(begun) {
+                    Step::StartRequest => match client.start_request(begun) {
                         Ok(request) => {
                             prop_assert!(!over);
                             prop_assert_eq!(request, begun);
@@ -250,13 +250,13 @@ mod tests {
                         }
                         Err(_) => prop_assert!(over),
                     },
-                    Step::GiveUp(request) => {
-                        if client.give_up(request) {
+                    Step::CancelRequest(request) => {
+                        if client.cancel_request(request) {
                             prop_assert!(request < begun && ended.insert(request));
                         }
                     }
-                    Step::Lose(request) => {
-                        if let Some(waiter) = client.lose(request) {
+                    Step::LoseRequest(request) => {
+                        if let Some(waiter) = client.lose_request(request) {
                             prop_assert_eq!(waiter, request);
                             prop_assert!(ended.insert(waiter));
                         }
@@ -266,13 +266,13 @@ mod tests {
                             prop_assert_eq!(waiter, reply.request);
                             prop_assert!(ended.insert(waiter));
                         }
-                        CloudMessage::Over(_, waiters) => {
+                        CloudMessage::SessionEnded(_, waiters) => {
                             over = true;
                             for waiter in waiters {
                                 prop_assert!(ended.insert(waiter));
                             }
                         }
-                        CloudMessage::Clock(_) | CloudMessage::Statistics(_) | CloudMessage::Late | CloudMessage::Malformed(_) => {}
+                        CloudMessage::Clock(_) | CloudMessage::Statistics(_) | CloudMessage::LateAnswer | CloudMessage::Malformed(_) => {}
                     },
                     Step::End => {
                         over = true;

@@ -55,8 +55,8 @@ impl Listener {
         Self::bind_one_of(NonZeroUsize::MIN, address, settings, host, clock).await
     }
 
-    /// Listens on several addresses. The settings apply to each of them; the connections that the process may have are
-    /// shared among them.
+    /// Listens on several addresses. The settings apply to each of them. The addresses share the file descriptors that
+    /// the process has for connections of edges.
     ///
     /// # Errors
     /// Those of [`bind`](Self::bind), for the first address that cannot be bound. The ports bound before it are closed.
@@ -102,8 +102,8 @@ impl Listener {
         &self.address
     }
 
-    /// Returns a text that says why all connections of the port are worse than they could be, and what to do about it.
-    /// `None` if there is no such reason.
+    /// Returns a warning about a limit of the system that slows all connections of the port down, and what to do about
+    /// it. `None` if there is no such limit.
     pub fn caveat(&self) -> Option<&str> {
         self.caveat.as_deref()
     }
@@ -123,12 +123,12 @@ impl Listener {
     pub async fn next(&mut self) -> Option<Incoming> {
         loop {
             if let Some(session) = self.closed.pop_front() {
-                return Some(Incoming::Closed { session, said_goodbye: false, ordered: None });
+                return Some(Incoming::Closed { session, said_goodbye: false, planned_iterations: None });
             }
             match self.receiver.receive().await? {
                 Arrival::Message(peer, frames) => {
-                    // Read before the stamp, while the epoch of the answer is read after its stamp. If both are equal,
-                    // the clock was not stepped in between.
+                    // This epoch is read before the arrival is stamped, and the epoch of the answer after its departure
+                    // is stamped. If both are equal, no step of the clock lies between the two stamps.
                     let (epoch, wall_epoch) = (self.shared.clock.epoch(), self.shared.clock.wall_epoch());
                     let received = self.shared.clock.stamp();
                     let arrival = ArrivalStamp { raw: received.raw, epoch, wall_epoch };
@@ -143,33 +143,29 @@ impl Listener {
                 }
                 Arrival::Lost(connection, loss) => {
                     tracing::debug!(?connection, %loss, "an answer was lost on the way");
-                    self.shared.output.counters.lost(1);
-                    if let Some(counters) = self.shared.machine().counters_of(connection) {
-                        counters.lost(1);
+                    self.shared.output.counters.count_lost(1);
+                    if let Some(counters) = self.shared.server().connection_counters(connection) {
+                        counters.count_lost(1);
                     }
                 }
                 Arrival::Moved(connection, address) => {
                     tracing::debug!(?connection, %address, "an edge has another address");
-                    self.shared.machine().moved(connection, address);
+                    self.shared.server().update_address(connection, address);
                 }
                 Arrival::Gone(connection, reason) => {
-                    let sessions = self.shared.machine().remove_connection(connection);
+                    let sessions = self.shared.server().remove_connection(connection);
                     tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
                     self.closed.extend(sessions);
                 }
                 Arrival::Remark(connection, text) => {
-                    let session = self.shared.machine().session_of(connection);
+                    let session = self.shared.server().first_session(connection);
                     return Some(Incoming::Remark { session, text });
                 }
                 Arrival::Refused(host, text) => return Some(Incoming::Refused { host, text }),
-                Arrival::Garbage(address, problem) => {
+                Arrival::InvalidData(address, problem) => {
                     // The transport has already logged it with its reason.
-                    tracing::debug!(
-                        ?address,
-                        problem,
-                        "dropped a connection that does not speak the protocol"
-                    );
-                    self.shared.output.counters.malformed();
+                    tracing::debug!(?address, problem, "dropped invalid data from a peer");
+                    self.shared.output.counters.count_malformed();
                 }
             }
         }
@@ -180,11 +176,14 @@ impl Listener {
     pub async fn close(self) {
         let wait = self.settings.close_timeout();
         if tokio::time::timeout(wait, self.shared.wait_until_idle()).await.is_err() {
-            let in_flight = self.shared.machine().in_flight();
-            tracing::warn!(in_flight, "closing the port although requests are still being computed");
+            let in_flight = self.shared.server().in_flight();
+            tracing::warn!(
+                in_flight,
+                "the close timeout has passed; closing the port while requests are still being computed"
+            );
         }
-        let farewells = self.shared.machine().goodbye("the cloud shuts down");
-        for (peer, header) in farewells {
+        let goodbyes = self.shared.server().end_all_sessions("the cloud shuts down");
+        for (peer, header) in goodbyes {
             self.shared.send_message(&peer, &header);
         }
         self.receiver.close(wait).await;

@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
-use super::exchange::{ArrivedReply, Exchange, RequestError, Sizes, absorb, result};
+use super::exchange::{ArrivedReply, Exchange, RequestError, Sizes, absorb, request_result};
 use super::open::{OpenError, OpenedSession, handshake};
 use super::receiving::ReceivingTask;
 use super::remarks::Remarks;
@@ -20,8 +20,8 @@ use crate::message::{PeerClock, SessionAccepted, SessionHello, SessionId};
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
 use crate::{Address, SessionSettings};
 
-/// Replaces a timeout that the clock cannot represent.
-const FAR_FUTURE: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
+/// Timeout that is used if the sum of now and the requested timeout overflows.
+const MAX_REQUEST_TIMEOUT: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 
 /// An open session with a cloud. Clones are the same session; it closes when the last one is dropped.
 ///
@@ -53,7 +53,7 @@ impl Session {
     /// Opens a session with the cloud at `address`, over the network that its scheme selects.
     ///
     /// # Errors
-    /// If no answer comes in time, or the cloud refuses.
+    /// If no answer arrives in time, or the cloud refuses.
     pub async fn open(
         address: &Address,
         hello: SessionHello,
@@ -67,31 +67,31 @@ impl Session {
     }
 
     fn start(
-        OpenedSession { dialled, accepted, remarks }: OpenedSession,
+        OpenedSession { connection, accepted, remarks }: OpenedSession,
         settings: &SessionSettings,
         clock: SharedClock,
         counters: Counters,
     ) -> Self {
-        // Without a place, every request would wait until its timeout and give no other reason.
-        let places = accepted.max_in_flight.min(settings.max_in_flight).max(1);
+        // With a limit of 0, every request would wait until its timeout, and the timeout would be the only reason given.
+        let slots = accepted.max_in_flight.min(settings.max_in_flight).max(1);
         let shared = Arc::new(SessionState {
             terms: SessionTerms {
                 session: accepted.session,
                 version: accepted.protocol,
                 max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
             },
-            requests: RequestsInFlight::new(accepted.session, places as usize),
-            sender: dialled.sender,
+            requests: RequestsInFlight::new(accepted.session, slots as usize),
+            sender: connection.sender,
             clock,
             counters,
             peer_clock: watch::Sender::new(accepted.accepted.host_clock.clone()),
             peer_statistics: watch::Sender::default(),
             remarks: Remarks::new(remarks),
-            ordered: OnceLock::new(),
+            planned_iterations: OnceLock::new(),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
         let task = ReceivingTask { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
-        tokio::spawn(task.run(dialled.receiver, settings.close_timeout()));
+        tokio::spawn(task.run(connection.receiver, settings.close_timeout()));
         Self { inner: Arc::new(Inner { shared, accepted: accepted.accepted, stop, stopped }) }
     }
 
@@ -116,14 +116,14 @@ impl Session {
         self.inner.shared.peer_clock.subscribe()
     }
 
-    /// Returns a text that says why the connection is worse than it could be, and what to do about it. `None` if there
-    /// is no such reason.
+    /// Returns a warning about a limit of the system that slows the connection down, and what to do about it. `None` if
+    /// there is no such limit.
     pub fn caveat(&self) -> Option<&str> {
         self.inner.shared.sender.caveat()
     }
 
-    /// Returns a reader of further such texts, as the reasons are noticed. Each text names the object and says what to
-    /// do. The list only grows.
+    /// Returns a reader of further warnings that occur while the session is open, oldest first. Each text names the object
+    /// and says what to do. The list only grows.
     pub fn remarks(&self) -> watch::Receiver<Vec<String>> {
         self.inner.shared.remarks.subscribe()
     }
@@ -145,72 +145,77 @@ impl Session {
 
     /// Sends a sample and waits for the answer. Any number of requests may be in progress at once.
     ///
-    /// Records in `log`: `send-queue` if the request waited for a free place in flight, `encode`, `upload`, `download`,
-    /// their sizes, and the nodes of the cloud. `timeout` covers all of it. Dropping the future gives the request up.
+    /// Records in `log`: `send-queue` if the request had to wait because too many were in flight, `encode`, `upload`,
+    /// `download`, their sizes, and the nodes of the cloud. `timeout` covers all of it. Dropping the future cancels the
+    /// request.
     pub async fn request(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
         let shared = &*self.inner.shared;
         let mut exchange = Exchange {
             log,
             result: Err(RequestError::Timeout),
-            arrived: None,
-            up: None,
-            down: None,
+            arrived_at: None,
+            upload: None,
+            download: None,
             observation: None,
         };
         let now = tokio::time::Instant::now();
-        let deadline = now.checked_add(timeout).unwrap_or(now + FAR_FUTURE);
-        let _place = match shared.requests.place(&mut exchange.log, deadline).await {
-            Ok(place) => place,
+        let deadline = now.checked_add(timeout).unwrap_or(now + MAX_REQUEST_TIMEOUT);
+        let _slot = match shared.requests.acquire_slot(&mut exchange.log, deadline).await {
+            Ok(slot) => slot,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
         let mut pending = match shared.send(&mut exchange.log, sample, deadline) {
             Ok(pending) => pending,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
-        exchange.up = Some(pending.departed.upload);
+        exchange.upload = Some(pending.departed.upload);
         let answer = tokio::time::timeout_at(deadline, &mut pending.answer).await;
         match answer {
-            Ok(Ok(Answer::Reply(arrived))) => self.take(&mut exchange, &pending, *arrived),
+            Ok(Ok(Answer::Reply(arrived))) => self.handle_reply(&mut exchange, &pending, *arrived),
             Ok(Ok(Answer::Lost(reason))) => exchange.result = Err(RequestError::Lost(reason)),
-            Ok(Ok(Answer::Over(reason))) => exchange.result = Err(RequestError::Lost(reason.to_string())),
-            Ok(Err(_)) => exchange.result = Err(RequestError::Lost("the receiving task is gone".into())),
+            Ok(Ok(Answer::SessionEnded(reason))) => {
+                exchange.result = Err(RequestError::Lost(reason.to_string()))
+            }
+            Ok(Err(_)) => {
+                exchange.result = Err(RequestError::Lost("the task that receives answers has ended".into()))
+            }
             // The result remains the timeout.
             Err(_) => {}
         }
-        // After an answer, the sizes have been recorded behind the nodes of the cloud.
-        if exchange.arrived.is_none() {
+        // If an answer arrived, `handle_reply` has recorded the sizes after the nodes of the cloud.
+        if exchange.arrived_at.is_none() {
             pending.sizes.record(&mut exchange.log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         }
         exchange
     }
 
-    /// Handles an answer. The cloud extended the tree as it was sent, so nothing may be added to the tree before the
-    /// tree delta is absorbed.
-    fn take(&self, exchange: &mut Exchange, sent: &PendingRequest<'_>, arrived: ArrivedReply) {
+    /// Handles an answer: adds the cloud's nodes, `download` and the sizes to the tree, and sets the result.
+    fn handle_reply(&self, exchange: &mut Exchange, sent: &PendingRequest<'_>, arrived: ArrivedReply) {
         let shared = &*self.inner.shared;
-        let sizes = Sizes::of(&arrived.frames);
+        let sizes = Sizes::from_frames(&arrived.frames);
         let log = &mut exchange.log;
-        exchange.arrived = Some(arrived.at);
-        let raw = shared.terms.has_raw_stamps();
-        let absorbed = absorb(log, self.inner.accepted.host, raw, &sent.departed, &arrived);
+        exchange.arrived_at = Some(arrived.stamp);
+        let has_raw_stamps = shared.terms.has_raw_stamps();
+        // First of all additions, because the node ids in the tree delta refer to the tree as it was sent.
+        let absorbed = absorb(log, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
         sent.sizes.record(log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(log, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
         exchange.result = match absorbed {
             Ok(absorbed) => {
-                exchange.down = absorbed.map(|(down, _)| down);
+                exchange.download = absorbed.map(|(down, _)| down);
                 exchange.observation = absorbed.and_then(|(_, observation)| observation);
-                result(arrived.reply.outcome, arrived.frames)
+                request_result(arrived.reply.outcome, arrived.frames)
             }
             Err(problem) => {
-                shared.counters.malformed();
-                Err(RequestError::Failed(format!("the answer makes no sense: {problem}")))
+                shared.counters.count_malformed();
+                Err(RequestError::Failed(format!("the answer is invalid: {problem}")))
             }
         };
     }
 
     /// Waits until the session is over. Returns the reason.
     pub async fn closed(&self) -> CloseReason {
-        self.inner.shared.requests.ended().await
+        self.inner.shared.requests.wait_for_end().await
     }
 
     /// Says goodbye and closes the connection; requests in flight are lost. Closing a closed session has no effect.
@@ -219,10 +224,10 @@ impl Session {
         self.inner.stopped.cancelled().await;
     }
 
-    /// [Closes](Self::close) the session at the end of a run that was to have `ordered` iterations, so that the cloud
-    /// does not wait for missing ones.
-    pub async fn close_after(&self, ordered: u64) {
-        self.inner.shared.ordered.get_or_init(|| ordered);
+    /// [Closes](Self::close) the session at the end of a run that was configured to have `planned_iterations`, so that the
+    /// cloud does not wait for missing ones.
+    pub async fn close_after_run(&self, planned_iterations: u64) {
+        self.inner.shared.planned_iterations.get_or_init(|| planned_iterations);
         self.close().await;
     }
 }

@@ -18,16 +18,16 @@ pub struct Exchange {
     /// The answer.
     pub result: Result<Sample, RequestError>,
     /// Time at which the whole answer had arrived; `None` if no answer came.
-    pub arrived: Option<Stamp>,
+    pub arrived_at: Option<Stamp>,
     /// The `upload` node; `None` if nothing was sent.
-    pub up: Option<NodeId>,
+    pub upload: Option<NodeId>,
     /// The `download` node; `None` if no model answered.
-    pub down: Option<NodeId>,
-    /// The four stamps of `upload` and `download`, from which the relation of the two clocks is learned.
+    pub download: Option<NodeId>,
+    /// The four stamps of `upload` and `download`, from which the clock relation of the two hosts is estimated.
     ///
-    /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since
-    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), before that of its wall clock. `None` if no model answered, or if
-    /// the clock of either host was interrupted in between: nothing follows from such stamps.
+    /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since version
+    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), before that of its wall clock. `None` if no model answered. Also
+    /// `None` if the clock of either host was interrupted in between, because such stamps bound no offset.
     pub observation: Option<ExchangeObservation>,
 }
 
@@ -41,7 +41,7 @@ const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 pub(crate) struct ArrivedReply {
     pub(crate) reply: Reply,
     pub(crate) frames: Frames,
-    pub(crate) at: Stamp,
+    pub(crate) stamp: Stamp,
     /// Edge's epoch, read right after the arrival was stamped.
     pub(crate) epoch: u32,
 }
@@ -51,7 +51,7 @@ pub(crate) struct ArrivedReply {
 pub(crate) struct DepartedRequest {
     /// The `upload` node.
     pub(crate) upload: NodeId,
-    pub(crate) at: Stamp,
+    pub(crate) stamp: Stamp,
     /// Edge's epoch, read right before the departure was stamped.
     pub(crate) epoch: u32,
 }
@@ -59,7 +59,7 @@ pub(crate) struct DepartedRequest {
 /// Reason why a request has no answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
-    /// The session ended before the answer came, or the request or its answer was lost on the way.
+    /// The session ended before the answer arrived, or the request or its answer was lost on the way.
     #[error("the request was lost: {0}")]
     Lost(String),
     /// No answer came in time. An answer that still comes is dropped and counted.
@@ -76,14 +76,14 @@ pub enum RequestError {
 /// Size of a message. Bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sizes {
-    /// Header and tree.
+    /// Length of the header and the tree.
     pub(crate) logger: u64,
-    /// Payload.
+    /// Length of the payload.
     pub(crate) payload: u64,
 }
 
 impl Sizes {
-    pub(crate) fn of(frames: &Frames) -> Self {
+    pub(crate) fn from_frames(frames: &Frames) -> Self {
         let bytes = |frames: &[bytes::Bytes]| frames.iter().map(|frame| frame.len() as u64).sum();
         let (logger, payload) = frames.split_at(frames.len().min(2));
         Self { logger: bytes(logger), payload: bytes(payload) }
@@ -107,25 +107,25 @@ impl Sizes {
 pub(crate) enum TreeDeltaError {
     #[error(transparent)]
     Frame(#[from] TreeFrameError),
-    #[error("the cloud closed another node than upload")]
+    #[error("the tree delta closes another node than upload")]
     OtherNodeClosed,
-    #[error("the cloud's nodes are another host's")]
+    #[error("the tree delta is of another host than the cloud")]
     OtherHost,
-    #[error("too many hosts in one tree")]
+    #[error("the tree would have too many hosts")]
     TooManyHosts,
-    #[error("the cloud added a node to a host that was there before it")]
+    #[error("the tree delta adds a node to a host that was in the tree before the cloud")]
     EarlierHost,
-    #[error("no stamps of the cloud's free-running clock")]
+    #[error("the stamps of the cloud's free-running clock are missing")]
     NoRawStamps,
-    #[error("too many nodes in one tree")]
+    #[error("the tree would have too many nodes")]
     TooManyNodes,
     #[error(transparent)]
     Tree(#[from] TreeError),
 }
 
-/// Adds the cloud's part to the tree: closes `upload`, appends the cloud's nodes and `download`. Returns the position
-/// of `download` and the stamps, or `None` if no model answered. `raw` is `true` if the session's version has stamps of
-/// the cloud's free-running clock.
+/// Adds the cloud's part to the tree: closes `upload`, appends the cloud's nodes and `download`. Returns the `download`
+/// node and the stamps of the exchange, or `None` if no model answered. `has_raw_stamps` is `true` if the session's
+/// version has stamps of the cloud's free-running clock.
 ///
 /// A tree delta may only add nodes of the host that made it.
 ///
@@ -134,7 +134,7 @@ pub(crate) enum TreeDeltaError {
 pub(crate) fn absorb(
     log: &mut Recorder,
     cloud: HostId,
-    raw: bool,
+    has_raw_stamps: bool,
     departed: &DepartedRequest,
     arrived: &ArrivedReply,
 ) -> Result<Option<(NodeId, Option<ExchangeObservation>)>, TreeDeltaError> {
@@ -148,19 +148,20 @@ pub(crate) fn absorb(
     if delta.anchor.host != cloud {
         return Err(TreeDeltaError::OtherHost);
     }
-    let joined = u8::try_from(log.tree().anchors().len()).map_err(|_| TreeDeltaError::TooManyHosts)?;
-    let host = HostIndex(joined);
+    let host_count = u8::try_from(log.tree().anchors().len()).map_err(|_| TreeDeltaError::TooManyHosts)?;
+    let host = HostIndex(host_count);
     if delta.nodes.iter().any(|node| node.host < host) {
         return Err(TreeDeltaError::EarlierHost);
     }
-    let cloud_times = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
+    let cloud_times = match (has_raw_stamps, arrived.reply.arrived_raw, departure.sent_raw) {
         // The cloud's wall clock replaces its free-running clock.
         (false, ..) => (RawTime::from_wall(delta.closed.1), RawTime::from_wall(departure.sent)),
         (true, Some(received), Some(replied)) => (received, replied),
         (true, ..) => return Err(TreeDeltaError::NoRawStamps),
     };
-    let raw_stamps = Some(RawStamps { sent: cloud_times.1, received: arrived.at.raw });
-    let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None, raw_stamps };
+    let raw_stamps = Some(RawStamps { sent: cloud_times.1, received: arrived.stamp.raw });
+    let transit =
+        Transit { sent: departure.sent, received: Some(arrived.stamp.wall), delay: None, raw_stamps };
     delta.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
@@ -168,9 +169,9 @@ pub(crate) fn absorb(
         start: departure.start,
         measure: Measure::Transit(Box::new(transit)),
     });
-    let observation = observation(departed, raw, cloud_times, departure, arrived);
+    let observation = observation(departed, has_raw_stamps, cloud_times, departure, arrived);
     log.tree_mut().apply_delta(delta)?;
-    let up = RawStamps { sent: departed.at.raw, received: cloud_times.0 };
+    let up = RawStamps { sent: departed.stamp.raw, received: cloud_times.0 };
     set_raw_stamps(log.tree_mut(), departed.upload, up);
     let last = log.tree().nodes().len() - 1;
     let download = u32::try_from(last).map(NodeId).map_err(|_| TreeDeltaError::TooManyNodes)?;
@@ -183,11 +184,11 @@ fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
     }
 }
 
-/// Returns the stamps of an exchange. The pair has the cloud's stamps; `raw` is `true` if they are of its free-running
-/// clock.
+/// Returns the stamps of an exchange. `received` and `replied` are the cloud's stamps; `has_raw_stamps` is `true` if they
+/// are of its free-running clock.
 fn observation(
     departed: &DepartedRequest,
-    raw: bool,
+    has_raw_stamps: bool,
     (received, replied): (RawTime, RawTime),
     departure: Departure,
     arrived: &ArrivedReply,
@@ -196,27 +197,27 @@ fn observation(
         return None;
     }
     let exchange = peernet_clock::Exchange {
-        sent: departed.at.raw,
+        sent: departed.stamp.raw,
         received,
         replied,
-        returned: arrived.at.raw,
+        returned: arrived.stamp.raw,
         uncertainty: UNCERTAINTY,
     };
     Some(ExchangeObservation {
         exchange,
         // The monotonic clock is slewed and the free-running one is not. Their durations may therefore differ.
-        cloud_elapsed: (!raw).then_some(departure.start),
+        cloud_elapsed: (!has_raw_stamps).then_some(departure.start),
         edge_epoch: arrived.epoch,
         cloud_epoch: Some(departure.epoch),
     })
 }
 
 /// Returns the result of a request with this outcome and these frames.
-pub(crate) fn result(outcome: Outcome, frames: Frames) -> Result<Sample, RequestError> {
+pub(crate) fn request_result(outcome: Outcome, frames: Frames) -> Result<Sample, RequestError> {
     match outcome {
         Outcome::Answer(header) => header
             .into_sample(frames.into_iter().skip(2))
-            .map_err(|error| RequestError::Failed(format!("the answer makes no sense: {error}"))),
+            .map_err(|error| RequestError::Failed(format!("the answer is invalid: {error}"))),
         Outcome::Failed(reason) => Err(RequestError::Failed(reason)),
         Outcome::Overloaded(reason) => Err(RequestError::Overloaded(reason)),
     }

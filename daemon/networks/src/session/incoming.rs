@@ -17,16 +17,16 @@ pub enum Incoming {
     Open(OpenRequest),
     /// An edge sends a sample and expects an answer.
     Request(IncomingRequest),
-    /// A session is over. Also reported for a session that was asked for and not answered yet.
+    /// A session is over, or an edge that asked for a session left before the request was answered.
     Closed {
         /// The session.
         session: SessionId,
         /// `true` if the edge said goodbye, `false` if its connection is gone.
         said_goodbye: bool,
-        /// Number of iterations that the edge's run was to have, if the session ended with that run.
-        ordered: Option<u64>,
+        /// Number of iterations that the edge's run was configured to have, if the session ended with that run.
+        planned_iterations: Option<u64>,
     },
-    /// A connection is worse than it could be.
+    /// A connection is worse than it could be, such as a path that carries only short datagrams.
     Remark {
         /// A session of that connection; `None` if it has none now.
         session: Option<SessionId>,
@@ -81,7 +81,8 @@ impl OpenRequest {
 impl Drop for OpenRequest {
     fn drop(&mut self) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
-            shared.refuse(self.session, "the cloud dropped the request for a session".into());
+            shared
+                .refuse(self.session, "the cloud dropped the request for a session without an answer".into());
         }
     }
 }
@@ -107,7 +108,7 @@ pub enum Failure {
     /// The computation on this sample failed.
     #[error("{0}")]
     Failed(String),
-    /// There is no room for another sample at the moment.
+    /// The model accepts no further sample at the moment.
     #[error("{0}")]
     Overloaded(String),
 }
@@ -120,13 +121,13 @@ pub(crate) struct RequestKey {
     pub(crate) arrival: ArrivalStamp,
 }
 
-/// Arrival of a request, as its reply states it.
+/// Arrival of a request, which its reply repeats.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArrivalStamp {
     pub(crate) raw: RawTime,
-    /// Epoch of the free-running clock, read right before.
+    /// Epoch of the free-running clock, read right before the stamp.
     pub(crate) epoch: u32,
-    /// Epoch of the wall clock, read right before.
+    /// Epoch of the wall clock, read right before the stamp.
     pub(crate) wall_epoch: u32,
 }
 

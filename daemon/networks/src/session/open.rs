@@ -8,7 +8,7 @@ use super::client::{HelloOutcome, classify_answer};
 use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
-use crate::transport::{DialFailure, Dialler, EdgeArrival, EdgeConnection, SendOptions};
+use crate::transport::{DialContext, DialFailure, EdgeArrival, EdgeConnection, SendOptions};
 use crate::{Address, SessionSettings};
 
 /// Reason why a session could not be opened.
@@ -22,7 +22,7 @@ pub enum OpenError {
         /// Cause.
         reason: String,
     },
-    /// A program accepted the connection and did not answer in time.
+    /// A program accepted the connection, did not answer in time, and may not be a cloud.
     #[error(
         "something listens at {address} but does not answer like an agent's [serve]; is this the port of an aggregator or of something else?{}",
         Self::LOADING
@@ -33,7 +33,7 @@ pub enum OpenError {
         /// Time that was waited. Milliseconds.
         waited_ms: u64,
     },
-    /// The cloud is there and gave no answer.
+    /// The other end identified itself as a cloud and did not answer.
     #[error(
         "the cloud at {address} did not answer the request for a session: {reason}; does its log say why{}",
         Self::LOADING
@@ -44,7 +44,7 @@ pub enum OpenError {
         /// Time that was waited, or the reason why the connection ended.
         reason: String,
     },
-    /// The cloud does not serve the requested model or device, or has no room.
+    /// The cloud does not serve the requested model or device, or has reached a limit of sessions.
     #[error("the cloud at {address} refused the session: {reason}")]
     Refused {
         /// Address of the cloud.
@@ -66,21 +66,21 @@ fn incompatible(address: &Address, mismatch: &VersionMismatch) -> String {
     mismatch.describe("the session protocol", "this program", &format!("the cloud at {address}"))
 }
 
-/// Returns the advice for a cloud that cannot be reached. It is empty if the reason contains advice itself, as that of
+/// Returns the advice for a cloud that cannot be reached. It is empty if the reason already contains advice, as that of
 /// a missing ROS master does.
 fn advice(reason: &str) -> &'static str {
     if reason.contains("; ") { "" } else { "; is it running, and is the address right?" }
 }
 
 impl OpenError {
-    /// End of the text of [`Self::TimedOut`]. It applies only where a configuration can be changed and the model may
-    /// take long to load.
+    /// End of the texts of [`Self::TimedOut`] and [`Self::Unanswered`]. It applies only if a configuration can be changed
+    /// and the model may take long to load.
     pub const LOADING: &str = " or does its model take longer to load than open_timeout_ms allows?";
 }
 
 /// A connection with an accepted session.
 pub(crate) struct OpenedSession {
-    pub(crate) dialled: EdgeConnection,
+    pub(crate) connection: EdgeConnection,
     pub(crate) accepted: Accepted,
     /// Remarks of the transport so far.
     pub(crate) remarks: Vec<String>,
@@ -97,33 +97,34 @@ pub(crate) async fn handshake(
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
     let waited_ms = settings.open_timeout_ms;
     let deadline = Instant::now() + settings.open_timeout();
-    let dialler = Dialler { hello: &hello, clock };
-    let dialled = timeout_at(deadline, address.network().dial(address, settings, &dialler)).await;
-    let mut dialled = dialled.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
-        DialFailure::Unreachable(reason) => unreachable(reason),
-        DialFailure::Refused(reason) => OpenError::Refused { address: address.clone(), reason },
-        // The text has no duration: the system may have been asked to wait for less than the settings allow.
-        DialFailure::TimedOut => unreachable("nothing answered".to_owned()),
-    })?;
+    let context = DialContext { hello: &hello, clock };
+    let connection = timeout_at(deadline, address.network().dial(address, settings, &context)).await;
+    let mut connection =
+        connection.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
+            DialFailure::Unreachable(reason) => unreachable(reason),
+            DialFailure::Refused(reason) => OpenError::Refused { address: address.clone(), reason },
+            // The text has no duration: the system may have been asked to wait for less than the settings allow.
+            DialFailure::TimedOut => unreachable("nothing answered".to_owned()),
+        })?;
     let open = Header::Open(Box::new(Open { hello, max_message_bytes: settings.max_message_bytes }));
     let open = open.encode().map_err(|error| unreachable(error.to_string()))?;
     let bytes = open.len() as u64;
-    dialled
+    connection
         .sender
         .send(vec![open], SendOptions::default())
         .map_err(|error| unreachable(error.to_string()))?;
-    counters.sent(bytes);
+    counters.count_sent(bytes);
     let mut remarks = Vec::new();
     loop {
-        let frames = timeout_at(deadline, dialled.receiver.receive()).await;
+        let frames = timeout_at(deadline, connection.receiver.receive()).await;
         // An aggregator, or a cloud that has too many sessions to open, closes the connection without an answer.
         let reason = match frames {
             Ok(Ok(EdgeArrival::Message(frames))) => {
-                counters.received(Sizes::of(&frames).total());
+                counters.count_received(Sizes::from_frames(&frames).total());
                 let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
                 match classify_answer(header) {
                     HelloOutcome::Accepted(accepted) => {
-                        return Ok(OpenedSession { dialled, accepted: *accepted, remarks });
+                        return Ok(OpenedSession { connection, accepted: *accepted, remarks });
                     }
                     HelloOutcome::Refused(reason) => {
                         return Err(OpenError::Refused { address: address.clone(), reason });
@@ -132,7 +133,7 @@ pub(crate) async fn handshake(
                         return Err(OpenError::Incompatible { address: address.clone(), mismatch });
                     }
                     // Some other message; the answer may still come.
-                    HelloOutcome::Nonsense => continue,
+                    HelloOutcome::Unrelated => continue,
                 }
             }
             Ok(Ok(EdgeArrival::Remark(text))) => {
@@ -141,15 +142,15 @@ pub(crate) async fn handshake(
             }
             // The transport repeats the messages that open a session.
             Ok(Ok(EdgeArrival::Incomplete(_) | EdgeArrival::Lost(_))) => continue,
-            Ok(Ok(EdgeArrival::Garbage(_))) => {
-                counters.malformed();
+            Ok(Ok(EdgeArrival::InvalidData(_))) => {
+                counters.count_malformed();
                 continue;
             }
             Ok(Err(disconnected)) => disconnected.to_string(),
-            Err(_) => format!("nothing came within {waited_ms} ms"),
+            Err(_) => format!("no answer arrived within {waited_ms} ms"),
         };
         let address = address.clone();
-        return Err(match dialled.is_cloud {
+        return Err(match connection.is_cloud {
             true => OpenError::Unanswered { address, reason },
             false => OpenError::TimedOut { address, waited_ms },
         });

@@ -16,23 +16,23 @@ use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageL
 impl SessionState {
     /// Handles a message that arrived at `arrived`. Returns the reason if the session is over now.
     fn receive(&self, frames: Frames, arrived: Stamp) -> Option<CloseReason> {
-        self.counters.received(Sizes::of(&frames).total());
+        self.counters.count_received(Sizes::from_frames(&frames).total());
         let header = frames.first().ok_or_else(|| "no frames".to_owned());
         let header = header.and_then(|frame| Header::decode(frame).map_err(|error| error.to_string()));
         let message = match header {
             Ok(header) => self.requests.receive(header),
             Err(problem) => {
-                tracing::debug!(problem, "dropped a message from the cloud");
-                self.counters.malformed();
+                tracing::debug!(problem, "dropped an invalid message from the cloud");
+                self.counters.count_malformed();
                 return None;
             }
         };
         match message {
             CloudMessage::Answer(waiter, reply) => {
-                let reply = ArrivedReply { reply, frames, at: arrived, epoch: self.clock.epoch() };
-                // Fails if the request was given up at this moment.
+                let reply = ArrivedReply { reply, frames, stamp: arrived, epoch: self.clock.epoch() };
+                // Fails if the request was cancelled at this moment.
                 if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
-                    self.counters.late();
+                    self.counters.count_late();
                 }
                 None
             }
@@ -44,39 +44,39 @@ impl SessionState {
                 self.peer_clock.send_replace(clock);
                 None
             }
-            CloudMessage::Late => {
-                self.counters.late();
+            CloudMessage::LateAnswer => {
+                self.counters.count_late();
                 None
             }
             CloudMessage::Malformed(problem) => {
-                tracing::debug!(problem, "dropped a message from the cloud");
-                self.counters.malformed();
+                tracing::debug!(problem, "dropped an invalid message from the cloud");
+                self.counters.count_malformed();
                 None
             }
-            CloudMessage::Over(reason, waiters) => {
+            CloudMessage::SessionEnded(reason, waiters) => {
                 end_all(&reason, waiters, &self.counters);
                 Some(reason)
             }
         }
     }
 
-    /// Ends the request whose message did not arrive as a whole in either direction.
-    fn lose(&self, loss: MessageLoss, what: &str) {
-        let waiter = loss.tag.and_then(|request| self.requests.lose(request));
+    /// Ends a request of which the request message or the answer was lost. `what` says which.
+    fn lose_request(&self, loss: MessageLoss, what: &str) {
+        let waiter = loss.tag.and_then(|request| self.requests.lose_request(request));
         if let Some(waiter) = waiter {
-            self.counters.lost(1);
-            // Fails if the request was given up at this moment; it then needs no answer.
+            self.counters.count_lost(1);
+            // Fails if the request was cancelled at this moment; it then needs no answer.
             let _ = waiter.send(Answer::Lost(format!("{what}: {loss}")));
         }
     }
 }
 
-/// The task that receives messages from the network. However it ends, the session ends with it.
+/// The task that receives messages from the network. The session ends when the task ends, for any reason.
 pub(super) struct ReceivingTask {
     pub(super) shared: Arc<SessionState>,
-    /// Cancelled by users of the session who want to close it.
+    /// Token that users of the session cancel to close it.
     pub(super) stop: CancellationToken,
-    /// Cancelled by this task when the session is closed.
+    /// Token that this task cancels when the session is closed.
     pub(super) stopped: CancellationToken,
 }
 
@@ -96,14 +96,14 @@ impl ReceivingTask {
                             }
                         }
                         Ok(EdgeArrival::Incomplete(loss)) => {
-                            self.shared.lose(loss, "the answer was lost on the way");
+                            self.shared.lose_request(loss, "the answer was lost on the way");
                         }
                         Ok(EdgeArrival::Lost(loss)) => {
-                            self.shared.lose(loss, "it was lost on the way to the cloud");
+                            self.shared.lose_request(loss, "it was lost on the way to the cloud");
                         }
-                        Ok(EdgeArrival::Garbage(problem)) => {
-                            tracing::debug!(problem, "dropped what came from where the cloud is");
-                            self.shared.counters.malformed();
+                        Ok(EdgeArrival::InvalidData(problem)) => {
+                            tracing::debug!(problem, "dropped invalid data from the cloud's address");
+                            self.shared.counters.count_malformed();
                         }
                         Ok(EdgeArrival::Remark(text)) => self.shared.remarks.add(text),
                         Err(Disconnected(reason)) => break CloseReason::Broken(reason),
@@ -111,7 +111,8 @@ impl ReceivingTask {
                 }
             }
         };
-        // A goodbye is only sent if this side closes; in all other cases the other end knows that the session is over.
+        // A goodbye is sent only if this end closes the session. In all other cases the other end knows already that the
+        // session is over.
         if reason == CloseReason::Local {
             self.send_goodbye();
         }
@@ -123,7 +124,7 @@ impl ReceivingTask {
         let goodbye = Goodbye {
             session: self.shared.terms.session,
             reason: "the edge closed the session".into(),
-            ordered: self.shared.ordered.get().copied(),
+            planned_iterations: self.shared.planned_iterations.get().copied(),
         };
         let sent = Header::Goodbye(goodbye).encode().map_err(|error| error.to_string()).and_then(|header| {
             let bytes = header.len() as u64;
@@ -134,15 +135,15 @@ impl ReceivingTask {
             Ok(bytes)
         });
         match sent {
-            Ok(bytes) => self.shared.counters.sent(bytes),
-            Err(error) => tracing::debug!(error, "could not say goodbye to the cloud"),
+            Ok(bytes) => self.shared.counters.count_sent(bytes),
+            Err(error) => tracing::debug!(error, "cannot send a goodbye to the cloud"),
         }
     }
 }
 
 impl Drop for ReceivingTask {
     fn drop(&mut self) {
-        let reason = CloseReason::Broken("the receiving task ended early".into());
+        let reason = CloseReason::Broken("the task that receives answers has ended".into());
         self.shared.requests.end(&reason, &self.shared.counters);
         self.stopped.cancel();
     }

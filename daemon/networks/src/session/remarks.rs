@@ -2,10 +2,10 @@
 
 use tokio::sync::watch;
 
-/// Largest number of remarks of one connection that are kept.
+/// Largest number of stored remarks of one connection.
 const MAX_REMARKS: usize = 64;
 
-/// Remarks about one connection, oldest first. None is removed. A remark that finds no room is only logged.
+/// Remarks about one connection, oldest first. None is removed. Beyond [`MAX_REMARKS`], a remark is only logged.
 #[derive(Debug)]
 pub(super) struct Remarks {
     texts: watch::Sender<Vec<String>>,
@@ -20,13 +20,13 @@ impl Remarks {
     /// Adds a remark.
     pub(super) fn add(&self, text: String) {
         self.texts.send_if_modified(|texts| {
-            let has_room = texts.len() < MAX_REMARKS;
-            if has_room {
+            let is_added = texts.len() < MAX_REMARKS;
+            if is_added {
                 texts.push(text);
             } else {
                 tracing::warn!("{text}");
             }
-            has_room
+            is_added
         });
     }
 

@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use peernet_logger::{Recorder, stage};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
-use super::client::{Client, CloseReason, CloudMessage};
+use super::client::{ClientSession, CloseReason, CloudMessage};
 use super::exchange::{ArrivedReply, RequestError};
 use crate::message::{Header, SessionId};
 use crate::statistics::Counters;
@@ -16,52 +16,53 @@ pub(super) enum Answer {
     Reply(Box<ArrivedReply>),
     /// The request or its answer was lost on the way. The text says how much of it arrived.
     Lost(String),
-    Over(CloseReason),
+    /// The session ended, for this reason.
+    SessionEnded(CloseReason),
 }
 
 /// Sender to the task that waits for an answer.
 pub(super) type Waiter = oneshot::Sender<Answer>;
 
-/// Requests in flight. When the session is over, all of them end, and no further request or place in flight is granted.
+/// Requests of a session in flight. When the session is over, all of them end, and no further request can start.
 #[derive(Debug)]
 pub(super) struct RequestsInFlight {
-    client: Mutex<Client<Waiter>>,
-    /// Free places in flight; closed when the session is over.
-    places: Semaphore,
-    over: watch::Sender<Option<CloseReason>>,
+    client: Mutex<ClientSession<Waiter>>,
+    /// Number of requests that may still start; closed when the session is over.
+    slots: Semaphore,
+    close_reason: watch::Sender<Option<CloseReason>>,
 }
 
 impl RequestsInFlight {
-    /// Allows at most `places` requests in flight at once.
-    pub(super) fn new(session: SessionId, places: usize) -> Self {
+    /// Creates an empty set that allows at most `slots` requests in flight at once.
+    pub(super) fn new(session: SessionId, slots: usize) -> Self {
         Self {
-            client: Mutex::new(Client::new(session)),
-            places: Semaphore::new(places),
-            over: watch::Sender::new(None),
+            client: Mutex::new(ClientSession::new(session)),
+            slots: Semaphore::new(slots),
+            close_reason: watch::Sender::new(None),
         }
     }
 
-    fn client(&self) -> MutexGuard<'_, Client<Waiter>> {
+    fn client(&self) -> MutexGuard<'_, ClientSession<Waiter>> {
         self.client.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for a place in flight. Records `send-queue` only if it has to wait.
+    /// Waits until another request may be in flight. Records `send-queue` only if it has to wait.
     ///
     /// # Errors
     /// If the deadline passes, or the session is over.
-    pub(super) async fn place(
+    pub(super) async fn acquire_slot(
         &self,
         log: &mut Recorder,
         deadline: tokio::time::Instant,
     ) -> Result<SemaphorePermit<'_>, RequestError> {
-        if let Ok(place) = self.places.try_acquire() {
-            return Ok(place);
+        if let Ok(slot) = self.slots.try_acquire() {
+            return Ok(slot);
         }
-        let waiting = log.start(stage::SEND_QUEUE);
-        let place = tokio::time::timeout_at(deadline, self.places.acquire()).await;
-        log.stop(waiting);
-        place.map_err(|_| RequestError::Timeout)?.map_err(|_| {
-            let reason = self.over.borrow().clone().unwrap_or(CloseReason::Local);
+        let queued = log.start(stage::SEND_QUEUE);
+        let slot = tokio::time::timeout_at(deadline, self.slots.acquire()).await;
+        log.stop(queued);
+        slot.map_err(|_| RequestError::Timeout)?.map_err(|_| {
+            let reason = self.close_reason.borrow().clone().unwrap_or(CloseReason::Local);
             RequestError::Lost(reason.to_string())
         })
     }
@@ -70,15 +71,16 @@ impl RequestsInFlight {
     ///
     /// # Errors
     /// If the session is over.
-    pub(super) fn begin(&self) -> Result<(u64, oneshot::Receiver<Answer>), RequestError> {
+    pub(super) fn start_request(&self) -> Result<(u64, oneshot::Receiver<Answer>), RequestError> {
         let (waiter, answer) = oneshot::channel();
-        let request = self.client().begin(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
+        let request =
+            self.client().start_request(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
         Ok((request, answer))
     }
 
     /// Stops waiting for the answer to a request.
-    pub(super) fn give_up(&self, request: u64) {
-        self.client().give_up(request);
+    pub(super) fn cancel_request(&self, request: u64) {
+        self.client().cancel_request(request);
     }
 
     /// Handles a message from the cloud.
@@ -86,27 +88,27 @@ impl RequestsInFlight {
         self.client().receive(header)
     }
 
-    /// Removes a request that was lost, or whose answer was lost. Returns its waiter, if it is still waited for.
-    pub(super) fn lose(&self, request: u64) -> Option<Waiter> {
-        self.client().lose(request)
+    /// Removes a request that was lost on the way, or whose answer was. Returns its waiter if the request was in flight.
+    pub(super) fn lose_request(&self, request: u64) -> Option<Waiter> {
+        self.client().lose_request(request)
     }
 
     /// Ends the session; the first reason is kept. Requests in flight are counted as lost and end.
     pub(super) fn end(&self, reason: &CloseReason, counters: &Counters) {
         let waiters = self.client().end(reason.clone());
         end_all(reason, waiters, counters);
-        self.over.send_if_modified(|over| {
-            let first = over.is_none();
-            over.get_or_insert_with(|| reason.clone());
-            first
+        self.close_reason.send_if_modified(|close_reason| {
+            let is_first = close_reason.is_none();
+            close_reason.get_or_insert_with(|| reason.clone());
+            is_first
         });
-        self.places.close();
+        self.slots.close();
     }
 
     /// Waits until the session is over. Returns the reason.
-    pub(super) async fn ended(&self) -> CloseReason {
-        let mut over = self.over.subscribe();
-        match over.wait_for(Option::is_some).await {
+    pub(super) async fn wait_for_end(&self) -> CloseReason {
+        let mut close_reason = self.close_reason.subscribe();
+        match close_reason.wait_for(Option::is_some).await {
             Ok(reason) => reason.clone().unwrap_or(CloseReason::Local),
             Err(_) => CloseReason::Local,
         }
@@ -116,10 +118,10 @@ impl RequestsInFlight {
 /// Counts requests as lost and ends them because the session is over.
 pub(super) fn end_all(reason: &CloseReason, waiters: Vec<Waiter>, counters: &Counters) {
     // Counted first, so that a waiter that reads the statistics finds its request counted.
-    counters.lost(waiters.len() as u64);
+    counters.count_lost(waiters.len() as u64);
     for waiter in waiters {
-        // Fails if the request was given up at this moment; it then needs no answer.
-        let _ = waiter.send(Answer::Over(reason.clone()));
+        // Fails if the request was cancelled at this moment; it then needs no answer.
+        let _ = waiter.send(Answer::SessionEnded(reason.clone()));
     }
 }
 
@@ -142,19 +144,19 @@ mod tests {
     async fn session_end_fails_all_requests() {
         let (requests, counters) = (RequestsInFlight::new(SessionId::random(), 1), Counters::default());
         let soon = tokio::time::Instant::now() + std::time::Duration::from_secs(60);
-        let place = requests.place(&mut log(), soon).await.expect("one is free");
-        let (_, answer) = requests.begin().expect("open");
-        let mut waiting = log();
-        let (second, ()) = tokio::join!(requests.place(&mut waiting, soon), async {
+        let slot = requests.acquire_slot(&mut log(), soon).await.expect("one is free");
+        let (_, answer) = requests.start_request().expect("open");
+        let mut queued = log();
+        let (second, ()) = tokio::join!(requests.acquire_slot(&mut queued, soon), async {
             requests.end(&CloseReason::UnknownSession, &counters);
             requests.end(&CloseReason::Local, &counters);
         });
-        drop(place);
-        let over = CloseReason::UnknownSession.to_string();
-        assert_eq!(second.map(drop), Err(RequestError::Lost(over.clone())));
-        assert!(matches!(answer.await, Ok(Answer::Over(CloseReason::UnknownSession))));
-        assert_eq!(requests.begin().map(drop), Err(RequestError::Lost(over)));
-        assert_eq!(requests.ended().await, CloseReason::UnknownSession);
+        drop(slot);
+        let close_reason = CloseReason::UnknownSession.to_string();
+        assert_eq!(second.map(drop), Err(RequestError::Lost(close_reason.clone())));
+        assert!(matches!(answer.await, Ok(Answer::SessionEnded(CloseReason::UnknownSession))));
+        assert_eq!(requests.start_request().map(drop), Err(RequestError::Lost(close_reason)));
+        assert_eq!(requests.wait_for_end().await, CloseReason::UnknownSession);
         assert_eq!(counters.statistics(&TransportStatistics::default()).lost_messages, 1);
     }
 }

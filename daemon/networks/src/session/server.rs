@@ -23,14 +23,14 @@ pub(crate) struct Server {
     max_sessions: usize,
     max_in_flight: usize,
     max_message_bytes: u64,
-    sessions: HashMap<SessionId, Entry>,
+    sessions: HashMap<SessionId, SessionEntry>,
     connections: HashMap<ConnectionId, Vec<SessionId>>,
     /// Last announced state of this host's clocks.
     clock: Option<PeerClock>,
 }
 
 #[derive(Debug)]
-struct Entry {
+struct SessionEntry {
     peer: Peer,
     /// Host id that the edge claims.
     host: HostId,
@@ -48,12 +48,12 @@ struct Entry {
 pub(crate) enum EdgeMessage {
     /// The edge asks for a session, which has this id from now on.
     Open(SessionId, Box<SessionHello>),
-    /// A request of an open session. It is in flight until [`Server::finish`].
+    /// A request of an open session. It is in flight until [`Server::finish_request`].
     Request(Request),
     /// The message only needs this answer.
     Answer(Header),
     /// The edge ended its session. If it ended its run as well, the number is the number of iterations that the run was
-    /// to have.
+    /// configured to have.
     Closed(SessionId, Option<u64>),
     /// The message is not valid, for this reason.
     Malformed(&'static str),
@@ -94,29 +94,29 @@ impl Server {
         }
     }
 
-    /// Handles a message from `peer`.
+    /// Handles a message from `peer`. A session that belongs to another connection is treated as unknown.
     pub(crate) fn receive(&mut self, peer: &Peer, header: Header) -> EdgeMessage {
         match header {
             Header::Open(open) => self.open(peer, *open),
             Header::Request(request) => self.request(peer, request),
             Header::Goodbye(goodbye) => {
-                if self.owned(peer, goodbye.session).is_none() {
-                    return EdgeMessage::Malformed("a goodbye to no session");
+                if self.find_own_session(peer, goodbye.session).is_none() {
+                    return EdgeMessage::Malformed("a goodbye of an unknown session");
                 }
-                self.forget(goodbye.session);
-                EdgeMessage::Closed(goodbye.session, goodbye.ordered)
+                self.remove_session(goodbye.session);
+                EdgeMessage::Closed(goodbye.session, goodbye.planned_iterations)
             }
             Header::Accepted(_)
             | Header::Refused(_)
             | Header::Reply(_)
             | Header::Clock(_)
             | Header::Statistics(_)
-            | Header::UnknownSession(_) => EdgeMessage::Malformed("only a cloud says that"),
+            | Header::UnknownSession(_) => EdgeMessage::Malformed("a message that only a cloud sends"),
         }
     }
 
-    /// Returns the answer to a hello without a common version.
-    pub(crate) fn incompatible(mismatch: &VersionMismatch) -> Header {
+    /// Returns the refusal of an edge that speaks none of our versions of the protocol.
+    pub(crate) fn version_refusal(mismatch: &VersionMismatch) -> Header {
         let reason = mismatch.describe("the session protocol", "the cloud", "the edge");
         Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Incompatible, reason })
     }
@@ -128,21 +128,22 @@ impl Server {
     fn open(&mut self, peer: &Peer, open: Open) -> EdgeMessage {
         let version = match SESSION_VERSIONS.highest_common(&open.hello.versions) {
             Ok(version) => version,
-            Err(mismatch) => return EdgeMessage::Answer(Self::incompatible(&mismatch)),
+            Err(mismatch) => return EdgeMessage::Answer(Self::version_refusal(&mismatch)),
         };
-        let of_connection = self.connections.get(&peer.connection).map_or(0, Vec::len);
-        // Otherwise one edge could take the place of many with a single socket.
-        if of_connection >= SESSIONS_PER_CONNECTION {
+        let connection_sessions = self.connections.get(&peer.connection).map_or(0, Vec::len);
+        // Limits of connections per address protect others from one edge only if a connection cannot have any number of
+        // sessions.
+        if connection_sessions >= SESSIONS_PER_CONNECTION {
             let reason = format!(
                 "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some or open another connection"
             );
             return EdgeMessage::Answer(Self::refusal(reason));
         }
-        if let Some(reason) = self.too_many(peer, open.hello.host) {
+        if let Some(reason) = self.check_session_limits(peer, open.hello.host) {
             return EdgeMessage::Answer(Self::refusal(reason));
         }
         let session = SessionId::random();
-        let entry = Entry {
+        let entry = SessionEntry {
             peer: peer.clone(),
             host: open.hello.host,
             version,
@@ -156,40 +157,43 @@ impl Server {
         EdgeMessage::Open(session, Box::new(open.hello))
     }
 
-    /// Returns the reason against one more session, if there is one.
+    /// Returns the limit that one more session of this peer would exceed, as a text for the refusal. `None` if the session
+    /// may be opened.
     ///
-    /// One host may hold half of the sessions that others leave free, so that the next host always finds one. One
-    /// address, which several hosts may share, may hold three quarters.
-    fn too_many(&self, peer: &Peer, host: HostId) -> Option<String> {
-        let (all, max) = (self.sessions.len(), self.max_sessions);
-        if all >= max {
+    /// One host may have half of the sessions that other hosts leave free, so that the next host always gets one. Several
+    /// hosts may share an address, which may have three quarters.
+    fn check_session_limits(&self, peer: &Peer, host: HostId) -> Option<String> {
+        let (open_sessions, max) = (self.sessions.len(), self.max_sessions);
+        if open_sessions >= max {
             return Some(format!(
-                "the cloud holds {all} sessions already; close some or raise max_sessions there"
+                "the cloud has {open_sessions} sessions already; close some or raise max_sessions there"
             ));
         }
-        let of_host = self.sessions.values().filter(|entry| entry.host == host).count();
-        let free = max - (all - of_host);
+        let host_sessions = self.sessions.values().filter(|entry| entry.host == host).count();
+        let free = max - (open_sessions - host_sessions);
         // Rounded up, so that the last free session can be opened.
-        let most = free.div_ceil(2);
-        if of_host >= most {
+        let allowed = free.div_ceil(2);
+        if host_sessions >= allowed {
             return Some(format!(
-                "this host holds {of_host} sessions, and may hold {most}: half of what other hosts leave of the cloud's \
-                 max_sessions, {max}; close some or raise max_sessions there"
+                "this host has {host_sessions} sessions, and {allowed} are allowed: half of those that other hosts leave of \
+                 the cloud's max_sessions, {max}; close some or raise max_sessions there"
             ));
         }
         // Peers of a network without addresses are only limited by their hosts.
-        let group = AddressGroup::of(peer.address?);
+        let group = AddressGroup::from_address(peer.address?);
         // All programs of this machine share the loopback address.
         if group.is_loopback() {
             return None;
         }
-        let is_of_group = |entry: &&Entry| entry.peer.address.is_some_and(|at| AddressGroup::of(at) == group);
-        let of_group = self.sessions.values().filter(is_of_group).count();
-        let most = ((max - (all - of_group)) * 3).div_ceil(4);
-        (of_group >= most).then(|| {
+        let is_in_group = |entry: &&SessionEntry| {
+            entry.peer.address.is_some_and(|at| AddressGroup::from_address(at) == group)
+        };
+        let group_sessions = self.sessions.values().filter(is_in_group).count();
+        let allowed = ((max - (open_sessions - group_sessions)) * 3).div_ceil(4);
+        (group_sessions >= allowed).then(|| {
             format!(
-                "this address holds {of_group} sessions, and may hold {most}: three quarters of what others leave of the \
-                 cloud's max_sessions, {max}; close some or raise max_sessions there"
+                "this address has {group_sessions} sessions, and {allowed} are allowed: three quarters of those that other \
+                 addresses leave of the cloud's max_sessions, {max}; close some or raise max_sessions there"
             )
         })
     }
@@ -208,7 +212,7 @@ impl Server {
     fn request(&mut self, peer: &Peer, request: Request) -> EdgeMessage {
         let max_in_flight = self.max_in_flight;
         let (session, number) = (request.session, request.request);
-        let Some(entry) = self.owned(peer, session) else {
+        let Some(entry) = self.find_own_session(peer, session) else {
             // Answered, so that an edge whose session is gone notices it with its next request.
             return EdgeMessage::Answer(Header::UnknownSession(UnknownSession { session, request: number }));
         };
@@ -228,13 +232,13 @@ impl Server {
             }));
         }
         if !entry.in_flight.insert(number) {
-            return EdgeMessage::Malformed("a request number that is in flight already");
+            return EdgeMessage::Malformed("a request whose number is in flight already");
         }
         EdgeMessage::Request(request)
     }
 
-    /// Returns the session if it belongs to the connection of `peer`. For other connections it does not exist.
-    fn owned(&mut self, peer: &Peer, session: SessionId) -> Option<&mut Entry> {
+    /// Returns the session if it belongs to the connection of `peer`.
+    fn find_own_session(&mut self, peer: &Peer, session: SessionId) -> Option<&mut SessionEntry> {
         self.sessions.get_mut(&session).filter(|entry| entry.peer.connection == peer.connection)
     }
 
@@ -265,7 +269,7 @@ impl Server {
 
     /// Refuses a session that was asked for. Returns the message and its destination; `None` if the edge is gone.
     pub(crate) fn refuse(&mut self, session: SessionId, reason: String) -> Option<(Peer, Header)> {
-        self.forget(session).map(|entry| (entry.peer, Self::refusal(reason)))
+        self.remove_session(session).map(|entry| (entry.peer, Self::refusal(reason)))
     }
 
     /// Sets the state of the clocks. Returns the messages to the open sessions, with their destinations.
@@ -284,13 +288,13 @@ impl Server {
 
     /// Returns the open sessions whose version has reports of statistics, with their counters.
     pub(crate) fn sessions_with_statistics(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
-        let gets_statistics = |entry: &Entry| entry.accepted && entry.version >= STATISTICS_SINCE;
+        let gets_statistics = |entry: &SessionEntry| entry.accepted && entry.version >= STATISTICS_SINCE;
         let open = self.sessions.iter().filter(|(_, entry)| gets_statistics(entry));
         open.map(|(session, entry)| (*session, entry.peer.clone(), Arc::clone(&entry.counters))).collect()
     }
 
     /// Ends a request that has its answer. Returns the destination of the answer; `None` if the session is gone.
-    pub(crate) fn finish(&mut self, session: SessionId, request: u64) -> Option<Route> {
+    pub(crate) fn finish_request(&mut self, session: SessionId, request: u64) -> Option<Route> {
         let entry = self.sessions.get_mut(&session)?;
         entry.in_flight.remove(&request).then(|| Route {
             peer: entry.peer.clone(),
@@ -301,23 +305,23 @@ impl Server {
     }
 
     /// Returns the message counters of a session.
-    pub(crate) fn counters(&self, session: SessionId) -> Option<Arc<Counters>> {
+    pub(crate) fn session_counters(&self, session: SessionId) -> Option<Arc<Counters>> {
         self.sessions.get(&session).map(|entry| Arc::clone(&entry.counters))
     }
 
     /// Returns the message counters of a connection. Connections normally have one session; if there are several, those
     /// of the first.
-    pub(crate) fn counters_of(&self, connection: ConnectionId) -> Option<Arc<Counters>> {
-        self.counters(self.session_of(connection)?)
+    pub(crate) fn connection_counters(&self, connection: ConnectionId) -> Option<Arc<Counters>> {
+        self.session_counters(self.first_session(connection)?)
     }
 
     /// Returns the first session of a connection.
-    pub(crate) fn session_of(&self, connection: ConnectionId) -> Option<SessionId> {
+    pub(crate) fn first_session(&self, connection: ConnectionId) -> Option<SessionId> {
         self.connections.get(&connection)?.first().copied()
     }
 
     /// Updates the address of a connection's peer.
-    pub(crate) fn moved(&mut self, connection: ConnectionId, address: SocketAddr) {
+    pub(crate) fn update_address(&mut self, connection: ConnectionId, address: SocketAddr) {
         for session in self.connections.get(&connection).into_iter().flatten() {
             if let Some(entry) = self.sessions.get_mut(session) {
                 entry.peer.address = Some(address);
@@ -335,18 +339,18 @@ impl Server {
     }
 
     /// Ends all sessions. Returns the messages to their edges, with their destinations.
-    pub(crate) fn goodbye(&mut self, reason: &str) -> Vec<(Peer, Header)> {
+    pub(crate) fn end_all_sessions(&mut self, reason: &str) -> Vec<(Peer, Header)> {
         self.connections.clear();
-        let farewell = |session, entry: Entry| {
+        let goodbye_of = |session, entry: SessionEntry| {
             let header = if entry.accepted {
-                Header::Goodbye(Goodbye { session, reason: reason.to_owned(), ordered: None })
+                Header::Goodbye(Goodbye { session, reason: reason.to_owned(), planned_iterations: None })
             } else {
                 // The edge still waits for the acceptance and has no session that a goodbye could end.
                 Self::refusal(reason.to_owned())
             };
             (entry.peer, header)
         };
-        self.sessions.drain().map(|(session, entry)| farewell(session, entry)).collect()
+        self.sessions.drain().map(|(session, entry)| goodbye_of(session, entry)).collect()
     }
 
     /// Returns the number of requests that wait for their answer.
@@ -354,7 +358,7 @@ impl Server {
         self.sessions.values().map(|entry| entry.in_flight.len()).sum()
     }
 
-    fn forget(&mut self, session: SessionId) -> Option<Entry> {
+    fn remove_session(&mut self, session: SessionId) -> Option<SessionEntry> {
         let entry = self.sessions.remove(&session)?;
         let connection = entry.peer.connection;
         if let Some(sessions) = self.connections.get_mut(&connection) {

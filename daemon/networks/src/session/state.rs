@@ -52,8 +52,8 @@ pub(super) struct SessionState {
     /// Last report of the cloud about its end of the connection.
     pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     pub(super) remarks: Remarks,
-    /// Number of iterations that the run was to have; set when the run is over.
-    pub(super) ordered: OnceLock<u64>,
+    /// Number of iterations that the run was configured to have; set when the run is over.
+    pub(super) planned_iterations: OnceLock<u64>,
 }
 
 /// Reason why a sample cannot be sent.
@@ -63,11 +63,13 @@ enum UnsendableSample {
     Header(#[from] HeaderError),
     #[error(transparent)]
     Tree(#[from] TreeFrameError),
-    #[error("{bytes} bytes are more than max_message_bytes allows, {most}")]
-    TooLarge { bytes: u64, most: u64 },
+    #[error(
+        "{bytes} bytes are more than max_message_bytes, {max_bytes}; send smaller samples, or raise it at both ends"
+    )]
+    TooLarge { bytes: u64, max_bytes: u64 },
 }
 
-/// A request in flight. Dropping it gives the request up.
+/// A request in flight. Dropping it cancels the request.
 pub(super) struct PendingRequest<'a> {
     requests: &'a RequestsInFlight,
     request: u64,
@@ -78,7 +80,7 @@ pub(super) struct PendingRequest<'a> {
 
 impl Drop for PendingRequest<'_> {
     fn drop(&mut self) {
-        self.requests.give_up(self.request);
+        self.requests.cancel_request(self.request);
     }
 }
 
@@ -99,18 +101,18 @@ impl SessionState {
         let failed =
             |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
         let encoding = log.start(stage::ENCODE);
-        let prepared = self.prepare(log, sample);
-        let (tree, sample_header) = match prepared {
-            Ok(prepared) => prepared,
+        let encoded = self.encode_frames(log, sample);
+        let (tree, sample_header) = match encoded {
+            Ok(encoded) => encoded,
             Err(error) => {
                 log.stop(encoding);
                 return Err(failed(error));
             }
         };
-        let (request, answer) = self.requests.begin()?;
+        let (request, answer) = self.requests.start_request()?;
 
-        // Read before the stamp, while the epoch of the answer is read after its stamp. If both are equal, the clock
-        // was not stepped in between.
+        // This epoch is read before the departure is stamped, and the epoch of the answer after its arrival is stamped.
+        // If both are equal, no step of the clock lies between the two stamps.
         let epoch = self.clock.epoch();
         let stamp = self.clock.stamp();
         log.stop_at(encoding, stamp.mono);
@@ -121,8 +123,8 @@ impl SessionState {
         };
         let start = log.offset(stamp.mono);
         let departure = Departure { sent: stamp.wall, start, epoch: sent_epoch, sent_raw };
-        let departed = DepartedRequest { upload: add_upload(log.tree_mut(), departure), at: stamp, epoch };
-        // From here on an early return drops `pending` and so gives the request up.
+        let departed = DepartedRequest { upload: add_upload(log.tree_mut(), departure), stamp, epoch };
+        // From here on an early return drops `pending`, which cancels the request.
         let mut pending =
             PendingRequest { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
         let header = Header::Request(Request {
@@ -135,33 +137,33 @@ impl SessionState {
         let mut frames = Vec::with_capacity(2 + sample.parts.len());
         frames.extend([header, tree]);
         frames.extend(sample.parts.iter().map(|part| part.bytes.clone()));
-        pending.sizes = Sizes::of(&frames);
+        pending.sizes = Sizes::from_frames(&frames);
         let options = SendOptions { deadline: Some(deadline), tag: Some(request) };
         match self.sender.send(frames, options) {
             Ok(()) => {
-                self.counters.sent(pending.sizes.total());
+                self.counters.count_sent(pending.sizes.total());
                 Ok(pending)
             }
             Err(SendFailure::Full) => Err(RequestError::Overloaded(SendFailure::Full.to_string())),
             Err(SendFailure::Gone(reason)) => {
-                self.counters.lost(1);
+                self.counters.count_lost(1);
                 Err(RequestError::Lost(reason))
             }
         }
     }
 
-    fn prepare(
+    fn encode_frames(
         &self,
         log: &Recorder,
         sample: &Sample,
     ) -> Result<(bytes::Bytes, SampleHeader), UnsendableSample> {
-        let header = SampleHeader::of(sample)?;
+        let header = SampleHeader::from_sample(sample)?;
         let tree = encode_tree(log.tree())?;
-        // Checked before sending, so that an error names the sample and the connection survives.
+        // Checked before sending: the cloud closes a connection on which a larger message arrives.
         let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
-        let most = self.terms.max_message_bytes;
-        if bytes > most {
-            return Err(UnsendableSample::TooLarge { bytes, most });
+        let max_bytes = self.terms.max_message_bytes;
+        if bytes > max_bytes {
+            return Err(UnsendableSample::TooLarge { bytes, max_bytes });
         }
         Ok((tree, header))
     }

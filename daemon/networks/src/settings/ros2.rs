@@ -3,10 +3,10 @@
 use peernet_ros::ros2::{QosProfile, Reliability};
 use serde::{Deserialize, Serialize};
 
-use super::{InvalidSettings, OPEN_TIMEOUT_MS, check_range};
+use super::{InvalidSettings, OPEN_TIMEOUT_MS_RANGE, check_range};
 
 /// Smallest and largest value of `depth`.
-const DEPTH: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
+const DEPTH_RANGE: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
 
 /// QoS and interfaces of the ROS 2 topics that carry sessions.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,15 +33,17 @@ impl Default for Ros2SessionSettings {
 
 impl Ros2SessionSettings {
     pub(super) fn check(&self) -> Result<(), InvalidSettings> {
-        check_range("ros2.depth", u64::from(self.depth), DEPTH)?;
-        self.deadline_ms.map_or(Ok(()), |ms| check_range("ros2.deadline_ms", ms, OPEN_TIMEOUT_MS))
+        check_range("ros2.depth", u64::from(self.depth), DEPTH_RANGE)?;
+        self.deadline_ms.map_or(Ok(()), |ms| check_range("ros2.deadline_ms", ms, OPEN_TIMEOUT_MS_RANGE))
     }
 
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
     pub(super) fn clamped(self) -> Self {
         Self {
             depth: self.depth.clamp(1, QosProfile::MAX_DEPTH),
-            deadline_ms: self.deadline_ms.map(|ms| ms.clamp(OPEN_TIMEOUT_MS.0, OPEN_TIMEOUT_MS.1)),
+            deadline_ms: self
+                .deadline_ms
+                .map(|ms| ms.clamp(OPEN_TIMEOUT_MS_RANGE.0, OPEN_TIMEOUT_MS_RANGE.1)),
             ..self
         }
     }

@@ -43,17 +43,18 @@ pub(crate) enum AddressForm {
         /// Scheme of addresses that have a domain in place of host and port.
         in_domain: &'static str,
         /// Returns the address of the listener with this name, using the environment of this process.
-        find: fn(&str, Option<u64>) -> Result<String, UnknownAddress>,
+        find: fn(&str, Option<u64>) -> Result<String, ListenerLookupError>,
     },
 }
 
-/// Error: the environment does not say where a listener with a known name is to be looked up.
+/// Error: a listener cannot be looked up by its name, because the environment lacks or has invalid settings.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub struct UnknownAddress(pub(crate) String);
+pub struct ListenerLookupError(pub(crate) String);
 
 impl AddressForm {
-    fn text(self, scheme: &str) -> &'static str {
+    /// Returns the form as it is shown in error texts, such as `host:port`.
+    fn placeholder(self, scheme: &str) -> &'static str {
         match self {
             Self::HostPort => "host:port",
             Self::Named { in_domain, .. } if in_domain == scheme => "domain/name",
@@ -71,7 +72,7 @@ struct Scheme {
 
 impl Scheme {
     /// Returns the first scheme of a network.
-    const fn of(network: NetworkKind) -> Self {
+    const fn from_network(network: NetworkKind) -> Self {
         Self { network, text: network.schemes()[0] }
     }
 
@@ -93,7 +94,7 @@ enum Host {
 
 /// Error: the text is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is not an address: {problem}; write {}", forms_like(text, NetworkKind::ALL))]
+#[error("{text:?} is not an address: {problem}; write {}", suggested_forms(text, NetworkKind::ALL))]
 pub struct InvalidAddress {
     /// The text.
     pub text: String,
@@ -103,7 +104,7 @@ pub struct InvalidAddress {
 
 /// Error: the text is not an address for the event stream between agents and aggregator.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{:?} is not an address: {}; write {}", .0.text, .0.problem, forms_like(&.0.text, &[NetworkKind::default()]))]
+#[error("{:?} is not an address: {}; write {}", .0.text, .0.problem, suggested_forms(&.0.text, &[NetworkKind::default()]))]
 pub struct InvalidEventStreamAddress(pub InvalidAddress);
 
 /// Reason why a text is not an address.
@@ -143,7 +144,7 @@ pub enum AddressProblem {
     #[error("port {0} is above 65535")]
     PortTooLarge(String),
     /// The domain is not the number of a domain.
-    #[error("{0:?} is not a domain; domains of ROS 2 go from 0 to {most}", most = Ros2Settings::MAX_DOMAIN_ID)]
+    #[error("{0:?} is not a domain; ROS 2 has the domains 0 to {max}", max = Ros2Settings::MAX_DOMAIN_ID)]
     InvalidDomain(String),
     /// The listener's name cannot be part of a topic name.
     #[error("the name {0:?} must begin with a letter and have only letters, digits and _")]
@@ -160,20 +161,20 @@ pub struct NetworkMismatch {
     pub address: Address,
 }
 
-/// Error: the network of this address does not carry the event stream between agent and aggregator.
+/// Error: the event stream between agent and aggregator is not sent over the network of this address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the event stream goes over {default}, but {0} is an address of {network}; write {form}", default = NetworkKind::default(), network = .0.network(), form = forms_of(&[NetworkKind::default()]))]
-pub struct NoEventStream(pub Address);
+#[error("the event stream uses the network {default}, but {0} is an address of {network}; write {form}", default = NetworkKind::default(), network = .0.network(), form = forms_of(&[NetworkKind::default()]))]
+pub struct UnsupportedEventStreamNetwork(pub Address);
 
 impl Address {
     /// Returns the address `tcp://ip:port`.
-    pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
-        Self { scheme: Scheme::of(NetworkKind::ALL[0]), host: Host::Ip(ip), port, name: None }
+    pub const fn from_ip(ip: IpAddr, port: u16) -> Self {
+        Self { scheme: Scheme::from_network(NetworkKind::ALL[0]), host: Host::Ip(ip), port, name: None }
     }
 
     /// Returns the address with its host and port replaced.
     #[must_use]
-    pub fn at_ip(&self, ip: IpAddr, port: u16) -> Self {
+    pub fn with_ip(&self, ip: IpAddr, port: u16) -> Self {
         Self { scheme: self.scheme, host: Host::Ip(ip), port, name: self.name.clone() }
     }
 
@@ -210,8 +211,12 @@ impl Address {
     ///
     /// # Errors
     /// If it does not.
-    pub fn check_event_stream(&self) -> Result<(), NoEventStream> {
-        if self.network() == NetworkKind::default() { Ok(()) } else { Err(NoEventStream(self.clone())) }
+    pub fn check_event_stream(&self) -> Result<(), UnsupportedEventStreamNetwork> {
+        if self.network() == NetworkKind::default() {
+            Ok(())
+        } else {
+            Err(UnsupportedEventStreamNetwork(self.clone()))
+        }
     }
 
     /// Returns the host without brackets, or the number of the domain.
@@ -278,15 +283,15 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
             (rest, Some(parse_name(if name.is_empty() { default } else { name })?))
         }
     };
-    // The number of a domain determines all ports, so that there is none to parse.
+    // DDS derives all ports from the number of the domain, so such an address has no port.
     if matches!(form, AddressForm::Named { in_domain, .. } if in_domain == scheme.text) {
         return Ok(Address { scheme, host: Host::Domain(parse_domain(rest)?), port: 0, name });
     }
-    let with_port;
+    let text_with_port;
     let rest = match form {
         AddressForm::Named { port, .. } if !has_port(rest) => {
-            with_port = format!("{rest}:{port}");
-            &with_port
+            text_with_port = format!("{rest}:{port}");
+            &text_with_port
         }
         _ => rest,
     };
@@ -327,12 +332,12 @@ fn parse_name(name: &str) -> Result<String, AddressProblem> {
 
 /// Returns the forms of addresses of these networks, for error texts. If `text` has the scheme of one of them, returns
 /// only the form of that scheme.
-fn forms_like(text: &str, networks: &[NetworkKind]) -> String {
+fn suggested_forms(text: &str, networks: &[NetworkKind]) -> String {
     let scheme = text.split_once("://").and_then(|(scheme, _)| Scheme::find(scheme));
     let scheme = scheme.filter(|scheme| networks.contains(&scheme.network));
     let forms = scheme.map_or_else(
         || forms_of(networks),
-        |Scheme { network, text }| format!("{text}://{}", network.address_form().text(text)),
+        |Scheme { network, text }| format!("{text}://{}", network.address_form().placeholder(text)),
     );
     let brackets = if forms.contains("host") { ", IPv6 hosts in brackets" } else { "" };
     format!("{forms}{brackets}")
@@ -342,7 +347,7 @@ fn forms_like(text: &str, networks: &[NetworkKind]) -> String {
 fn forms_of(networks: &[NetworkKind]) -> String {
     let form = |network: &NetworkKind| {
         let form = network.address_form();
-        network.schemes().iter().map(move |scheme| format!("{scheme}://{}", form.text(scheme)))
+        network.schemes().iter().map(move |scheme| format!("{scheme}://{}", form.placeholder(scheme)))
     };
     let forms: BTreeSet<String> = networks.iter().flat_map(form).collect();
     forms.into_iter().collect::<Vec<_>>().join(" or ")
@@ -359,16 +364,16 @@ fn parse_host(host: &str) -> Result<Host, AddressProblem> {
     if let Ok(ip) = host.parse() {
         return Ok(Host::Ip(IpAddr::V4(ip)));
     }
-    // Otherwise a mistyped IPv4 address would be looked up as a name.
+    // Without this check, a mistyped IPv4 address would be looked up as a host name.
     if host.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') {
         return Err(AddressProblem::InvalidIpv4(host.to_owned()));
     }
     // Names of hosts have no underscores, but names of containers may, and are resolved like names of hosts.
-    let label = |label: &str| {
+    let is_valid_label = |label: &str| {
         (1..=63).contains(&label.len())
             && label.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
     };
-    if host.len() > 253 || !host.strip_suffix('.').unwrap_or(host).split('.').all(label) {
+    if host.len() > 253 || !host.strip_suffix('.').unwrap_or(host).split('.').all(is_valid_label) {
         return Err(AddressProblem::InvalidName(host.to_owned()));
     }
     Ok(Host::Name(host.to_owned()))

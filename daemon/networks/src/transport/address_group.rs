@@ -9,7 +9,7 @@ pub struct AddressGroup(IpAddr);
 
 impl AddressGroup {
     /// Returns the group of a peer's address.
-    pub fn of(address: SocketAddr) -> Self {
+    pub fn from_address(address: SocketAddr) -> Self {
         match address.ip().to_canonical() {
             IpAddr::V6(ip) if !ip.is_loopback() => {
                 Self(IpAddr::V6(Ipv6Addr::from_bits(ip.to_bits() & !u128::from(u64::MAX))))
@@ -31,7 +31,7 @@ mod tests {
 
     #[test]
     fn ipv6_network_counts_as_one_address() {
-        let group = |text: &str| AddressGroup::of(text.parse().expect("an address"));
+        let group = |text: &str| AddressGroup::from_address(text.parse().expect("an address"));
         assert_eq!(group("[2001:db8::1]:1"), group("[2001:db8::ffff:1]:2"));
         assert_ne!(group("[2001:db8:0:1::1]:1"), group("[2001:db8::1]:1"));
         assert_eq!(group("[::ffff:192.0.2.7]:1"), group("192.0.2.7:2"));

@@ -4,16 +4,16 @@ use std::error::Error;
 
 use crate::{Address, SessionSettings};
 
-/// A problem whose type only the network itself knows.
-type Problem = Box<dyn Error + Send + Sync>;
+/// An error of a network's own type.
+type BoxedError = Box<dyn Error + Send + Sync>;
 
 /// The checks of a network that depend on the build and on this host.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HostChecks {
     /// Checks that this build can reach peers at an address of the network.
-    pub(crate) address: fn(&Address) -> Result<(), Problem>,
+    pub(crate) address: fn(&Address) -> Result<(), BoxedError>,
     /// Checks the settings that only the network has. An error names the key.
-    pub(crate) settings: fn(&SessionSettings) -> Result<(), (&'static str, Problem)>,
+    pub(crate) settings: fn(&SessionSettings) -> Result<(), (&'static str, BoxedError)>,
 }
 
 impl HostChecks {
@@ -28,7 +28,7 @@ pub struct UnusableAddress {
     /// The address.
     pub address: Address,
     /// The reason.
-    pub problem: Problem,
+    pub problem: BoxedError,
 }
 
 /// Error: a setting cannot be used on this host.
@@ -38,7 +38,7 @@ pub struct UnusableSetting {
     /// Key below the key of the session settings.
     pub key: &'static str,
     /// The reason.
-    pub problem: Problem,
+    pub problem: BoxedError,
 }
 
 impl Address {

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Largest number of bytes that all holders together may reserve.
+/// A number of bytes that several users share: the sum of their reservations never exceeds it.
 #[derive(Debug)]
 pub(crate) struct MemoryBudget {
     limit: u64,
-    held: AtomicU64,
+    reserved_bytes: AtomicU64,
 }
 
 /// Bytes reserved in a budget; returned on drop.
@@ -19,20 +19,25 @@ pub(crate) struct Reservation {
 
 /// Error: a reservation would exceed its budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Exhausted;
+pub(crate) struct BudgetExhausted;
 
 impl MemoryBudget {
     pub(crate) fn new(limit: u64) -> Arc<Self> {
-        Arc::new(Self { limit, held: AtomicU64::new(0) })
+        Arc::new(Self { limit, reserved_bytes: AtomicU64::new(0) })
     }
 
-    pub(crate) fn held(&self) -> u64 {
-        self.held.load(Ordering::Relaxed)
+    pub(crate) fn reserved_bytes(&self) -> u64 {
+        self.reserved_bytes.load(Ordering::Relaxed)
     }
 
-    fn take(&self, bytes: u64) -> Result<(), Exhausted> {
-        let fits = |held: u64| held.checked_add(bytes).filter(|held| *held <= self.limit);
-        self.held.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map(drop).map_err(|_| Exhausted)
+    fn reserve(&self, bytes: u64) -> Result<(), BudgetExhausted> {
+        let fits = |reserved_bytes: u64| {
+            reserved_bytes.checked_add(bytes).filter(|reserved_bytes| *reserved_bytes <= self.limit)
+        };
+        self.reserved_bytes
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
+            .map(drop)
+            .map_err(|_| BudgetExhausted)
     }
 }
 
@@ -44,20 +49,20 @@ impl Reservation {
     /// Grows or shrinks the reservation to `bytes` of `budget`. A reservation in another budget moves to this one.
     ///
     /// # Errors
-    /// If `budget` has no room. The reservation is then unchanged.
-    pub(crate) fn set(&mut self, budget: &Arc<MemoryBudget>, bytes: u64) -> Result<(), Exhausted> {
+    /// If the reservation would exceed `budget`. The reservation is then unchanged.
+    pub(crate) fn resize(&mut self, budget: &Arc<MemoryBudget>, bytes: u64) -> Result<(), BudgetExhausted> {
         if !Arc::ptr_eq(&self.budget, budget) {
             let mut moved = Self::empty(budget);
-            moved.set(budget, bytes)?;
+            moved.resize(budget, bytes)?;
             *self = moved;
         } else if bytes >= self.bytes {
             if bytes == self.bytes {
                 return Ok(());
             }
-            budget.take(bytes - self.bytes)?;
+            budget.reserve(bytes - self.bytes)?;
             self.bytes = bytes;
         } else {
-            budget.held.fetch_sub(self.bytes - bytes, Ordering::Relaxed);
+            budget.reserved_bytes.fetch_sub(self.bytes - bytes, Ordering::Relaxed);
             self.bytes = bytes;
         }
         Ok(())
@@ -76,7 +81,7 @@ impl Reservation {
 
 impl Drop for Reservation {
     fn drop(&mut self) {
-        self.budget.held.fetch_sub(self.bytes, Ordering::Relaxed);
+        self.budget.reserved_bytes.fetch_sub(self.bytes, Ordering::Relaxed);
     }
 }
 
@@ -88,15 +93,15 @@ mod tests {
     fn reservations_share_their_budget_and_give_it_back() {
         let (small, large) = (MemoryBudget::new(10), MemoryBudget::new(100));
         let (mut first, mut second) = (Reservation::empty(&small), Reservation::empty(&small));
-        first.set(&small, 7).expect("fits");
-        assert_eq!(second.set(&small, 4), Err(Exhausted));
-        second.set(&small, 3).expect("fits exactly");
-        first.set(&large, 80).expect("moves");
-        assert_eq!((small.held(), large.held()), (3, 80));
+        first.resize(&small, 7).expect("fits");
+        assert_eq!(second.resize(&small, 4), Err(BudgetExhausted));
+        second.resize(&small, 3).expect("fits exactly");
+        first.resize(&large, 80).expect("moves");
+        assert_eq!((small.reserved_bytes(), large.reserved_bytes()), (3, 80));
         let handed_over = first.take();
         drop((first, second));
-        assert_eq!((small.held(), large.held()), (0, 80));
+        assert_eq!((small.reserved_bytes(), large.reserved_bytes()), (0, 80));
         drop(handed_over);
-        assert_eq!(large.held(), 0);
+        assert_eq!(large.reserved_bytes(), 0);
     }
 }

@@ -18,7 +18,8 @@ mod zmq_udp;
 pub mod zmtp;
 
 pub use address::{
-    Address, InvalidAddress, InvalidEventStreamAddress, NetworkMismatch, NoEventStream, UnknownAddress,
+    Address, InvalidAddress, InvalidEventStreamAddress, ListenerLookupError, NetworkMismatch,
+    UnsupportedEventStreamNetwork,
 };
 pub use address_group::AddressGroup;
 pub use host_checks::{UnusableAddress, UnusableSetting};
@@ -90,9 +91,9 @@ macro_rules! networks {
                 self,
                 address: &Address,
                 settings: &SessionSettings,
-                dialler: &Dialler<'_>,
+                context: &DialContext<'_>,
             ) -> Result<EdgeConnection, DialFailure> {
-                match self { $(Self::$variant => $module::dial(address, settings, dialler).await),* }
+                match self { $(Self::$variant => $module::dial(address, settings, context).await),* }
             }
 
             pub(crate) async fn bind(
@@ -125,7 +126,7 @@ impl NetworkKind {
         matches!(self.address_form(), AddressForm::Named { .. })
     }
 
-    /// Checks the settings that only this network has on this host.
+    /// Checks that this host supports the settings that only this network has.
     ///
     /// # Errors
     /// If this host cannot use one of them.
@@ -137,15 +138,16 @@ impl NetworkKind {
     /// version of ROS. `None` if the network does not find listeners by name.
     ///
     /// # Errors
-    /// If nothing says where names are looked up.
+    /// If the environment does not say where names are looked up.
     pub fn find_listener(
         self,
         name: &str,
         ros_version: Option<u64>,
-    ) -> Option<Result<Address, UnknownAddress>> {
+    ) -> Option<Result<Address, ListenerLookupError>> {
         let AddressForm::Named { find, .. } = self.address_form() else { return None };
-        let read =
-            |text: String| text.parse().map_err(|error: InvalidAddress| UnknownAddress(error.to_string()));
+        let read = |text: String| {
+            text.parse().map_err(|error: InvalidAddress| ListenerLookupError(error.to_string()))
+        };
         Some(find(name, ros_version).and_then(read))
     }
 }
@@ -158,7 +160,7 @@ impl fmt::Display for NetworkKind {
 
 impl From<NetworkKind> for NetworkName {
     fn from(kind: NetworkKind) -> Self {
-        kind.name().parse().expect("the names of networks keep to the rules of names")
+        kind.name().parse().expect("the names of networks follow the rules of names")
     }
 }
 
@@ -168,7 +170,7 @@ pub type Frames = Vec<Bytes>;
 /// Reason why a message was not handed to the network.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SendFailure {
-    /// The peer receives messages more slowly than they are sent.
+    /// The send queue is full, because the peer receives messages more slowly than they are sent.
     #[error("the network's send queue is full")]
     Full,
     /// The connection is gone, for this reason.
@@ -181,8 +183,8 @@ pub enum SendFailure {
 pub(crate) struct SendOptions {
     /// Time after which the message is of no use.
     pub(crate) deadline: Option<Instant>,
-    /// Sender's number for the message, which a later report of its loss carries. A message without a tag is
-    /// retransmitted when it is lost.
+    /// Sender's number for the message, which a report of its loss repeats. A datagram transport retransmits a lost
+    /// message only if it has no tag.
     pub(crate) tag: Option<u64>,
 }
 
@@ -206,8 +208,8 @@ impl fmt::Display for MessageLoss {
     }
 }
 
-/// The opener of a connection, and its clock.
-pub(crate) struct Dialler<'a> {
+/// What a transport needs to know of the edge that opens a connection.
+pub(crate) struct DialContext<'a> {
     pub(crate) hello: &'a SessionHello,
     pub(crate) clock: &'a SharedClock,
 }
@@ -219,7 +221,7 @@ pub(crate) struct EdgeConnection {
     pub(crate) sender: Box<dyn EdgeSender>,
     /// Receives messages, in one task.
     pub(crate) receiver: Box<dyn EdgeReceiver>,
-    /// `true` if the other end has identified itself as a cloud, so that no other program listens there.
+    /// `true` if the other end has identified itself as a cloud. Otherwise another program may listen there.
     pub(crate) is_cloud: bool,
 }
 
@@ -233,12 +235,12 @@ pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
         None
     }
 
-    /// Returns a text that says why the connection is worse than it could be, and what to do about it.
+    /// Returns a warning about a limit of the system that slows the connection down, and what to do about it.
     fn caveat(&self) -> Option<&str> {
         None
     }
 
-    /// Returns the transport's statistics of the connection. May ask the system.
+    /// Returns the transport's statistics of the connection. May query the system.
     fn statistics(&self) -> TransportStatistics {
         TransportStatistics::default()
     }
@@ -254,7 +256,7 @@ pub(crate) enum EdgeArrival {
     /// A message to the cloud did not arrive as a whole.
     Lost(MessageLoss),
     /// Invalid data arrived and was dropped, for this reason.
-    Garbage(String),
+    InvalidData(String),
     /// The connection is worse than it could be; the text says why, names the object, and says what to do.
     Remark(String),
 }
@@ -278,7 +280,7 @@ pub(crate) trait EdgeReceiver: Send + fmt::Debug {
 pub(crate) struct BoundPort {
     /// Actual address of the port.
     pub(crate) address: Address,
-    /// Text that says why all connections of the port are worse than they could be, and what to do about it.
+    /// Warning about a limit of the system that slows all connections of the port down, and what to do about it.
     pub(crate) caveat: Option<String>,
     /// Sends messages, from any task or thread.
     pub(crate) sender: Box<dyn CloudSender>,
@@ -300,7 +302,7 @@ pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
     /// Notes that a connection has no session any more.
     fn demote(&self, connection: ConnectionId);
 
-    /// Returns the transport's statistics of a connection. May ask the system.
+    /// Returns the transport's statistics of a connection. May query the system.
     fn statistics(&self, connection: ConnectionId) -> TransportStatistics;
 }
 
@@ -328,7 +330,7 @@ pub enum Arrival {
     /// A connection ended, for this reason.
     Gone(ConnectionId, String),
     /// Bytes that violate the transport's protocol arrived. A connection that sent them was dropped.
-    Garbage(Option<SocketAddr>, String),
+    InvalidData(Option<SocketAddr>, String),
     /// A connection is worse than it could be; the text says why, names the object, and says what to do.
     Remark(ConnectionId, String),
     /// An edge was refused: its claimed host, and the reason.
@@ -386,7 +388,8 @@ mod tests {
         use peernet_clock::SharedClock;
 
         use super::super::{
-            Address, AddressForm, BindFailure, BoundPort, DialFailure, Dialler, EdgeConnection, HostChecks,
+            Address, AddressForm, BindFailure, BoundPort, DialContext, DialFailure, EdgeConnection,
+            HostChecks,
         };
         use crate::SessionSettings;
 
@@ -401,7 +404,7 @@ mod tests {
         pub(super) async fn dial(
             address: &Address,
             _: &SessionSettings,
-            _: &Dialler<'_>,
+            _: &DialContext<'_>,
         ) -> Result<EdgeConnection, DialFailure> {
             Err(DialFailure::Unreachable(address.to_string()))
         }
@@ -427,7 +430,8 @@ mod tests {
         use peernet_clock::SharedClock;
 
         use super::super::{
-            Address, AddressForm, BindFailure, BoundPort, DialFailure, Dialler, EdgeConnection, HostChecks,
+            Address, AddressForm, BindFailure, BoundPort, DialContext, DialFailure, EdgeConnection,
+            HostChecks,
         };
         use super::nowhere;
         use crate::SessionSettings;
@@ -448,7 +452,7 @@ mod tests {
     use peernet_logger::HostId;
     use registered::NetworkKind;
 
-    use super::{Address, AddressForm, BindFailure, DialFailure, Dialler};
+    use super::{Address, AddressForm, BindFailure, DialContext, DialFailure};
     use crate::message::SessionHello;
     use crate::{SESSION_VERSIONS, SessionSettings};
 
@@ -470,8 +474,8 @@ mod tests {
             device: None,
             clock_socket: None,
         };
-        let dialler = Dialler { hello: &hello, clock: &clock };
-        let dialled = NetworkKind::Robot.dial(&address, &settings, &dialler).await;
+        let context = DialContext { hello: &hello, clock: &clock };
+        let dialled = NetworkKind::Robot.dial(&address, &settings, &context).await;
         assert!(matches!(dialled, Err(DialFailure::Unreachable(where_to)) if where_to == "tcp://a:1"));
         let bound = NetworkKind::Robot.bind(&address, &settings, NonZeroUsize::MIN, &clock).await;
         assert!(matches!(bound, Err(BindFailure::NotLocal)));

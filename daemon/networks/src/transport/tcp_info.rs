@@ -39,14 +39,14 @@ enum TcpInfoError {
 /// or the system does not provide them; in the latter case the reason is logged once.
 pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatistics {
     static IS_LOGGED: AtomicBool = AtomicBool::new(false);
-    match ask(addresses) {
-        Ok(info) => info.map_or_else(TransportStatistics::default, |info| read(&info)),
+    match query(addresses) {
+        Ok(info) => info.map_or_else(TransportStatistics::default, |info| parse_tcp_info(&info)),
         Err(error) => {
             if !IS_LOGGED.swap(true, Ordering::Relaxed) {
                 tracing::info!(
                     %error,
-                    "the kernel does not tell of TCP connections (netlink sock_diag): round trips and retransmissions \
-                     are not shown; allow sockets of the family AF_NETLINK where a sandbox forbids them"
+                    "cannot query the kernel's statistics of TCP connections (netlink sock_diag): round trips and retransmissions \
+                     are not shown; if a sandbox forbids sockets of the family AF_NETLINK, allow them"
                 );
             }
             TransportStatistics::default()
@@ -56,12 +56,12 @@ pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatis
 
 /// Returns the bytes of the kernel's `struct tcp_info`. Their number depends on the version of the kernel. `None` if
 /// the connection is gone.
-fn ask(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoError> {
-    let question = sock_diag_request(addresses);
+fn query(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoError> {
+    let request_bytes = sock_diag_request(addresses);
     let (family, kind) = (AddressFamily::Netlink, SockType::Datagram);
     let socket = socket(family, kind, SockFlag::SOCK_CLOEXEC, SockProtocol::NetlinkSockDiag)
         .map_err(io::Error::from)?;
-    send(socket.as_raw_fd(), &question, MsgFlags::empty()).map_err(io::Error::from)?;
+    send(socket.as_raw_fd(), &request_bytes, MsgFlags::empty()).map_err(io::Error::from)?;
     let mut answer = vec![0; ANSWER_BYTES];
     // The kernel answers within the call that sends the request.
     let length = recv(socket.as_raw_fd(), &mut answer, MsgFlags::MSG_DONTWAIT).map_err(io::Error::from)?;
@@ -69,7 +69,7 @@ fn ask(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoError>
         .map_err(|error| TcpInfoError::Malformed(error.to_string()))?;
     match answer.payload {
         NetlinkPayload::InnerMessage(SockDiagMessage::InetResponse(response)) => {
-            Ok(info_of(addresses, *response))
+            Ok(find_tcp_info(addresses, *response))
         }
         NetlinkPayload::Error(error) if error.to_io().raw_os_error() == Some(Errno::ENOENT as i32) => {
             Ok(None)
@@ -113,9 +113,9 @@ fn interface_index(address: &std::net::SocketAddr) -> u32 {
     }
 }
 
-/// Returns the statistics in an answer. If the connection is gone, the kernel answers with the listening socket, which
-/// is ignored.
-fn info_of(addresses: &ConnectionAddresses, response: InetResponse) -> Option<Vec<u8>> {
+/// Returns the bytes of `struct tcp_info` in an answer. If the connection is gone, the kernel answers with the listening
+/// socket, which is ignored.
+fn find_tcp_info(addresses: &ConnectionAddresses, response: InetResponse) -> Option<Vec<u8>> {
     let found: (IpAddr, u16) =
         (response.header.socket_id.destination_address, response.header.socket_id.destination_port);
     if found != (addresses.remote.ip(), addresses.remote.port()) {
@@ -129,7 +129,7 @@ fn info_of(addresses: &ConnectionAddresses, response: InetResponse) -> Option<Ve
 
 /// Reads the fields by their offsets in `struct tcp_info` of `linux/tcp.h`. Kernels only add fields at the end; those
 /// that an older kernel lacks are unknown.
-fn read(info: &[u8]) -> TransportStatistics {
+fn parse_tcp_info(info: &[u8]) -> TransportStatistics {
     let field = |at: usize| Some(u32::from_ne_bytes(*info.get(at..)?.first_chunk()?));
     let total = |at: usize| field(at).map(u64::from);
     let micros = |value: u32| Span::from_micros(value.into());
@@ -195,12 +195,15 @@ mod tests {
             let (dialled, accepted) = used_connection(at);
             for stream in [&dialled, &accepted] {
                 let info =
-                    ask(&addresses(stream)).expect("the kernel tells").expect("the connection is open");
-                let known = read(&info);
-                let trip = known.round_trip.expect("data was acknowledged");
+                    query(&addresses(stream)).expect("the kernel answers").expect("the connection is open");
+                let counted = parse_tcp_info(&info);
+                let trip = counted.round_trip.expect("data was acknowledged");
                 assert!(trip.smoothed > Span::ZERO && trip.smoothed < Span::from_millis(1_000), "{trip:?}");
                 assert!(trip.min.is_some_and(|min| min <= trip.smoothed + trip.variation), "{trip:?}");
-                assert!(known.sent.retransmitted.is_some() && known.received.lost.is_none(), "{known:?}");
+                assert!(
+                    counted.sent.retransmitted.is_some() && counted.received.lost.is_none(),
+                    "{counted:?}"
+                );
             }
             let sent = tcp_statistics(&addresses(&dialled)).sent.datagrams;
             assert!(sent.is_some_and(|segments| segments >= 2), "100 kB do not fit into one: {sent:?}");
@@ -213,9 +216,9 @@ mod tests {
         let port = listener.local_addr().expect("bound");
         // No connection comes from there, so the kernel finds the listening socket instead.
         let gone = ConnectionAddresses { local: port, remote: "127.0.0.1:1".parse().expect("an address") };
-        assert!(ask(&gone).expect("the kernel tells").is_none());
+        assert!(query(&gone).expect("the kernel answers").is_none());
         drop(listener);
-        assert!(ask(&gone).expect("the kernel tells").is_none());
+        assert!(query(&gone).expect("the kernel answers").is_none());
         assert_eq!(tcp_statistics(&gone), TransportStatistics::default());
     }
 
@@ -225,16 +228,16 @@ mod tests {
         info[68..72].copy_from_slice(&1_500_u32.to_ne_bytes());
         info[72..76].copy_from_slice(&300_u32.to_ne_bytes());
         info[100..104].copy_from_slice(&9_u32.to_ne_bytes());
-        let known = read(&info);
+        let counted = parse_tcp_info(&info);
         assert_eq!(
-            (known.sent.retransmitted, known.sent.datagrams, known.sent.reordered),
+            (counted.sent.retransmitted, counted.sent.datagrams, counted.sent.reordered),
             (Some(9), None, None)
         );
-        let trip = known.round_trip.expect("told");
+        let trip = counted.round_trip.expect("told");
         assert_eq!(
             (trip.min, trip.smoothed, trip.variation),
             (None, Span::from_micros(1_500), Span::from_micros(300))
         );
-        assert_eq!(read(&[]), TransportStatistics::default());
+        assert_eq!(parse_tcp_info(&[]), TransportStatistics::default());
     }
 }

@@ -20,9 +20,9 @@ use zeromq::{
 use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
-    AddressForm, Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, DialFailure,
-    Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames, HostChecks, Peer,
-    SendFailure, SendOptions,
+    AddressForm, Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, DialContext,
+    DialFailure, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames, HostChecks,
+    Peer, SendFailure, SendOptions,
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
@@ -41,7 +41,7 @@ const DIRECT_READ_BYTES: usize = 16 * 1024;
 /// Interval at which the library reconnects. A session ends with its connection, so the library must never reconnect.
 const RECONNECT_INTERVAL: Duration = Duration::from_secs(365 * 24 * 3600);
 
-/// Time limit for finding out why a connection failed.
+/// Time limit for finding out why a connection attempt failed.
 const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Returns the largest message in the library's terms, which count a slot for each frame in addition to its bytes.
@@ -50,14 +50,14 @@ fn largest_message(settings: &SessionSettings) -> usize {
     usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(slots)
 }
 
-/// Returns the number of places in a queue: for every request in flight, and for the few messages that open and close a
-/// session.
-const fn queue_length(settings: &SessionSettings) -> u32 {
+/// Returns the capacity of a queue in messages: one for each request in flight, and 16 for the messages that open and
+/// close sessions.
+const fn queue_capacity(settings: &SessionSettings) -> u32 {
     settings.max_in_flight.saturating_add(16)
 }
 
 fn options(settings: &SessionSettings) -> Options {
-    let queue = queue_length(settings);
+    let queue = queue_capacity(settings);
     Options::default()
         .workload_profile(WorkloadProfile::Latency)
         .max_message_size(largest_message(settings))
@@ -87,7 +87,7 @@ fn to_frames(message: &Message) -> Frames {
     message.iter().collect()
 }
 
-fn sent(result: Result<(), TrySendError>) -> Result<(), SendFailure> {
+fn to_send_result(result: Result<(), TrySendError>) -> Result<(), SendFailure> {
     result.map_err(|failure| match failure {
         TrySendError::Full(_) => SendFailure::Full,
         TrySendError::Closed => SendFailure::Gone("the connection is closed".into()),
@@ -108,7 +108,7 @@ fn reason_text(reason: &DisconnectReason) -> String {
 pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
-    _dialler: &Dialler<'_>,
+    _context: &DialContext<'_>,
 ) -> Result<EdgeConnection, DialFailure> {
     let options = options(settings).handshake_timeout(settings.open_timeout());
     let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable)?;
@@ -118,7 +118,9 @@ pub(crate) async fn dial(
         match monitor.recv().await {
             Ok(MonitorEvent::HandshakeSucceeded { peer, .. }) => break addresses(&peer),
             Ok(MonitorEvent::HandshakeFailed { reason, .. }) => {
-                return Err(DialFailure::Unreachable(format!("something else answers there ({reason})")));
+                return Err(DialFailure::Unreachable(format!(
+                    "the program at this address does not speak ZMTP ({reason})"
+                )));
             }
             Ok(MonitorEvent::Disconnected { reason, .. } | MonitorEvent::ConnectStopped { reason, .. }) => {
                 return Err(DialFailure::Unreachable(reason_text(&reason)));
@@ -129,8 +131,8 @@ pub(crate) async fn dial(
             Err(error) => return Err(DialFailure::Unreachable(error.to_string())),
         }
     };
-    let receiver = Dealer { socket: socket.clone(), monitor, ended: None };
-    // Not known yet, because any ROUTER accepts the connection, also that of an aggregator.
+    let receiver = DealerReceiver { socket: socket.clone(), monitor, end_reason: None };
+    // `is_cloud` is `false`, because every ROUTER accepts the connection, also that of an aggregator.
     let sender = Box::new(DealerSender { socket, addresses });
     Ok(EdgeConnection { sender, receiver: Box::new(receiver), is_cloud: false })
 }
@@ -155,11 +157,11 @@ fn unreachable(error: Error) -> DialFailure {
     }
 }
 
-/// Finds out why a connection failed by connecting once more, because the library does not return the reason.
+/// Finds out why a connection attempt failed by connecting once more, because the library does not return the reason.
 async fn diagnose(address: &Address) -> DialFailure {
     match tokio::time::timeout(DIAGNOSIS_TIMEOUT, tokio::net::TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => DialFailure::Unreachable(error.to_string().to_lowercase()),
-        Ok(Ok(_)) => DialFailure::Unreachable("the connection broke while it was set up".into()),
+        Ok(Ok(_)) => DialFailure::Unreachable("the connection was lost while it was being opened".into()),
         Err(_) => DialFailure::TimedOut,
     }
 }
@@ -173,7 +175,7 @@ struct DealerSender {
 impl EdgeSender for DealerSender {
     // The options are not used: TCP retransmits lost data, so neither the deadline nor the tag matters.
     fn send(&self, frames: Frames, _options: SendOptions) -> Result<(), SendFailure> {
-        sent(self.socket.try_send(to_message(frames)))
+        to_send_result(self.socket.try_send(to_message(frames)))
     }
 
     fn addresses(&self) -> Option<ConnectionAddresses> {
@@ -186,20 +188,20 @@ impl EdgeSender for DealerSender {
 }
 
 #[derive(Debug)]
-struct Dealer {
+struct DealerReceiver {
     socket: Socket,
     monitor: MonitorStream,
     /// Reason why the connection ended. Messages that had arrived before are still returned.
-    ended: Option<String>,
+    end_reason: Option<String>,
 }
 
-impl EdgeReceiver for Dealer {
+impl EdgeReceiver for DealerReceiver {
     fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>> {
         Box::pin(async {
             let arrived = |message: &Message| Ok(EdgeArrival::Message(to_frames(message)));
             loop {
                 // Messages that arrived before the end are still returned.
-                if let Some(reason) = &self.ended {
+                if let Some(reason) = &self.end_reason {
                     return self
                         .socket
                         .try_recv()
@@ -212,9 +214,9 @@ impl EdgeReceiver for Dealer {
                         return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| arrived(&m));
                     }
                     event = self.monitor.recv() => match event {
-                        Ok(MonitorEvent::Disconnected { reason, .. }) => self.ended = Some(reason_text(&reason)),
+                        Ok(MonitorEvent::Disconnected { reason, .. }) => self.end_reason = Some(reason_text(&reason)),
                         // One connection causes few events. An overflow of the monitor means that the peer misbehaves.
-                        Err(error) => self.ended = Some(error.to_string()),
+                        Err(error) => self.end_reason = Some(error.to_string()),
                         Ok(_) => {}
                     },
                 }
@@ -225,7 +227,7 @@ impl EdgeReceiver for Dealer {
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
             if let Err(error) = self.socket.close_with_linger(Some(linger)).await {
-                tracing::debug!(%error, "closing the connection did not end cleanly");
+                tracing::debug!(%error, "cannot close the connection cleanly");
             }
         })
     }
@@ -246,17 +248,17 @@ pub(crate) async fn bind(
     let listener = ZmtpListener::bind(&address.authority(), limits(settings, ports)).await?;
     let bound = listener.address();
     let sender = Box::new(listener.sender());
-    let (address, receiver) = (address.at_ip(bound.ip(), bound.port()), Box::new(listener));
+    let (address, receiver) = (address.with_ip(bound.ip(), bound.port()), Box::new(listener));
     Ok(BoundPort { address, caveat: None, sender, receiver })
 }
 
 fn limits(settings: &SessionSettings, ports: NonZeroUsize) -> ListenerLimits {
     ListenerLimits {
-        max_connections: DescriptorShare::DataPort.connections_of_each(ports),
+        max_connections: DescriptorShare::DataPort.max_connections_per_port(ports),
         max_message_bytes: largest_message(settings),
         max_unfinished_bytes: settings.max_unfinished_bytes,
         hello_timeout: settings.hello_timeout(),
-        max_queued_messages: queue_length(settings) as usize,
+        max_queued_messages: queue_capacity(settings) as usize,
         max_queued_bytes: largest_message(settings),
         heartbeat_interval: settings.heartbeat_interval(),
         heartbeat_timeout: settings.heartbeat_timeout(),

@@ -14,9 +14,9 @@ async fn hello_without_model_lets_cloud_choose() {
     let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let hello = wire::Hello { model: None, ..wire::hello(PROTOCOL) };
     plain.send_message(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
-    let wish = cloud.next_open().await;
-    assert_eq!(wish.hello.model, None);
-    wish.accept(accepted(cloud.host));
+    let open_request = cloud.next_open().await;
+    assert_eq!(open_request.hello.model, None);
+    open_request.accept(accepted(cloud.host));
     let (Header::Accepted { accepted, .. }, _) = plain.receive_message().await else {
         panic!("not accepted")
     };

@@ -13,11 +13,11 @@ use peernet_networks::{Exchange, PeerClock, RawClock, RequestError};
 use peernet_stream::VersionRange;
 
 use crate::hostile::plain_session;
-use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, accepted, echo, log, request, sample, settings, within};
 use crate::wire::Header;
 
-/// Version 4 of the protocol alone, as releases before 0.3.0 speak it.
-const FOUR: VersionRange = VersionRange::single(4);
+/// Only version 4 of the protocol, as in releases before 0.3.0.
+const VERSION_4: VersionRange = VersionRange::single(4);
 const DAY: Span = Span::from_seconds(86_400);
 const HOUR: Span = Span::from_seconds(3_600);
 
@@ -28,7 +28,7 @@ struct AdjustableClocks {
     wall: ClockOffset,
     raw: ClockOffset,
     /// The clock that is moved slightly right after the next stamp.
-    slips: Mutex<Option<SlippingClock>>,
+    slipping: Mutex<Option<SlippingClock>>,
 }
 
 /// Offset of a clock, and the number of its changes.
@@ -67,15 +67,15 @@ impl AdjustableClocks {
             system,
             wall: ClockOffset::default(),
             raw: ClockOffset::default(),
-            slips: Mutex::default(),
+            slipping: Mutex::default(),
         };
         set.wall.step_unnoticed(wall);
         set.raw.step_unnoticed(raw);
         Arc::new(set)
     }
 
-    fn shift_after_next_stamp(&self, slips: SlippingClock) {
-        *self.slips.lock().expect("no panic") = Some(slips);
+    fn shift_after_next_stamp(&self, slipping: SlippingClock) {
+        *self.slipping.lock().expect("no panic") = Some(slipping);
     }
 }
 
@@ -99,7 +99,7 @@ impl Clock for AdjustableClocks {
     fn stamp(&self) -> Stamp {
         let stamp = self.system.stamp();
         let stamp = Stamp { wall: stamp.wall + self.wall.by(), raw: stamp.raw + self.raw.by(), ..stamp };
-        match self.slips.lock().expect("no panic").take() {
+        match self.slipping.lock().expect("no panic").take() {
             Some(SlippingClock::Wall) => self.wall.forward(Span::from_micros(-30)),
             Some(SlippingClock::Raw) => self.raw.forward(Span::from_micros(-30)),
             None => {}
@@ -127,12 +127,12 @@ fn transits(exchange: &Exchange) -> (Transit, Transit) {
         Measure::Transit(transit) => (**transit).clone(),
         other => panic!("{other:?}"),
     };
-    (transit(exchange.up), transit(exchange.down))
+    (transit(exchange.upload), transit(exchange.download))
 }
 
 #[tokio::test]
 async fn exchange_carries_raw_stamps_beside_wall_stamps() {
-    let mut cloud = Cloud::start_by(AdjustableClocks::new(DAY, HOUR)).await;
+    let mut cloud = Cloud::start_with_clock(AdjustableClocks::new(DAY, HOUR)).await;
     let (session, _) = cloud.session(settings()).await;
     assert_eq!(session.clocks(), RelatedClocks::Raw);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
@@ -157,8 +157,8 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
 #[tokio::test]
 async fn session_of_version_four_has_wall_stamps_of_cloud() {
     let cloud_clock = AdjustableClocks::new(DAY, HOUR);
-    let mut cloud = Cloud::start_by(cloud_clock.clone()).await;
-    let session = cloud.session_by(AdjustableClocks::new(Span::ZERO, Span::ZERO), FOUR).await;
+    let mut cloud = Cloud::start_with_clock(cloud_clock.clone()).await;
+    let session = cloud.session_with_clock(AdjustableClocks::new(Span::ZERO, Span::ZERO), VERSION_4).await;
     assert_eq!(session.clocks(), RelatedClocks::RawToWall);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
     let (up, down) = transits(&exchange);
@@ -170,8 +170,8 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     assert_eq!(Some(stamps.received), up.received.map(RawTime::from_wall));
     assert_eq!(stamps.replied, RawTime::from_wall(down.sent));
     let offset = cloud_clock.system.wall_ahead();
-    let wide = Span::from_millis(1);
-    let offset = Interval { lo: offset.lo + DAY - wide, hi: offset.hi + DAY + wide };
+    let tolerance = Span::from_millis(1);
+    let offset = Interval { lo: offset.lo + DAY - tolerance, hi: offset.hi + DAY + tolerance };
     assert!(offset.intersection(stamps.bounds()).is_some(), "{:?} {offset:?}", stamps.bounds());
     let there = observation.cloud_elapsed.expect("read");
     assert!(Span::ZERO <= there && there <= stamps.returned - stamps.sent, "{there}");
@@ -182,19 +182,19 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     cloud.listener.announcer().announce(now);
     let mut told = session.peer_clock();
     let told = within(told.wait_for(|clock| clock.epoch == 1)).await.expect("the session is open");
-    assert_eq!(*told, PeerClock { epoch: 1, ..news() }, "version 4 has no words for free-running clocks");
+    assert_eq!(*told, PeerClock { epoch: 1, ..news() }, "version 4 has no fields for free-running clocks");
 }
 
 #[tokio::test]
 async fn time_at_cloud_is_measured_despite_clock_steps() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-    let mut cloud = Cloud::start_by(clock.clone()).await;
+    let mut cloud = Cloud::start_with_clock(clock.clone()).await;
     let mut open = Vec::new();
     for version in [4, 5] {
         let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-        let session = cloud.session_by(edge, VersionRange::single(version)).await;
+        let session = cloud.session_with_clock(edge, VersionRange::single(version)).await;
         open.push(session.clone());
-        let pending = request(&session, "stepped", PATIENCE);
+        let pending = request(&session, "stepped", TIME_LIMIT);
         let incoming = cloud.next_request().await;
         // Not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
         clock.wall.step_unnoticed(Span::from_seconds(3));
@@ -216,19 +216,19 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
 #[tokio::test]
 async fn moved_cloud_clock_yields_no_observation() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-    let mut cloud = Cloud::start_by(clock.clone()).await;
+    let mut cloud = Cloud::start_with_clock(clock.clone()).await;
     let mut open = Vec::new();
     for (version, moved, untouched) in [(4, &clock.wall, &clock.raw), (5, &clock.raw, &clock.wall)] {
         let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-        let session = cloud.session_by(edge, VersionRange::single(version)).await;
+        let session = cloud.session_with_clock(edge, VersionRange::single(version)).await;
         open.push(session.clone());
         for (clock, voids) in [(moved, true), (untouched, false)] {
-            let pending = request(&session, "moved at the cloud", PATIENCE);
+            let pending = request(&session, "moved at the cloud", TIME_LIMIT);
             let incoming = cloud.next_request().await;
             clock.forward(Span::from_seconds(3));
             incoming.reply.send(incoming.log, Ok(incoming.sample));
             let exchange = within(pending).await.expect("no panic");
-            assert!(exchange.result.is_ok() && exchange.down.is_some());
+            assert!(exchange.result.is_ok() && exchange.download.is_some());
             assert_eq!(
                 exchange.observation.is_none(),
                 voids,
@@ -248,10 +248,10 @@ async fn interrupted_raw_clock_of_edge_yields_no_observation() {
     let mut open = Vec::new();
     for version in [4, 5] {
         let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-        let session = cloud.session_by(clock.clone(), VersionRange::single(version)).await;
+        let session = cloud.session_with_clock(clock.clone(), VersionRange::single(version)).await;
         open.push(session.clone());
         for (moved, voids) in [(&clock.raw, true), (&clock.wall, false)] {
-            let pending = request(&session, "moved at the edge", PATIENCE);
+            let pending = request(&session, "moved at the edge", TIME_LIMIT);
             let incoming = cloud.next_request().await;
             moved.forward(Span::from_seconds(3));
             incoming.reply.send(incoming.log, Ok(incoming.sample));
@@ -266,13 +266,13 @@ async fn interrupted_raw_clock_of_edge_yields_no_observation() {
 #[tokio::test]
 async fn clock_moved_after_first_stamp_yields_no_observation() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-    let mut cloud = Cloud::start_by(clock.clone()).await;
+    let mut cloud = Cloud::start_with_clock(clock.clone()).await;
     let mut open = Vec::new();
-    for (version, slips) in [(4, SlippingClock::Wall), (5, SlippingClock::Raw)] {
+    for (version, slipping) in [(4, SlippingClock::Wall), (5, SlippingClock::Raw)] {
         let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
-        let session = cloud.session_by(edge.clone(), VersionRange::single(version)).await;
+        let session = cloud.session_with_clock(edge.clone(), VersionRange::single(version)).await;
         open.push(session.clone());
-        clock.shift_after_next_stamp(slips);
+        clock.shift_after_next_stamp(slipping);
         let exchange = echo(&mut cloud, &session, "moved at the cloud").await;
         assert_eq!(exchange.observation, None);
         let exchange = echo(&mut cloud, &session, "after").await;
@@ -289,10 +289,10 @@ async fn clock_moved_after_first_stamp_yields_no_observation() {
 async fn request_without_model_answer_yields_no_observation() {
     let mut cloud = Cloud::start().await;
     let (session, _) = cloud.session(settings()).await;
-    let pending = request(&session, "forgotten", PATIENCE);
+    let pending = request(&session, "forgotten", TIME_LIMIT);
     drop(cloud.next_request().await);
     let exchange = within(pending).await.expect("no panic");
-    assert!(exchange.arrived.is_some());
+    assert!(exchange.arrived_at.is_some());
     assert_eq!(exchange.observation, None);
     let exchange = within(session.request(log(), &sample("x"), Duration::ZERO)).await;
     assert_eq!((exchange.result, exchange.observation), (Err(RequestError::Timeout), None));

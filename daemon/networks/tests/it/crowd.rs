@@ -24,7 +24,7 @@ async fn send_requests(session: Session, task: usize) -> Result<(), RequestError
         let sent = Sample::from_part(Description::bytes(), payload(task * REQUESTS + n));
         let exchange = session.request(log(), &sent, Duration::from_secs(60)).await;
         assert_eq!(exchange.result?, sent);
-        assert!(exchange.down.is_some());
+        assert!(exchange.download.is_some());
     }
     Ok(())
 }
@@ -40,7 +40,7 @@ async fn every_datagram_request_of_many_edges_is_answered() {
 }
 
 async fn serve_many_edges(network: TestNetwork) {
-    let Cloud { host, mut listener, .. } = Cloud::over(network).await;
+    let Cloud { host, mut listener, .. } = Cloud::on_network(network).await;
     let address = listener.address().clone();
     let (done, mut all_done) = tokio::sync::oneshot::channel();
     let cloud = tokio::spawn(async move {

@@ -7,7 +7,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, accepted, echo, hello, log, open, over_every_network, request, sample,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, echo, hello, log, open, over_every_network, request, sample,
     settings, within,
 };
 
@@ -18,9 +18,9 @@ over_every_network!(
 );
 
 async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
+    let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), TIME_LIMIT)).collect();
     let mut held = Vec::new();
     for _ in 0..5 {
         held.push(cloud.next_request().await);
@@ -33,7 +33,7 @@ async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
     assert_eq!(session.statistics().lost_messages, 5);
 
-    let exchange = within(session.request(log(), &sample("too late"), PATIENCE)).await;
+    let exchange = within(session.request(log(), &sample("too late"), TIME_LIMIT)).await;
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     // Answers to a listener that is gone are dropped without an error.
     for request in held {
@@ -42,7 +42,7 @@ async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
 }
 
 async fn restarted_cloud_accepts_new_session_on_same_port(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (old, _) = cloud.session(settings()).await;
     let address = cloud.address();
     echo(&mut cloud, &old, "before").await;
@@ -54,8 +54,7 @@ async fn restarted_cloud_accepts_new_session_on_same_port(network: TestNetwork) 
     echo(&mut cloud, &new, "after").await;
 }
 
-/// Starts a cloud on the port of an earlier one. The port is free as soon as the old listener's task has noticed its
-/// end.
+/// Starts a cloud on the port of an earlier one. The port is free as soon as the task of the old listener has ended.
 async fn restart(address: &Address) -> Cloud {
     let is_taken = || match address.scheme() {
         // Binding asks the master or the domain, which find an earlier cloud.
@@ -70,7 +69,7 @@ async fn restart(address: &Address) -> Cloud {
 }
 
 async fn vanished_edge_closes_its_sessions(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let address = cloud.address();
     // The edge's runtime is dropped with all its sockets, without a goodbye.
     let edge = std::thread::spawn(move || {
@@ -89,7 +88,7 @@ async fn vanished_edge_closes_its_sessions(network: TestNetwork) {
 #[tokio::test]
 async fn silent_connection_ends_after_heartbeat_timeout() {
     let mut cloud = Cloud::start().await;
-    let wire = SilencingRelay::before(cloud.address()).await;
+    let wire = SilencingRelay::start(cloud.address()).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let address = wire.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), quick).await });
@@ -97,7 +96,7 @@ async fn silent_connection_ends_after_heartbeat_timeout() {
     let session = within(edge).await.expect("no panic").expect("accepted");
     echo(&mut cloud, &session, "the wire works").await;
 
-    let pending = request(&session, "the wire is cut", PATIENCE);
+    let pending = request(&session, "the wire is cut", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     wire.cut.notify_waiters();
     let exchange = within(pending).await.expect("no panic");
@@ -112,7 +111,7 @@ struct SilencingRelay {
 }
 
 impl SilencingRelay {
-    async fn before(cloud: Address) -> Self {
+    async fn start(cloud: Address) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let local = listener.local_addr().expect("bound");
         let cut = Arc::new(Notify::new());
@@ -126,6 +125,6 @@ impl SilencingRelay {
                 () = cutting.notified() => std::future::pending().await,
             }
         });
-        Self { address: Address::of_ip(local.ip(), local.port()), cut }
+        Self { address: Address::from_ip(local.ip(), local.port()), cut }
     }
 }

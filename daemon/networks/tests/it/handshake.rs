@@ -5,8 +5,8 @@ use std::time::Duration;
 use peernet_networks::{BindError, CloseReason, Listener, NetworkKind, OpenError, SessionSettings};
 
 use crate::support::{
-    Cloud, TestNetwork, accepted, any_port, clock, echo, hello, open, over_every_network, over_every_port,
-    settings, within,
+    Cloud, TestNetwork, accepted, clock, echo, hello, open, over_every_network, over_every_port, settings,
+    unused_address, within,
 };
 
 over_every_network!(
@@ -21,7 +21,7 @@ over_every_network!(
 over_every_port!(port_in_use_is_reported_with_advice);
 
 async fn accepted_session_identifies_both_sides(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (address, expected) = (cloud.address(), hello());
     assert!(address.port() != 0 || address.domain().is_some());
     let edge = tokio::spawn({
@@ -41,7 +41,7 @@ async fn accepted_session_identifies_both_sides(network: TestNetwork) {
 }
 
 async fn dropping_last_clone_closes_session(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, id) = cloud.session(settings()).await;
     let clone = session.clone();
     drop(session);
@@ -51,7 +51,7 @@ async fn dropping_last_clone_closes_session(network: TestNetwork) {
 }
 
 async fn refusal_arrives_with_reason(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     cloud.next_open().await.refuse("no model \"echo\"; there are: sleep, quality-control");
@@ -71,7 +71,7 @@ async fn refusal_arrives_with_reason(network: TestNetwork) {
 }
 
 async fn unreachable_cloud_is_reported_at_once(network: TestNetwork) {
-    let cloud = Cloud::over(network).await;
+    let cloud = Cloud::on_network(network).await;
     let address = cloud.address();
     cloud.listener.close().await;
     let error = open(&address, hello(), settings()).await.expect_err("nobody listens");
@@ -93,7 +93,7 @@ async fn unreachable_cloud_is_reported_at_once(network: TestNetwork) {
 }
 
 async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     // A ROS node asks its master several times, or searches the cloud, before it can ask for a session.
     let waited_ms = if network.scheme().starts_with("ros") { 3_000 } else { 200 };
     let impatient = SessionSettings { open_timeout_ms: waited_ms, ..settings() };
@@ -105,7 +105,7 @@ async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let expected = match network.scheme() {
         "tcp" => OpenError::TimedOut { address, waited_ms },
         // The other end has identified itself as a cloud.
-        _ => OpenError::Unanswered { address, reason: format!("nothing came within {waited_ms} ms") },
+        _ => OpenError::Unanswered { address, reason: format!("no answer arrived within {waited_ms} ms") },
     };
     assert_eq!(error, expected);
     assert_eq!(cloud.next_closed().await.0, unanswered.session);
@@ -113,7 +113,7 @@ async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
 }
 
 async fn port_in_use_is_reported_with_advice(network: TestNetwork) {
-    let cloud = Cloud::over(network).await;
+    let cloud = Cloud::on_network(network).await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the port is taken");
     assert_eq!(error, BindError::InUse(cloud.address()));
@@ -127,7 +127,7 @@ async fn port_in_use_is_reported_with_advice(network: TestNetwork) {
 
 async fn sessions_beyond_limit_are_refused_until_one_closes(network: TestNetwork) {
     let limited = SessionSettings { max_sessions: 1, ..settings() };
-    let mut cloud = Cloud::start_at(&any_port(network), limited).await;
+    let mut cloud = Cloud::start_at(&unused_address(network), limited).await;
     let (first, _) = cloud.session(settings()).await;
     let address = cloud.address();
     let second = tokio::spawn(async move { open(&address, hello(), settings()).await });
@@ -141,7 +141,7 @@ async fn sessions_beyond_limit_are_refused_until_one_closes(network: TestNetwork
     cloud.next_closed().await;
     let (third, _) = within(cloud.session(settings())).await;
     let exchange = echo(&mut cloud, &third, "in").await;
-    assert!(exchange.arrived.is_some());
+    assert!(exchange.arrived_at.is_some());
 }
 
 #[tokio::test]

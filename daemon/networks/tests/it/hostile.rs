@@ -11,7 +11,7 @@ use tokio::net::TcpStream;
 use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
-use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, accepted, echo, log, request, sample, settings, within};
 use crate::wire::{self, Header, Id, Outcome, PROTOCOL, PlainSocket};
 
 fn tree() -> Bytes {
@@ -37,9 +37,9 @@ pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
     }
 }
 
-/// Waits until the listener has handled everything in transfer: a session's echo has returned. Then checks the count of
+/// Waits until the listener has handled all messages in transfer, by an echo over a new session. Then checks the count of
 /// malformed messages.
-async fn malformed_after(cloud: &mut Cloud, expected: u64) {
+async fn check_malformed_count(cloud: &mut Cloud, expected: u64) {
     let (session, _) = cloud.session(settings()).await;
     echo(cloud, &session, "the port still serves").await;
     within(session.close()).await;
@@ -80,7 +80,7 @@ async fn bytes_that_are_not_zmtp_are_dropped_and_counted() {
         // Until the listener closes the connection, in whatever way.
         let _ = within(stream.read_to_end(&mut Vec::new())).await;
     }
-    malformed_after(&mut cloud, 2).await;
+    check_malformed_count(&mut cloud, 2).await;
 }
 
 #[tokio::test]
@@ -118,7 +118,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
         plain.send_message(header, Vec::new()).await;
         expected += 1;
     }
-    malformed_after(&mut cloud, expected).await;
+    check_malformed_count(&mut cloud, expected).await;
 }
 
 #[tokio::test]
@@ -147,7 +147,7 @@ async fn invalid_requests_are_answered_as_failed() {
             "{number}: {header:?}"
         );
     }
-    malformed_after(&mut cloud, count).await;
+    check_malformed_count(&mut cloud, count).await;
 }
 
 #[tokio::test]
@@ -221,7 +221,7 @@ async fn silent_connections_do_not_block_new_edges() {
     let (session, _) = cloud.session(settings()).await;
     echo(&mut cloud, &session, "still served").await;
     // They are closed when the time limit for the handshake has passed.
-    malformed_after(&mut cloud, 300).await;
+    check_malformed_count(&mut cloud, 300).await;
     drop(silent);
 }
 
@@ -230,7 +230,7 @@ async fn chosen_routing_id_is_refused() {
     let mut cloud = Cloud::start().await;
     let plain = PlainSocket::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
     plain.send_message(&wire::open(PROTOCOL), Vec::new()).await;
-    malformed_after(&mut cloud, 1).await;
+    check_malformed_count(&mut cloud, 1).await;
 }
 
 #[tokio::test]
@@ -248,7 +248,7 @@ async fn oversize_message_ends_only_its_connection() {
 async fn session_unknown_to_cloud_ends() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session().await;
-    let pending = request(&session, "do you know me?", PATIENCE);
+    let pending = request(&session, "do you know me?", TIME_LIMIT);
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
     cloud.send_message(&to, &Header::UnknownSession { session: id, request: number }, Vec::new()).await;
@@ -288,7 +288,7 @@ async fn invalid_answers_change_no_tree() {
     ];
     let count = bad.len() as u64;
     for delta in bad {
-        let pending = request(&session, "x", PATIENCE);
+        let pending = request(&session, "x", TIME_LIMIT);
         let (_, header) = cloud.receive_message().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
         let answer = Outcome::Answer((Vec::new(), String::new(), None));
@@ -301,7 +301,7 @@ async fn invalid_answers_change_no_tree() {
             .await;
         let exchange = within(pending).await.expect("no panic");
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
-        assert_eq!((exchange.down, exchange.log.tree().anchors().len()), (None, 1));
+        assert_eq!((exchange.download, exchange.log.tree().anchors().len()), (None, 1));
     }
     assert_eq!(session.statistics().malformed_messages, count);
 
@@ -322,7 +322,7 @@ async fn invalid_answers_change_no_tree() {
     }
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request(log(), &sample("y"), PATIENCE).await }
+        async move { session.request(log(), &sample("y"), TIME_LIMIT).await }
     });
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
@@ -344,7 +344,7 @@ async fn version_five_reply_without_raw_stamps_is_invalid() {
     let (session, to, id) = cloud.session_of_version(5).await;
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request(log(), &sample("x"), PATIENCE).await }
+        async move { session.request(log(), &sample("x"), TIME_LIMIT).await }
     });
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };

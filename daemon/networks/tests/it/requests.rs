@@ -8,8 +8,8 @@ use peernet_networks::{Failure, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, any_port, echo, log, over_every_network, request, sample, settings, text,
-    within,
+    Cloud, TIME_LIMIT, TestNetwork, echo, log, over_every_network, request, sample, settings, text,
+    unused_address, within,
 };
 
 over_every_network!(
@@ -25,11 +25,11 @@ over_every_network!(
 );
 
 async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let mut full = log();
     while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
-    let pending = tokio::spawn(async move { session.request(full, &sample("hello"), PATIENCE).await });
+    let pending = tokio::spawn(async move { session.request(full, &sample("hello"), TIME_LIMIT).await });
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(sample("answer")));
     let exchange = within(pending).await.expect("no panic");
@@ -41,7 +41,7 @@ async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
 }
 
 async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, id) = cloud.session(settings()).await;
     let opened = session.statistics();
     let two = Sample {
@@ -57,7 +57,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let edge_host = edge_log.tree().anchors()[0].host;
     let pending = tokio::spawn({
         let (session, two) = (session.clone(), two.clone());
-        async move { session.request(edge_log, &two, PATIENCE).await }
+        async move { session.request(edge_log, &two, TIME_LIMIT).await }
     });
 
     let mut incoming = cloud.next_request().await;
@@ -77,9 +77,9 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let tree = exchange.log.tree();
     let anchors: Vec<_> = tree.anchors().iter().map(|anchor| anchor.host).collect();
     assert_eq!(anchors, [edge_host, cloud.host]);
-    assert_eq!(exchange.up, Some(upload));
+    assert_eq!(exchange.upload, Some(upload));
     let (down, download) = tree.find(&["download"]).expect("the way back");
-    assert_eq!(exchange.down, Some(down));
+    assert_eq!(exchange.download, Some(down));
     assert_eq!(download.host, HostIndex(1));
     let (_, inference) = tree.find(&["inference"]).expect("the cloud's node");
     assert_eq!((inference.host, inference.parent), (HostIndex(1), Some(NodeId::ROOT)));
@@ -93,7 +93,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     };
     let ((sent, received), (answered, arrived)) = (transit(upload), transit(down));
     assert_eq!(received, incoming.received.wall);
-    assert_eq!(Some(arrived), exchange.arrived.map(|stamp| stamp.wall));
+    assert_eq!(Some(arrived), exchange.arrived_at.map(|stamp| stamp.wall));
     assert!(sent <= received && received <= answered && answered <= arrived);
 
     let value = |name| tree.find(&[name]).and_then(|(_, node)| node.measure.value()).expect(name);
@@ -108,9 +108,9 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
 }
 
 async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
+    let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), TIME_LIMIT)).collect();
     let mut incoming = Vec::new();
     for _ in 0..pending.len() {
         incoming.push(cloud.next_request().await);
@@ -129,7 +129,7 @@ async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
 }
 
 async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
 
     // A timeout that the clock cannot represent counts as no timeout.
@@ -139,31 +139,31 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     incoming.reply.send(incoming.log, Err(Failure::Failed("not a JPEG".into())));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Failed("not a JPEG".into())));
-    assert!(exchange.down.is_some() && exchange.log.tree().find(&["preprocessing"]).is_some());
+    assert!(exchange.download.is_some() && exchange.log.tree().find(&["preprocessing"]).is_some());
 
-    let pending = request(&session, "one too many", PATIENCE);
+    let pending = request(&session, "one too many", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Err(Failure::Overloaded("16 samples wait".into())));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Overloaded("16 samples wait".into())));
 
-    let pending = request(&session, "forgotten", PATIENCE);
+    let pending = request(&session, "forgotten", TIME_LIMIT);
     drop(cloud.next_request().await);
     let exchange = within(pending).await.expect("no panic");
     assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
-    assert!(exchange.arrived.is_some() && exchange.down.is_none());
+    assert!(exchange.arrived_at.is_some() && exchange.download.is_none());
     echo(&mut cloud, &session, "all is well").await;
 }
 
 async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
     let slow = cloud.next_request().await;
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Timeout));
-    assert_eq!((exchange.arrived, exchange.down), (None, None));
-    let upload = exchange.log.tree().get(exchange.up.expect("was sent")).expect("in the tree");
+    assert_eq!((exchange.arrived_at, exchange.download), (None, None));
+    let upload = exchange.log.tree().get(exchange.upload.expect("was sent")).expect("in the tree");
     assert!(upload.measure.is_open());
     assert!(exchange.log.tree().find(&["upload-bytes"]).is_some());
 
@@ -175,10 +175,10 @@ async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
 }
 
 async fn abandoned_request_frees_its_place(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let one = SessionSettings { max_in_flight: 1, ..settings() };
     let (session, _) = cloud.session(one).await;
-    let pending = request(&session, "dropped", PATIENCE);
+    let pending = request(&session, "dropped", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     pending.abort();
     assert!(within(pending).await.expect_err("aborted").is_cancelled());
@@ -189,9 +189,9 @@ async fn abandoned_request_frees_its_place(network: TestNetwork) {
 
 async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) {
     let two = SessionSettings { max_in_flight: 1, ..settings() };
-    let mut cloud = Cloud::start_at(&any_port(network), two).await;
+    let mut cloud = Cloud::start_at(&unused_address(network), two).await;
     let (session, _) = cloud.session(settings()).await;
-    let (first, second) = (request(&session, "a", PATIENCE), request(&session, "b", PATIENCE));
+    let (first, second) = (request(&session, "a", TIME_LIMIT), request(&session, "b", TIME_LIMIT));
     for _ in 0..2 {
         let incoming = cloud.next_request().await;
         incoming.reply.send(incoming.log, Ok(incoming.sample));
@@ -201,29 +201,29 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     let waited = |exchange: &peernet_networks::Exchange| exchange.log.tree().find(&["send-queue"]).is_some();
     assert_eq!([waited(&first), waited(&second)].iter().filter(|waited| **waited).count(), 1);
 
-    let held = request(&session, "c", PATIENCE);
+    let held = request(&session, "c", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     let impatient = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
     assert_eq!(impatient.result, Err(RequestError::Timeout));
-    assert_eq!(impatient.up, None);
+    assert_eq!(impatient.upload, None);
     incoming.reply.send(incoming.log, Ok(incoming.sample));
     assert!(within(held).await.expect("no panic").result.is_ok());
 }
 
 async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
-    let mut cloud = Cloud::start_at(&any_port(network), small.clone()).await;
+    let mut cloud = Cloud::start_at(&unused_address(network), small.clone()).await;
     let (session, _) = cloud.session(settings()).await;
     let large = Sample::from_part(Description::bytes(), vec![0; 100_001].into());
-    let exchange = within(session.request(log(), &large, PATIENCE)).await;
+    let exchange = within(session.request(log(), &large, TIME_LIMIT)).await;
     let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
-    assert_eq!(exchange.up, None);
+    assert_eq!(exchange.upload, None);
     echo(&mut cloud, &session, "small").await;
 
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(small).await;
-    let pending = request(&session, "zoom in", PATIENCE);
+    let pending = request(&session, "zoom in", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(large));
     let exchange = within(pending).await.expect("no panic");
@@ -233,19 +233,19 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
 }
 
 async fn samples_beyond_header_limits_fail_alone(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let part = Part { description: Description::bytes(), bytes: "x".into() };
     let crowded = Sample { parts: vec![part; 65], source: String::new(), label: None };
     let talkative = Sample { source: "x".repeat(70_000), ..sample("x") };
     for bad in [crowded, talkative] {
-        let exchange = within(session.request(log(), &bad, PATIENCE)).await;
+        let exchange = within(session.request(log(), &bad, TIME_LIMIT)).await;
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
     }
     let empty = Sample { parts: Vec::new(), source: String::new(), label: None };
     let pending = tokio::spawn({
         let (session, empty) = (session.clone(), empty.clone());
-        async move { session.request(log(), &empty, PATIENCE).await }
+        async move { session.request(log(), &empty, TIME_LIMIT).await }
     });
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(incoming.sample));

@@ -12,7 +12,7 @@ use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 
 use crate::ros_master::RosMaster;
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
 };
 
 /// Returns a node of another program.
@@ -33,7 +33,7 @@ fn request_topic(pipeline: &str) -> String {
 pub(crate) async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sample) -> Sample {
     let pending = tokio::spawn({
         let (session, sample) = (session.clone(), sample.clone());
-        async move { session.request(log(), &sample, PATIENCE).await }
+        async move { session.request(log(), &sample, TIME_LIMIT).await }
     });
     let incoming = cloud.next_request().await;
     assert_eq!(incoming.sample, sample);
@@ -57,7 +57,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
         Description::unshaped(MediaType::Jpeg),
         Description::pixels(PixelFormat::Rgb8, 400, 1_000),
     ] {
-        let mut cloud = Cloud::over(TestNetwork::Ros1).await;
+        let mut cloud = Cloud::on_network(TestNetwork::Ros1).await;
         let (session, _) = session(&mut cloud).await;
         for size in [0, 1, 1_000, 60_000, 1_200_000, 20_000_000, 1_000] {
             let bytes: Bytes = (0..size).map(|at: u32| (at % 251) as u8).collect::<Vec<u8>>().into();
@@ -77,7 +77,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&master, "viewer").await;
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let mut pictures = viewer
         .subscribe(&request_topic(&pipeline), kind, SubscriberOptions::default())
         .await
@@ -136,7 +136,7 @@ async fn unreachable_master_is_named() {
 
 #[tokio::test]
 async fn new_connection_of_same_pipeline_replaces_earlier_one() {
-    replace_connections(Cloud::over(TestNetwork::Ros1).await).await;
+    replace_connections(Cloud::on_network(TestNetwork::Ros1).await).await;
 }
 
 /// Opens three connections of one pipeline in succession. Each one ends the one before, and works.
@@ -169,7 +169,7 @@ pub(crate) async fn replace_connections(mut cloud: Cloud) {
 
 #[tokio::test]
 async fn name_of_another_cloud_is_refused() {
-    let cloud = Cloud::over(TestNetwork::Ros1).await;
+    let cloud = Cloud::on_network(TestNetwork::Ros1).await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the name is taken").to_string();
     assert!(error.contains("serves the name") && error.contains("another name"), "{error}");
@@ -181,8 +181,8 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     let cloud = Cloud::start_at(&master.address(), settings()).await;
     let node = foreign_node(&master, "rosbag").await;
     for (ending, kind, said) in [
-        ("_info", TopicType::of::<MessageInfo>(), "node /rosbag publishes topic"),
-        ("", TopicType::of::<StringMessage>(), "node /rosbag publishes topic"),
+        ("_info", TopicType::from_message::<MessageInfo>(), "node /rosbag publishes topic"),
+        ("", TopicType::from_message::<StringMessage>(), "node /rosbag publishes topic"),
     ] {
         let hello = hello();
         let topic = format!("{}{ending}", request_topic(hello.pipeline.as_str()));
@@ -192,7 +192,7 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     }
     let hello = hello();
     let topic = format!("/{}/response_info", hello.pipeline.as_str().replace('-', "_"));
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let _publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
     let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
     assert!(error.contains("std_msgs/String") && error.contains(&topic), "{error}");
@@ -206,7 +206,7 @@ async fn messages_of_second_publishers_are_dropped() {
     let node = foreign_node(&master, "stranger").await;
     let topic = format!("{}_info", request_topic(&pipeline));
     let publisher = node
-        .publish(&topic, TopicType::of::<MessageInfo>(), PublisherOptions::default())
+        .publish(&topic, TopicType::from_message::<MessageInfo>(), PublisherOptions::default())
         .await
         .expect("registered");
     within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
@@ -239,10 +239,10 @@ pub(crate) async fn second_publisher_is_remarked(
 
 #[tokio::test]
 async fn edge_gets_reason_of_refusal() {
-    pipeline_of_another_host_is_refused(Cloud::over(TestNetwork::Ros1).await).await;
+    pipeline_of_another_host_is_refused(Cloud::on_network(TestNetwork::Ros1).await).await;
 }
 
-/// Tests a second host that asks for the topics of a pipeline: both ends report it, and the session continues.
+/// Requests the topics of a pipeline from a second host: both ends report it, and the session continues.
 pub(crate) async fn pipeline_of_another_host_is_refused(mut cloud: Cloud) {
     let (first, pipeline) = session(&mut cloud).await;
     let (address, hello) = (cloud.address(), hello());
@@ -292,7 +292,7 @@ async fn slow_subscriber_delays_nothing() {
     let options = SubscriberOptions { when_full: WhenFull::Wait, ..SubscriberOptions::default() };
     let watching =
         viewer.subscribe(&request_topic(&pipeline), TopicType::any(), options).await.expect("registered");
-    // It never takes a message.
+    // It reads no message.
     for _ in 0..100 {
         let sample = Sample::from_part(Description::bytes(), Bytes::from(vec![1; 1_000_000]));
         exchange(&mut cloud, &session, sample).await;

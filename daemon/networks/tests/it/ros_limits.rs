@@ -16,8 +16,8 @@ const SHARED: u64 = 1_000_000;
 /// Number of connections that are opened without a session.
 const OTHERS: usize = 12;
 
-/// Returns a companion whose payload never arrives.
-fn half_a_message(sequence: u64, bytes: usize) -> EncodedMessage {
+/// Returns a companion whose payload is never sent.
+fn companion_without_payload(sequence: u64, bytes: usize) -> EncodedMessage {
     let stamp = Time::from_nanos(1_000_000_000 + i64::try_from(sequence).expect("small"));
     let info = MessageInfo {
         header: Header { stamp, frame_id: "id".into(), ..Header::default() },
@@ -45,7 +45,7 @@ async fn other_address_cannot_replace_connection() {
         namespace: "/".to_owned(),
     };
     let node = Node::new(&environment, "stranger", clock()).await.expect("the master answers");
-    let hellos = hellos_to(&cloud, &node).await;
+    let hellos = hello_publisher(&cloud, &node).await;
     for _ in 0..20 {
         let (host, pipeline) = robot.clone();
         send_hello(&hellos, &node, host, pipeline).await;
@@ -53,17 +53,17 @@ async fn other_address_cannot_replace_connection() {
     }
 }
 
-/// Returns the topic on which a cloud is asked for connections.
-async fn hellos_to(cloud: &Cloud, node: &Node) -> Publisher {
+/// Returns a publisher of the topic on which a cloud receives connection requests.
+async fn hello_publisher(cloud: &Cloud, node: &Node) -> Publisher {
     let address = cloud.address().to_string();
     let topic = format!("/{}/sessions", address.rsplit('/').next().expect("a name"));
-    let kind = TopicType::of::<SessionHello>();
+    let kind = TopicType::from_message::<SessionHello>();
     let publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
     within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
     publisher
 }
 
-/// Asks for a connection.
+/// Sends a connection request.
 async fn send_hello(hellos: &Publisher, node: &Node, host: String, pipeline: String) {
     let header = Header { frame_id: "id".into(), ..Header::default() };
     let hello = SessionHello { header, node: node.name().to_owned(), host, pipeline };
@@ -79,17 +79,19 @@ async fn connections_without_session_leave_memory_to_sessions() {
     let (session, _) = session(&mut cloud).await;
     let node = foreign_node(&master, "crowd").await;
     let options = PublisherOptions::default();
-    let hellos = hellos_to(&cloud, &node).await;
+    let hellos = hello_publisher(&cloud, &node).await;
     let mut publishers: Vec<Publisher> = Vec::new();
     for number in 0..OTHERS {
         let pipeline = format!("/crowd/line{number}");
         let topic = format!("{pipeline}/request_info");
-        let publisher =
-            node.publish(&topic, TopicType::of::<MessageInfo>(), options).await.expect("registered");
+        let publisher = node
+            .publish(&topic, TopicType::from_message::<MessageInfo>(), options)
+            .await
+            .expect("registered");
         send_hello(&hellos, &node, "crowd".to_owned(), pipeline).await;
         within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
         for sequence in 0..4 {
-            let sent = publisher.publish_waiting(half_a_message(sequence, 60_000));
+            let sent = publisher.publish_waiting(companion_without_payload(sequence, 60_000));
             within(sent).await.expect("the node runs");
         }
         publishers.push(publisher);

@@ -9,7 +9,8 @@ use peernet_networks::{CloseReason, RequestError, SessionSettings};
 use tokio::sync::oneshot;
 
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, any_port, clock, over_every_network, request, settings, text, within,
+    Cloud, TIME_LIMIT, TestNetwork, clock, over_every_network, request, settings, text, unused_address,
+    within,
 };
 
 over_every_network!(closing_waits_for_answers_and_sends_goodbye, closing_ends_after_timeout);
@@ -52,9 +53,9 @@ impl Clock for PausingClock {
 async fn closing_waits_for_answer_being_sent() {
     let ((arrived, at_gate), (leave, left)) = (oneshot::channel(), mpsc::sync_channel(1));
     let gate = PausingClock { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
-    let mut cloud = Cloud::start_by(Arc::new(gate)).await;
+    let mut cloud = Cloud::start_with_clock(Arc::new(gate)).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending = [request(&session, "one", PATIENCE), request(&session, "other", PATIENCE)];
+    let pending = [request(&session, "one", TIME_LIMIT), request(&session, "other", TIME_LIMIT)];
     let (slow, quick) = (cloud.next_request().await, cloud.next_request().await);
     // The request is answered, but the answer has not been sent yet.
     let held = thread::Builder::new().name(PAUSED_THREAD.to_owned());
@@ -75,9 +76,9 @@ async fn closing_waits_for_answer_being_sent() {
 }
 
 async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
-    let mut cloud = Cloud::over(network).await;
+    let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending = request(&session, "almost done", PATIENCE);
+    let pending = request(&session, "almost done", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     let (closing, closed) = tokio::sync::oneshot::channel();
     let listener = cloud.listener;
@@ -95,9 +96,9 @@ async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
 
 async fn closing_ends_after_timeout(network: TestNetwork) {
     let hasty = SessionSettings { close_timeout_ms: 50, ..settings() };
-    let mut cloud = Cloud::start_at(&any_port(network), hasty).await;
+    let mut cloud = Cloud::start_at(&unused_address(network), hasty).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending = request(&session, "never done", PATIENCE);
+    let pending = request(&session, "never done", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     within(cloud.listener.close()).await;
     let exchange = within(pending).await.expect("no panic");

@@ -1,10 +1,10 @@
 //! Tests of the statistics of a connection at both ends, and of those of the kernel.
 
 use peernet_clock::Span;
-use peernet_networks::interface_of;
+use peernet_networks::outgoing_interface;
 use peernet_stream::ConnectionStatistics;
 
-use crate::support::{Cloud, PATIENCE, log, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, log, sample, settings, within};
 
 #[tokio::test]
 async fn both_ends_count_same_bytes_and_messages() {
@@ -13,7 +13,7 @@ async fn both_ends_count_same_bytes_and_messages() {
     for size in [0, 10, 300_000] {
         let pending = tokio::spawn({
             let session = session.clone();
-            async move { session.request(log(), &sample(&"x".repeat(size)), PATIENCE).await }
+            async move { session.request(log(), &sample(&"x".repeat(size)), TIME_LIMIT).await }
         });
         let incoming = cloud.next_request().await;
         incoming.reply.send(incoming.log, Ok(sample("answer")));
@@ -63,7 +63,7 @@ async fn tcp_connection_has_round_trip_and_interface() {
 
     let addresses = reader.addresses().expect("a TCP connection has addresses");
     assert_eq!(addresses.remote.port(), cloud.address().port());
-    let interface = interface_of(&addresses).expect("interfaces are listed").expect("it has one");
+    let interface = outgoing_interface(&addresses).expect("interfaces are listed").expect("it has one");
     assert_eq!((interface.name.as_str(), interface.kind.as_deref()), ("lo", Some("loopback")));
 
     session.close().await;

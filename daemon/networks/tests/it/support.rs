@@ -18,9 +18,9 @@ use peernet_stream::{Hardware, VersionRange};
 use crate::ros_master::RosMaster;
 
 /// Time limit of every operation, far above what is needed. A test that hangs fails.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const TIME_LIMIT: Duration = Duration::from_secs(20);
 
-/// Makes tests from a function that takes a [`TestNetwork`]: one for each network whose listeners have ports.
+/// Defines tests that call a function with a [`TestNetwork`]: one for each network whose listeners have ports.
 macro_rules! over_every_port {
     ($($name:ident),*) => {$(
         mod $name {
@@ -38,7 +38,7 @@ macro_rules! over_every_port {
 }
 pub(crate) use over_every_port;
 
-/// Makes tests from a function that takes a [`TestNetwork`]: one for each network.
+/// Defines tests that call a function with a [`TestNetwork`]: one for each network.
 macro_rules! over_every_network {
     ($($name:ident),*) => {$(
         mod $name {
@@ -91,11 +91,11 @@ impl TestNetwork {
 }
 
 /// Returns a free port of this machine, a free name at a ROS 1 master, or a ROS 2 domain.
-pub(crate) fn any_port(network: TestNetwork) -> String {
+pub(crate) fn unused_address(network: TestNetwork) -> String {
     match network {
         TestNetwork::Ros1 => RosMaster::shared().address(),
         #[cfg(feature = "ros2")]
-        TestNetwork::Ros2 => any_domain(),
+        TestNetwork::Ros2 => unused_domain(),
         _ => format!("{}://127.0.0.1:0", network.scheme()),
     }
 }
@@ -103,13 +103,13 @@ pub(crate) fn any_port(network: TestNetwork) -> String {
 /// Returns a ROS 2 domain that few other tests use, and a name that no other test uses, not even in another process.
 /// All tests are in the domains of the loopback interface, and the ports of higher domains may belong to other sockets.
 #[cfg(feature = "ros2")]
-fn any_domain() -> String {
+fn unused_domain() -> String {
     let (process, number) = (std::process::id(), next_number());
     format!("ros2://{}/cloud{process}n{number}", 1 + (process as usize * 37 + number) % 100)
 }
 
 pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, what).await.expect("the test hangs")
+    tokio::time::timeout(TIME_LIMIT, what).await.expect("the test hangs")
 }
 
 pub(crate) fn clock() -> SharedClock {
@@ -176,12 +176,12 @@ pub(crate) struct Cloud {
 
 impl Cloud {
     pub(crate) async fn start() -> Self {
-        Self::over(TestNetwork::ZmqTcp).await
+        Self::on_network(TestNetwork::ZmqTcp).await
     }
 
-    /// Starts a cloud on a port of a network.
-    pub(crate) async fn over(network: TestNetwork) -> Self {
-        Self::start_at(&any_port(network), settings()).await
+    /// Starts a cloud at an unused address of a network.
+    pub(crate) async fn on_network(network: TestNetwork) -> Self {
+        Self::start_at(&unused_address(network), settings()).await
     }
 
     pub(crate) async fn start_at(address: &str, settings: SessionSettings) -> Self {
@@ -189,7 +189,7 @@ impl Cloud {
     }
 
     /// Starts a cloud that reads another clock.
-    pub(crate) async fn start_by(clock: SharedClock) -> Self {
+    pub(crate) async fn start_with_clock(clock: SharedClock) -> Self {
         Self::bind("tcp://127.0.0.1:0", settings(), clock).await
     }
 
@@ -245,9 +245,9 @@ impl Cloud {
         (within(edge).await.expect("no panic").expect("accepted"), id)
     }
 
-    /// Opens a session with an edge that reads another clock and speaks these versions of the protocol.
-    pub(crate) async fn session_by(&mut self, clock: SharedClock, versions: VersionRange) -> Session {
-        let edge = tokio::spawn(open_by(self.address(), clock, versions));
+    /// Opens a session with an edge that reads another clock and supports these versions of the protocol.
+    pub(crate) async fn session_with_clock(&mut self, clock: SharedClock, versions: VersionRange) -> Session {
+        let edge = tokio::spawn(open_with_clock(self.address(), clock, versions));
         assert!(self.next_open().await.accept(accepted(self.host)));
         within(edge).await.expect("no panic").expect("accepted")
     }
@@ -261,7 +261,11 @@ pub(crate) async fn open(
     within(Session::open(address, hello, settings, clock())).await
 }
 
-async fn open_by(address: Address, clock: SharedClock, versions: VersionRange) -> Result<Session, OpenError> {
+async fn open_with_clock(
+    address: Address,
+    clock: SharedClock,
+    versions: VersionRange,
+) -> Result<Session, OpenError> {
     let hello = SessionHello { versions, ..hello() };
     within(Session::open(&address, hello, settings(), clock)).await
 }
@@ -278,7 +282,7 @@ pub(crate) fn request(session: &Session, what: &str, timeout: Duration) -> tokio
 
 /// Sends a request and lets the cloud echo it, which shows that the session works.
 pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, what: &str) -> Exchange {
-    let pending = request(session, what, PATIENCE);
+    let pending = request(session, what, TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.log, Ok(incoming.sample));
     let exchange = within(pending).await.expect("no panic");

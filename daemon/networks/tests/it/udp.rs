@@ -11,7 +11,7 @@ use tokio::net::UdpSocket;
 use tokio::task::JoinSet;
 
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, accepted, echo, hello, log, open, request, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, echo, hello, log, open, request, settings, within,
 };
 use crate::udp_relay::{PathImpairment, UdpRelay};
 
@@ -39,14 +39,14 @@ fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
 /// Sends samples of these sizes, `parallel` at a time. Returns the numbers of answered and lost ones; fails for all
 /// others.
 async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> (usize, usize) {
-    let places = std::sync::Arc::new(tokio::sync::Semaphore::new(parallel));
+    let permits = std::sync::Arc::new(tokio::sync::Semaphore::new(parallel));
     let mut tasks = JoinSet::new();
     for (n, size) in sizes.into_iter().enumerate() {
-        let (session, places) = (session.clone(), places.clone());
+        let (session, permits) = (session.clone(), permits.clone());
         tasks.spawn(async move {
-            let _place = places.acquire().await.expect("open");
+            let _permit = permits.acquire().await.expect("open");
             let sent = sample_of(payload(size, n));
-            let exchange = session.request(log(), &sent, PATIENCE).await;
+            let exchange = session.request(log(), &sent, TIME_LIMIT).await;
             match exchange.result {
                 Ok(answer) => {
                     assert_eq!(answer, sent);
@@ -60,14 +60,14 @@ async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> 
             }
         });
     }
-    let outcomes = tokio::time::timeout(4 * PATIENCE, tasks.join_all()).await.expect("the test hangs");
+    let outcomes = tokio::time::timeout(4 * TIME_LIMIT, tasks.join_all()).await.expect("the test hangs");
     let answered = outcomes.iter().filter(|answered| **answered).count();
     (answered, outcomes.len() - answered)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn payloads_of_all_sizes_come_back_whole() {
-    let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
+    let cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let address = cloud.address();
     let _echo = echo_all(cloud);
     for datagram_bytes in [1_200, 8_192] {
@@ -83,9 +83,9 @@ async fn payloads_of_all_sizes_come_back_whole() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_request_is_answered_or_lost() {
-    let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let impairment = PathImpairment { loss: 2, doubled: 2, delayed: 5 };
-    let relay = UdpRelay::before(&cloud.address(), impairment, 2_026).await;
+    let cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
+    let impairment = PathImpairment { loss: 2, duplication: 2, delay: 5 };
+    let relay = UdpRelay::start(&cloud.address(), impairment, 2_026).await;
     let _echo = echo_all(cloud);
     let session = open(&relay.address, hello(), settings()).await.expect("accepted");
     let sizes = (0..300).map(|n| [0, 1, 1_000, 20_000][n % 4]).collect();
@@ -100,9 +100,9 @@ async fn every_request_is_answered_or_lost() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn datagrams_of_both_directions_are_counted() {
-    let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let impairment = PathImpairment { loss: 3, doubled: 3, delayed: 10 };
-    let relay = UdpRelay::before(&cloud.address(), impairment, 77).await;
+    let cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
+    let impairment = PathImpairment { loss: 3, duplication: 3, delay: 10 };
+    let relay = UdpRelay::start(&cloud.address(), impairment, 77).await;
     let _echo = echo_all(cloud);
     let session = open(&relay.address, hello(), settings()).await.expect("accepted");
     let addresses = session.statistics_reader().addresses().expect("it has addresses");
@@ -114,7 +114,7 @@ async fn datagrams_of_both_directions_are_counted() {
         [direction.lost, direction.duplicated, direction.reordered].iter().all(|count| *count > Some(5))
     };
     let mut ticks = tokio::time::interval(Duration::from_millis(50));
-    let counted = tokio::time::timeout(PATIENCE, async {
+    let counted = tokio::time::timeout(TIME_LIMIT, async {
         loop {
             ticks.tick().await;
             let known = session.statistics();
@@ -135,8 +135,8 @@ async fn datagrams_of_both_directions_are_counted() {
 
 #[tokio::test]
 async fn interrupted_path_ends_session_and_next_one_works() {
-    let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
+    let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
+    let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let edge = tokio::spawn({
         let (address, quick) = (relay.address.clone(), quick.clone());
@@ -145,26 +145,26 @@ async fn interrupted_path_ends_session_and_next_one_works() {
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
     echo(&mut cloud, &session, "the path works").await;
-    let pending = request(&session, "the path is cut", PATIENCE);
+    let pending = request(&session, "the path is cut", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     relay.cut();
     let exchange = within(pending).await.expect("no panic");
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
-    relay.mend();
+    relay.restore();
     let edge = tokio::spawn({
         let address = relay.address.clone();
         async move { open(&address, hello(), quick).await }
     });
     loop {
         match cloud.next().await {
-            Incoming::Open(wish) => break assert!(wish.accept(accepted(cloud.host))),
+            Incoming::Open(open_request) => break assert!(open_request.accept(accepted(cloud.host))),
             Incoming::Closed { .. } => {}
             other => panic!("{other:?}"),
         }
     }
     let session = within(edge).await.expect("no panic").expect("accepted");
-    let pending = request(&session, "again", PATIENCE);
+    let pending = request(&session, "again", TIME_LIMIT);
     loop {
         match cloud.next().await {
             Incoming::Request(request) => break request.reply.send(request.log, Ok(request.sample)),
@@ -177,8 +177,8 @@ async fn interrupted_path_ends_session_and_next_one_works() {
 
 #[tokio::test]
 async fn next_request_notices_restarted_cloud() {
-    let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
+    let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
+    let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
     let edge = tokio::spawn({
         let address = relay.address.clone();
         async move { open(&address, hello(), settings()).await }
@@ -194,15 +194,15 @@ async fn next_request_notices_restarted_cloud() {
         tokio::task::yield_now().await;
     }
     let _cloud = Cloud::start_at(&address.to_string(), settings()).await;
-    relay.mend();
-    let exchange = within(request(&session, "who are you?", PATIENCE)).await.expect("no panic");
+    relay.restore();
+    let exchange = within(request(&session, "who are you?", TIME_LIMIT)).await.expect("no panic");
     let Err(RequestError::Lost(reason)) = exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("restarted"), "{reason}");
 }
 
 #[tokio::test]
 async fn garbage_is_counted_without_effect() {
-    let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
+    let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let (session, _) = cloud.session(settings()).await;
     let stranger = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");
     stranger.connect(cloud.address().authority()).await.expect("an address");
@@ -219,8 +219,8 @@ async fn garbage_is_counted_without_effect() {
 
 #[tokio::test]
 async fn altered_heartbeat_loses_no_later_request() {
-    let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
+    let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
+    let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, ..settings() };
     let edge = tokio::spawn({
         let address = relay.address.clone();
@@ -253,13 +253,13 @@ async fn small_socket_buffers_lose_messages_but_no_count() {
 
 #[tokio::test]
 async fn configured_rate_is_kept() {
-    let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
+    let cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let address = cloud.address();
     let _echo = echo_all(cloud);
     let slow = SessionSettings { max_send_bits_per_second: 8_000_000, ..settings() };
     let session = open(&address, hello(), slow).await.expect("accepted");
     let begin = tokio::time::Instant::now();
-    let exchange = within(session.request(log(), &sample_of(payload(300_000, 1)), PATIENCE)).await;
+    let exchange = within(session.request(log(), &sample_of(payload(300_000, 1)), TIME_LIMIT)).await;
     assert!(exchange.result.is_ok(), "{:?}", exchange.result);
     let taken = begin.elapsed();
     assert!(taken >= Duration::from_millis(290), "300 kB at 1 MB/s took {taken:?}");

@@ -14,8 +14,8 @@ use tokio::task::JoinHandle;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct PathImpairment {
     pub(crate) loss: u64,
-    pub(crate) doubled: u64,
-    pub(crate) delayed: u64,
+    pub(crate) duplication: u64,
+    pub(crate) delay: u64,
 }
 
 /// A relay for one edge. It ends when it is dropped.
@@ -23,7 +23,7 @@ pub(crate) struct UdpRelay {
     pub(crate) address: Address,
     loss: Arc<AtomicU64>,
     dropped: Arc<AtomicU64>,
-    to_alter: Arc<AtomicU64>,
+    alterations: Arc<AtomicU64>,
     task: JoinHandle<()>,
 }
 
@@ -40,16 +40,16 @@ async fn socket() -> Arc<UdpSocket> {
 }
 
 impl UdpRelay {
-    pub(crate) async fn before(cloud: &Address, impairment: PathImpairment, seed: u64) -> Self {
+    pub(crate) async fn start(cloud: &Address, impairment: PathImpairment, seed: u64) -> Self {
         let (front, back) = (socket().await, socket().await);
         let address = format!("udp://{}", front.local_addr().expect("bound"));
         back.connect(cloud.authority()).await.expect("an address");
         let loss = Arc::new(AtomicU64::new(impairment.loss));
         let dropped = Arc::new(AtomicU64::new(0));
-        let to_alter = Arc::new(AtomicU64::new(0));
-        let counts = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&to_alter));
-        let task = tokio::spawn(carry(front, back, impairment, counts, seed | 1));
-        Self { address: address.parse().expect("an address"), loss, dropped, to_alter, task }
+        let alterations = Arc::new(AtomicU64::new(0));
+        let counts = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&alterations));
+        let task = tokio::spawn(relay_datagrams(front, back, impairment, counts, seed | 1));
+        Self { address: address.parse().expect("an address"), loss, dropped, alterations, task }
     }
 
     /// Stops all datagrams, as if a cable were pulled.
@@ -67,23 +67,23 @@ impl UdpRelay {
     /// Alters the next heartbeat of the edge, as a faulty link would: it claims that 2^20 more messages were sent.
     /// Waits until it has passed.
     pub(crate) async fn alter_heartbeat(&self) {
-        self.to_alter.store(1, Ordering::Relaxed);
-        while self.to_alter.load(Ordering::Relaxed) > 0 {
+        self.alterations.store(1, Ordering::Relaxed);
+        while self.alterations.load(Ordering::Relaxed) > 0 {
             tokio::task::yield_now().await;
         }
     }
 
     /// Lets all datagrams pass again.
-    pub(crate) fn mend(&self) {
+    pub(crate) fn restore(&self) {
         self.loss.store(0, Ordering::Relaxed);
     }
 }
 
-async fn carry(
+async fn relay_datagrams(
     front: Arc<UdpSocket>,
     back: Arc<UdpSocket>,
     impairment: PathImpairment,
-    (loss, dropped, to_alter): (Arc<AtomicU64>, Arc<AtomicU64>, Arc<AtomicU64>),
+    (loss, dropped, alterations): (Arc<AtomicU64>, Arc<AtomicU64>, Arc<AtomicU64>),
     mut random: u64,
 ) {
     let mut edge: Option<SocketAddr> = None;
@@ -92,8 +92,8 @@ async fn carry(
         let (datagram, to) = tokio::select! {
             Ok((length, from)) = front.recv_from(&mut up) => {
                 edge = Some(from);
-                if to_alter.load(Ordering::Relaxed) > 0 && alter(&mut up[..length]) {
-                    to_alter.store(0, Ordering::Relaxed);
+                if alterations.load(Ordering::Relaxed) > 0 && alter(&mut up[..length]) {
+                    alterations.store(0, Ordering::Relaxed);
                 }
                 (&up[..length], None)
             }
@@ -114,8 +114,8 @@ async fn carry(
             dropped.fetch_add(1, Ordering::Relaxed);
             continue;
         }
-        let copies = if chance(impairment.doubled) { 2 } else { 1 };
-        let is_delayed = chance(impairment.delayed);
+        let copies = if chance(impairment.duplication) { 2 } else { 1 };
+        let is_delayed = chance(impairment.delay);
         for _ in 0..copies {
             let (front, back, datagram) = (Arc::clone(&front), Arc::clone(&back), datagram.to_vec());
             let pass = async move {

@@ -15,7 +15,7 @@ use crate::ros::{
     exchange, pipeline_of_another_host_is_refused, replace_connections, second_publisher_is_remarked, session,
 };
 use crate::support::{
-    Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
 };
 
 /// Returns settings with changed settings for the topics of ROS 2.
@@ -26,7 +26,7 @@ fn with(change: impl FnOnce(&mut Ros2SessionSettings)) -> SessionSettings {
 }
 
 async fn cloud() -> Cloud {
-    Cloud::over(TestNetwork::Ros2).await
+    Cloud::on_network(TestNetwork::Ros2).await
 }
 
 /// Returns a node of another program in the cloud's domain.
@@ -84,7 +84,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
     let viewer = foreign_node(&cloud).await;
     let kind = "sensor_msgs/msg/CompressedImage";
     let mut pictures = viewer
-        .subscription(&topic(&pipeline, "request"), kind, &QosProfile::default())
+        .create_subscription(&topic(&pipeline, "request"), kind, &QosProfile::default())
         .expect("a subscription");
     let sample = picture(300_000);
     // The first pictures are sent in the companions until the topic is open.
@@ -131,7 +131,7 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     for (ending, kind) in [("request_info", INFO), ("request", "sensor_msgs/msg/Image")] {
         let hello = hello();
         let topic = topic(hello.pipeline.as_str(), ending);
-        let _publisher = node.publisher(&topic, kind, &qos).expect("a publisher");
+        let _publisher = node.create_publisher(&topic, kind, &qos).expect("a publisher");
         let error = open(&cloud.address(), hello, settings()).await.expect_err("taken").to_string();
         assert!(
             error.contains(&format!("node /viewer on this host publishes topic {topic}"))
@@ -141,7 +141,7 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     }
     let hello = hello();
     let topic = topic(hello.pipeline.as_str(), "response_info");
-    let _publisher = node.publisher(&topic, "std_msgs/msg/String", &qos).expect("a publisher");
+    let _publisher = node.create_publisher(&topic, "std_msgs/msg/String", &qos).expect("a publisher");
     let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
     assert!(error.contains("std_msgs/msg/String for node /viewer") && error.contains(&topic), "{error}");
 }
@@ -151,15 +151,16 @@ async fn messages_of_second_publishers_are_dropped() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let node = foreign_node(&cloud).await;
-    let publisher =
-        node.publisher(&topic(&pipeline, "request_info"), INFO, &QosProfile::default()).expect("a publisher");
-    publisher.await_peer(PATIENCE).await.expect("the cloud subscribes");
+    let publisher = node
+        .create_publisher(&topic(&pipeline, "request_info"), INFO, &QosProfile::default())
+        .expect("a publisher");
+    publisher.wait_for_peer(TIME_LIMIT).await.expect("the cloud subscribes");
     let goodbye = MessageInfo { kind: MessageInfo::GOODBYE, ..MessageInfo::default() };
     let goodbye = goodbye.encode(WireForm::Cdr).expect("can be written").into_bytes();
     for message in [goodbye, Bytes::from_static(&[0, 1, 0, 0, 9])] {
         publisher.publish(message, WallTime::from_unix_nanos(1)).await.expect("published");
     }
-    publisher.await_acknowledgment(PATIENCE).await.expect("the cloud has them");
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("the cloud has them");
     echo(&mut cloud, &session, "the session goes on").await;
     second_publisher_is_remarked(&mut cloud, &session, "node /viewer", publisher.topic()).await;
 }
@@ -177,7 +178,7 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn connection_without_session_ends_after_hello_timeout() {
     let hasty = SessionSettings { hello_timeout_ms: 2_000, ..settings() };
-    let mut cloud = Cloud::start_at(&crate::support::any_port(TestNetwork::Ros2), hasty).await;
+    let mut cloud = Cloud::start_at(&crate::support::unused_address(TestNetwork::Ros2), hasty).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     cloud.next_open().await.refuse("no");
@@ -212,7 +213,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
             ros2.deadline_ms = Some(500);
         })
     };
-    let mut cloud = Cloud::start_at(&crate::support::any_port(TestNetwork::Ros2), best_effort()).await;
+    let mut cloud = Cloud::start_at(&crate::support::unused_address(TestNetwork::Ros2), best_effort()).await;
     let (address, hello) = (cloud.address(), hello());
     let edge = tokio::spawn(async move { open(&address, hello, best_effort()).await });
     assert!(cloud.next_open().await.accept(accepted(cloud.host)));
@@ -228,7 +229,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
     for _ in 0..10 {
         let burst = (0..8).map(|_| {
             let session = session.clone();
-            tokio::spawn(async move { session.request(log(), &picture(2_000_000), PATIENCE).await.result })
+            tokio::spawn(async move { session.request(log(), &picture(2_000_000), TIME_LIMIT).await.result })
         });
         for request in burst.collect::<Vec<_>>() {
             match within(request).await.expect("no panic") {
@@ -248,9 +249,13 @@ async fn slow_subscriber_delays_nothing() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;
-    // It never takes a message.
+    // It reads no message.
     let watching = viewer
-        .subscription(&topic(&pipeline, "request"), "std_msgs/msg/UInt8MultiArray", &QosProfile::default())
+        .create_subscription(
+            &topic(&pipeline, "request"),
+            "std_msgs/msg/UInt8MultiArray",
+            &QosProfile::default(),
+        )
         .expect("a subscription");
     for _ in 0..60 {
         let sample = Sample::from_part(Description::bytes(), Bytes::from(vec![1; 1_000_000]));

@@ -82,7 +82,7 @@ async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
             let with = clock.clone();
             lifecycle
                 .start("web server", async |stop| {
-                    let connections = DescriptorShare::Web.connections();
+                    let connections = DescriptorShare::Web.max_connections();
                     let running = peernet_web::serve(config, aggregator, with, stop, connections).await?;
                     info!("dashboard: http://{}", running.address());
                     Ok(running.join().map_err(anyhow::Error::new).boxed())

@@ -76,9 +76,9 @@ impl MessageInfo {
     pub const HELLO: u8 = 1;
     /// Kind of the cloud's answer to a hello.
     pub const WELCOME: u8 = 2;
-    /// Kind of a heartbeat, which shows that the sender is still there.
+    /// Kind of a heartbeat, which shows that the sender still runs.
     pub const HEARTBEAT: u8 = 3;
-    /// Kind of a notice that the message of a request arrived only in part.
+    /// Kind of a notice that the message of a request arrived incompletely.
     pub const LOST: u8 = 4;
     /// Kind of a goodbye, which ends the connection.
     pub const GOODBYE: u8 = 5;

@@ -13,18 +13,18 @@ const MAX_CDR_PADDING: usize = 3;
 pub enum DecodeError {
     /// The bytes end inside the message.
     #[error(
-        "the message ends too early: {needed} more bytes are needed at byte {offset}, {available} are there"
+        "the message ends too early: {needed} bytes are needed at byte {offset}, but only {available} remain"
     )]
     TooShort {
         /// Position in the message.
         offset: usize,
-        /// Number of bytes that the message claims to have.
+        /// Number of bytes that the field needs.
         needed: usize,
-        /// Number of bytes that there are.
+        /// Number of remaining bytes.
         available: usize,
     },
-    /// There are more bytes than the message has.
-    #[error("{count} bytes follow the end of the message; is it of another type?")]
+    /// Bytes remain after the message.
+    #[error("{count} bytes follow the end of the message; it may have another type")]
     TrailingBytes {
         /// Number of bytes after the message.
         count: usize,
@@ -51,7 +51,7 @@ pub enum DecodeError {
     },
     /// The encapsulation is not plain CDR.
     #[error(
-        "encapsulation {first:#04x} {second:#04x} is not read; publish with plain CDR of version 1 (00 00 or 00 01)"
+        "encapsulation {first:#04x} {second:#04x} is not supported; publish with plain CDR of version 1 (00 00 or 00 01)"
     )]
     Encapsulation {
         /// First byte.
@@ -63,7 +63,7 @@ pub enum DecodeError {
 
 /// Reads the fields of one message.
 ///
-/// No memory is allocated for a claimed length: every length is compared with the number of bytes that are there.
+/// No memory is allocated for a claimed length: every length is compared with the number of remaining bytes.
 #[derive(Debug)]
 pub struct Reader {
     form: WireForm,
@@ -120,7 +120,7 @@ impl Reader {
     /// Reads bytes without alignment.
     ///
     /// # Errors
-    /// If the bytes end before.
+    /// If too few bytes remain.
     pub fn take_octets<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
         let start = self.advance(N)?;
         let mut array = [0; N];
@@ -131,7 +131,7 @@ impl Reader {
     /// Reads a number of `N` bytes and returns them in little-endian order.
     ///
     /// # Errors
-    /// If the bytes end before.
+    /// If too few bytes remain.
     pub fn take_number<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
         if self.form == WireForm::Cdr {
             let position = self.offset - self.origin;
@@ -163,7 +163,7 @@ impl Reader {
     /// Reads a sequence of bytes. The result refers to the message's bytes.
     ///
     /// # Errors
-    /// If the bytes end before.
+    /// If too few bytes remain.
     pub fn take_bytes(&mut self) -> Result<Bytes, DecodeError> {
         let length = self.take_length(1)?;
         let start = self.advance(length)?;

@@ -30,7 +30,9 @@ pub enum EncodeError {
         text: String,
     },
     /// The seconds are outside the range of the wire form's time.
-    #[error("the time {seconds} s cannot be sent: ROS 1 takes 0 to 2^32 − 1, ROS 2 takes −2^31 to 2^31 − 1")]
+    #[error(
+        "the time {seconds} s cannot be sent: ROS 1 allows 0 to 2^32 − 1, ROS 2 allows −2^31 to 2^31 − 1"
+    )]
     TimeOutOfRange {
         /// Seconds since the Unix epoch.
         seconds: i64,
@@ -149,7 +151,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes a sequence of bytes with its length. A long one is referred to and not copied.
+    /// Writes a sequence of bytes with its length. A long sequence becomes a segment and is not copied.
     ///
     /// # Errors
     /// If the sequence has too many bytes.

@@ -13,15 +13,15 @@ use tokio::sync::Semaphore;
 use tokio::time::{sleep, timeout};
 
 use super::limits::{HANDSHAKE_TIMEOUT, MAX_INCOMING_CONNECTIONS};
-use super::node::NodeShared;
+use super::node::NodeState;
 use super::publisher::PublishedTopic;
 use super::socket::{configure, read_frame};
 use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, HeaderError, MAX_HEADER_BYTES};
 
-/// Pause after accepting has failed. Without a free descriptor it would fail again at once.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+/// Delay after a failed `accept`. Without a free descriptor it would fail again at once.
+const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(100);
 
-/// Reason why a connection did not become a subscriber's.
+/// Reason why a subscriber was not connected.
 #[derive(Debug, Error)]
 enum AcceptError {
     #[error(transparent)]
@@ -33,7 +33,7 @@ enum AcceptError {
 }
 
 /// Accepts connections until the node ends.
-pub(super) async fn run(node: Arc<NodeShared>, listener: TcpListener) {
+pub(super) async fn accept_connections(node: Arc<NodeState>, listener: TcpListener) {
     let acceptor = Arc::new(Acceptor { node, log_throttle: Mutex::default() });
     let (node, permits) = (&acceptor.node, Arc::new(Semaphore::new(MAX_INCOMING_CONNECTIONS)));
     loop {
@@ -44,8 +44,8 @@ pub(super) async fn run(node: Arc<NodeShared>, listener: TcpListener) {
         let (stream, peer) = match accepted {
             Ok(accepted) => accepted,
             Err(error) => {
-                tracing::warn!(node = node.name.full(), %error, "cannot accept a connection of a ROS subscriber");
-                sleep(ACCEPT_PAUSE).await;
+                tracing::warn!(node = node.name.global(), %error, "cannot accept a connection of a ROS subscriber");
+                sleep(ACCEPT_RETRY_DELAY).await;
                 continue;
             }
         };
@@ -65,20 +65,20 @@ pub(super) async fn run(node: Arc<NodeShared>, listener: TcpListener) {
 /// The accepting side of a node.
 #[derive(Debug)]
 struct Acceptor {
-    node: Arc<NodeShared>,
+    node: Arc<NodeState>,
     log_throttle: Mutex<LogThrottle>,
 }
 
 impl Acceptor {
     async fn serve(&self, mut stream: TcpStream, peer: SocketAddr) {
         let handshake = tokio::select! {
-            handshake = timeout(HANDSHAKE_TIMEOUT, self.shake_hands(&mut stream)) => handshake,
+            handshake = timeout(HANDSHAKE_TIMEOUT, self.exchange_headers(&mut stream)) => handshake,
             () = self.node.lifetime.stop().cancelled() => return,
         };
         match handshake {
             Ok(Ok((topic, subscriber, answer))) => topic.run_connection(stream, subscriber, answer).await,
             Ok(Err(error)) => self.warn_refused(peer, &error.to_string()),
-            Err(_) => self.warn_refused(peer, "it sent no header in time"),
+            Err(_) => self.warn_refused(peer, "the peer sent no connection header in time"),
         }
     }
 
@@ -89,20 +89,20 @@ impl Acceptor {
         let times = throttle.count("refused", Some(peer.ip()), now);
         drop(throttle);
         if let Some(times) = times {
-            tracing::warn!(node = self.node.name.full(), %peer, reason, times, "a ROS subscriber was refused");
+            tracing::warn!(node = self.node.name.global(), %peer, reason, times, "a ROS subscriber was refused");
         }
     }
 
     /// Reads the subscriber's header. Returns the topic, the subscriber's name and the answer. In case of an error the
     /// refusal has been sent.
-    async fn shake_hands(
+    async fn exchange_headers(
         &self,
         stream: &mut TcpStream,
     ) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), AcceptError> {
         configure(stream)?;
         let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
         let (frame, _) = read_frame(stream, &mut buffer, None).await?.ok_or(AcceptError::Closed)?;
-        match self.answer(&frame) {
+        match self.answer_request(&frame) {
             Ok(answer) => Ok(answer),
             Err(error) => {
                 stream.write_all(&ConnectionHeader::error(&error.to_string()).encode()).await?;
@@ -111,7 +111,7 @@ impl Acceptor {
         }
     }
 
-    fn answer(
+    fn answer_request(
         &self,
         frame: &[u8],
     ) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), HandshakeError> {
@@ -120,7 +120,7 @@ impl Acceptor {
         let published = self.node.topics.find_published(topic);
         let published = published.ok_or_else(|| HandshakeError::UnknownTopic {
             topic: topic.to_owned(),
-            node: self.node.name.full().to_owned(),
+            node: self.node.name.global().to_owned(),
         })?;
         let (answer, subscriber) = published.publication.answer(&request)?;
         Ok((published, subscriber, answer))

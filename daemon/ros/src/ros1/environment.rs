@@ -13,7 +13,7 @@ const MASTER_PORT: u16 = 11311;
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum EnvironmentError {
     /// The value is not UTF-8.
-    #[error("the environment variable {variable} is not UTF-8; set it anew")]
+    #[error("the environment variable {variable} is not UTF-8; set it again")]
     NotUtf8 {
         /// Name of the variable.
         variable: &'static str,

@@ -28,8 +28,10 @@ pub enum NodeError {
         /// Reason given by the master.
         reason: String,
     },
-    /// The server at the master's URI does not speak the master's API.
-    #[error("{uri} answers {method} with something else than a ROS master would; is ROS_MASTER_URI right?")]
+    /// The server at the master's URI does not implement the master's API.
+    #[error(
+        "the server at {uri} is not a ROS master: it gave an unexpected answer to {method}; check ROS_MASTER_URI"
+    )]
     NotAMaster {
         /// The URI.
         uri: String,

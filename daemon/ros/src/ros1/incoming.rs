@@ -24,7 +24,7 @@ pub struct ReceivedMessage {
     pub memory: MessageMemory,
 }
 
-/// Policy for a message that finds the queue full.
+/// Policy for a message that arrives while the queue is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenFull {
     /// Reading pauses, so that the publisher's queue fills and the publisher decides which messages to drop. Nothing is
@@ -45,8 +45,8 @@ pub(super) struct IncomingQueue {
     limits: QueueLimits,
     when_full: WhenFull,
     queue: Mutex<Queue>,
-    arrived: Notify,
-    room: Notify,
+    message_added: Notify,
+    space_freed: Notify,
 }
 
 #[derive(Debug, Default)]
@@ -57,30 +57,36 @@ struct Queue {
 
 impl IncomingQueue {
     pub(super) fn new(limits: QueueLimits, when_full: WhenFull) -> Self {
-        Self { limits, when_full, queue: Mutex::default(), arrived: Notify::new(), room: Notify::new() }
+        Self {
+            limits,
+            when_full,
+            queue: Mutex::default(),
+            message_added: Notify::new(),
+            space_freed: Notify::new(),
+        }
     }
 
     fn queue(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a message. Returns how many messages were dropped for lack of room.
+    /// Adds a message. Returns the number of messages that were dropped because the queue was full.
     pub(super) async fn push(&self, mut message: ReceivedMessage) -> u64 {
         let mut dropped = 0;
         loop {
             // Created before the queue is checked, so that no change in between is missed.
-            let room = self.room.notified();
+            let space_freed = self.space_freed.notified();
             match self.try_push(message) {
                 None => return dropped,
                 Some(_) if self.when_full == WhenFull::Drop => return dropped + 1,
                 Some(refused) => message = refused,
             }
             if self.when_full == WhenFull::DropOldest {
-                // Its owner may have taken the oldest message in the meantime; then there is room.
+                // The owner may have removed a message in the meantime, so there may be space already.
                 dropped += u64::from(self.try_pop().is_some());
                 continue;
             }
-            room.await;
+            space_freed.await;
         }
     }
 
@@ -88,13 +94,13 @@ impl IncomingQueue {
     fn try_push(&self, message: ReceivedMessage) -> Option<ReceivedMessage> {
         let mut queue = self.queue();
         let length = message.bytes.len();
-        if !self.limits.admit(queue.messages.len(), queue.bytes, length) {
+        if !self.limits.accepts(queue.messages.len(), queue.bytes, length) {
             return Some(message);
         }
         queue.bytes += length;
         queue.messages.push_back(message);
         drop(queue);
-        self.arrived.notify_one();
+        self.message_added.notify_one();
         None
     }
 
@@ -105,7 +111,7 @@ impl IncomingQueue {
                 return message;
             }
             // A message that arrived in the meantime has left a permit.
-            self.arrived.notified().await;
+            self.message_added.notified().await;
         }
     }
 
@@ -115,7 +121,7 @@ impl IncomingQueue {
         let message = queue.messages.pop_front()?;
         queue.bytes -= message.bytes.len();
         drop(queue);
-        self.room.notify_waiters();
+        self.space_freed.notify_waiters();
         Some(message)
     }
 }

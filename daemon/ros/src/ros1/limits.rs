@@ -19,7 +19,7 @@ impl Default for QueueLimits {
 
 impl QueueLimits {
     /// Returns whether a message fits into a queue with this contents.
-    pub(super) fn admit(&self, waiting: usize, waiting_bytes: usize, length: usize) -> bool {
+    pub(super) fn accepts(&self, waiting: usize, waiting_bytes: usize, length: usize) -> bool {
         waiting == 0 || (waiting < self.messages && waiting_bytes.saturating_add(length) <= self.bytes)
     }
 }

@@ -23,15 +23,15 @@ pub(super) struct MessageLimits {
 #[derive(Default)]
 pub struct MessageMemory {
     bytes: usize,
-    parts: Vec<Box<dyn Any + Send + Sync>>,
+    reservations: Vec<Box<dyn Any + Send + Sync>>,
 }
 
 impl MessageMemory {
-    /// Reserves the missing memory for a message of `bytes` bytes. Returns whether there was room.
+    /// Reserves the missing memory for a message of `bytes` bytes. Returns whether the limit allowed it.
     pub(super) fn grow(&mut self, bytes: usize, limit: Option<&Arc<dyn MemoryLimit>>) -> bool {
         let (Some(limit), Some(missing @ 1..)) = (limit, bytes.checked_sub(self.bytes)) else { return true };
-        let Some(part) = limit.reserve(missing) else { return false };
-        self.parts.push(part);
+        let Some(reservation) = limit.reserve(missing) else { return false };
+        self.reservations.push(reservation);
         self.bytes = bytes;
         true
     }

@@ -46,7 +46,7 @@ pub enum NameError {
 pub struct NodeName {
     /// Begins with `/`, and only the root ends with it.
     namespace: String,
-    full: Arc<str>,
+    global: Arc<str>,
 }
 
 impl NodeName {
@@ -60,18 +60,18 @@ impl NodeName {
         if name.contains(['/', '~']) {
             return Err(NameError::NodeWithNamespace { name: name.to_owned() });
         }
-        let full = join(&namespace, name)?.into();
-        Ok(Self { namespace, full })
+        let global = join(&namespace, name)?.into();
+        Ok(Self { namespace, global })
     }
 
     /// Returns the node's global name, such as `/robot/camera`.
-    pub fn full(&self) -> &str {
-        &self.full
+    pub fn global(&self) -> &str {
+        &self.global
     }
 
-    /// Returns the node's global name for parts of the node that store it.
-    pub(super) fn shared(&self) -> Arc<str> {
-        Arc::clone(&self.full)
+    /// Returns a shared copy of the node's global name.
+    pub(super) fn to_arc(&self) -> Arc<str> {
+        Arc::clone(&self.global)
     }
 
     /// Returns the global name of a topic: `/a` is global already, `a` is in the namespace, `~a` is below the node.
@@ -80,7 +80,7 @@ impl NodeName {
     /// If the name is not allowed in ROS.
     pub fn resolve(&self, name: &str) -> Result<String, NameError> {
         match name.strip_prefix('~') {
-            Some(private) => join(&self.full, private.trim_start_matches('/')),
+            Some(private) => join(&self.global, private.trim_start_matches('/')),
             None if name.starts_with('/') => join("/", name),
             None => join(&self.namespace, name),
         }
@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn names_resolve_by_their_first_character() {
         let node = NodeName::new("robot", "camera").unwrap();
-        assert_eq!(node.full(), "/robot/camera");
+        assert_eq!(node.global(), "/robot/camera");
         for (name, expected) in [
             ("image", "/robot/image"),
             ("a/b", "/robot/a/b"),
@@ -133,7 +133,7 @@ mod tests {
         for namespace in ["", "/", "//"] {
             assert_eq!(NodeName::new(namespace, "n").unwrap().resolve("t").unwrap(), "/t");
         }
-        assert_eq!(NodeName::new("/a/b/", "n").unwrap().full(), "/a/b/n");
+        assert_eq!(NodeName::new("/a/b/", "n").unwrap().global(), "/a/b/n");
     }
 
     #[test]

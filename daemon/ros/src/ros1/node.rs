@@ -25,7 +25,7 @@ use super::tcpros::{Publication, Subscription, TopicType};
 /// that is only dropped stays in the master's lists.
 #[derive(Debug)]
 pub struct Node {
-    shared: Arc<NodeShared>,
+    shared: Arc<NodeState>,
 }
 
 impl Node {
@@ -35,7 +35,7 @@ impl Node {
     /// If the name is not allowed, no port can be opened, or the master does not answer.
     pub async fn new(environment: &Environment, name: &str, clock: SharedClock) -> Result<Self, NodeError> {
         let name = NodeName::new(&environment.namespace, name)?;
-        let master = MasterClient::new(environment.master.clone(), name.full());
+        let master = MasterClient::new(environment.master.clone(), name.global());
         master.check().await?;
         let host = match &environment.advertised_host {
             Some(host) => host.clone(),
@@ -43,14 +43,14 @@ impl Node {
         };
         let (address, listeners) = NodeAddress::listen(host).await?;
         let (topics, lifetime) =
-            (Arc::new(NodeTopics::default()), Arc::new(NodeLifetime::new(name.shared())));
+            (Arc::new(NodeTopics::default()), Arc::new(NodeLifetime::new(name.to_arc())));
         let registrar = Registrar::new(master, address.uri(), Arc::clone(&topics), Arc::clone(&lifetime));
         let registrar = Arc::new(registrar);
-        let shared = Arc::new(NodeShared { name, clock, address, topics, registrar, lifetime });
+        let shared = Arc::new(NodeState { name, clock, address, topics, registrar, lifetime });
         let (node, tasks) = (Arc::clone(&shared), shared.lifetime.tasks());
         let answer = move |call: &_| slave::answer(&node, call);
         tasks.spawn(rpc::serve(listeners.rpc, answer, shared.lifetime.stop().clone()));
-        tasks.spawn(acceptor::run(Arc::clone(&shared), listeners.tcpros));
+        tasks.spawn(acceptor::accept_connections(Arc::clone(&shared), listeners.tcpros));
         let registrar = Arc::clone(&shared.registrar);
         tasks.spawn(async move { registrar.run().await });
         Ok(Self { shared })
@@ -58,7 +58,7 @@ impl Node {
 
     /// Returns the global name of the node.
     pub fn name(&self) -> &str {
-        self.shared.name.full()
+        self.shared.name.global()
     }
 
     /// Returns the URI of the node's XML-RPC server.
@@ -92,7 +92,7 @@ impl Node {
         }
         let registration =
             Registration { role: Role::Publisher, topic: Arc::clone(&topic), kind: Arc::clone(&kind.name) };
-        let (node, is_latching) = (shared.name.shared(), options.is_latching);
+        let (node, is_latching) = (shared.name.to_arc(), options.is_latching);
         let publication = Publication { node, topic, kind, is_latching };
         let stop = shared.lifetime.stop().child_token();
         let published = Arc::new(PublishedTopic::new(publication, options.queue, stop));
@@ -117,7 +117,7 @@ impl Node {
         shared.lifetime.check_open()?;
         let registration =
             Registration { role: Role::Subscriber, topic: Arc::clone(&topic), kind: Arc::clone(&kind.name) };
-        let subscription = Subscription { node: shared.name.shared(), topic, kind };
+        let subscription = Subscription { node: shared.name.to_arc(), topic, kind };
         let (clock, lifetime) = (Arc::clone(&shared.clock), &shared.lifetime);
         let subscribed = Arc::new(SubscribedTopic::new(subscription, options, clock, lifetime));
         // Before the registration, because the master may report new publishers at once.
@@ -208,7 +208,7 @@ impl Node {
 
 #[cfg(test)]
 impl Node {
-    pub(super) fn shared(&self) -> &NodeShared {
+    pub(super) fn shared(&self) -> &NodeState {
         &self.shared
     }
 }
@@ -219,9 +219,9 @@ impl Drop for Node {
     }
 }
 
-/// The parts of a node that its tasks share.
+/// State that the tasks of a node share.
 #[derive(Debug)]
-pub(super) struct NodeShared {
+pub(super) struct NodeState {
     pub(super) name: NodeName,
     pub(super) clock: SharedClock,
     pub(super) address: NodeAddress,

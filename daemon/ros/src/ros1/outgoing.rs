@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 use super::limits::{DRAIN_TIMEOUT, HANDSHAKE_TIMEOUT, QueueLimits};
 use crate::messages::EncodedMessage;
 
-/// Largest number of pieces that one system call writes.
+/// Largest number of slices that one system call writes.
 const MAX_SLICES: usize = 64;
 
 /// Numbers of the messages for one subscriber by their outcome. `offered = sent + dropped + lost + waiting` at all
@@ -51,7 +51,7 @@ impl SendCounts {
 /// Result of offering a message to a queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Offer {
-    Taken,
+    Accepted,
     Full,
     Closed,
 }
@@ -65,10 +65,10 @@ pub(super) struct OutgoingConnection {
     stream: TcpStream,
     limits: QueueLimits,
     queue: Mutex<Queue>,
-    /// Signals that the task has something to write.
-    unsent: Notify,
-    /// Signals that there may be room again.
-    room: Notify,
+    /// Notified when the task has something to write.
+    write_needed: Notify,
+    /// Notified when there may be space in the queue again.
+    space_freed: Notify,
 }
 
 #[derive(Debug, Default)]
@@ -76,7 +76,7 @@ struct Queue {
     messages: VecDeque<QueuedMessage>,
     bytes: usize,
     /// `true` if the header has been written, which precedes all messages.
-    is_open: bool,
+    is_header_written: bool,
     is_closed: bool,
     counts: SendCounts,
 }
@@ -94,8 +94,8 @@ impl QueuedMessage {
         self.prefix.len() + self.message.len()
     }
 
-    /// Returns the pieces that are not written yet.
-    fn pieces(&self) -> impl Iterator<Item = &[u8]> {
+    /// Returns the parts of the message that are not written yet.
+    fn unwritten_slices(&self) -> impl Iterator<Item = &[u8]> {
         let mut skip = self.written;
         let segments = self.message.segments().iter().map(|segment| &segment[..]);
         std::iter::once(&self.prefix[..]).chain(segments).filter_map(move |piece| {
@@ -115,8 +115,8 @@ impl OutgoingConnection {
             stream,
             limits,
             queue: Mutex::default(),
-            unsent: Notify::new(),
-            room: Notify::new(),
+            write_needed: Notify::new(),
+            space_freed: Notify::new(),
         })
     }
 
@@ -137,7 +137,7 @@ impl OutgoingConnection {
             return Offer::Closed;
         }
         let message = QueuedMessage { prefix, message: message.clone(), written: 0 };
-        if !self.limits.admit(queue.messages.len(), queue.bytes, message.len()) {
+        if !self.limits.accepts(queue.messages.len(), queue.bytes, message.len()) {
             if may_drop {
                 queue.counts.offered += 1;
                 queue.counts.dropped += 1;
@@ -148,35 +148,35 @@ impl OutgoingConnection {
         queue.bytes += message.len();
         queue.messages.push_back(message);
         // If an earlier message waits for the kernel, the task writes both.
-        if queue.is_open && queue.messages.len() == 1 {
-            self.write(&mut queue);
+        if queue.is_header_written && queue.messages.len() == 1 {
+            self.write_queue(&mut queue);
             if !queue.messages.is_empty() {
-                self.unsent.notify_one();
+                self.write_needed.notify_one();
             }
         }
-        Offer::Taken
+        Offer::Accepted
     }
 
     /// Waits until the queue has accepted a message. Returns whether the connection still exists.
-    pub(super) async fn wait_for_room(&self, message: &EncodedMessage, prefix: [u8; 4]) -> bool {
+    pub(super) async fn offer_until_accepted(&self, message: &EncodedMessage, prefix: [u8; 4]) -> bool {
         loop {
             // Created before the queue is checked, so that no change in between is missed.
-            let room = self.room.notified();
+            let space_freed = self.space_freed.notified();
             match self.offer(message, prefix, false) {
-                Offer::Taken => return true,
+                Offer::Accepted => return true,
                 Offer::Closed => return false,
-                Offer::Full => room.await,
+                Offer::Full => space_freed.await,
             }
         }
     }
 
     /// Writes until the queue is empty or the kernel accepts no more. An error closes the queue.
-    fn write(&self, queue: &mut Queue) {
+    fn write_queue(&self, queue: &mut Queue) {
         while !queue.messages.is_empty() {
             let mut slices = [IoSlice::new(&[]); MAX_SLICES];
             let mut count = 0;
-            let pieces = queue.messages.iter().flat_map(QueuedMessage::pieces);
-            for (slice, piece) in slices.iter_mut().zip(pieces) {
+            let unwritten_slices = queue.messages.iter().flat_map(QueuedMessage::unwritten_slices);
+            for (slice, piece) in slices.iter_mut().zip(unwritten_slices) {
                 *slice = IoSlice::new(piece);
                 count += 1;
             }
@@ -185,18 +185,18 @@ impl OutgoingConnection {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => {
-                    tracing::debug!(subscriber = &*self.subscriber, %error, "a ROS subscriber is gone");
+                    tracing::debug!(subscriber = &*self.subscriber, %error, "a ROS subscriber disconnected");
                     queue.close();
                     // The task ends the connection.
-                    self.unsent.notify_one();
+                    self.write_needed.notify_one();
                 }
             }
         }
     }
 
     fn write_unsent(&self) {
-        self.write(&mut self.queue());
-        self.room.notify_waiters();
+        self.write_queue(&mut self.queue());
+        self.space_freed.notify_waiters();
     }
 
     fn has_unsent(&self) -> bool {
@@ -207,9 +207,9 @@ impl OutgoingConnection {
     /// latter case the waiting messages are written within [`DRAIN_TIMEOUT`].
     pub(super) async fn run(&self, header: &[u8], stop: &CancellationToken) {
         match timeout(HANDSHAKE_TIMEOUT, self.write_header(header)).await {
-            Ok(Ok(())) => self.run_open(stop).await,
+            Ok(Ok(())) => self.write_messages(stop).await,
             Ok(Err(error)) => {
-                tracing::debug!(subscriber = &*self.subscriber, %error, "a ROS subscriber is gone");
+                tracing::debug!(subscriber = &*self.subscriber, %error, "a ROS subscriber disconnected");
             }
             Err(_) => tracing::warn!(
                 subscriber = &*self.subscriber,
@@ -217,8 +217,8 @@ impl OutgoingConnection {
             ),
         }
         self.queue().close();
-        // Publishers that wait for room notice that the connection has ended.
-        self.room.notify_waiters();
+        // Wakes publishers that wait for space, so that they see the closed queue.
+        self.space_freed.notify_waiters();
     }
 
     async fn write_header(&self, mut header: &[u8]) -> io::Result<()> {
@@ -230,12 +230,12 @@ impl OutgoingConnection {
                 Err(error) => return Err(error),
             }
         }
-        self.queue().is_open = true;
+        self.queue().is_header_written = true;
         self.write_unsent();
         Ok(())
     }
 
-    async fn run_open(&self, stop: &CancellationToken) {
+    async fn write_messages(&self, stop: &CancellationToken) {
         // Subscribers send nothing; reading detects that they close the connection.
         let mut ignored = [0; 256];
         while !self.queue().is_closed {
@@ -246,7 +246,7 @@ impl OutgoingConnection {
                         tracing::warn!(
                             subscriber = &*self.subscriber,
                             messages = self.counts().waiting,
-                            "a ROS subscriber did not take its last messages in time; they are lost"
+                            "a ROS subscriber did not read its last messages in time; they are lost"
                         );
                     }
                     break;
@@ -262,7 +262,7 @@ impl OutgoingConnection {
                 }
                 // Only if something is unsent, because a socket is writable nearly all the time.
                 _ = self.stream.writable(), if has_unsent => self.write_unsent(),
-                () = self.unsent.notified() => {}
+                () = self.write_needed.notified() => {}
             }
         }
     }

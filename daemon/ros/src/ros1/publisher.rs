@@ -36,11 +36,11 @@ pub struct PublishOutcome {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
     /// The message is sent, or waits in the subscriber's queue.
-    Taken,
+    Accepted,
     /// The subscriber does not get the message because its queue was full.
     Full,
     /// The subscriber is not connected.
-    Absent,
+    NotConnected,
 }
 
 /// State of the connection to a subscriber, with counts of its messages.
@@ -75,12 +75,12 @@ impl Publisher {
     /// # Errors
     /// If the node has ended, or the message has more than 2³² − 1 bytes.
     pub fn publish(&self, message: impl Into<EncodedMessage>) -> Result<PublishOutcome, NodeError> {
-        let (message, prefix) = self.check(message.into())?;
-        let connections = self.topic.take_message(&message, prefix);
+        let (message, prefix) = self.check_message(message.into())?;
+        let connections = self.topic.latch_message(&message, prefix);
         let mut published = PublishOutcome::default();
         for connection in connections {
             match connection.offer(&message, prefix, true) {
-                Offer::Taken => published.subscribers += 1,
+                Offer::Accepted => published.subscribers += 1,
                 Offer::Full => published.dropped += 1,
                 Offer::Closed => {}
             }
@@ -93,13 +93,13 @@ impl Publisher {
     /// # Errors
     /// Those of `publish`.
     pub fn publish_to(&self, node: &str, message: impl Into<EncodedMessage>) -> Result<Delivery, NodeError> {
-        let (message, prefix) = self.check(message.into())?;
-        let mut delivery = Delivery::Absent;
-        for connection in self.topic.take_message(&message, prefix) {
+        let (message, prefix) = self.check_message(message.into())?;
+        let mut delivery = Delivery::NotConnected;
+        for connection in self.topic.latch_message(&message, prefix) {
             let offer = connection.offer(&message, prefix, true);
             if *connection.subscriber == *node {
                 delivery = match offer {
-                    Offer::Taken => Delivery::Taken,
+                    Offer::Accepted => Delivery::Accepted,
                     Offer::Full => Delivery::Full,
                     Offer::Closed => delivery,
                 };
@@ -117,11 +117,11 @@ impl Publisher {
         &self,
         message: impl Into<EncodedMessage>,
     ) -> Result<PublishOutcome, NodeError> {
-        let (message, prefix) = self.check(message.into())?;
-        let connections = self.topic.take_message(&message, prefix);
+        let (message, prefix) = self.check_message(message.into())?;
+        let connections = self.topic.latch_message(&message, prefix);
         let mut published = PublishOutcome::default();
         for connection in connections {
-            published.subscribers += usize::from(connection.wait_for_room(&message, prefix).await);
+            published.subscribers += usize::from(connection.offer_until_accepted(&message, prefix).await);
         }
         Ok(published)
     }
@@ -133,13 +133,13 @@ impl Publisher {
     pub async fn wait_for_subscribers(&self, count: usize) -> Result<(), NodeError> {
         loop {
             // Created before the connections are checked, so that no change in between is missed.
-            let changed = self.topic.changed.notified();
+            let connection_added = self.topic.connection_added.notified();
             self.guard.check_open()?;
             if self.topic.state().connections.len() >= count {
                 return Ok(());
             }
             tokio::select! {
-                () = changed => {}
+                () = connection_added => {}
                 () = self.topic.stop.cancelled() => {}
             }
         }
@@ -155,7 +155,7 @@ impl Publisher {
         self.topic.counts()
     }
 
-    fn check(&self, message: EncodedMessage) -> Result<(EncodedMessage, [u8; 4]), NodeError> {
+    fn check_message(&self, message: EncodedMessage) -> Result<(EncodedMessage, [u8; 4]), NodeError> {
         self.guard.check_open()?;
         let length = message.len();
         match u32::try_from(length) {
@@ -179,8 +179,8 @@ pub(super) struct PublishedTopic {
     /// Token that ends the connections.
     pub(super) stop: CancellationToken,
     state: Mutex<TopicState>,
-    /// Signals that a connection was added.
-    changed: Notify,
+    /// Notified when a connection was added.
+    connection_added: Notify,
 }
 
 #[derive(Debug, Default)]
@@ -188,12 +188,12 @@ struct TopicState {
     connections: Vec<Arc<OutgoingConnection>>,
     latched: Option<(EncodedMessage, [u8; 4])>,
     /// Counts of the connections that are gone.
-    ended: SendCounts,
+    ended_counts: SendCounts,
 }
 
 impl PublishedTopic {
     pub(super) fn new(publication: Publication, limits: QueueLimits, stop: CancellationToken) -> Self {
-        Self { publication, limits, stop, state: Mutex::default(), changed: Notify::new() }
+        Self { publication, limits, stop, state: Mutex::default(), connection_added: Notify::new() }
     }
 
     fn state(&self) -> MutexGuard<'_, TopicState> {
@@ -201,7 +201,7 @@ impl PublishedTopic {
     }
 
     /// Keeps a message if the topic is latching. Returns the connections that it goes to.
-    fn take_message(&self, message: &EncodedMessage, prefix: [u8; 4]) -> Vec<Arc<OutgoingConnection>> {
+    fn latch_message(&self, message: &EncodedMessage, prefix: [u8; 4]) -> Vec<Arc<OutgoingConnection>> {
         let mut state = self.state();
         if self.publication.is_latching {
             state.latched = Some((message.clone(), prefix));
@@ -222,7 +222,7 @@ impl PublishedTopic {
 
     pub(super) fn counts(&self) -> SendCounts {
         let state = self.state();
-        let mut sum = state.ended;
+        let mut sum = state.ended_counts;
         state.connections.iter().for_each(|connection| sum.add(&connection.counts()));
         sum
     }
@@ -237,7 +237,7 @@ impl PublishedTopic {
         let connection = match OutgoingConnection::new(stream, subscriber, self.limits) {
             Ok(connection) => Arc::new(connection),
             Err(error) => {
-                tracing::debug!(%error, "a ROS subscriber is gone");
+                tracing::debug!(%error, "a ROS subscriber disconnected");
                 return;
             }
         };
@@ -250,11 +250,11 @@ impl PublishedTopic {
             // it.
             state.connections.push(Arc::clone(&connection));
         }
-        self.changed.notify_waiters();
+        self.connection_added.notify_waiters();
         connection.run(&answer.encode(), &self.stop).await;
         let mut state = self.state();
         state.connections.retain(|other| !Arc::ptr_eq(other, &connection));
         // A concurrent call of publish may still offer a message; a closed queue refuses it without counting it.
-        state.ended.add(&connection.counts());
+        state.ended_counts.add(&connection.counts());
     }
 }

@@ -20,11 +20,11 @@ use super::subscriber::{PublisherInfo, PublisherState, PublisherStatus, ReceiveC
 use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, MAX_HEADER_BYTES};
 use super::xmlrpc::Value;
 
-/// Pause before the second attempt. It doubles with each further one.
-const MIN_PAUSE: Duration = Duration::from_millis(100);
+/// Delay before the second attempt. It doubles with each further attempt.
+const MIN_RETRY_DELAY: Duration = Duration::from_millis(100);
 
-/// Longest pause between attempts.
-const MAX_PAUSE: Duration = Duration::from_secs(5);
+/// Longest delay between attempts.
+const MAX_RETRY_DELAY: Duration = Duration::from_secs(5);
 
 /// Code of a successful answer.
 const SUCCESS: i64 = 1;
@@ -37,7 +37,7 @@ enum LinkError {
     #[error("the node at {uri} does not answer: {source}")]
     Unreachable { uri: Arc<str>, source: RpcError },
     #[error("the node at {uri} offers no TCPROS connection: {reason}")]
-    NoConnection { uri: Arc<str>, reason: String },
+    NoEndpoint { uri: Arc<str>, reason: String },
     #[error("cannot connect to the publisher at {host}:{port}: {source}")]
     Connect { host: String, port: u16, source: io::Error },
     #[error("the publisher at {uri} did not finish the handshake in time")]
@@ -49,10 +49,10 @@ enum LinkError {
     #[error(transparent)]
     Handshake(#[from] HandshakeError),
     #[error(
-        "node {node} publishes it, too, but messages are taken from node {expected} only; stop {node}, or let it publish \
-         another topic"
+        "node {node} publishes this topic as well, but only messages of node {expected} are accepted; stop node {node}, \
+         or let it publish another topic"
     )]
-    Unexpected { node: Arc<str>, expected: Arc<str> },
+    UnexpectedPublisher { node: Arc<str>, expected: Arc<str> },
 }
 
 /// A publisher and the connection to it.
@@ -60,8 +60,8 @@ enum LinkError {
 pub(super) struct PublisherLink {
     uri: Arc<str>,
     state: Mutex<LinkState>,
-    /// Signals that the master's listing of the publisher has changed.
-    listing: Notify,
+    /// Notified when the master has added or removed the publisher.
+    listing_changed: Notify,
 }
 
 #[derive(Debug)]
@@ -81,7 +81,7 @@ impl PublisherLink {
             counts: ReceiveCounts::default(),
             unexpected: None,
         };
-        Self { uri, state: Mutex::new(state), listing: Notify::new() }
+        Self { uri, state: Mutex::new(state), listing_changed: Notify::new() }
     }
 
     fn state(&self) -> MutexGuard<'_, LinkState> {
@@ -108,7 +108,7 @@ impl PublisherLink {
 
     pub(super) fn set_listed(&self, is_listed: bool) {
         self.state().is_listed = is_listed;
-        self.listing.notify_one();
+        self.listing_changed.notify_one();
     }
 
     fn set_state(&self, topic: &SubscribedTopic, state: PublisherState) {
@@ -118,7 +118,7 @@ impl PublisherLink {
 
     /// Connects repeatedly, until the publisher is no longer listed or the subscriber ends.
     pub(super) async fn run(&self, topic: &SubscribedTopic) {
-        let mut pause = MIN_PAUSE;
+        let mut delay = MIN_RETRY_DELAY;
         let (mut last_reason, mut was_closed) = (String::new(), false);
         loop {
             let connections = self.state().counts.connections;
@@ -129,9 +129,9 @@ impl PublisherLink {
             if topic.remove_unlisted(self) {
                 return;
             }
-            // A connection worked in between, so the next failure starts with the short pause again.
+            // A connection worked in between, so the next failure starts with the shortest delay again.
             if self.state().counts.connections > connections {
-                pause = MIN_PAUSE;
+                delay = MIN_RETRY_DELAY;
             }
             let reason = error.to_string();
             // Logged once for each reason, because the attempts repeat.
@@ -140,27 +140,27 @@ impl PublisherLink {
                 // A publisher that ends closes the connection before the master reports it, and does not publish the
                 // topic any more when it is asked. Neither deserves a warning.
                 let is_closed = matches!(error, LinkError::Closed);
-                if is_closed || was_closed && matches!(error, LinkError::NoConnection { .. }) {
+                if is_closed || was_closed && matches!(error, LinkError::NoEndpoint { .. }) {
                     tracing::debug!(topic, publisher, "a publisher of a ROS topic closed the connection");
                 } else {
                     tracing::warn!(
                         topic,
                         publisher,
                         reason,
-                        "no messages from a publisher of a ROS topic; trying again"
+                        "cannot receive from a publisher of a ROS topic; retrying"
                     );
                 }
                 (last_reason, was_closed) = (reason.clone(), is_closed);
             }
             self.state().unexpected = match error {
-                LinkError::Unexpected { node, .. } => Some(node),
+                LinkError::UnexpectedPublisher { node, .. } => Some(node),
                 _ => None,
             };
             self.set_state(topic, PublisherState::Failed(reason));
             tokio::select! {
-                () = sleep(pause) => pause = (pause * 2).min(MAX_PAUSE),
+                () = sleep(delay) => delay = (delay * 2).min(MAX_RETRY_DELAY),
                 // A new list of the master may be due to a restart of the publisher, or its end.
-                () = self.listing.notified() => {}
+                () = self.listing_changed.notified() => {}
                 () = topic.stop.cancelled() => {}
             }
             if topic.remove_unlisted(self) {
@@ -172,7 +172,7 @@ impl PublisherLink {
 
     async fn connect_and_read(&self, topic: &SubscribedTopic) -> LinkError {
         match self.connect(topic).await {
-            Ok((stream, buffer, info)) => self.read(topic, stream, buffer, info).await,
+            Ok((stream, buffer, info)) => self.read_messages(topic, stream, buffer, info).await,
             Err(error) => error,
         }
     }
@@ -199,14 +199,14 @@ impl PublisherLink {
         let answer = rpc::call(&uri, "requestTopic", params)
             .await
             .map_err(|source| LinkError::Unreachable { uri: Arc::clone(&self.uri), source })?;
-        let no_connection =
-            |reason: &str| LinkError::NoConnection { uri: Arc::clone(&self.uri), reason: reason.to_owned() };
+        let no_endpoint =
+            |reason: &str| LinkError::NoEndpoint { uri: Arc::clone(&self.uri), reason: reason.to_owned() };
         match split_answer(answer) {
             Some((SUCCESS, _, params)) => {
-                read_endpoint(&params).ok_or_else(|| no_connection("its answer names no host and port"))
+                read_endpoint(&params).ok_or_else(|| no_endpoint("its answer has no host and port"))
             }
-            Some((_, reason, _)) => Err(no_connection(&reason)),
-            None => Err(no_connection("its answer is not one of a ROS node")),
+            Some((_, reason, _)) => Err(no_endpoint(&reason)),
+            None => Err(no_endpoint("its answer is not that of a ROS node")),
         }
     }
 
@@ -222,7 +222,7 @@ impl PublisherLink {
         let header = ConnectionHeader::decode(&frame).map_err(HandshakeError::from)?;
         let (node, kind) = topic.subscription.accept(&header)?;
         if let Some(expected) = topic.publisher.as_ref().filter(|expected| **expected != node) {
-            return Err(LinkError::Unexpected { node, expected: Arc::clone(expected) });
+            return Err(LinkError::UnexpectedPublisher { node, expected: Arc::clone(expected) });
         }
         let uri = Arc::clone(&self.uri);
         let (local, remote) = (stream.local_addr()?, stream.peer_addr()?);
@@ -230,7 +230,7 @@ impl PublisherLink {
     }
 
     /// Reads messages until the connection ends.
-    async fn read(
+    async fn read_messages(
         &self,
         topic: &SubscribedTopic,
         mut stream: TcpStream,

@@ -14,7 +14,7 @@ use super::registration::{CallOutcome, MasterCall, Notice, Registration, Registr
 use super::rpc::{self, CALL_TIMEOUT, RpcError};
 
 /// Returns the methods of the master's API that add and remove a registration.
-fn methods_of(role: Role) -> (&'static str, &'static str) {
+fn registration_methods(role: Role) -> (&'static str, &'static str) {
     match role {
         Role::Publisher => ("registerPublisher", "unregisterPublisher"),
         Role::Subscriber => ("registerSubscriber", "unregisterSubscriber"),
@@ -30,7 +30,7 @@ pub(super) struct Registrar {
     topics: Arc<NodeTopics>,
     lifetime: Arc<NodeLifetime>,
     registrations: Mutex<Registrations>,
-    /// Signals that a call may be due.
+    /// Notified when a call may be due.
     wake: Notify,
 }
 
@@ -64,9 +64,9 @@ impl Registrar {
     /// # Errors
     /// If the master does not answer or refuses.
     pub(super) async fn register(&self, registration: &Registration) -> Result<Vec<String>, NodeError> {
-        // A restarted master knows the node again once this topic is registered, and the loss of the other topics could
-        // then not be detected any more.
-        self.check().await;
+        // A restarted master knows the node again once this topic is registered. After that, the loss of the other topics
+        // cannot be detected.
+        self.check_registered().await;
         let uris = self.call_register(registration).await?;
         self.registrations().add(registration.clone());
         Ok(uris)
@@ -92,11 +92,11 @@ impl Registrar {
             }
             Ok(())
         };
-        let late = |_| {
+        let timed_out = |_| {
             let (uri, source) = (self.master.uri().to_string(), RpcError::TimedOut);
             Err(NodeError::NoMaster { uri, source })
         };
-        timeout(CALL_TIMEOUT, unregister).await.unwrap_or_else(late)
+        timeout(CALL_TIMEOUT, unregister).await.unwrap_or_else(timed_out)
     }
 
     /// Makes the task ask the master which node has the name.
@@ -108,20 +108,20 @@ impl Registrar {
     /// Makes the calls of the master that are due, until the node ends.
     pub(super) async fn run(&self) {
         loop {
-            let (call, pause) = {
+            let (call, interval) = {
                 let registrations = self.registrations();
-                (registrations.next_call(), registrations.pause())
+                (registrations.next_call(), registrations.wait_interval())
             };
             if let Some(call) = call {
                 let outcome = tokio::select! {
-                    outcome = self.perform(&call) => outcome,
+                    outcome = self.call_master(&call) => outcome,
                     () = self.lifetime.stop().cancelled() => return,
                 };
                 self.handle_outcome(&call, outcome);
                 continue;
             }
             tokio::select! {
-                () = sleep(pause) => self.registrations().request_check(),
+                () = sleep(interval) => self.registrations().request_check(),
                 () = self.wake.notified() => {}
                 () = self.lifetime.stop().cancelled() => return,
             }
@@ -129,17 +129,17 @@ impl Registrar {
     }
 
     /// Asks the master whether it still knows the node. If not, all topics are due for registration.
-    async fn check(&self) {
+    async fn check_registered(&self) {
         if !self.registrations().has_registered() {
             return;
         }
         let call = MasterCall::LookUpNode;
-        let outcome = self.perform(&call).await;
+        let outcome = self.call_master(&call).await;
         self.handle_outcome(&call, outcome);
         self.wake.notify_one();
     }
 
-    async fn perform(&self, call: &MasterCall) -> CallOutcome {
+    async fn call_master(&self, call: &MasterCall) -> CallOutcome {
         let result = match call {
             MasterCall::LookUpNode => match self.master.look_up_node(self.lifetime.node()).await {
                 Ok(None) => return CallOutcome::NodeUnknown,
@@ -155,7 +155,7 @@ impl Registrar {
                 Ok(Some(_)) => Ok(()),
                 Err(error) => Err(error),
             },
-            MasterCall::Register(registration) => self.register_again(registration).await,
+            MasterCall::Register(registration) => self.reregister(registration).await,
             MasterCall::Unregister(registration) => self.call_unregister(registration).await,
         };
         match result {
@@ -169,16 +169,16 @@ impl Registrar {
 
     async fn call_register(&self, registration: &Registration) -> Result<Vec<String>, NodeError> {
         let Registration { role, topic, kind } = registration;
-        self.master.register(methods_of(*role).0, topic, kind, &self.uri).await
+        self.master.register(registration_methods(*role).0, topic, kind, &self.uri).await
     }
 
     async fn call_unregister(&self, registration: &Registration) -> Result<(), NodeError> {
-        let method = methods_of(registration.role).1;
+        let method = registration_methods(registration.role).1;
         self.master.unregister(method, &registration.topic, &self.uri).await
     }
 
     /// Registers a topic that the master does not know any more.
-    async fn register_again(&self, registration: &Registration) -> Result<(), NodeError> {
+    async fn reregister(&self, registration: &Registration) -> Result<(), NodeError> {
         let uris = self.call_register(registration).await?;
         if registration.role == Role::Subscriber
             && let Some(subscribed) = self.topics.find_subscribed(&registration.topic)
@@ -200,15 +200,17 @@ impl Registrar {
         let Some(notice) = notice else { return };
         let (name, master) = (&**self.lifetime.node(), self.master.uri().as_str());
         match notice {
-            Notice::MasterLost { reason } => {
+            Notice::MasterUnreachable { reason } => {
                 tracing::warn!(
                     node = name,
                     reason,
-                    "the ROS master is not reachable; connections go on, trying again"
+                    "the ROS master is not reachable; existing connections continue; retrying"
                 );
             }
-            Notice::MasterBack => tracing::info!(node = name, master, "the ROS master is reachable again"),
-            Notice::Forgotten => {
+            Notice::MasterReachable => {
+                tracing::info!(node = name, master, "the ROS master is reachable again");
+            }
+            Notice::RegistrationsLost => {
                 tracing::warn!(
                     node = name,
                     master,
@@ -216,7 +218,7 @@ impl Registrar {
                 );
             }
             Notice::Refused { reason } => {
-                tracing::warn!(node = name, reason, "the ROS master refuses a registration; trying again");
+                tracing::warn!(node = name, reason, "the ROS master refused a registration; retrying");
             }
             Notice::NodeReplaced { uri } => {
                 self.lifetime.end(format!("another node, at {uri}, has registered with the same name"));

@@ -7,7 +7,7 @@ use std::time::Duration;
 /// Interval at which the master is asked whether it still knows the node.
 pub(super) const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Pause after the master was not reachable.
+/// Delay before the next attempt to reach the master.
 pub(super) const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Role of a node in a topic.
@@ -56,9 +56,9 @@ pub(super) enum CallOutcome {
 /// Event for the owner of the registrations.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Notice {
-    MasterLost { reason: String },
-    MasterBack,
-    Forgotten,
+    MasterUnreachable { reason: String },
+    MasterReachable,
+    RegistrationsLost,
     Refused { reason: String },
     NodeReplaced { uri: String },
 }
@@ -67,7 +67,7 @@ pub(super) enum Notice {
 enum RegistrationStatus {
     Registered,
     Missing,
-    Leaving,
+    Unregistering,
 }
 
 /// The registrations of a node.
@@ -86,7 +86,7 @@ impl Registrations {
 
     /// Marks a registration for removal. The call that unregisters it is due next.
     pub(super) fn remove(&mut self, registration: Registration) {
-        self.entries.insert(registration, RegistrationStatus::Leaving);
+        self.entries.insert(registration, RegistrationStatus::Unregistering);
     }
 
     /// Notes that [`CHECK_INTERVAL`] or [`RETRY_INTERVAL`] has passed.
@@ -95,24 +95,25 @@ impl Registrations {
     }
 
     /// Returns how long to wait if no call is due, or after a call that did not reach the master.
-    pub(super) fn pause(&self) -> Duration {
+    pub(super) fn wait_interval(&self) -> Duration {
         if self.is_unreachable { RETRY_INTERVAL } else { CHECK_INTERVAL }
     }
 
     /// Returns the call that is due now.
     pub(super) fn next_call(&self) -> Option<MasterCall> {
-        let with = |wanted| self.entries.iter().find(|(_, status)| **status == wanted);
-        // After an absence it may be another master, so it is asked first what it knows.
+        let with_status = |wanted| self.entries.iter().find(|(_, status)| **status == wanted);
+        // After it was unreachable, the master may be another one. Therefore it is first asked whether it knows the node.
         if self.is_check_due && !self.entries.is_empty() {
             return Some(MasterCall::LookUpNode);
         }
         if self.is_unreachable {
             return None;
         }
-        if let Some((registration, _)) = with(RegistrationStatus::Leaving) {
+        if let Some((registration, _)) = with_status(RegistrationStatus::Unregistering) {
             return Some(MasterCall::Unregister(registration.clone()));
         }
-        with(RegistrationStatus::Missing).map(|(registration, _)| MasterCall::Register(registration.clone()))
+        with_status(RegistrationStatus::Missing)
+            .map(|(registration, _)| MasterCall::Register(registration.clone()))
     }
 
     /// Handles the outcome of a call.
@@ -122,13 +123,13 @@ impl Registrations {
         }
         if let CallOutcome::Unreachable { reason } = outcome {
             let was_unreachable = std::mem::replace(&mut self.is_unreachable, true);
-            return (!was_unreachable).then_some(Notice::MasterLost { reason });
+            return (!was_unreachable).then_some(Notice::MasterUnreachable { reason });
         }
         let was_unreachable = std::mem::take(&mut self.is_unreachable);
         match (call, outcome) {
             (_, CallOutcome::NodeUnknown) => {
                 let had_registered = self.mark_all_missing();
-                return had_registered.then_some(Notice::Forgotten);
+                return had_registered.then_some(Notice::RegistrationsLost);
             }
             (_, CallOutcome::NodeReplaced { uri }) => return Some(Notice::NodeReplaced { uri }),
             (MasterCall::Register(registration), CallOutcome::Success) => {
@@ -138,19 +139,21 @@ impl Registrations {
                     *status = RegistrationStatus::Registered;
                 }
             }
-            (MasterCall::Unregister(registration), CallOutcome::Success) => self.end_leaving(registration),
+            (MasterCall::Unregister(registration), CallOutcome::Success) => {
+                self.finish_unregistering(registration);
+            }
             (MasterCall::Unregister(registration), CallOutcome::Refused { reason }) => {
-                self.end_leaving(registration);
+                self.finish_unregistering(registration);
                 return Some(Notice::Refused { reason });
             }
             (MasterCall::Register(_) | MasterCall::LookUpNode, CallOutcome::Refused { reason }) => {
-                // The call is repeated after a pause, and reported once.
+                // The call is repeated after the retry interval, and reported once.
                 self.is_unreachable = true;
                 return (!was_unreachable).then_some(Notice::Refused { reason });
             }
             (MasterCall::LookUpNode, CallOutcome::Success) | (_, CallOutcome::Unreachable { .. }) => {}
         }
-        was_unreachable.then_some(Notice::MasterBack)
+        was_unreachable.then_some(Notice::MasterReachable)
     }
 
     /// Returns whether the master should know a registration of the node.
@@ -161,15 +164,15 @@ impl Registrations {
     /// Marks all registrations as missing. Returns whether any was registered.
     fn mark_all_missing(&mut self) -> bool {
         let had_registered = self.has_registered();
-        self.entries.retain(|_, status| *status != RegistrationStatus::Leaving);
+        self.entries.retain(|_, status| *status != RegistrationStatus::Unregistering);
         self.entries.values_mut().for_each(|status| *status = RegistrationStatus::Missing);
         had_registered
     }
 
     /// Removes a registration that the master has removed.
-    fn end_leaving(&mut self, registration: &Registration) {
+    fn finish_unregistering(&mut self, registration: &Registration) {
         match self.entries.get_mut(registration) {
-            Some(RegistrationStatus::Leaving) => {
+            Some(RegistrationStatus::Unregistering) => {
                 self.entries.remove(registration);
             }
             // The topic was added again during the call, which has removed the new registration.
@@ -202,20 +205,20 @@ mod tests {
         state.add(registration("/a"));
         state.add(registration("/b"));
         assert_eq!(state.next_call(), None);
-        assert_eq!(state.pause(), CHECK_INTERVAL);
+        assert_eq!(state.wait_interval(), CHECK_INTERVAL);
 
         state.request_check();
         let check = state.next_call().unwrap();
         assert_eq!(check, MasterCall::LookUpNode);
-        let lost = Notice::MasterLost { reason: "refused".into() };
+        let lost = Notice::MasterUnreachable { reason: "refused".into() };
         assert_eq!(state.handle_outcome(&check, unreachable()), Some(lost));
         assert_eq!(state.next_call(), None);
-        assert_eq!(state.pause(), RETRY_INTERVAL);
+        assert_eq!(state.wait_interval(), RETRY_INTERVAL);
         state.request_check();
         assert_eq!(state.handle_outcome(&check, unreachable()), None);
 
         state.request_check();
-        assert_eq!(state.handle_outcome(&check, CallOutcome::NodeUnknown), Some(Notice::Forgotten));
+        assert_eq!(state.handle_outcome(&check, CallOutcome::NodeUnknown), Some(Notice::RegistrationsLost));
         for topic in ["/a", "/b"] {
             let call = MasterCall::Register(registration(topic));
             assert_eq!(state.next_call(), Some(call.clone()));
@@ -230,12 +233,12 @@ mod tests {
         state.add(registration("/a"));
         state.handle_outcome(&MasterCall::LookUpNode, unreachable());
         let notice = state.handle_outcome(&MasterCall::LookUpNode, CallOutcome::Success);
-        assert_eq!(notice, Some(Notice::MasterBack));
+        assert_eq!(notice, Some(Notice::MasterReachable));
         assert_eq!(state.next_call(), None);
     }
 
     #[test]
-    fn departure_waits_for_the_master() {
+    fn unregistration_waits_for_the_master() {
         let mut state = Registrations::default();
         state.add(registration("/a"));
         state.remove(registration("/a"));
@@ -252,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn topic_added_during_its_departure_is_registered_again() {
+    fn topic_added_during_its_unregistration_is_registered_again() {
         let mut state = Registrations::default();
         state.remove(registration("/a"));
         let call = state.next_call().unwrap();

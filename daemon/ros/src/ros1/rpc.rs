@@ -46,7 +46,7 @@ pub enum RpcError {
         /// Reason.
         reason: String,
     },
-    /// The call took too long.
+    /// The call was not answered in time.
     #[error("no answer within {} s", CALL_TIMEOUT.as_secs())]
     TimedOut,
     /// The HTTP status is not 200.
@@ -69,7 +69,7 @@ pub enum RpcError {
 }
 
 impl RpcError {
-    #[expect(clippy::needless_pass_by_value, reason = "what map_err calls takes a value")]
+    #[expect(clippy::needless_pass_by_value, reason = "map_err passes the error by value")]
     fn connection(error: impl ToString) -> Self {
         Self::Connection { reason: error.to_string() }
     }
@@ -80,7 +80,7 @@ impl RpcError {
 /// Each call opens a connection. A node makes few calls, and a kept connection would break when the peer ends.
 ///
 /// # Errors
-/// If the peer is not there, takes too long, or answers with a fault.
+/// If the peer is not reachable, does not answer in time, or answers with a fault.
 pub(super) async fn call(uri: &RpcUri, method: &str, params: Vec<Value>) -> Result<Value, RpcError> {
     let xml = write_call(&Call { method: method.to_owned(), params });
     let body = timeout(CALL_TIMEOUT, exchange(uri, xml.into())).await.map_err(|_| RpcError::TimedOut)??;
@@ -127,9 +127,9 @@ pub(super) async fn serve(
     stop: CancellationToken,
 ) {
     let answer = Arc::new(answer);
-    let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    let permits = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
-        let Ok(place) = Arc::clone(&places).acquire_owned().await else { return };
+        let Ok(permit) = Arc::clone(&permits).acquire_owned().await else { return };
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
             () = stop.cancelled() => return,
@@ -145,7 +145,7 @@ pub(super) async fn serve(
         };
         let (answer, stop) = (Arc::clone(&answer), stop.clone());
         tokio::spawn(async move {
-            let _place = place;
+            let _permit = permit;
             // A failure only increases the latency.
             let _ = stream.set_nodelay(true);
             let service = service_fn(|request| respond(request, &*answer));
@@ -171,7 +171,7 @@ async fn respond(
     let call = match timeout(IDLE_TIMEOUT, body).await {
         Ok(Ok(body)) => parse_call(&body.to_bytes()).map_err(|error| error.to_string()),
         Ok(Err(error)) => Err(error.to_string()),
-        Err(_) => Err("the call took too long to arrive".to_owned()),
+        Err(_) => Err(format!("the call did not arrive within {} s", IDLE_TIMEOUT.as_secs())),
     };
     let response = match call {
         Ok(call) => answer(&call),

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::master::{SUCCESS, split_answer};
-use super::node::NodeShared;
+use super::node::NodeState;
 use super::publisher::PublishedTopic;
 use super::subscriber::{PublisherState, SubscribedTopic};
 use super::xmlrpc::{Call, Response, Value};
@@ -16,7 +16,7 @@ const FAILURE: i64 = 0;
 
 /// Reason with which the master asks a node to shut down when another one registers with its name, after `[/NODE]
 /// Reason: `.
-const NAME_TAKEN: &str = "new node registered with same name";
+const NAME_TAKEN_REASON: &str = "new node registered with same name";
 
 /// A call of the API. The first parameter, the caller's name, is omitted where it is not used.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,7 +37,7 @@ pub(super) enum SlaveCall {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum CallError {
     UnknownMethod,
-    Params,
+    InvalidParameters,
 }
 
 impl SlaveCall {
@@ -73,7 +73,7 @@ impl SlaveCall {
             ) => None,
             _ => return Err(CallError::UnknownMethod),
         };
-        read.ok_or(CallError::Params)
+        read.ok_or(CallError::InvalidParameters)
     }
 }
 
@@ -84,12 +84,12 @@ fn protocol_names(value: &Value) -> Option<Vec<String>> {
 }
 
 /// Answers a call to a node.
-pub(super) fn answer(node: &NodeShared, call: &Call) -> Response {
+pub(super) fn answer(node: &NodeState, call: &Call) -> Response {
     match SlaveCall::read(call) {
-        Ok(call) => Response::Success(carry_out(node, call)),
-        Err(CallError::Params) => {
-            // ROS reports wrong parameters in the answer; faults are for unknown methods.
-            let text = format!("wrong parameters for {}", call.method);
+        Ok(call) => Response::Success(execute(node, call)),
+        Err(CallError::InvalidParameters) => {
+            // ROS reports invalid parameters in the answer. Faults are for unknown methods.
+            let text = format!("invalid parameters of {}", call.method);
             Response::Success([ERROR.into(), text.into(), 0.into()].into())
         }
         Err(CallError::UnknownMethod) => {
@@ -102,7 +102,7 @@ fn success(value: impl Into<Value>) -> Value {
     [SUCCESS.into(), "".into(), value.into()].into()
 }
 
-fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
+fn execute(node: &NodeState, call: SlaveCall) -> Value {
     match call {
         SlaveCall::BusStats => success(bus_statistics(node)),
         SlaveCall::BusInfo => success(bus_info(node)),
@@ -126,7 +126,7 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
         SlaveCall::ParamUpdate => success(0),
         // The call may be meant for a node that ended and whose port this node has now, or the registration of a node
         // that ended may have reached the master late. Therefore the registrar asks which node has the name.
-        SlaveCall::Shutdown { reason, .. } if reason.ends_with(NAME_TAKEN) => {
+        SlaveCall::Shutdown { reason, .. } if reason.ends_with(NAME_TAKEN_REASON) => {
             node.registrar.request_check();
             success(0)
         }
@@ -152,13 +152,13 @@ pub(super) fn has_topic(answer: Value, topic: &str) -> bool {
     topics.as_array().is_some_and(|topics| topics.iter().any(is_topic))
 }
 
-fn request_topic(node: &NodeShared, topic: &str, protocols: &[String]) -> Value {
+fn request_topic(node: &NodeState, topic: &str, protocols: &[String]) -> Value {
     let failure = |text: String| [FAILURE.into(), text.into(), Value::Int(0)].into();
     if node.topics.find_published(topic).is_none() {
-        return failure(format!("topic {topic} is not published by node {}", node.name.full()));
+        return failure(format!("topic {topic} is not published by node {}", node.name.global()));
     }
     if !protocols.iter().any(|protocol| protocol == "TCPROS") {
-        return failure(format!("node {} offers TCPROS only, asked for {protocols:?}", node.name.full()));
+        return failure(format!("node {} offers TCPROS only, asked for {protocols:?}", node.name.global()));
     }
     let (host, port) = (node.address.host(), node.address.tcpros_port());
     let text = format!("ready on {host}:{port}");
@@ -167,20 +167,21 @@ fn request_topic(node: &NodeShared, topic: &str, protocols: &[String]) -> Value 
 }
 
 /// Returns a count as an XML-RPC value.
-fn int(count: u64) -> Value {
+fn count_value(count: u64) -> Value {
     Value::Int(i64::try_from(count).unwrap_or(i64::MAX))
 }
 
 /// Returns the statistics for `getBusStats`: those of publishers, of subscribers, and of services, which this node does
 /// not have.
-fn bus_statistics(node: &NodeShared) -> Value {
+fn bus_statistics(node: &NodeState) -> Value {
     let (published, subscribed) = (node.topics.published(), node.topics.subscribed());
     let publishers = published.iter().map(|topic| {
         let connections = topic.subscribers().into_iter().zip(0..).map(|(subscriber, id)| {
             let counts = subscriber.counts;
-            [Value::Int(id), int(counts.sent_bytes), int(counts.sent), Value::Bool(true)].into()
+            [Value::Int(id), count_value(counts.sent_bytes), count_value(counts.sent), Value::Bool(true)]
+                .into()
         });
-        let sent_bytes = int(topic.counts().sent_bytes);
+        let sent_bytes = count_value(topic.counts().sent_bytes);
         let connections = connections.collect::<Vec<Value>>();
         [(&*topic.publication.topic).into(), sent_bytes, connections.into()].into()
     });
@@ -188,7 +189,13 @@ fn bus_statistics(node: &NodeShared) -> Value {
         let connections = topic.publishers().into_iter().zip(0..).map(|(publisher, id)| {
             let is_connected = matches!(publisher.state, PublisherState::Connected(_));
             let counts = publisher.counts;
-            [Value::Int(id), int(counts.bytes), int(counts.dropped), Value::Bool(is_connected)].into()
+            [
+                Value::Int(id),
+                count_value(counts.bytes),
+                count_value(counts.dropped),
+                Value::Bool(is_connected),
+            ]
+            .into()
         });
         [(&*topic.subscription.topic).into(), connections.collect::<Vec<Value>>().into()].into()
     });
@@ -198,7 +205,7 @@ fn bus_statistics(node: &NodeShared) -> Value {
 
 /// Returns the connections for `getBusInfo`: number, other end, direction, transport, topic, whether connected, and a
 /// description.
-fn bus_info(node: &NodeShared) -> Value {
+fn bus_info(node: &NodeState) -> Value {
     let mut connections: Vec<Value> = Vec::new();
     let mut add = |other: &str, direction: &str, topic: &str, is_connected: bool, description: String| {
         let id = Value::Int(connections.len() as i64 + 1);
@@ -263,10 +270,10 @@ mod tests {
 
     #[test]
     fn wrong_calls_get_distinct_errors() {
-        assert_eq!(call("getPid", vec![]), Err(CallError::Params));
+        assert_eq!(call("getPid", vec![]), Err(CallError::InvalidParameters));
         assert_eq!(
             call("requestTopic", vec!["/c".into(), "/t".into(), ["TCPROS".into()].into()]),
-            Err(CallError::Params)
+            Err(CallError::InvalidParameters)
         );
         assert_eq!(call("format", vec!["/c".into()]), Err(CallError::UnknownMethod));
     }

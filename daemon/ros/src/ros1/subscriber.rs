@@ -23,7 +23,7 @@ use super::tcpros::{Subscription, TopicType};
 pub struct SubscriberOptions {
     /// Limits of the queue of received messages.
     pub queue: QueueLimits,
-    /// Policy for a message that finds the queue full.
+    /// Policy for a message that arrives while the queue is full.
     pub when_full: WhenFull,
     /// Largest accepted message in bytes. A publisher of a larger one is disconnected.
     pub max_message_bytes: usize,
@@ -31,7 +31,7 @@ pub struct SubscriberOptions {
     /// default messages of all nodes are accepted.
     pub publisher: Option<Arc<str>>,
     /// Limit that the subscriber shares with others, on messages from their first bytes until they are dropped. A
-    /// publisher whose message finds no room is disconnected. By default there is no such limit.
+    /// publisher whose message exceeds the limit is disconnected. By default there is no such limit.
     pub memory: Option<Arc<dyn MemoryLimit>>,
 }
 
@@ -234,7 +234,7 @@ pub(super) struct SubscribedTopic {
 struct TopicState {
     links: BTreeMap<Arc<str>, Arc<PublisherLink>>,
     /// Counts of publishers that are gone.
-    ended: ReceiveCounts,
+    ended_counts: ReceiveCounts,
 }
 
 impl SubscribedTopic {
@@ -274,7 +274,7 @@ impl SubscribedTopic {
 
     pub(super) fn counts(&self) -> ReceiveCounts {
         let state = self.state();
-        let mut sum = state.ended;
+        let mut sum = state.ended_counts;
         state.links.values().for_each(|link| sum.add(&link.status().counts));
         sum
     }
@@ -286,22 +286,26 @@ impl SubscribedTopic {
         for (uri, link) in &state.links {
             link.set_listed(uris.iter().any(|listed| **listed == **uri));
         }
-        self.add(&mut state, uris);
+        self.add_links(&mut state, uris);
     }
 
     /// Adds publishers to the known ones. None is removed, because the answer to a registration may be older than a
     /// list that has arrived since.
     pub(super) fn add_publishers(self: &Arc<Self>, uris: &[String]) {
-        self.add(&mut self.state(), uris);
+        self.add_links(&mut self.state(), uris);
     }
 
-    fn add(self: &Arc<Self>, state: &mut TopicState, uris: &[String]) {
+    fn add_links(self: &Arc<Self>, state: &mut TopicState, uris: &[String]) {
         for uri in uris {
             if let Some(link) = state.links.get(&**uri) {
                 link.set_listed(true);
             } else if state.links.len() >= MAX_PUBLISHERS {
                 let topic = &*self.subscription.topic;
-                tracing::warn!(topic, uri, "a ROS topic has too many publishers; this one is left out");
+                tracing::warn!(
+                    topic,
+                    uri,
+                    "a ROS topic has more than {MAX_PUBLISHERS} publishers; ignoring this one"
+                );
             } else {
                 let uri: Arc<str> = uri.as_str().into();
                 let link = Arc::new(PublisherLink::new(Arc::clone(&uri)));
@@ -321,7 +325,7 @@ impl SubscribedTopic {
         }
         let counts = link.status().counts;
         state.links.remove(link.uri());
-        state.ended.add(&counts);
+        state.ended_counts.add(&counts);
         drop(state);
         self.changed.notify_waiters();
         true

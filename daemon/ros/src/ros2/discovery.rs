@@ -1,4 +1,4 @@
-//! State machine of discovery without I/O: what is known of the domain, and the peers of our endpoints.
+//! State machine of discovery without I/O: the participants and endpoints of the domain, and the peers of our endpoints.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,15 +6,15 @@ use tokio::sync::watch;
 
 use super::names::ros_type;
 use super::node_list::{ListEntry, ListedNode};
-use super::{EndpointId, EndpointRole, FoundEndpoint, ParticipantId, PeerTable, Refusal};
+use super::{DiscoveredEndpoint, EndpointId, EndpointRole, ParticipantId, PeerTable, Refusal};
 
 /// Event of discovery.
 #[derive(Clone, Debug)]
 pub(super) enum DiscoveryEvent {
-    ParticipantFound(ParticipantId),
-    ParticipantGone(ParticipantId),
-    EndpointFound { id: EndpointId, topic: String, type_name: String },
-    EndpointGone(EndpointId),
+    ParticipantDiscovered(ParticipantId),
+    ParticipantLost(ParticipantId),
+    EndpointDiscovered { id: EndpointId, topic: String, type_name: String },
+    EndpointLost(EndpointId),
     NodesListed(ListEntry),
     Matched { local: EndpointId, remote: EndpointId },
     Incompatible { local: EndpointId, remote: EndpointId, refusal: Refusal },
@@ -130,7 +130,7 @@ impl DiscoveryState {
     }
 
     /// Returns the number of other participants.
-    pub(super) fn participants(&self) -> usize {
+    pub(super) fn participant_count(&self) -> usize {
         self.participants.len()
     }
 
@@ -144,21 +144,21 @@ impl DiscoveryState {
     }
 
     /// Returns the endpoints that other participants have of a topic, by its DDS name.
-    pub(super) fn endpoints_of(&self, dds_topic: &str) -> Vec<FoundEndpoint> {
+    pub(super) fn endpoints_of(&self, dds_topic: &str) -> Vec<DiscoveredEndpoint> {
         let of_topic = self
             .endpoints
             .iter()
             .filter(|(id, (topic, _))| topic == dds_topic && id.participant() != self.own);
         let found = of_topic.filter_map(|(id, (_, type_name))| {
             let node = self.node_of(*id).map(str::to_owned);
-            Some(FoundEndpoint { id: *id, role: id.role()?, type_name: ros_type(type_name), node })
+            Some(DiscoveredEndpoint { id: *id, role: id.role()?, type_name: ros_type(type_name), node })
         });
         found.collect()
     }
 
     /// Returns whether a publisher gives the topic of one of our subscriptions another type. This must be checked
     /// because `rustdds` matches by the name of the topic alone.
-    pub(super) fn is_other_type(&self, local: EndpointId, remote: EndpointId) -> bool {
+    pub(super) fn has_other_type(&self, local: EndpointId, remote: EndpointId) -> bool {
         self.other_type(local, remote).is_some()
     }
 
@@ -170,13 +170,13 @@ impl DiscoveryState {
 
     /// Applies an event.
     pub(super) fn apply(&mut self, event: DiscoveryEvent) {
-        self.record(event);
+        self.update_state(event);
         self.changes.send_modify(|count| *count = count.wrapping_add(1));
     }
 
-    fn record(&mut self, event: DiscoveryEvent) {
+    fn update_state(&mut self, event: DiscoveryEvent) {
         match event {
-            DiscoveryEvent::ParticipantFound(id) => {
+            DiscoveryEvent::ParticipantDiscovered(id) => {
                 if id == self.own || self.participants.contains(&id) {
                 } else if self.participants.len() < self.bounds.participants {
                     self.participants.insert(id);
@@ -184,23 +184,23 @@ impl DiscoveryState {
                     self.ignored += 1;
                 }
             }
-            DiscoveryEvent::ParticipantGone(id) => {
+            DiscoveryEvent::ParticipantLost(id) => {
                 self.participants.remove(&id);
                 self.nodes.remove(&id);
-                self.forget(|endpoint| endpoint.participant() == id);
+                self.remove_endpoints(|endpoint| endpoint.participant() == id);
             }
-            DiscoveryEvent::EndpointFound { id, topic, type_name } => {
-                let has_room =
+            DiscoveryEvent::EndpointDiscovered { id, topic, type_name } => {
+                let has_space =
                     self.endpoints.len() < self.bounds.endpoints || self.endpoints.contains_key(&id);
-                // Names beyond the limit of DDS are invented, and would only take memory.
-                if has_room && topic.len().max(type_name.len()) <= Self::MAX_NAME_BYTES {
+                // Names beyond the limit of DDS are forged, and would only take memory.
+                if has_space && topic.len().max(type_name.len()) <= Self::MAX_NAME_BYTES {
                     self.endpoints.insert(id, (topic, type_name));
                 } else {
                     self.ignored += 1;
                 }
             }
-            DiscoveryEvent::NodesListed(entry) => self.list(entry),
-            DiscoveryEvent::EndpointGone(id) => self.forget(|endpoint| endpoint == id),
+            DiscoveryEvent::NodesListed(entry) => self.replace_nodes(entry),
+            DiscoveryEvent::EndpointLost(id) => self.remove_endpoints(|endpoint| endpoint == id),
             DiscoveryEvent::Matched { local, remote } => {
                 let refusal = self
                     .other_type(local, remote)
@@ -217,29 +217,29 @@ impl DiscoveryState {
     }
 
     fn match_peer(&mut self, local: EndpointId, remote: EndpointId) {
-        let (most, mut has_room) = (self.bounds.matched, true);
-        self.update(local, |peers| {
-            has_room = peers.matched.len() < most || peers.matched.contains(&remote);
-            has_room && peers.add(remote)
+        let (limit, mut has_space) = (self.bounds.matched, true);
+        self.update_peers(local, |peers| {
+            has_space = peers.matched.len() < limit || peers.matched.contains(&remote);
+            has_space && peers.add(remote)
         });
-        self.ignored += u64::from(!has_room);
+        self.ignored += u64::from(!has_space);
     }
 
     fn refuse(&mut self, local: EndpointId, remote: EndpointId, refusal: Refusal) {
-        let (most, mut has_room) = (self.bounds.refused, true);
-        self.update(local, |peers| {
+        let (limit, mut has_space) = (self.bounds.refused, true);
+        self.update_peers(local, |peers| {
             peers.remove(remote);
-            has_room = peers.refused.len() < most;
-            if has_room {
+            has_space = peers.refused.len() < limit;
+            if has_space {
                 peers.refused.insert(remote, refusal);
             }
             true
         });
-        self.ignored += u64::from(!has_room);
+        self.ignored += u64::from(!has_space);
     }
 
     /// Replaces the listed nodes of a participant.
-    fn list(&mut self, ListEntry { participant, nodes }: ListEntry) {
+    fn replace_nodes(&mut self, ListEntry { participant, nodes }: ListEntry) {
         if participant == self.own {
             return;
         }
@@ -250,7 +250,7 @@ impl DiscoveryState {
         let listed =
             |all: &BTreeMap<_, Vec<ListedNode>>| all.values().map(|nodes| size(nodes)).sum::<usize>();
         if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
-            // Lists of participants of which nothing else is known may be invented, so they are dropped first.
+            // Lists of participants of which nothing else is known may be forged, so they are dropped first.
             self.nodes.retain(|participant, _| self.participants.contains(participant));
         }
         if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
@@ -260,25 +260,25 @@ impl DiscoveryState {
         }
     }
 
-    fn update(&self, local: EndpointId, change: impl FnOnce(&mut PeerTable) -> bool) {
+    fn update_peers(&self, local: EndpointId, change: impl FnOnce(&mut PeerTable) -> bool) {
         if let Some(endpoint) = self.local.get(&local) {
             endpoint.peers.send_if_modified(change);
         }
     }
 
-    fn forget(&mut self, is_gone: impl Fn(EndpointId) -> bool) {
-        self.endpoints.retain(|id, _| !is_gone(*id));
+    fn remove_endpoints(&mut self, is_lost: impl Fn(EndpointId) -> bool) {
+        self.endpoints.retain(|id, _| !is_lost(*id));
         for endpoint in self.local.values() {
             endpoint.peers.send_if_modified(|peers| {
-                let gone: Vec<EndpointId> = peers
+                let lost: Vec<EndpointId> = peers
                     .matched
                     .iter()
                     .chain(peers.refused.keys())
                     .copied()
-                    .filter(|id| is_gone(*id))
+                    .filter(|id| is_lost(*id))
                     .collect();
-                gone.iter().for_each(|id| peers.remove(*id));
-                !gone.is_empty()
+                lost.iter().for_each(|id| peers.remove(*id));
+                !lost.is_empty()
             });
         }
     }

@@ -15,7 +15,7 @@ pub enum Ros2Error {
     )]
     NotBuilt,
     /// The name is not allowed in ROS 2.
-    #[error("`{name}` is no {kind} name of ROS 2; an example of one is `{example}`")]
+    #[error("`{name}` is not a valid {kind} name in ROS 2; a valid one is `{example}`")]
     InvalidName {
         /// The name.
         name: String,
@@ -35,7 +35,7 @@ pub enum Ros2Error {
         expected: &'static str,
     },
     /// The domain is out of range.
-    #[error("the domain {domain_id} is out of range; domains of ROS 2 go from 0 to 232")]
+    #[error("the domain {domain_id} is out of range; ROS 2 has the domains 0 to 232")]
     InvalidDomain {
         /// The domain.
         domain_id: u16,
@@ -64,9 +64,9 @@ pub enum Ros2Error {
         /// Reason.
         reason: String,
     },
-    /// A publisher or subscription could not be opened.
-    #[error("cannot open a {role} of topic {topic}: {reason}")]
-    Open {
+    /// A publisher or subscription could not be created.
+    #[error("cannot create a {role} of topic {topic}: {reason}")]
+    Create {
         /// Kind of the endpoint.
         role: EndpointRole,
         /// The topic.
@@ -87,7 +87,7 @@ pub enum Ros2Error {
     PublishTimeout {
         /// The topic.
         topic: String,
-        /// Time that was waited.
+        /// Length of the wait.
         waited: Duration,
         /// Number of matched subscriptions.
         peers: usize,
@@ -100,14 +100,14 @@ pub enum Ros2Error {
         /// Reason.
         reason: String,
     },
-    /// Not everything that was published was acknowledged in time.
+    /// Some published messages were not acknowledged in time.
     #[error(
-        "subscriptions of topic {topic} did not acknowledge everything within {waited:?}; the messages that they lack are lost"
+        "subscriptions of topic {topic} did not acknowledge all messages within {waited:?}; the unacknowledged ones are lost"
     )]
     Unacknowledged {
         /// The topic.
         topic: String,
-        /// Time that was waited.
+        /// Length of the wait.
         waited: Duration,
     },
     /// Receiving failed permanently.
@@ -119,7 +119,7 @@ pub enum Ros2Error {
         reason: String,
     },
     /// Leaving the domain failed; peers only notice it when the lease of the node expires.
-    #[error("cannot leave the ROS 2 domain {domain_id} in order: {reason}")]
+    #[error("cannot leave the ROS 2 domain {domain_id} cleanly: {reason}")]
     Leave {
         /// The domain.
         domain_id: u16,
@@ -137,7 +137,7 @@ pub enum Ros2Error {
     },
 }
 
-/// Error: no peer on a topic was found. It says what was tried.
+/// Error: no peer was found on a topic. It contains what was tried.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", self.describe())]
 pub struct NoPeer {
@@ -147,7 +147,7 @@ pub struct NoPeer {
     pub topic: String,
     /// Our message type.
     pub type_name: String,
-    /// Time that was waited.
+    /// Length of the wait.
     pub waited: Duration,
     /// The domain.
     pub domain_id: u16,
@@ -168,13 +168,15 @@ impl NoPeer {
         let seconds = self.waited.as_secs_f64();
         let tried = format!(
             "no {peer} of topic {topic} ({type_name}) was found within {seconds} s in domain {domain_id} on \
-             {interfaces}, where {participants} other participants were seen"
+             {interfaces}; {participants} other participants were discovered"
         );
         if let Some((node, refusal)) = self.refused.first() {
             let others = self.refused.len() - 1;
             let more = if others == 0 { String::new() } else { format!(" (and {others} more)") };
-            let of = node.as_ref().map(|node| format!(" of node {node}")).unwrap_or_default();
-            return format!("{tried}; a {peer}{of} is there, but {refusal}{more}: make both ends agree");
+            let of_node = node.as_ref().map(|node| format!(" of node {node}")).unwrap_or_default();
+            return format!(
+                "{tried}; a {peer}{of_node} exists, but {refusal}{more}; use the same settings at both ends"
+            );
         }
         let advice = advise(*domain_id, interfaces, *participants, &self.topics);
         format!("{tried}; {advice}")
@@ -198,7 +200,7 @@ pub(super) fn advise(domain_id: u16, interfaces: &str, participants: usize, topi
     if listed.is_empty() {
         listed.push_str("none");
     }
-    format!("is the name right? Topics seen: {listed}")
+    format!("check the name of the topic; discovered topics: {listed}")
 }
 
 #[cfg(test)]
@@ -228,10 +230,10 @@ mod tests {
             assert!(nobody.contains(part), "{part}: {nobody}");
         }
         let elsewhere = NoPeer { participants: 1, topics: vec!["/camera".into()], ..no_peer() }.to_string();
-        assert!(elsewhere.contains("Topics seen: /camera"), "{elsewhere}");
+        assert!(elsewhere.contains("discovered topics: /camera"), "{elsewhere}");
         let refusal = Refusal::OtherType { type_name: "std_msgs/msg/String".into() };
         for (node, expected) in
-            [(Some("/talker".to_owned()), "publisher of node /talker is"), (None, "publisher is")]
+            [(Some("/talker".to_owned()), "publisher of node /talker exists"), (None, "publisher exists")]
         {
             let refused = vec![(node, refusal.clone())];
             let other = NoPeer { participants: 1, refused, ..no_peer() }.to_string();

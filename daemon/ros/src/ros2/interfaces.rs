@@ -7,7 +7,7 @@ use nix::ifaddrs::{InterfaceAddress, getifaddrs};
 
 /// Error: this host does not have a network interface.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("this host has no network interface {name:?} with an IPv4 address; there is {}", list(.known))]
+#[error("this host has no network interface {name:?} with an IPv4 address; existing interfaces: {}", format_interfaces(.known))]
 pub struct UnknownInterface {
     /// Name or address of the interface.
     pub name: String,
@@ -21,11 +21,11 @@ pub struct UnknownInterface {
 /// The first one that does not exist.
 pub fn check_interfaces(names: &[String]) -> Result<(), UnknownInterface> {
     // If the system does not list them, joining a domain will report it.
-    existing().map_or(Ok(()), |existing| find_among(names, &existing).map(drop))
+    ipv4_interfaces().map_or(Ok(()), |existing| find_interfaces(names, &existing).map(drop))
 }
 
 /// Returns the existing interfaces with one of the names or addresses, in the order of `names`.
-pub(super) fn find_among(
+pub(super) fn find_interfaces(
     names: &[String],
     existing: &[(String, Ipv4Addr)],
 ) -> Result<Vec<(String, Ipv4Addr)>, UnknownInterface> {
@@ -43,7 +43,7 @@ pub(super) fn find_among(
 }
 
 /// Returns the interfaces with an IPv4 address.
-pub(super) fn existing() -> io::Result<Vec<(String, Ipv4Addr)>> {
+pub(super) fn ipv4_interfaces() -> io::Result<Vec<(String, Ipv4Addr)>> {
     let with_address = |interface: InterfaceAddress| {
         let address = interface.address.as_ref()?.as_sockaddr_in()?.ip();
         Some((interface.interface_name, address))
@@ -52,7 +52,7 @@ pub(super) fn existing() -> io::Result<Vec<(String, Ipv4Addr)>> {
 }
 
 /// Returns a text such as `lo (127.0.0.1), eth0 (10.0.0.1)`.
-pub(super) fn list(interfaces: &[(String, Ipv4Addr)]) -> String {
+pub(super) fn format_interfaces(interfaces: &[(String, Ipv4Addr)]) -> String {
     let words: Vec<String> = interfaces.iter().map(|(name, address)| format!("{name} ({address})")).collect();
     if words.is_empty() { "none".to_owned() } else { words.join(", ") }
 }
@@ -66,7 +66,7 @@ mod tests {
         let existing =
             [("lo".to_owned(), Ipv4Addr::LOCALHOST), ("eth0".to_owned(), Ipv4Addr::new(10, 0, 0, 1))];
         let find = |names: &[&str]| {
-            find_among(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>(), &existing)
+            find_interfaces(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>(), &existing)
         };
         assert_eq!(find(&["eth0", "127.0.0.1"]), Ok(vec![existing[1].clone(), existing[0].clone()]));
         assert_eq!(find(&[]), Ok(Vec::new()));

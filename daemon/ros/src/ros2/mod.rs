@@ -8,11 +8,11 @@
 //! feature `ros2`, which is off by default because it brings many crates. Without it [`Ros2Node::new`] returns
 //! [`Ros2Error::NotBuilt`], so that callers need no `cfg`.
 
+mod discovered;
 #[cfg(any(feature = "ros2", test))]
 #[cfg_attr(not(feature = "ros2"), expect(dead_code, reason = "only the DDS node uses all of it"))]
 mod discovery;
 mod error;
-mod found;
 mod interfaces;
 mod names;
 #[cfg(any(feature = "ros2", test))]
@@ -35,8 +35,8 @@ pub use not_built::{Ros2Node, Ros2Publisher, Ros2Subscription};
 /// `true` if this build supports ROS 2.
 pub const IS_BUILT: bool = cfg!(feature = "ros2");
 
+pub use discovered::{DiscoveredEndpoint, DiscoveredPublisher};
 pub use error::{NoPeer, Ros2Error};
-pub use found::{FoundEndpoint, FoundPublisher};
 pub use interfaces::{UnknownInterface, check_interfaces};
 pub use names::{absolute_topic, dds_type};
 pub use peers::{EndpointId, EndpointRole, InvalidParticipantId, ParticipantId, PeerTable, Refusal};

@@ -45,23 +45,23 @@ pub(crate) struct ListEntry {
 
 /// Reason why a message of the node list is ignored.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum ListError {
+pub(crate) enum NodeListError {
     /// The bytes are not an entry.
     #[error(transparent)]
     Decode(#[from] DecodeError),
     /// The entry has more elements than any real one.
-    #[error("it lists more than {most} {what}")]
+    #[error("it lists more than {max} {what}")]
     TooMany {
         /// Largest allowed number.
-        most: usize,
+        max: usize,
         /// Kind of the elements.
         what: &'static str,
     },
     /// ROS 2 does not allow the name of a node.
-    #[error("it has the name of a node that ROS 2 does not allow")]
+    #[error("it has a node name that ROS 2 does not allow")]
     InvalidName,
-    /// A participant lists endpoints of another one.
-    #[error("it lists endpoints of another participant than its own")]
+    /// A participant lists endpoints of another participant.
+    #[error("it lists endpoints of another participant")]
     ForeignEndpoint,
 }
 
@@ -69,39 +69,39 @@ impl ListEntry {
     /// Decodes an entry with either length of identifiers.
     ///
     /// # Errors
-    /// [`ListError`].
-    pub(crate) fn decode(payload: &Bytes) -> Result<Self, ListError> {
-        let [short, long] = IDENTIFIER_LENGTHS.map(|length| Self::decode_with(payload, length));
+    /// [`NodeListError`].
+    pub(crate) fn decode(payload: &Bytes) -> Result<Self, NodeListError> {
+        let [short, long] = IDENTIFIER_LENGTHS.map(|length| Self::decode_with_length(payload, length));
         // A message of one length has bytes left, or too few, if it is read with the other length.
         short.or_else(|error| long.map_err(|_| error))
     }
 
-    fn decode_with(payload: &Bytes, identifier_length: usize) -> Result<Self, ListError> {
+    fn decode_with_length(payload: &Bytes, identifier_length: usize) -> Result<Self, NodeListError> {
         let mut reader = Reader::new(WireForm::Cdr, payload.clone())?;
-        let participant = identifier(&mut reader, identifier_length)?.participant();
+        let participant = read_identifier(&mut reader, identifier_length)?.participant();
         // Size of a node: at least two empty texts and two empty sequences.
         let count = reader.take_length(16)?;
         if count > MAX_NODES {
-            return Err(ListError::TooMany { most: MAX_NODES, what: "nodes" });
+            return Err(NodeListError::TooMany { max: MAX_NODES, what: "nodes" });
         }
-        let (mut nodes, mut all) = (Vec::new(), 0);
+        let (mut nodes, mut endpoint_count) = (Vec::new(), 0);
         for _ in 0..count {
             let (namespace, name) = (reader.take_text()?, reader.take_text()?);
             let name = absolute_name(&namespace, &name)?;
             let mut endpoints = Vec::new();
             for _subscriptions_then_publishers in 0..2 {
                 let count = reader.take_length(identifier_length)?;
-                all += count;
-                if all > MAX_ENDPOINTS {
-                    return Err(ListError::TooMany {
-                        most: MAX_ENDPOINTS,
+                endpoint_count += count;
+                if endpoint_count > MAX_ENDPOINTS {
+                    return Err(NodeListError::TooMany {
+                        max: MAX_ENDPOINTS,
                         what: "publishers and subscriptions",
                     });
                 }
                 for _ in 0..count {
-                    let id = identifier(&mut reader, identifier_length)?;
+                    let id = read_identifier(&mut reader, identifier_length)?;
                     if id.participant() != participant {
-                        return Err(ListError::ForeignEndpoint);
+                        return Err(NodeListError::ForeignEndpoint);
                     }
                     endpoints.push(id);
                 }
@@ -113,7 +113,7 @@ impl ListEntry {
     }
 }
 
-fn identifier(reader: &mut Reader, length: usize) -> Result<EndpointId, DecodeError> {
+fn read_identifier(reader: &mut Reader, length: usize) -> Result<EndpointId, DecodeError> {
     let id = EndpointId(reader.take_octets()?);
     for _padding in id.0.len()..length {
         reader.take_octets::<1>()?;
@@ -121,14 +121,14 @@ fn identifier(reader: &mut Reader, length: usize) -> Result<EndpointId, DecodeEr
     Ok(id)
 }
 
-fn absolute_name(namespace: &str, name: &str) -> Result<String, ListError> {
+fn absolute_name(namespace: &str, name: &str) -> Result<String, NodeListError> {
     let absolute = format!("{}/{name}", namespace.trim_end_matches('/'));
     let is_allowed = |char: char| char.is_ascii_alphanumeric() || matches!(char, '_' | '/');
     let is_valid = absolute.starts_with('/')
         && !name.is_empty()
         && absolute.len() <= MAX_NAME_BYTES
         && absolute.chars().all(is_allowed);
-    if is_valid { Ok(absolute) } else { Err(ListError::InvalidName) }
+    if is_valid { Ok(absolute) } else { Err(NodeListError::InvalidName) }
 }
 
 /// Our entry of the node list.

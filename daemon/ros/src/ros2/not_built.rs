@@ -8,7 +8,7 @@ use peernet_clock::WallTime;
 use tokio::sync::watch;
 
 use super::{
-    EndpointId, FoundEndpoint, ParticipantId, PeerTable, QosProfile, ReceiveCounts, ReceivedSample,
+    DiscoveredEndpoint, EndpointId, ParticipantId, PeerTable, QosProfile, ReceiveCounts, ReceivedSample,
     Ros2Error, Ros2Settings, SocketBufferWarning,
 };
 
@@ -38,12 +38,12 @@ impl Ros2Node {
     }
 
     /// Returns the publishers that other participants have of a topic.
-    pub fn publishers_of(&self, _topic: &str) -> Vec<super::FoundPublisher> {
+    pub fn publishers_of(&self, _topic: &str) -> Vec<super::DiscoveredPublisher> {
         match *self {}
     }
 
     /// Returns the endpoints that other participants have of a topic.
-    pub fn endpoints_of(&self, _topic: &str) -> Vec<FoundEndpoint> {
+    pub fn endpoints_of(&self, _topic: &str) -> Vec<DiscoveredEndpoint> {
         match *self {}
     }
 
@@ -93,16 +93,16 @@ impl Ros2Node {
     }
 
     /// Returns the number of other participants of the domain.
-    pub fn participants(&self) -> usize {
+    pub fn participant_count(&self) -> usize {
         match *self {}
     }
 
-    /// Opens a publisher of a topic.
+    /// Creates a publisher of a topic.
     ///
     /// # Errors
     ///
     /// Never called.
-    pub fn publisher(
+    pub fn create_publisher(
         &self,
         _topic: &str,
         _type_name: &str,
@@ -111,12 +111,12 @@ impl Ros2Node {
         match *self {}
     }
 
-    /// Opens a subscription of a topic.
+    /// Creates a subscription of a topic.
     ///
     /// # Errors
     ///
     /// Never called.
-    pub fn subscription(
+    pub fn create_subscription(
         &self,
         _topic: &str,
         _type_name: &str,
@@ -160,7 +160,7 @@ impl Ros2Publisher {
     /// # Errors
     ///
     /// Never called.
-    pub async fn await_acknowledgment(&self, _patience: Duration) -> Result<(), Ros2Error> {
+    pub async fn wait_for_acknowledgment(&self, _time_limit: Duration) -> Result<(), Ros2Error> {
         match *self {}
     }
 }
@@ -204,7 +204,7 @@ macro_rules! endpoint {
             /// # Errors
             ///
             /// Never called.
-            pub async fn await_peer(&self, _patience: Duration) -> Result<(), Ros2Error> {
+            pub async fn wait_for_peer(&self, _time_limit: Duration) -> Result<(), Ros2Error> {
                 match *self {}
             }
         }

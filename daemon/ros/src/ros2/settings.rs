@@ -46,7 +46,7 @@ impl Ros2Settings {
 
     /// Distributions before Iron, whose identifiers in the node list have 24 bytes instead of 16.
     #[cfg(any(feature = "ros2", test))]
-    const WITH_LONG_IDENTIFIERS: [&str; 3] = ["foxy", "galactic", "humble"];
+    const LONG_IDENTIFIER_DISTRIBUTIONS: [&str; 3] = ["foxy", "galactic", "humble"];
 
     /// Checks the settings and completes them from environment variables.
     ///
@@ -82,7 +82,7 @@ impl Ros2Settings {
     #[cfg(any(feature = "ros2", test))]
     pub(super) fn identifier_length(&self) -> usize {
         match self.distribution.as_deref() {
-            Some(distribution) if Self::WITH_LONG_IDENTIFIERS.contains(&distribution) => 24,
+            Some(distribution) if Self::LONG_IDENTIFIER_DISTRIBUTIONS.contains(&distribution) => 24,
             _ => 16,
         }
     }
@@ -113,28 +113,28 @@ pub struct SocketBufferWarning {
     /// Granted size. Bytes.
     pub granted: usize,
     /// Requested size. Bytes.
-    pub needed: usize,
+    pub requested: usize,
 }
 
 impl SocketBufferWarning {
     /// Returns whether the receive buffer is limited.
     #[cfg(feature = "ros2")]
-    pub(super) fn is_of_receiving(&self) -> bool {
-        self.sysctl == Self::RECEIVING
+    pub(super) fn limits_receive_buffer(&self) -> bool {
+        self.sysctl == Self::RECEIVE_SYSCTL
     }
 
     /// Setting of the kernel for receive buffers.
     #[cfg(feature = "ros2")]
-    pub(super) const RECEIVING: &'static str = "net.core.rmem_max";
+    pub(super) const RECEIVE_SYSCTL: &'static str = "net.core.rmem_max";
 }
 
 impl fmt::Display for SocketBufferWarning {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { sysctl, granted, needed } = self;
+        let Self { sysctl, granted, requested } = self;
         write!(
             formatter,
-            "the kernel limits socket buffers to {granted} bytes where {needed} were asked for ({sysctl}): ROS 2 \
-             messages of more than about {granted} bytes get lost or arrive late; run `sysctl -w {sysctl}={needed}`"
+            "the kernel limits socket buffers to {granted} bytes instead of the requested {requested} ({sysctl}); ROS 2 \
+             messages of more than about {granted} bytes are lost or late; run `sysctl -w {sysctl}={requested}`"
         )
     }
 }

@@ -34,12 +34,12 @@ pub enum TopicError {
         topic: String,
     },
     /// No message arrived in time.
-    #[error("no message of topic {topic} within {} s: {reason}", .waited.as_secs_f64())]
+    #[error("no message of topic {topic} within {} s: {reason}", .time_limit.as_secs_f64())]
     NoMessage {
         /// The topic.
         topic: String,
-        /// Time that was waited.
-        waited: Duration,
+        /// Time limit.
+        time_limit: Duration,
         /// State of the publishers, and advice.
         reason: String,
     },
@@ -58,7 +58,7 @@ pub enum TopicError {
 
 impl TopicError {
     /// Returns whether the reader or writer must be opened again.
-    pub fn is_end(&self) -> bool {
+    pub fn needs_reopening(&self) -> bool {
         matches!(
             self,
             Self::Ros1(NodeError::Closed { .. })

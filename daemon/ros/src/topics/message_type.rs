@@ -15,7 +15,7 @@ pub struct MessageType {
 
 /// Error: the text cannot be the name of a message type.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("`{0}` cannot be the name of a ROS message type; write PACKAGE/TYPE, such as sensor_msgs/Image")]
+#[error("`{0}` is not the name of a ROS message type; write PACKAGE/TYPE, such as sensor_msgs/Image")]
 pub struct InvalidMessageType(String);
 
 impl MessageType {
@@ -44,8 +44,8 @@ impl TryFrom<String> for MessageType {
 }
 
 impl From<MessageType> for String {
-    fn from(of: MessageType) -> Self {
-        of.name
+    fn from(message_type: MessageType) -> Self {
+        message_type.name
     }
 }
 
@@ -61,11 +61,11 @@ mod tests {
 
     #[test]
     fn both_forms_name_one_type() {
-        let of = |text: &str| MessageType::try_from(text.to_owned());
-        assert_eq!(of("sensor_msgs/msg/Image"), of("sensor_msgs/Image"));
-        assert_eq!(of("sensor_msgs/Image").unwrap().as_str(), "sensor_msgs/Image");
+        let parse = |text: &str| MessageType::try_from(text.to_owned());
+        assert_eq!(parse("sensor_msgs/msg/Image"), parse("sensor_msgs/Image"));
+        assert_eq!(parse("sensor_msgs/Image").unwrap().as_str(), "sensor_msgs/Image");
         for wrong in ["", "Image", "a/b/c", "sensor_msgs/", "sensor msgs/Image", "*", "1a/B"] {
-            assert_eq!(of(wrong), Err(InvalidMessageType(wrong.to_owned())));
+            assert_eq!(parse(wrong), Err(InvalidMessageType(wrong.to_owned())));
         }
     }
 }

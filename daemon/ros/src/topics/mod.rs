@@ -8,7 +8,7 @@ mod error;
 mod message_type;
 mod nodes;
 mod reader;
-mod survey;
+mod topic_check;
 mod version;
 mod writer;
 
@@ -16,6 +16,6 @@ pub use error::TopicError;
 pub use message_type::{InvalidMessageType, MessageType};
 pub use nodes::shared_ros2_node;
 pub use reader::{ReaderOptions, TopicMessage, TopicReader};
-pub use survey::{TopicUse, check_name, check_topic, survey_topic};
+pub use topic_check::{TopicAccess, check_name, check_topic, check_topic_at_master};
 pub use version::{RosVersion, VersionError};
 pub use writer::{TopicWriter, WriteOutcome};

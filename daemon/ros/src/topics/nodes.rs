@@ -44,7 +44,10 @@ impl Drop for SharedNode {
         let (Some(node), Ok(runtime)) = (self.node.take(), runtime()) else { return };
         runtime.spawn(async move {
             if let Err(error) = node.shutdown().await {
-                tracing::warn!(%error, "the ROS master still lists a node that has ended; `rosnode cleanup` removes it");
+                tracing::warn!(
+                    %error,
+                    "cannot unregister a ROS node that has ended; the master lists it until `rosnode cleanup`"
+                );
             }
         });
     }

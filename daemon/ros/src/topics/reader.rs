@@ -8,7 +8,7 @@ use peernet_clock::{SharedClock, WallTime};
 use tokio::time::timeout;
 
 use super::nodes::{SharedNode, open_on_ros1, ros2_node, runtime};
-use super::survey::list_topics;
+use super::topic_check::list_topics;
 use super::{MessageType, RosVersion, TopicError};
 use crate::messages::WireForm;
 use crate::ros1::{
@@ -33,7 +33,7 @@ pub struct TopicMessage {
     /// Serialization of `bytes`.
     pub form: WireForm,
     /// Type of the message, as its publisher names it.
-    pub of: Arc<str>,
+    pub type_name: Arc<str>,
     /// Bytes of the message.
     pub bytes: Bytes,
     /// Time at which this host had received the whole message, by its wall clock.
@@ -47,7 +47,7 @@ pub struct TopicMessage {
 pub struct TopicReader {
     inner: VersionedSubscriber,
     /// Number of dropped messages that were reported.
-    reported: u64,
+    reported_drops: u64,
 }
 
 /// The fields are dropped in order: the subscriber before its node, which then informs the master.
@@ -60,14 +60,14 @@ enum VersionedSubscriber {
     },
     Ros2 {
         subscription: Box<Ros2Subscription>,
-        of: Arc<str>,
+        type_name: Arc<str>,
         #[expect(dead_code, reason = "keeps the node")]
         node: Arc<Ros2Node>,
     },
 }
 
 impl TopicReader {
-    /// Subscribes to a topic. `of` is the type of its messages; ROS 1 accepts any type without it. Blocks while the
+    /// Subscribes to a topic. `message_type` is the type of its messages; ROS 1 accepts any type without it. Blocks while the
     /// subscription is registered.
     ///
     /// # Errors
@@ -76,61 +76,61 @@ impl TopicReader {
     pub fn open(
         version: RosVersion,
         topic: &str,
-        of: Option<&MessageType>,
+        message_type: Option<&MessageType>,
         options: ReaderOptions,
         clock: &SharedClock,
     ) -> Result<Self, TopicError> {
         let inner = runtime()?.block_on(async {
             match version {
-                RosVersion::Ros1 => open_ros1(topic, of, options, clock).await,
-                RosVersion::Ros2 => open_ros2(topic, of, options).await,
+                RosVersion::Ros1 => open_ros1(topic, message_type, options, clock).await,
+                RosVersion::Ros2 => open_ros2(topic, message_type, options).await,
             }
         })?;
-        Ok(Self { inner, reported: 0 })
+        Ok(Self { inner, reported_drops: 0 })
     }
 
     /// Waits for the next message. Blocks.
     ///
     /// # Errors
-    /// If no message arrives within `patience`: [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS 2,
-    /// with the state of the publishers. If the node has ended ([`TopicError::is_end`]).
-    pub fn read(&mut self, patience: Duration) -> Result<TopicMessage, TopicError> {
-        runtime()?.block_on(self.read_within(patience))
+    /// If no message arrives within `time_limit`: [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS 2,
+    /// with the state of the publishers. If the node has ended ([`TopicError::needs_reopening`]).
+    pub fn read(&mut self, time_limit: Duration) -> Result<TopicMessage, TopicError> {
+        runtime()?.block_on(self.read_within(time_limit))
     }
 
-    async fn read_within(&mut self, patience: Duration) -> Result<TopicMessage, TopicError> {
+    async fn read_within(&mut self, time_limit: Duration) -> Result<TopicMessage, TopicError> {
         match &mut self.inner {
             VersionedSubscriber::Ros1 { subscriber, environment, .. } => {
-                let Ok(message) = timeout(patience, subscriber.recv()).await else {
+                let Ok(message) = timeout(time_limit, subscriber.recv()).await else {
                     let reason = describe_missing_publisher(subscriber, environment).await;
                     let topic = subscriber.topic().to_owned();
-                    return Err(TopicError::NoMessage { topic, waited: patience, reason });
+                    return Err(TopicError::NoMessage { topic, time_limit, reason });
                 };
                 let message = message?;
                 // The counts are totals; the message reports the increase since the last one.
                 let dropped = subscriber.counts().dropped;
                 Ok(TopicMessage {
                     form: WireForm::Ros1,
-                    of: Arc::clone(&message.publisher.kind.name),
+                    type_name: Arc::clone(&message.publisher.kind.name),
                     bytes: message.bytes,
                     received: message.received.wall,
-                    dropped: dropped - std::mem::replace(&mut self.reported, dropped),
+                    dropped: dropped - std::mem::replace(&mut self.reported_drops, dropped),
                 })
             }
-            VersionedSubscriber::Ros2 { subscription, of, .. } => {
-                let Ok(sample) = timeout(patience, subscription.receive()).await else {
+            VersionedSubscriber::Ros2 { subscription, type_name, .. } => {
+                let Ok(sample) = timeout(time_limit, subscription.receive()).await else {
                     // If there is no publisher, the error says what discovery has seen.
-                    subscription.await_peer(Duration::ZERO).await?;
-                    let reason = "its publishers are there, but publish nothing".to_owned();
+                    subscription.wait_for_peer(Duration::ZERO).await?;
+                    let reason = "its publishers are connected, but publish nothing".to_owned();
                     let topic = subscription.topic().to_owned();
-                    return Err(TopicError::NoMessage { topic, waited: patience, reason });
+                    return Err(TopicError::NoMessage { topic, time_limit, reason });
                 };
                 let sample = sample?;
                 let undecodable = subscription.counts().undecodable;
-                let unread = undecodable - std::mem::replace(&mut self.reported, undecodable);
+                let unread = undecodable - std::mem::replace(&mut self.reported_drops, undecodable);
                 Ok(TopicMessage {
                     form: WireForm::Cdr,
-                    of: Arc::clone(of),
+                    type_name: Arc::clone(type_name),
                     bytes: sample.payload,
                     received: sample.received_time,
                     dropped: sample.missing_before.saturating_add(unread),
@@ -142,14 +142,14 @@ impl TopicReader {
 
 async fn open_ros1(
     topic: &str,
-    of: Option<&MessageType>,
+    message_type: Option<&MessageType>,
     options: ReaderOptions,
     clock: &SharedClock,
 ) -> Result<VersionedSubscriber, TopicError> {
     let environment = Environment::from_process()?;
     // The sum is a wildcard, because publishers know it and messages of unknown types are read as bytes.
-    let kind = match of {
-        Some(of) => TopicType { name: of.as_str().into(), ..TopicType::any() },
+    let kind = match message_type {
+        Some(message_type) => TopicType { name: message_type.as_str().into(), ..TopicType::any() },
         None => TopicType::any(),
     };
     let messages = usize::try_from(options.queue).unwrap_or(usize::MAX);
@@ -165,14 +165,18 @@ async fn open_ros1(
 
 async fn open_ros2(
     topic: &str,
-    of: Option<&MessageType>,
+    message_type: Option<&MessageType>,
     options: ReaderOptions,
 ) -> Result<VersionedSubscriber, TopicError> {
-    let of = of.ok_or_else(|| TopicError::TypeRequired { topic: topic.to_owned() })?;
+    let message_type = message_type.ok_or_else(|| TopicError::TypeRequired { topic: topic.to_owned() })?;
     let qos = QosProfile { reliability: options.reliability, depth: options.queue, ..QosProfile::default() };
     let node = ros2_node().await?;
-    let subscription = node.subscription(topic, of.as_str(), &qos)?;
-    Ok(VersionedSubscriber::Ros2 { subscription: Box::new(subscription), of: of.as_str().into(), node })
+    let subscription = node.create_subscription(topic, message_type.as_str(), &qos)?;
+    Ok(VersionedSubscriber::Ros2 {
+        subscription: Box::new(subscription),
+        type_name: message_type.as_str().into(),
+        node,
+    })
 }
 
 /// Returns the reason why no message arrives, from the connections to publishers.
@@ -188,7 +192,7 @@ async fn describe_missing_publisher(subscriber: &Subscriber, environment: &Envir
     match &publishers[..] {
         [] => match ros1::topic_types(environment).await {
             Ok(topics) => format!(
-                "no node publishes it; is the name right? The ROS master at {}: {}",
+                "no node publishes it; check its name; the ROS master at {}: {}",
                 environment.master,
                 list_topics(
                     topics.iter().map(|(name, _)| name.as_str()).filter(|name| *name != subscriber.topic())

@@ -40,8 +40,8 @@ pub enum VersionError {
     Unknown(u8),
     /// Neither configuration nor environment states the version.
     #[error(
-        "which version of ROS? set ros_version = 1 or 2, or the environment variable ROS_VERSION or ROS_DISTRO, as the \
-         setup script of a ROS installation does"
+        "the version of ROS is not configured; set ros_version = 1 or 2, or the environment variable ROS_VERSION or \
+         ROS_DISTRO, as the setup script of a ROS installation does"
     )]
     NotGiven,
     /// The environment variable is not 1 or 2.

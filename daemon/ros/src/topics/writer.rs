@@ -46,14 +46,15 @@ impl TopicWriter {
                 RosVersion::Ros1 => {
                     let environment = Environment::from_process()?;
                     let publish = async |node: &crate::ros1::Node| {
-                        node.publish(topic, TopicType::of::<M>(), PublisherOptions::default()).await
+                        node.publish(topic, TopicType::from_message::<M>(), PublisherOptions::default()).await
                     };
                     let (publisher, node) = open_on_ros1(&environment, clock, publish).await?;
                     Ok::<_, TopicError>(VersionedPublisher::Ros1(publisher, node))
                 }
                 RosVersion::Ros2 => {
                     let node = ros2_node().await?;
-                    let publisher = node.publisher(topic, M::DEFINITION.name, &QosProfile::default())?;
+                    let publisher =
+                        node.create_publisher(topic, M::DEFINITION.name, &QosProfile::default())?;
                     Ok(VersionedPublisher::Ros2(Box::new(publisher), node))
                 }
             }

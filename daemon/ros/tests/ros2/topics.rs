@@ -12,13 +12,13 @@ use peernet_ros::ros2::{
 
 const BYTES: &str = "std_msgs/msg/UInt8MultiArray";
 /// Time limit of every wait, far above what is needed.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIME_LIMIT: Duration = Duration::from_secs(30);
 
 /// Returns settings with a domain that no other test of this process uses.
 fn settings() -> Ros2Settings {
     static NEXT: AtomicU16 = AtomicU16::new(0);
-    let of_process = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
-    let domain_id = Some(1 + of_process + NEXT.fetch_add(1, Ordering::Relaxed));
+    let process_base = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
+    let domain_id = Some(1 + process_base + NEXT.fetch_add(1, Ordering::Relaxed));
     Ros2Settings { domain_id, interfaces: vec!["127.0.0.1".into()], ..Ros2Settings::default() }
 }
 
@@ -28,15 +28,15 @@ async fn two_nodes() -> (Ros2Node, Ros2Node) {
     (first, Ros2Node::new(settings).await.expect("a node"))
 }
 
-async fn connected(
+async fn connected_pair(
     (first, second): &(Ros2Node, Ros2Node),
     topic: &str,
     qos: &QosProfile,
 ) -> (Ros2Publisher, Ros2Subscription) {
-    let publisher = first.publisher(topic, BYTES, qos).expect("a publisher");
-    let subscription = second.subscription(topic, BYTES, qos).expect("a subscription");
-    publisher.await_peer(PATIENCE).await.expect("a subscription");
-    subscription.await_peer(PATIENCE).await.expect("a publisher");
+    let publisher = first.create_publisher(topic, BYTES, qos).expect("a publisher");
+    let subscription = second.create_subscription(topic, BYTES, qos).expect("a subscription");
+    publisher.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
+    subscription.wait_for_peer(TIME_LIMIT).await.expect("a publisher");
     (publisher, subscription)
 }
 
@@ -54,14 +54,14 @@ fn is_same(sent: &Bytes, received: &Bytes) -> bool {
 }
 
 async fn receive(subscription: &mut Ros2Subscription) -> peernet_ros::ros2::ReceivedSample {
-    let received = tokio::time::timeout(PATIENCE, subscription.receive());
+    let received = tokio::time::timeout(TIME_LIMIT, subscription.receive());
     received.await.expect("a message in time").expect("a message")
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_of_every_size_arrive_unchanged() {
     let nodes = two_nodes().await;
-    let (publisher, mut subscription) = connected(&nodes, "/bytes", &QosProfile::default()).await;
+    let (publisher, mut subscription) = connected_pair(&nodes, "/bytes", &QosProfile::default()).await;
     for (number, size) in (1..).zip([0, 1, 1_000, 60_000, 1_200_000]) {
         let (sent, time) = (payload(size, number), WallTime::from_unix_nanos(1_700_000_000_123_456_789));
         let sequence = publisher.publish(sent.clone(), time).await.expect("published");
@@ -74,20 +74,20 @@ async fn messages_of_every_size_arrive_unchanged() {
     }
     let counts = subscription.counts();
     assert_eq!((counts.received, counts.lost, counts.late), (5, 0, 0));
-    publisher.await_acknowledgment(PATIENCE).await.expect("acknowledged");
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("acknowledged");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn burst_of_large_messages_arrives_whole() {
     let nodes = two_nodes().await;
     let qos = QosProfile { depth: 20, ..QosProfile::default() };
-    let (publisher, mut subscription) = connected(&nodes, "/burst", &qos).await;
+    let (publisher, mut subscription) = connected_pair(&nodes, "/burst", &qos).await;
     let sender = tokio::spawn(async move {
         for number in 0..20 {
             let time = WallTime::from_unix_nanos(1);
             publisher.publish(payload(1_000_000, number), time).await.expect("published");
         }
-        publisher.await_acknowledgment(PATIENCE).await.expect("acknowledged");
+        publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("acknowledged");
         publisher
     });
     for number in 0..20 {
@@ -102,17 +102,17 @@ async fn burst_of_large_messages_arrives_whole() {
 async fn unread_message_is_counted_as_lost() {
     let nodes = two_nodes().await;
     let writer_qos = QosProfile { depth: 20, ..QosProfile::default() };
-    let publisher = nodes.0.publisher("/slow", BYTES, &writer_qos).expect("a publisher");
+    let publisher = nodes.0.create_publisher("/slow", BYTES, &writer_qos).expect("a publisher");
     let reader_qos = QosProfile { depth: 1, ..QosProfile::default() };
-    let mut subscription = nodes.1.subscription("/slow", BYTES, &reader_qos).expect("a subscription");
-    publisher.await_peer(PATIENCE).await.expect("a subscription");
+    let mut subscription = nodes.1.create_subscription("/slow", BYTES, &reader_qos).expect("a subscription");
+    publisher.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
     let publish = |number| publisher.publish(payload(100_000, number), WallTime::from_unix_nanos(1));
     publish(0).await.expect("published");
     receive(&mut subscription).await;
     for number in 1..=10 {
         publish(number).await.expect("published");
     }
-    publisher.await_acknowledgment(PATIENCE).await.expect("acknowledged");
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("acknowledged");
     while receive(&mut subscription).await.sequence < 11 {}
     let counts = subscription.counts();
     assert_eq!(counts.received + counts.lost, 11, "{counts:?}");
@@ -123,10 +123,10 @@ async fn unread_message_is_counted_as_lost() {
 async fn late_subscription_gets_kept_transient_local_messages() {
     let nodes = two_nodes().await;
     let qos = QosProfile { durability: Durability::TransientLocal, depth: 3, ..QosProfile::default() };
-    let publisher = nodes.0.publisher("/map", BYTES, &qos).expect("a publisher");
+    let publisher = nodes.0.create_publisher("/map", BYTES, &qos).expect("a publisher");
     let sent = payload(5_000, 1);
     publisher.publish(sent.clone(), WallTime::from_unix_nanos(1)).await.expect("published");
-    let mut subscription = nodes.1.subscription("/map", BYTES, &qos).expect("a subscription");
+    let mut subscription = nodes.1.create_subscription("/map", BYTES, &qos).expect("a subscription");
     assert!(is_same(&sent, &receive(&mut subscription).await.payload));
 }
 
@@ -134,19 +134,20 @@ async fn late_subscription_gets_kept_transient_local_messages() {
 async fn incompatible_qos_is_named_at_both_ends() {
     let (first, second) = two_nodes().await;
     let offered = QosProfile { reliability: Reliability::BestEffort, ..QosProfile::default() };
-    let publisher = first.publisher("/qos", BYTES, &offered).expect("a publisher");
-    let subscription = second.subscription("/qos", BYTES, &QosProfile::default()).expect("a subscription");
+    let publisher = first.create_publisher("/qos", BYTES, &offered).expect("a publisher");
+    let subscription =
+        second.create_subscription("/qos", BYTES, &QosProfile::default()).expect("a subscription");
     let expected = Refusal::IncompatibleQos {
         policy: "reliability".into(),
         offered: "best-effort".into(),
         requested: "reliable".into(),
     };
     for mut peers in [publisher.peers(), subscription.peers()] {
-        let refused = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| !peers.refused.is_empty()));
+        let refused = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| !peers.refused.is_empty()));
         let refused = refused.await.expect("in time").expect("the endpoint exists").refused.clone();
         assert_eq!(refused.values().collect::<Vec<_>>(), [&expected]);
     }
-    let error = subscription.await_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
+    let error = subscription.wait_for_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
     assert!(
         error.contains("the publisher offers best-effort, the subscription requests reliable"),
         "{error}"
@@ -157,17 +158,17 @@ async fn incompatible_qos_is_named_at_both_ends() {
 async fn messages_of_another_type_are_dropped() {
     let nodes = two_nodes().await;
     let qos = QosProfile::default();
-    let mut subscription = nodes.1.subscription("/type", BYTES, &qos).expect("a subscription");
-    let other = nodes.0.publisher("/type", "std_msgs/msg/String", &qos).expect("a publisher");
+    let mut subscription = nodes.1.create_subscription("/type", BYTES, &qos).expect("a subscription");
+    let other = nodes.0.create_publisher("/type", "std_msgs/msg/String", &qos).expect("a publisher");
     let mut peers = subscription.peers();
-    let refused = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| !peers.refused.is_empty()));
+    let refused = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| !peers.refused.is_empty()));
     let refused = refused.await.expect("in time").expect("the endpoint exists").refused.clone();
     let expected = Refusal::OtherType { type_name: "std_msgs/msg/String".into() };
     assert_eq!(refused.get(&other.id()), Some(&expected));
-    let error = subscription.await_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
+    let error = subscription.wait_for_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
     assert!(error.contains("its message type is std_msgs/msg/String"), "{error}");
-    let right = nodes.0.publisher("/type", BYTES, &qos).expect("a publisher");
-    right.await_peer(PATIENCE).await.expect("a subscription");
+    let right = nodes.0.create_publisher("/type", BYTES, &qos).expect("a publisher");
+    right.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
     other.publish(payload(10, 0), WallTime::from_unix_nanos(1)).await.expect("published");
     right.publish(payload(10, 1), WallTime::from_unix_nanos(1)).await.expect("published");
     assert_eq!(receive(&mut subscription).await.writer, right.id());
@@ -177,9 +178,9 @@ async fn messages_of_another_type_are_dropped() {
 async fn missing_peer_error_names_domain_interface_and_topics() {
     let (first, second) = two_nodes().await;
     let qos = QosProfile::default();
-    let publisher = first.publisher("/alone", BYTES, &qos).expect("a publisher");
-    let subscription = second.subscription("/elsewhere", BYTES, &qos).expect("a subscription");
-    let error = publisher.await_peer(Duration::from_secs(3)).await.expect_err("no peer");
+    let publisher = first.create_publisher("/alone", BYTES, &qos).expect("a publisher");
+    let subscription = second.create_subscription("/elsewhere", BYTES, &qos).expect("a subscription");
+    let error = publisher.wait_for_peer(Duration::from_secs(3)).await.expect_err("no peer");
     let Ros2Error::NoPeer(absence) = &error else { panic!("{error}") };
     assert_eq!((absence.participants, absence.topics.as_slice()), (1, &["/elsewhere".to_owned()][..]));
     let domain = first.settings().domain_id.expect("a domain");
@@ -194,14 +195,14 @@ async fn missing_peer_error_names_domain_interface_and_topics() {
 #[tokio::test(flavor = "multi_thread")]
 async fn shutdown_ends_receiving_and_peer_notices() {
     let nodes = two_nodes().await;
-    let (publisher, mut subscription) = connected(&nodes, "/end", &QosProfile::default()).await;
+    let (publisher, mut subscription) = connected_pair(&nodes, "/end", &QosProfile::default()).await;
     let receiving = tokio::spawn(async move { subscription.receive().await.map(|_| ()) });
     let (first, second) = nodes;
-    tokio::time::timeout(PATIENCE, second.shut_down()).await.expect("in time").expect("shut down");
-    let ended = tokio::time::timeout(PATIENCE, receiving).await.expect("in time").expect("no panic");
+    tokio::time::timeout(TIME_LIMIT, second.shut_down()).await.expect("in time").expect("shut down");
+    let ended = tokio::time::timeout(TIME_LIMIT, receiving).await.expect("in time").expect("no panic");
     assert!(matches!(ended, Err(Ros2Error::ShutDown { .. })), "{ended:?}");
     let mut peers = publisher.peers();
-    let gone = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| peers.matched.is_empty()));
+    let gone = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| peers.matched.is_empty()));
     assert_eq!(gone.await.expect("in time").expect("the endpoint exists").unmatched_total, 1);
     first.shut_down().await.expect("shut down");
     let late = publisher.publish(payload(1, 1), WallTime::from_unix_nanos(1)).await;
@@ -211,7 +212,7 @@ async fn shutdown_ends_receiving_and_peer_notices() {
 #[tokio::test(flavor = "multi_thread")]
 async fn payload_without_encapsulation_header_is_refused() {
     let node = Ros2Node::new(settings()).await.expect("a node");
-    let publisher = node.publisher("/raw", BYTES, &QosProfile::default()).expect("a publisher");
+    let publisher = node.create_publisher("/raw", BYTES, &QosProfile::default()).expect("a publisher");
     let refused = publisher.publish(Bytes::from_static(b"hello"), WallTime::from_unix_nanos(1)).await;
     assert!(matches!(refused, Err(Ros2Error::NotCdr { .. })), "{refused:?}");
 }
@@ -228,21 +229,21 @@ async fn publishers_of_a_topic_are_found_without_a_subscription() {
     let (first, second) = two_nodes().await;
     let mut changes = second.discovery_changes();
     assert_eq!(second.publishers_of("/found"), []);
-    let publisher = first.publisher("/found", BYTES, &QosProfile::default()).expect("a publisher");
-    let _other = first.publisher("/other", BYTES, &QosProfile::default()).expect("a publisher");
-    let mut until = async |count: usize| {
+    let publisher = first.create_publisher("/found", BYTES, &QosProfile::default()).expect("a publisher");
+    let _other = first.create_publisher("/other", BYTES, &QosProfile::default()).expect("a publisher");
+    let mut wait_for_count = async |count: usize| {
         let found = async {
             while second.publishers_of("/found").len() != count {
                 changes.changed().await.expect("the node is there");
             }
         };
-        tokio::time::timeout(PATIENCE, found).await.expect("in time");
+        tokio::time::timeout(TIME_LIMIT, found).await.expect("in time");
     };
-    until(1).await;
+    wait_for_count(1).await;
     let found = second.publishers_of("/found").remove(0);
     assert_eq!((found.id, found.type_name.as_str()), (publisher.id(), BYTES));
     assert_eq!(found.host, None, "it is on this host");
     assert!(second.describe_domain().contains("127.0.0.1"), "{}", second.describe_domain());
     drop(publisher);
-    until(0).await;
+    wait_for_count(0).await;
 }

@@ -24,7 +24,7 @@ pub(super) struct AnswersBeingSent {
 
 impl AnswersBeingSent {
     /// Calls `send`, and counts an answer as being sent until it returns.
-    pub(super) fn during(&self, send: impl FnOnce()) {
+    pub(super) fn count_while(&self, send: impl FnOnce()) {
         self.count.fetch_add(1, Ordering::SeqCst);
         send();
         self.count.fetch_sub(1, Ordering::SeqCst);
@@ -50,13 +50,13 @@ pub(super) fn encode_answer(
     log: Option<Recorder>,
     result: Result<Sample, Failure>,
 ) -> Result<Frames, HeaderError> {
-    let (outcome, payload) = outcome(result, route.max_message_bytes);
-    let (delta, zero) = encode_log_delta(log);
+    let (outcome, payload) = encode_outcome(result, route.max_message_bytes);
+    let (delta, clock_zero) = encode_log_delta(log);
     let raw = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
     let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
     let departure = delta.as_ref().map(|_| {
-        let start = zero + (stamp.mono - MonoTime::default());
+        let start = clock_zero + (stamp.mono - MonoTime::default());
         Departure { sent: stamp.wall, start, epoch, sent_raw: raw.then_some(stamp.raw) }
     });
     let RequestKey { session, request, arrival } = key;
@@ -72,14 +72,14 @@ pub(super) fn encode_answer(
 
 /// Returns the outcome and the payload that are sent for a result. An answer that is larger than the edge accepts
 /// becomes a failure.
-fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome, Vec<Bytes>) {
+fn encode_outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome, Vec<Bytes>) {
     let failed = |reason: String| (Outcome::Failed(reason), Vec::new());
     match result {
         Ok(sample) if sample.payload_bytes() > max_message_bytes => failed(format!(
             "the answer's {} bytes are more than the edge's max_message_bytes, {max_message_bytes}",
             sample.payload_bytes()
         )),
-        Ok(sample) => match SampleHeader::of(&sample) {
+        Ok(sample) => match SampleHeader::from_sample(&sample) {
             Ok(header) => {
                 (Outcome::Answer(header), sample.parts.into_iter().map(|part| part.bytes).collect())
             }
@@ -93,13 +93,13 @@ fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome,
 /// Returns the wire form of the tree delta, and the offset of the monotonic clock's zero from this host's anchor.
 fn encode_log_delta(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
     let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
-    let zero = log.offset(MonoTime::default());
+    let clock_zero = log.offset(MonoTime::default());
     let delta = log.into_tree_delta().and_then(|delta| match encode_tree_delta(&delta) {
         Ok(wire) => Some(wire),
         Err(error) => {
-            tracing::warn!(%error, "an answer goes out without what was measured here");
+            tracing::warn!(%error, "cannot encode the tree delta of an answer; the answer is sent without the nodes of this host");
             None
         }
     });
-    (delta, zero)
+    (delta, clock_zero)
 }

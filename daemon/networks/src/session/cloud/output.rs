@@ -27,8 +27,12 @@ impl PortOutput {
     }
 
     /// Returns the statistics of a session, with those that its transport has of the connection.
-    pub(super) fn statistics(&self, connection: ConnectionId, of_session: &Counters) -> ConnectionStatistics {
-        of_session.statistics(&self.sender.statistics(connection))
+    pub(super) fn statistics(
+        &self,
+        connection: ConnectionId,
+        session_counters: &Counters,
+    ) -> ConnectionStatistics {
+        session_counters.statistics(&self.sender.statistics(connection))
     }
 
     /// Sends a message and counts it for the port and for its session. Returns whether the transport accepted it.
@@ -37,18 +41,18 @@ impl PortOutput {
         peer: &Peer,
         frames: Frames,
         tag: Option<u64>,
-        of_session: Option<&Counters>,
+        session_counters: Option<&Counters>,
     ) -> bool {
-        let bytes = Sizes::of(&frames).total();
+        let bytes = Sizes::from_frames(&frames).total();
         match self.sender.send(peer, frames, SendOptions { deadline: None, tag }) {
             Ok(()) => {
-                for counters in [Some(&self.counters), of_session].into_iter().flatten() {
-                    counters.sent(bytes);
+                for counters in [Some(&self.counters), session_counters].into_iter().flatten() {
+                    counters.count_sent(bytes);
                 }
                 true
             }
             Err(reason) => {
-                tracing::debug!(%reason, "a message to an edge was dropped");
+                tracing::debug!(%reason, "the network did not accept a message to an edge; it is dropped");
                 false
             }
         }

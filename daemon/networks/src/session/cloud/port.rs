@@ -10,7 +10,7 @@ use super::answers::{AnswersBeingSent, encode_answer};
 use super::output::PortOutput;
 use crate::SessionSettings;
 use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsReport};
-use crate::session::budget::Budget;
+use crate::session::budget::RequestBudget;
 use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::{Route, Server};
 use crate::transport::{CloudSender, ConnectionId, Peer};
@@ -19,8 +19,8 @@ use crate::transport::{CloudSender, ConnectionId, Peer};
 /// closed when the listener is dropped.
 #[derive(Debug)]
 pub(crate) struct PortState {
-    machine: Mutex<Server>,
-    pub(super) budget: Arc<Budget>,
+    server: Mutex<Server>,
+    pub(super) budget: Arc<RequestBudget>,
     pub(super) output: PortOutput,
     pub(super) clock: SharedClock,
     pub(super) host: HostId,
@@ -36,8 +36,8 @@ impl PortState {
         host: HostId,
     ) -> Self {
         Self {
-            machine: Mutex::new(Server::new(settings)),
-            budget: Budget::new(settings.max_in_flight_bytes),
+            server: Mutex::new(Server::new(settings)),
+            budget: RequestBudget::new(settings.max_in_flight_bytes),
             output: PortOutput::new(sender),
             clock,
             host,
@@ -46,26 +46,26 @@ impl PortState {
         }
     }
 
-    /// Locks the sessions. The lock is held for microseconds and never while sending.
-    pub(super) fn machine(&self) -> MutexGuard<'_, Server> {
-        self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Locks the state machine of the sessions. The lock is held for microseconds and never while sending.
+    pub(super) fn server(&self) -> MutexGuard<'_, Server> {
+        self.server.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Tells the transport what the connection may send from now on.
     pub(super) fn update_admission(&self, connection: ConnectionId) {
-        let admission = self.machine().admission(connection);
+        let admission = self.server().admission(connection);
         self.output.set_admission(connection, admission);
     }
 
     pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
-        let Some((peer, header)) = self.machine().accept(session, accepted) else { return false };
+        let Some((peer, header)) = self.server().accept(session, accepted) else { return false };
         // Before the acceptance is sent, because the edge's first request may be large.
         self.update_admission(peer.connection);
         self.send_message(&peer, &header)
     }
 
     pub(crate) fn refuse(&self, session: SessionId, reason: String) {
-        let refusal = self.machine().refuse(session, reason);
+        let refusal = self.server().refuse(session, reason);
         if let Some((peer, header)) = refusal {
             self.update_admission(peer.connection);
             self.send_message(&peer, &header);
@@ -73,14 +73,14 @@ impl PortState {
     }
 
     pub(crate) fn announce(&self, clock: PeerClock) {
-        let headers = self.machine().announce(clock);
+        let headers = self.server().announce(clock);
         for (peer, header) in headers {
             self.send_message(&peer, &header);
         }
     }
 
     pub(crate) fn report_statistics(&self) {
-        let sessions = self.machine().sessions_with_statistics();
+        let sessions = self.server().sessions_with_statistics();
         for (session, peer, counters) in sessions {
             let statistics = self.output.statistics(peer.connection, &counters);
             let header = Header::Statistics(Box::new(StatisticsReport { session, statistics }));
@@ -88,18 +88,18 @@ impl PortState {
         }
     }
 
-    /// Sends an answer with the nodes that `log` recorded here. Without `log` (no model was asked) the reply has
-    /// neither tree delta nor departure.
+    /// Sends an answer with the nodes that `log` recorded here. `log` is `None` if no model computed the answer; the
+    /// reply then has neither tree delta nor departure.
     pub(crate) fn answer(&self, key: RequestKey, log: Option<Recorder>, result: Result<Sample, Failure>) {
-        // Counted before the request leaves the requests in flight: closing must find one of the two, or it would say
-        // goodbye before the answer.
-        self.answers.during(|| {
-            let route = self.machine().finish(key.session, key.request);
+        // Counted before the request leaves the requests in flight. `wait_until_idle` thus sees one of the two at any
+        // time; otherwise the port could close between them and send the goodbye before the answer.
+        self.answers.count_while(|| {
+            let route = self.server().finish_request(key.session, key.request);
             let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, log, result));
             if !sent {
-                self.output.counters.lost(1);
+                self.output.counters.count_lost(1);
                 if let Some(route) = &route {
-                    route.counters.lost(1);
+                    route.counters.count_lost(1);
                 }
             }
         });
@@ -115,7 +115,7 @@ impl PortState {
         match encode_answer(&*self.clock, route, key, log, result) {
             Ok(frames) => self.output.send(&route.peer, frames, Some(key.request), Some(&route.counters)),
             Err(error) => {
-                tracing::warn!(%error, "an answer was dropped");
+                tracing::warn!(%error, "cannot encode an answer; it is dropped");
                 false
             }
         }
@@ -123,33 +123,33 @@ impl PortState {
 
     /// Sends a message without payload. Returns whether the transport accepted it.
     pub(super) fn send_message(&self, peer: &Peer, header: &Header) -> bool {
-        let counters = self.machine().counters_of(peer.connection);
+        let counters = self.server().connection_counters(peer.connection);
         match header.encode() {
             Ok(header) => self.output.send(peer, vec![header], None, counters.as_deref()),
             Err(error) => {
-                tracing::warn!(%error, "a message to an edge was dropped");
+                tracing::warn!(%error, "cannot encode a message to an edge; it is dropped");
                 false
             }
         }
     }
 
     /// Counts a malformed message. Logs it at a limited rate.
-    pub(super) fn malformed(&self, from: &Peer, problem: &str) {
-        self.output.counters.malformed();
-        if let Some(counters) = self.machine().counters_of(from.connection) {
-            counters.malformed();
+    pub(super) fn report_malformed(&self, from: &Peer, problem: &str) {
+        self.output.counters.count_malformed();
+        if let Some(counters) = self.server().connection_counters(from.connection) {
+            counters.count_malformed();
         }
         let from = from.address;
         let now = self.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(times) = throttle.count("malformed", from.map(|address| address.ip()), now) {
             let from = from.map_or_else(|| "an unknown peer".into(), |address| address.to_string());
-            tracing::warn!(from, problem, times, "dropped what a peer sent");
+            tracing::warn!(from, problem, times, "dropped an invalid message");
         }
     }
 
     /// Waits for the answers in progress.
     pub(super) async fn wait_until_idle(&self) {
-        self.answers.wait_until_idle(|| self.machine().in_flight()).await;
+        self.answers.wait_until_idle(|| self.server().in_flight()).await;
     }
 }

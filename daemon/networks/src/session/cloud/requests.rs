@@ -24,54 +24,54 @@ pub(super) fn handle_message(
     frames: Frames,
     received: (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
-    let bytes = Sizes::of(&frames).total();
-    shared.output.counters.received(bytes);
+    let bytes = Sizes::from_frames(&frames).total();
+    shared.output.counters.count_received(bytes);
     if frames.len() > MAX_FRAMES {
-        shared.malformed(peer, "too many frames");
+        shared.report_malformed(peer, "too many frames");
         return None;
     }
     let header = match Header::decode(frames.first().map_or(&[], |frame| frame)) {
         Ok(header) => header,
         Err(HeaderError::NoCommonVersion(mismatch)) => {
-            shared.send_message(peer, &Server::incompatible(&mismatch));
+            shared.send_message(peer, &Server::version_refusal(&mismatch));
             return None;
         }
         Err(error) => {
-            shared.malformed(peer, &error.to_string());
+            shared.report_malformed(peer, &error.to_string());
             return None;
         }
     };
     // A separate statement, so that the lock is released before the branches below take it.
-    let message = shared.machine().receive(peer, header);
+    let message = shared.server().receive(peer, header);
     if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &message
-        && let Some(counters) = shared.machine().counters(*session)
+        && let Some(counters) = shared.server().session_counters(*session)
     {
-        counters.received(bytes);
+        counters.count_received(bytes);
     }
     match message {
         EdgeMessage::Open(session, hello) => {
             shared.update_admission(peer.connection);
-            let wish = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));
-            Some(Incoming::Open(wish))
+            let open = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));
+            Some(Incoming::Open(open))
         }
         EdgeMessage::Request(request) => incoming_request(shared, peer, request, frames, received),
         EdgeMessage::Answer(header) => {
             shared.send_message(peer, &header);
             None
         }
-        EdgeMessage::Closed(session, ordered) => {
+        EdgeMessage::Closed(session, planned_iterations) => {
             shared.update_admission(peer.connection);
-            Some(Incoming::Closed { session, said_goodbye: true, ordered })
+            Some(Incoming::Closed { session, said_goodbye: true, planned_iterations })
         }
         EdgeMessage::Malformed(problem) => {
-            shared.malformed(peer, problem);
+            shared.report_malformed(peer, problem);
             None
         }
     }
 }
 
-/// Handles a request that arrived: counts its bytes in the budget and continues its tree, or answers with the reason
-/// why not.
+/// Handles a request that arrived. Counts its bytes in the budget and continues its tree. If either fails, answers with
+/// the reason and returns `None`.
 fn incoming_request(
     shared: &Arc<PortState>,
     peer: &Peer,
@@ -87,7 +87,7 @@ fn incoming_request(
             return None;
         }
     };
-    let log = resume(shared, frames.get(1), request.departure, received);
+    let log = resume_tree(shared, frames.get(1), request.departure, received);
     let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(InvalidRequest::from);
     match (log, sample) {
         (Ok(log), Ok(sample)) => {
@@ -96,8 +96,8 @@ fn incoming_request(
             Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
-            shared.malformed(peer, &problem.to_string());
-            let failure = Failure::Failed(format!("the request makes no sense: {problem}"));
+            shared.report_malformed(peer, &problem.to_string());
+            let failure = Failure::Failed(format!("the request is invalid: {problem}"));
             shared.answer(key, None, Err(failure));
             None
         }
@@ -105,7 +105,7 @@ fn incoming_request(
 }
 
 /// Continues an edge's tree here: adds `upload` to it and closes that node at `received`.
-fn resume(
+fn resume_tree(
     shared: &PortState,
     tree: Option<&Bytes>,
     departure: Departure,
@@ -119,7 +119,7 @@ fn resume(
 /// Error: a request cannot be interpreted.
 #[derive(Debug, thiserror::Error)]
 enum InvalidRequest {
-    #[error("no tree")]
+    #[error("the tree is missing")]
     NoTree,
     #[error(transparent)]
     Frame(#[from] TreeFrameError),

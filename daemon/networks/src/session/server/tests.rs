@@ -78,9 +78,9 @@ fn answer_is_routed_once_to_the_requesting_connection() {
         matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Malformed(_)),
         "in flight already"
     );
-    let route = server.finish(session, 7).expect("in flight");
+    let route = server.finish_request(session, 7).expect("in flight");
     assert_eq!((route.peer.connection, route.max_message_bytes), (ConnectionId(5), 1_000));
-    assert!(server.finish(session, 7).is_none());
+    assert!(server.finish_request(session, 7).is_none());
 }
 
 #[test]
@@ -101,7 +101,8 @@ fn a_goodbye_frees_the_place() {
     let mut server = server();
     let sessions: Vec<_> = (0..3).map(|connection| open_session(&mut server, connection)).collect();
     assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::Answer(Header::Refused(_))));
-    let bye = |session| Header::Goodbye(Goodbye { session, reason: String::new(), ordered: Some(9) });
+    let bye =
+        |session| Header::Goodbye(Goodbye { session, reason: String::new(), planned_iterations: Some(9) });
     assert!(matches!(server.receive(&peer(1), bye(sessions[0])), EdgeMessage::Malformed(_)), "not its own");
     assert_eq!(server.receive(&peer(0), bye(sessions[0])), EdgeMessage::Closed(sessions[0], Some(9)));
     open_session(&mut server, 9);
@@ -165,7 +166,7 @@ fn end_of_connection_ends_only_its_sessions() {
     assert_eq!(server.remove_connection(ConnectionId(1)), []);
     assert!(server.accept(a, accepted()).is_none());
     assert!(server.accept(b, accepted()).is_some());
-    let farewells = server.goodbye("bye");
+    let farewells = server.end_all_sessions("bye");
     assert!(
         matches!(&farewells[..], [(to, Header::Goodbye(bye))] if to.connection.0 == 2 && bye.session == b)
     );
@@ -267,7 +268,7 @@ proptest! {
                 }
                 Step::Finish(session, number) => {
                     let session = *session.get(&sessions);
-                    prop_assert_eq!(server.finish(session, number).is_some(), in_flight.remove(&(session, number)));
+                    prop_assert_eq!(server.finish_request(session, number).is_some(), in_flight.remove(&(session, number)));
                 }
                 Step::Gone(connection) => {
                     for session in server.remove_connection(ConnectionId(connection)) {

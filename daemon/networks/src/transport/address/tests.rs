@@ -62,18 +62,18 @@ fn every_scheme_selects_its_network() {
     for network in NetworkKind::ALL {
         assert_eq!(NetworkName::from(*network).as_str(), network.name());
         for scheme in network.schemes() {
-            let is_in_domain = network.address_form().text(scheme).starts_with("domain");
+            let is_in_domain = network.address_form().placeholder(scheme).starts_with("domain");
             let host = if is_in_domain { "1" } else { "cloud:1" };
             let address: Address = format!("{scheme}://{host}").parse().expect("a scheme");
             assert_eq!((address.network(), address.scheme()), (*network, *scheme));
             assert_eq!(address.check_network(Some(*network)), Ok(()));
             assert_eq!(address.check_network(None), Ok(()));
-            let bound = address.at_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 7);
+            let bound = address.with_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 7);
             let name = address.listener_name().map_or_else(String::new, |name| format!("/{name}"));
             assert_eq!(bound.to_string(), format!("{scheme}://127.0.0.1:7{name}"));
         }
     }
-    assert_eq!(Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 7).to_string(), "tcp://127.0.0.1:7");
+    assert_eq!(Address::from_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 7).to_string(), "tcp://127.0.0.1:7");
 }
 
 #[test]

@@ -1,9 +1,8 @@
 //! A virtual connection, without I/O: both halves, heartbeats and the goodbye.
 //!
-//! An end asks the other for a heartbeat if nothing arrived for the heartbeat interval. It asks sooner while messages
-//! that it sent are not settled, because the answer says which of them never arrived. If nothing arrives for the
-//! heartbeat timeout, the connection is gone. A connection is closed by a goodbye that is repeated until it is
-//! confirmed.
+//! An end sends a ping if nothing arrived for the heartbeat interval. It pings sooner while messages that it sent are not
+//! settled, because the answer says which of them never arrived. If nothing arrives for the heartbeat timeout, the
+//! connection ends. A connection is closed by a goodbye that is repeated until it is confirmed.
 
 mod control_queue;
 mod heartbeat_history;
@@ -36,12 +35,12 @@ use crate::transport::{Frames, MessageLoss, SendFailure};
 const TICK: Span = Span::from_millis(20);
 
 /// Reason for the end of a connection on which long datagrams are lost.
-const LONG_DATAGRAMS_LOST: &str = "long datagrams do not arrive any more, short ones do: a link on the path takes smaller packets \
-     (MTU) and does not say so; mend its MTU, or set datagram_bytes to what passes (1200 is tried by itself)";
+const LONG_DATAGRAMS_LOST_REASON: &str = "long datagrams do not arrive any more, short ones do: a link on the path has a smaller MTU and \
+     does not report it; correct its MTU, or set datagram_bytes to a length that passes (1200 is tried automatically)";
 
 /// Reason for the end of a connection whose ends contradict each other.
-const CONTRADICTED: &str = "the peer tells again and again of messages that were never sent: packets are altered or forged on the \
-     path; a new connection begins afresh";
+const CONTRADICTION_REASON: &str = "the peer repeatedly reports messages that were never sent: packets are altered or forged on the path; \
+     open a new connection";
 
 /// Timeouts and limits of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,8 +61,8 @@ pub(crate) enum Event {
     Incomplete(MessageLoss),
     /// A message that was sent did not arrive as a whole.
     Lost(MessageLoss),
-    /// A packet arrived that cannot be right, for this reason.
-    Garbage(String),
+    /// An invalid packet arrived, for this reason.
+    InvalidData(String),
     /// The connection is over, for this reason.
     Gone(String),
 }
@@ -134,52 +133,52 @@ impl Connection {
         let connection = self.writer.connection();
         match packet {
             Packet::Data { number, fragment, .. } => {
-                self.measurement.arrive(number, now);
+                self.measurement.record_arrival(number, now);
                 match self.receiving.receive(number, &fragment, now) {
                     FragmentOutcome::Message(bytes, reserved) => match split_frames(bytes) {
                         Ok(frames) => self.events.push_back(Event::Message(frames, reserved)),
-                        Err(error) => self.events.push_back(Event::Garbage(error.to_string())),
+                        Err(error) => self.events.push_back(Event::InvalidData(error.to_string())),
                     },
                     FragmentOutcome::Nothing => {}
-                    FragmentOutcome::Garbage(problem) => self.events.push_back(Event::Garbage(problem)),
+                    FragmentOutcome::InvalidData(problem) => self.events.push_back(Event::InvalidData(problem)),
                 }
-                if let Some(progress) = self.receiving.progress() {
+                if let Some(progress) = self.receiving.take_progress() {
                     self.control.push(progress);
                 }
-                self.report(now);
+                self.report_losses(now);
             }
             Packet::Progress { sequence, end, .. } => {
-                let progress = self.sending.progress(sequence, end, now);
-                self.refuse(progress);
+                let progress = self.sending.receive_progress(sequence, end, now);
+                self.report_false_claim(progress);
             }
             Packet::Lost { sequence, received, .. } => {
-                let lost = self.sending.lost((sequence, received), self.measurement.reported_lost(), now);
-                if let Some((tag, total, lost)) = self.refuse(lost) {
+                let lost = self.sending.receive_loss((sequence, received), self.measurement.reported_lost(), now);
+                if let Some((tag, total, lost)) = self.report_false_claim(lost) {
                     self.events.extend(lost.map(Event::Lost));
-                    self.control.push(Packet::LostKnown { connection, sequence, tag, total });
+                    self.control.push(Packet::LostAck { connection, sequence, tag, total });
                 }
             }
-            Packet::LostKnown { sequence, tag, total, .. } => {
-                let incomplete = self.receiving.known(sequence, tag, total);
+            Packet::LostAck { sequence, tag, total, .. } => {
+                let incomplete = self.receiving.confirm_loss(sequence, tag, total);
                 self.events.extend(incomplete.map(Event::Incomplete));
             }
             Packet::Ping { heartbeat, .. } => {
-                self.apply_heartbeat(&heartbeat, now);
-                let heartbeat = self.heartbeat(heartbeat.time, now);
+                self.receive_heartbeat(&heartbeat, now);
+                let heartbeat = self.make_heartbeat(heartbeat.time, now);
                 self.control.push(Packet::Pong { connection, heartbeat });
             }
             Packet::Pong { heartbeat, .. } => {
-                self.apply_heartbeat(&heartbeat, now);
+                self.receive_heartbeat(&heartbeat, now);
                 let asked = Span::from_nanos(i64::try_from(heartbeat.time).unwrap_or(0));
-                self.measurement.answer(MonoTime::default() + asked, now);
+                self.measurement.record_pong(MonoTime::default() + asked, now);
             }
             Packet::Bye { next, .. } => self.receive_bye(next, now),
-            Packet::ByeHeard { .. } => self.shutdown.confirm(),
-            Packet::Path { token, .. } => self.control.push(Packet::PathConfirmed { connection, token }),
+            Packet::ByeAck { .. } => self.shutdown.confirm(),
+            Packet::PathChallenge { token, .. } => self.control.push(Packet::PathResponse { connection, token }),
             Packet::Reset { reason, .. } => self.end(match reason {
-                ResetReason::Unknown => "the peer does not know the connection any more: it was restarted, or it gave the connection up",
+                ResetReason::Unknown => "the peer does not know the connection any more: it was restarted, or it ended the connection",
                 ResetReason::Full => "the peer has too many connections",
-                ResetReason::LongLost => LONG_DATAGRAMS_LOST,
+                ResetReason::LongLost => LONG_DATAGRAMS_LOST_REASON,
             }),
             // Packets of the handshake and confirmed paths do not belong to a connection; the endpoint handles them.
             _ => {}
@@ -187,10 +186,10 @@ impl Connection {
     }
 
     /// Returns the heartbeat of this end.
-    fn heartbeat(&mut self, time: u64, now: MonoTime) -> Heartbeat {
+    fn make_heartbeat(&mut self, time: u64, now: MonoTime) -> Heartbeat {
         Heartbeat {
             time,
-            next: self.sending.next(),
+            next: self.sending.next_sequence(),
             settled: self.receiving.settled(),
             number: self.sending.datagrams() as u32,
             arrivals: self.measurement.totals(now),
@@ -198,31 +197,35 @@ impl Connection {
     }
 
     /// Applies a heartbeat of the other end.
-    fn apply_heartbeat(&mut self, heartbeat: &Heartbeat, now: MonoTime) {
-        // A duplicated heartbeat says nothing new, and must not count as a second contradiction.
-        if !self.heartbeats.receive(heartbeat) {
+    fn receive_heartbeat(&mut self, heartbeat: &Heartbeat, now: MonoTime) {
+        // A duplicated heartbeat must not count as a second contradiction.
+        if !self.heartbeats.record_if_new(heartbeat) {
             return;
         }
-        let settled = self.sending.settled(heartbeat.settled);
-        if self.refuse(settled).is_none() {
-            if self.heartbeats.contradict() {
+        let settled = self.sending.receive_settled(heartbeat.settled);
+        if self.report_false_claim(settled).is_none() {
+            if self.heartbeats.record_contradiction() {
                 self.send_bye();
-                self.end(CONTRADICTED);
+                self.end(CONTRADICTION_REASON);
             }
             return;
         }
-        self.heartbeats.agree();
+        self.heartbeats.record_agreement();
         // Each of these checks its own fields, so that one altered field does not hide what the others report.
-        let reported =
-            self.measurement.report(heartbeat.number, heartbeat.arrivals, self.sending.datagrams(), now);
-        self.refuse(reported);
-        let expected = self.receiving.expect(heartbeat.next, heartbeat.time, now);
-        self.refuse(expected);
+        let reported = self.measurement.receive_report(
+            heartbeat.number,
+            heartbeat.arrivals,
+            self.sending.datagrams(),
+            now,
+        );
+        self.report_false_claim(reported);
+        let expected = self.receiving.note_sent(heartbeat.next, heartbeat.time, now);
+        self.report_false_claim(expected);
     }
 
-    /// Reports a false claim as garbage. A false claim has no other effect.
-    fn refuse<T>(&mut self, claim: Result<T, FalseClaim>) -> Option<T> {
-        claim.map_err(|claim| self.events.push_back(Event::Garbage(claim.to_string()))).ok()
+    /// Reports a false claim as invalid data. A false claim has no other effect.
+    fn report_false_claim<T>(&mut self, claim: Result<T, FalseClaim>) -> Option<T> {
+        claim.map_err(|claim| self.events.push_back(Event::InvalidData(claim.to_string()))).ok()
     }
 
     /// Returns the totals of the datagrams of both directions, and the round trip.
@@ -232,22 +235,22 @@ impl Connection {
 
     fn receive_bye(&mut self, next: u64, now: MonoTime) {
         let count = self.shutdown.receive_bye();
-        let expected = self.receiving.expect(next, count.into(), now);
-        self.refuse(expected);
-        // The other end does not wait any longer, so its unfinished messages will never be completed.
-        if self.shutdown.gives_up_messages() {
+        let expected = self.receiving.note_sent(next, count.into(), now);
+        self.report_false_claim(expected);
+        // The other end closes the connection soon, so its unfinished messages will never be completed.
+        if self.shutdown.must_give_up_messages() {
             self.receiving.give_up_all();
         }
-        self.report(now);
+        self.report_losses(now);
         if self.receiving.is_settled() || self.shutdown.is_last_bye() {
-            self.control.push(Packet::ByeHeard { connection: self.writer.connection() });
+            self.control.push(Packet::ByeAck { connection: self.writer.connection() });
             self.end("the peer closed the connection");
         }
     }
 
     /// Closes the connection after the queued messages have been sent.
     pub(crate) fn close(&mut self, now: MonoTime) {
-        self.shutdown.begin(now);
+        self.shutdown.start(now);
     }
 
     /// Closes the connection at once, with a single goodbye.
@@ -258,7 +261,8 @@ impl Connection {
     }
 
     fn send_bye(&mut self) {
-        self.control.push(Packet::Bye { connection: self.writer.connection(), next: self.sending.next() });
+        self.control
+            .push(Packet::Bye { connection: self.writer.connection(), next: self.sending.next_sequence() });
     }
 
     /// Returns whether the connection is over. Packets that arrive then have no effect.
@@ -273,7 +277,7 @@ impl Connection {
         }
     }
 
-    /// Does everything that is due at `now`.
+    /// Runs the timers that have expired at `now`.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         if self.shutdown.is_closed() {
             return;
@@ -282,27 +286,27 @@ impl Connection {
         self.receiving.tick(now);
         let expired = self.sending.expire(now);
         self.events.extend(expired.into_iter().map(Event::Lost));
-        self.report(now);
-        if self.sending.loses_long(self.measurement.reported_lost(), now) {
-            tracing::debug!(bytes = self.sending.longest(), "none of the longest datagrams arrive");
+        self.report_losses(now);
+        if self.sending.loses_all_long_datagrams(self.measurement.reported_lost(), now) {
+            tracing::debug!(bytes = self.sending.longest_datagram(), "none of the longest datagrams arrive");
             // The handshake of the next connection finds out which length passes.
             if self.writer.role() == Role::Cloud {
                 self.control
                     .push(Packet::Reset { id: self.writer.connection(), reason: ResetReason::LongLost });
             }
-            self.end(LONG_DATAGRAMS_LOST);
+            self.end(LONG_DATAGRAMS_LOST_REASON);
             return;
         }
-        if self.timer.ends_at() <= now {
+        if self.timer.expires_at() <= now {
             let seconds = self.timer.timeout().seconds();
             self.end(format!("nothing was heard of the peer for {seconds} s"));
             return;
         }
         if self.ping_at() <= now {
             self.timer.ping(now);
-            self.measurement.ask(now);
+            self.measurement.record_ping(now);
             let time = u64::try_from(now.nanos()).unwrap_or(0);
-            let heartbeat = self.heartbeat(time, now);
+            let heartbeat = self.make_heartbeat(time, now);
             self.control.push(Packet::Ping { connection: self.writer.connection(), heartbeat });
         }
         if self.bye_at().is_some_and(|at| at <= now) {
@@ -322,7 +326,7 @@ impl Connection {
 
     /// Returns the latest time for the next call of [`tick`](Self::tick).
     pub(crate) fn next_timer(&self, now: MonoTime) -> MonoTime {
-        let next = self.ping_at().min(self.timer.ends_at());
+        let next = self.ping_at().min(self.timer.expires_at());
         let others = [self.bye_at(), self.sending.opens_at(), self.receiving.next_timer(now, TICK)];
         others.into_iter().flatten().fold(next, MonoTime::min)
     }
@@ -333,21 +337,21 @@ impl Connection {
     }
 
     /// Appends datagrams that may be sent now. `None` if there are none.
-    pub(crate) fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<Batch> {
+    pub(crate) fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<Batch> {
         if let Some(batch) = self.control.fill(out) {
             return Some(batch);
         }
         if self.shutdown.is_closed() {
             return None;
         }
-        self.sending.fill(out, most, now)
+        self.sending.fill(out, max_datagrams, now)
     }
 
     /// Reports losses to the other end and to the layer above.
-    fn report(&mut self, now: MonoTime) {
-        let known = self.receiving.take_lost(now);
-        let (packets, silent) = self.receiving.reports(now);
-        self.events.extend(known.into_iter().chain(silent).map(Event::Incomplete));
+    fn report_losses(&mut self, now: MonoTime) {
+        let identified = self.receiving.take_lost(now);
+        let (packets, given_up) = self.receiving.due_reports(now);
+        self.events.extend(identified.into_iter().chain(given_up).map(Event::Incomplete));
         packets.into_iter().for_each(|packet| self.control.push(packet));
     }
 }

@@ -1,7 +1,7 @@
 //! The cloud's end of all virtual connections of a port, without I/O.
 //!
-//! An edge whose address changes keeps its connection: packets from a new address are answered with a path token, and
-//! the new address is used when the token returns from there.
+//! An edge whose address changes keeps its connection. A packet from a new address is answered with a path challenge, and
+//! the new address is used when the response arrives from there (as in RFC 9000, section 9).
 
 mod answers;
 mod arrival_queue;
@@ -32,14 +32,15 @@ use super::sending::Batch;
 use crate::statistics::TransportStatistics;
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
 
-/// Shortest time between two path tokens to new addresses of a connection.
-const PATH_PAUSE: Span = Span::from_millis(100);
+/// Shortest interval between two path challenges to new addresses of a connection.
+const PATH_CHALLENGE_INTERVAL: Span = Span::from_millis(100);
 
-/// Length of a packet with a path token. Only packets of at least this length are answered with one.
-const PATH_BYTES: usize = 17;
+/// Length of a path challenge. Only packets of at least this length are answered with one.
+// A shorter packet with a forged source address would make this port send more bytes to that address than it received.
+const PATH_CHALLENGE_BYTES: usize = 17;
 
-/// Shortest time between two timer calls of a connection.
-const MIN_TIMER_PAUSE: Span = Span::from_millis(1);
+/// Shortest interval between two timer calls of a connection.
+const MIN_TIMER_INTERVAL: Span = Span::from_millis(1);
 
 /// Timeouts and limits of a port.
 #[derive(Clone, Debug)]
@@ -98,13 +99,16 @@ impl Endpoint {
     pub(crate) fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime) {
         let packet = match Packet::read(Role::Cloud, body) {
             Ok(packet) => packet,
-            Err(error) => return self.garbage(source, error.to_string()),
+            Err(error) => return self.report_invalid(source, error.to_string()),
         };
-        let back = Route { to: source, from: local };
+        let reply_route = Route { to: source, from: local };
         match packet {
             Packet::Hello { version, nonce, reply_port } => {
                 if version != VERSION {
-                    return self.garbage(source, format!("a hello of version {version}"));
+                    return self.report_invalid(
+                        source,
+                        format!("a hello of protocol version {version}; this end speaks version {VERSION}"),
+                    );
                 }
                 let to = reply_address(source, reply_port);
                 let cookie = self.key.cookie(to, nonce, now);
@@ -112,24 +116,26 @@ impl Endpoint {
             }
             Packet::Open { nonce, cookie, reply_port, terms } => {
                 let to = reply_address(source, reply_port);
-                if self.key.is_cookie(&cookie, to, nonce, now) {
+                if self.key.is_valid_cookie(&cookie, to, nonce, now) {
                     self.open((source, reply_port), local, nonce, terms, now);
                 } else {
-                    self.garbage(source, "a cookie that is not for this address, or too old".into());
+                    self.report_invalid(source, "a cookie of another address, or an expired cookie".into());
                 }
             }
             packet => {
                 let Some(connection) = packet.connection() else { return };
                 if self.table.contains(connection) {
-                    return self.receive_known(connection, back, body.len(), packet, now);
+                    return self.receive_from_connection(connection, reply_route, body.len(), packet, now);
                 }
                 match packet {
-                    // The connection is gone here, and the other end repeats its goodbye until it is confirmed.
-                    Packet::Bye { .. } => self.answers.push(back, &Packet::ByeHeard { connection }),
-                    // Only an end that still uses the connection has to learn that it is gone.
+                    // The connection has ended here. The other end repeats its goodbye until it is confirmed.
+                    Packet::Bye { .. } => self.answers.push(reply_route, &Packet::ByeAck { connection }),
+                    // A reset is sent only to an end that still uses the connection.
                     Packet::Data { .. } | Packet::Ping { .. } => {
-                        self.answers
-                            .push(back, &Packet::Reset { id: connection, reason: ResetReason::Unknown });
+                        self.answers.push(
+                            reply_route,
+                            &Packet::Reset { id: connection, reason: ResetReason::Unknown },
+                        );
                     }
                     _ => {}
                 }
@@ -147,23 +153,23 @@ impl Endpoint {
     ) {
         let to = reply_address(source, reply_port);
         let route = Route { to, from: local };
-        let own = self.limits.terms;
+        let local_terms = self.limits.terms;
         // The prefix and a fragment's header must leave room for a fragment.
-        let datagram = terms.datagram.min(own.datagram).max(MIN_DATAGRAM_BYTES);
-        let known = self.table.find(to, nonce);
-        if known.is_none() && !self.make_room(AddressGroup::of(source)) {
-            tracing::debug!(%source, "refused a connection: as many are open as are allowed");
+        let datagram = terms.datagram.min(local_terms.datagram).max(MIN_DATAGRAM_BYTES);
+        let existing = self.table.find(to, nonce);
+        if existing.is_none() && !self.make_room(AddressGroup::from_address(source)) {
+            tracing::debug!(%source, "refused a connection: the largest number of connections is open");
             let refused = Packet::Reset { id: nonce, reason: ResetReason::Full };
             return self.answers.push(route, &refused);
         }
-        let id = known.unwrap_or_else(|| self.key.connection(self.table.opened() + 1));
+        let id = existing.unwrap_or_else(|| self.key.connection(self.table.opened_count() + 1));
         let connect = || {
             let writer = PacketWriter::new(Role::Cloud, id, self.prefix);
             let terms = Terms { datagram, ..terms };
             Connection::new(writer, terms, self.limits.connection, self.budgets.unadmitted(), now)
         };
         let datagram = match self.table.get_mut(id) {
-            // An edge that gets no answer to a large datagram asks for smaller ones.
+            // An edge that gets no answer to a large datagram repeats the request with a smaller one.
             Some(entry) if entry.datagram != datagram && !entry.has_delivered => {
                 (entry.connection, entry.datagram) = (connect(), datagram);
                 datagram
@@ -176,8 +182,8 @@ impl Endpoint {
                 datagram
             }
         };
-        let opened = Packet::Opened { nonce, connection: id, terms: Terms { datagram, ..own } };
-        // As long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed at once.
+        let opened = Packet::Opened { nonce, connection: id, terms: Terms { datagram, ..local_terms } };
+        // Padded to the longest datagram that will be sent, so that a path with a smaller MTU is noticed at once.
         self.answers.push_padded(route, &opened, datagram.into());
         self.schedule(id, now);
     }
@@ -186,45 +192,57 @@ impl Endpoint {
     fn make_room(&mut self, group: AddressGroup) -> bool {
         match self.table.capacity(group, self.limits.max_connections) {
             Capacity::Free => true,
-            Capacity::Exhausted => false,
-            Capacity::Replaces(id) => {
-                self.close_now(id, "it made room for another connection");
-                self.collect(id);
+            Capacity::Full => false,
+            Capacity::FreeAfterClosing(id) => {
+                self.close_now(id, "a newer connection replaced it");
+                self.collect_events(id);
                 true
             }
         }
     }
 
-    fn receive_known(&mut self, id: u64, back: Route, bytes: usize, packet: Packet<'_>, now: MonoTime) {
+    fn receive_from_connection(
+        &mut self,
+        id: u64,
+        reply_route: Route,
+        bytes: usize,
+        packet: Packet<'_>,
+        now: MonoTime,
+    ) {
         let Some(entry) = self.table.get_mut(id) else { return };
-        if back.to == entry.source {
-            entry.local = back.from;
-        } else if let Packet::PathConfirmed { token, .. } = packet {
-            let to = reply_address(back.to, entry.reply_port);
+        if reply_route.to == entry.source {
+            entry.local = reply_route.from;
+        } else if let Packet::PathResponse { token, .. } = packet {
+            let to = reply_address(reply_route.to, entry.reply_port);
             let is_token = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
             // The token may have been made in the previous period.
             if is_token(now) || is_token(now - Span::from_seconds(10)) {
-                self.table.relocate(id, back.to, back.from);
-                self.arrivals.push(Arrival::Moved(ConnectionId(id), back.to), None);
+                self.table.relocate(id, reply_route.to, reply_route.from);
+                self.arrivals.push(Arrival::Moved(ConnectionId(id), reply_route.to), None);
             }
-        } else if bytes >= PATH_BYTES && entry.path_asked.is_none_or(|asked| now - asked >= PATH_PAUSE) {
-            entry.path_asked = Some(now);
-            let to = reply_address(back.to, entry.reply_port);
+        } else if bytes >= PATH_CHALLENGE_BYTES
+            && entry
+                .path_challenged_at
+                .is_none_or(|challenged_at| now - challenged_at >= PATH_CHALLENGE_INTERVAL)
+        {
+            entry.path_challenged_at = Some(now);
+            let to = reply_address(reply_route.to, entry.reply_port);
             let token = first_u64(&self.key.cookie(to, id, now));
-            self.answers.push(Route { to, from: back.from }, &Packet::Path { connection: id, token });
+            self.answers
+                .push(Route { to, from: reply_route.from }, &Packet::PathChallenge { connection: id, token });
         }
         if let Some(entry) = self.table.get_mut(id) {
             entry.connection.receive(packet, now);
         }
-        self.collect(id);
+        self.collect_events(id);
     }
 
-    fn garbage(&mut self, source: SocketAddr, problem: String) {
-        self.arrivals.push(Arrival::Garbage(Some(source), problem), None);
+    fn report_invalid(&mut self, source: SocketAddr, problem: String) {
+        self.arrivals.push(Arrival::InvalidData(Some(source), problem), None);
     }
 
     /// Collects the events of a connection, and notes that it may have something to send.
-    fn collect(&mut self, id: u64) {
+    fn collect_events(&mut self, id: u64) {
         let Some(entry) = self.table.get_mut(id) else { return };
         let connection = ConnectionId(id);
         while let Some(event) = entry.connection.next_event() {
@@ -236,8 +254,8 @@ impl Endpoint {
                 }
                 Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), None),
                 Event::Lost(loss) => (Arrival::Lost(connection, loss), None),
-                Event::Garbage(problem) => (Arrival::Garbage(Some(entry.source), problem), None),
-                // The layer above has not heard of a connection without a message.
+                Event::InvalidData(problem) => (Arrival::InvalidData(Some(entry.source), problem), None),
+                // The layer above does not know a connection that has not delivered a message.
                 Event::Gone(_) if !entry.has_delivered => continue,
                 Event::Gone(reason) => (Arrival::Gone(connection, reason), None),
             };
@@ -267,7 +285,7 @@ impl Endpoint {
         let entry = self.table.get_mut(id.0);
         let entry = entry.ok_or_else(|| SendFailure::Gone("the peer is gone".into()))?;
         entry.connection.send(frames, tag, None)?;
-        self.collect(id.0);
+        self.collect_events(id.0);
         Ok(())
     }
 
@@ -304,16 +322,17 @@ impl Endpoint {
         }
     }
 
-    /// Does everything that is due at `now`.
+    /// Runs the timers that have expired at `now`.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         while let Some(id) = self.timers.take_due(now) {
             let Some(entry) = self.table.get_mut(id) else { continue };
-            if entry.is_late(self.limits.hello_timeout, now) && !entry.connection.is_closed() {
-                self.close_now(id, "no hello came in time");
+            if entry.has_missed_hello_timeout(self.limits.hello_timeout, now) && !entry.connection.is_closed()
+            {
+                self.close_now(id, "no session was requested in time");
             } else {
                 entry.connection.tick(now);
             }
-            self.collect(id);
+            self.collect_events(id);
             self.schedule(id, now);
         }
     }
@@ -322,7 +341,7 @@ impl Endpoint {
     fn schedule(&mut self, id: u64, now: MonoTime) {
         if let Some(entry) = self.table.get(id) {
             let at = entry.next_timer(self.limits.hello_timeout, now);
-            self.timers.bring_forward(id, at.max(now + MIN_TIMER_PAUSE));
+            self.timers.schedule(id, at.max(now + MIN_TIMER_INTERVAL));
         }
     }
 
@@ -335,11 +354,16 @@ impl Endpoint {
 
     /// Returns the latest time for the next call of [`tick`](Self::tick).
     pub(crate) fn next_timer(&self) -> Option<MonoTime> {
-        self.timers.next()
+        self.timers.next_time()
     }
 
     /// Appends datagrams that may be sent now. Returns their route; `None` if there are none.
-    pub(crate) fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)> {
+    pub(crate) fn fill(
+        &mut self,
+        out: &mut Vec<u8>,
+        max_datagrams: usize,
+        now: MonoTime,
+    ) -> Option<(Route, Batch)> {
         if let Some((route, answer)) = self.answers.pop() {
             out.extend_from_slice(&answer);
             return Some((route, Batch { segment: answer.len(), count: 1 }));
@@ -347,7 +371,7 @@ impl Endpoint {
         // Every change of a connection makes it ready, so connections that are not ready have nothing to send.
         while let Some(id) = self.ready.pop_front() {
             let Some(entry) = self.table.get_mut(id) else { continue };
-            if let Some(batch) = entry.connection.fill(out, most, now) {
+            if let Some(batch) = entry.connection.fill(out, max_datagrams, now) {
                 let route = Route { to: entry.reply_address(), from: entry.local };
                 self.ready.push_back(id);
                 return Some((route, batch));
@@ -367,7 +391,7 @@ impl Endpoint {
     pub(crate) fn close(&mut self, now: MonoTime) {
         for (id, entry) in self.table.iter_mut() {
             entry.connection.close(now);
-            self.timers.bring_forward(id, now);
+            self.timers.schedule(id, now);
         }
         self.tick(now);
     }
@@ -379,7 +403,7 @@ impl Endpoint {
             if let Some(entry) = self.table.get_mut(id) {
                 entry.connection.abandon();
             }
-            self.collect(id);
+            self.collect_events(id);
         }
     }
 
@@ -394,8 +418,8 @@ impl Endpoint {
         self.table.len()
     }
 
-    /// Returns the memory of unfinished messages and of messages that were not handed on yet. Bytes.
-    pub(crate) fn held_bytes(&self) -> u64 {
-        self.budgets.held()
+    /// Returns the memory of unfinished messages and of messages that were not handed up yet. Bytes.
+    pub(crate) fn reserved_bytes(&self) -> u64 {
+        self.budgets.reserved_bytes()
     }
 }

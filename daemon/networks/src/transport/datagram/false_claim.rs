@@ -5,15 +5,15 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum FalseClaim {
     /// The packet reports on messages that this end has not sent.
-    #[error("a packet tells of a message that was never sent")]
+    #[error("a packet reports a message that was never sent")]
     Unsent,
     /// The packet reports more fragments than the message has.
-    #[error("a packet tells of more fragments than the message has")]
+    #[error("a packet reports more fragments than the message has")]
     Fragments,
     /// The packet has a message number far above those that are known to have been sent.
     #[error("a packet has a message number that is too far ahead")]
     TooFarAhead,
     /// The packet reports totals above what was sent.
-    #[error("a packet counts more datagrams than were sent")]
+    #[error("a packet reports more datagrams than were sent")]
     Totals,
 }

@@ -19,7 +19,7 @@ pub(crate) enum UnsendableMessage {
 
 /// Error: bytes do not form a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the lengths of a message's frames do not add up")]
+#[error("the lengths of the frames do not add up to the length of the message")]
 pub(crate) struct InvalidMessage;
 
 /// Returns the number of fragments of a message.
@@ -38,9 +38,9 @@ pub(crate) struct OutgoingMessage {
     pub(crate) checksum: u32,
     pub(crate) deadline: Option<MonoTime>,
     /// Frames, or their remainders, that have not been taken yet.
-    rest: Vec<Bytes>,
-    /// Index of the first frame in `rest` that is not used up.
-    first: usize,
+    remaining_frames: Vec<Bytes>,
+    /// Index of the first frame in `remaining_frames` that is not used up.
+    first_unused: usize,
     /// Number of bytes that were taken.
     pub(crate) offset: u32,
 }
@@ -62,14 +62,23 @@ impl OutgoingMessage {
             let length = u32::try_from(frame.len()).map_err(|_| UnsendableMessage::TooLong)?;
             table.extend(length.to_be_bytes());
         }
-        let mut rest = Vec::with_capacity(frames.len() + 1);
-        rest.push(Bytes::from(table));
-        rest.extend(frames);
-        let bytes: u64 = rest.iter().map(|part| part.len() as u64).sum();
+        let mut remaining_frames = Vec::with_capacity(frames.len() + 1);
+        remaining_frames.push(Bytes::from(table));
+        remaining_frames.extend(frames);
+        let bytes: u64 = remaining_frames.iter().map(|part| part.len() as u64).sum();
         let total = u32::try_from(bytes).map_err(|_| UnsendableMessage::TooLong)?;
         let mut checksum = crc32fast::Hasher::new();
-        rest.iter().for_each(|part| checksum.update(part));
-        Ok(Self { sequence, tag, total, checksum: checksum.finalize(), deadline, rest, first: 0, offset: 0 })
+        remaining_frames.iter().for_each(|part| checksum.update(part));
+        Ok(Self {
+            sequence,
+            tag,
+            total,
+            checksum: checksum.finalize(),
+            deadline,
+            remaining_frames,
+            first_unused: 0,
+            offset: 0,
+        })
     }
 
     /// Returns whether all bytes were taken.
@@ -82,23 +91,23 @@ impl OutgoingMessage {
         self.total - self.offset
     }
 
-    /// Appends at most `most` of the next bytes to `out`. Returns their offset and number.
-    pub(crate) fn take(&mut self, most: u16, out: &mut Vec<u8>) -> (u32, u16) {
-        let (offset, mut wanted) = (self.offset, usize::from(most));
-        while wanted > 0
-            && let Some(part) = self.rest.get_mut(self.first)
+    /// Appends at most `max_bytes` of the next bytes to `out`. Returns their offset and number.
+    pub(crate) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> (u32, u16) {
+        let (offset, mut missing) = (self.offset, usize::from(max_bytes));
+        while missing > 0
+            && let Some(part) = self.remaining_frames.get_mut(self.first_unused)
         {
-            let count = part.len().min(wanted);
+            let count = part.len().min(missing);
             out.extend_from_slice(&part[..count]);
             part.advance(count);
-            wanted -= count;
+            missing -= count;
             if part.is_empty() {
                 // Frees the memory of frames that were sent, before the whole message has been sent.
                 *part = Bytes::new();
-                self.first += 1;
+                self.first_unused += 1;
             }
         }
-        let taken = most - wanted as u16;
+        let taken = max_bytes - missing as u16;
         self.offset += u32::from(taken);
         (offset, taken)
     }

@@ -4,8 +4,8 @@ use std::net::SocketAddr;
 
 use peernet_clock::{MonoTime, Span};
 
+use super::arrival_counter::ArrivalTotals;
 use super::connection::ConnectionLimits;
-use super::counting::ArrivalTotals;
 use super::endpoint::{Endpoint, EndpointLimits};
 use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
 use super::reassembly::ReassemblyLimits;
@@ -106,7 +106,7 @@ impl Port {
         }
         let sent = self.endpoint.statistics(ConnectionId(self.connection), self.now).sent;
         assert!(sent.lost.max(sent.reordered) <= sent.datagrams, "{sent:?}");
-        assert!(self.endpoint.held_bytes() <= MAX_UNFINISHED + 16 * 1024 * 1024);
+        assert!(self.endpoint.reserved_bytes() <= MAX_UNFINISHED + 16 * 1024 * 1024);
         back
     }
 
@@ -146,11 +146,11 @@ impl Port {
             }
             3 => Packet::Progress { connection, sequence: far, end: sequence as u32 },
             4 => Packet::Lost { connection, sequence, received: far as u32, total: far as u32 },
-            5 => Packet::LostKnown { connection, sequence, tag: far, total: far as u32 },
+            5 => Packet::LostAck { connection, sequence, tag: far, total: far as u32 },
             6 => Packet::Ping { connection, heartbeat: heartbeat(far, sequence) },
             7 => Packet::Pong { connection, heartbeat: heartbeat(sequence, far) },
             8 => Packet::Bye { connection, next: far },
-            9 => Packet::PathConfirmed { connection, token: far },
+            9 => Packet::PathResponse { connection, token: far },
             10 => Packet::Hello { version: 1, nonce: far, reply_port: 0 },
             11 => Packet::Data { connection: far, number: 0, fragment },
             12 => Packet::Data {

@@ -19,17 +19,17 @@ use super::packet::{Cookie, Packet, ResetReason, Role, Terms, VERSION};
 pub(crate) const SAFE_DATAGRAM_BYTES: u16 = 1_200;
 
 /// Shortest time for which a cookie is accepted. The longest is twice that.
-const COOKIE_LIFE: Span = Span::from_seconds(10);
+const COOKIE_LIFETIME: Span = Span::from_seconds(10);
 
-/// Pause after the first packet without an answer. It doubles up to eight times this value.
-const RETRY_PAUSE: Span = Span::from_millis(100);
+/// Time until the first repetition of a packet without an answer. It doubles up to eight times this value.
+const RETRY_INTERVAL: Span = Span::from_millis(100);
 
-/// Number of unanswered requests with large datagrams after which a small one is tried.
-const LARGE_TRIES: u32 = 3;
+/// Largest number of unanswered requests with large datagrams. A small one is tried afterwards.
+const MAX_LARGE_ATTEMPTS: u32 = 3;
 
 /// Largest number of unanswered requests with small datagrams and the same cookie. They take five seconds, less than a
 /// cookie is accepted.
-const TRIES: u32 = 8;
+const MAX_ATTEMPTS: u32 = 8;
 
 /// The secret with which a cloud makes cookies and connection numbers.
 pub(crate) struct CookieKey([u8; 32]);
@@ -51,13 +51,19 @@ impl CookieKey {
     }
 
     /// Returns whether this is the cookie of an address and a nonce and is not too old.
-    pub(crate) fn is_cookie(&self, cookie: &Cookie, address: SocketAddr, nonce: u64, now: MonoTime) -> bool {
+    pub(crate) fn is_valid_cookie(
+        &self,
+        cookie: &Cookie,
+        address: SocketAddr,
+        nonce: u64,
+        now: MonoTime,
+    ) -> bool {
         [period(now), period(now) - 1].iter().any(|at| self.cookie_at(address, nonce, *at) == *cookie)
     }
 
     /// Returns an unpredictable number for a connection.
     pub(crate) fn connection(&self, count: u64) -> u64 {
-        first_u64(&self.code(b"connection", &[&count.to_be_bytes()]))
+        first_u64(&self.mac(b"connection", &[&count.to_be_bytes()]))
     }
 
     fn cookie_at(&self, address: SocketAddr, nonce: u64, period: i64) -> Cookie {
@@ -66,29 +72,29 @@ impl CookieKey {
             IpAddr::V6(ip) => ip,
         };
         let (port, nonce, period) = (address.port().to_be_bytes(), nonce.to_be_bytes(), period.to_be_bytes());
-        // A code over the address and the nonce, so that the cookie is checked without stored state.
-        let code = self.code(b"cookie", &[&ip.octets(), &port, &nonce, &period]);
+        // A message authentication code of the address and the nonce: the cloud checks a cookie without stored state.
+        let mac = self.mac(b"cookie", &[&ip.octets(), &port, &nonce, &period]);
         let mut cookie = Cookie::default();
-        cookie.copy_from_slice(&code[..16]);
+        cookie.copy_from_slice(&mac[..16]);
         cookie
     }
 
-    fn code(&self, purpose: &[u8], parts: &[&[u8]]) -> [u8; 32] {
+    fn mac(&self, purpose: &[u8], parts: &[&[u8]]) -> [u8; 32] {
         #[expect(clippy::expect_used, reason = "HMAC takes keys of any length")]
-        let mut code = Hmac::<Sha256>::new_from_slice(&self.0).expect("any length is a key");
-        code.update(purpose);
-        parts.iter().for_each(|part| code.update(part));
-        code.finalize().into_bytes().into()
+        let mut mac = Hmac::<Sha256>::new_from_slice(&self.0).expect("any length is a key");
+        mac.update(purpose);
+        parts.iter().for_each(|part| mac.update(part));
+        mac.finalize().into_bytes().into()
     }
 }
 
-/// Returns the first 64 bits of a cookie or a code.
+/// Returns the first 64 bits of a cookie or a message authentication code.
 pub(crate) fn first_u64(bytes: &[u8]) -> u64 {
     bytes.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
 }
 
 fn period(now: MonoTime) -> i64 {
-    now.nanos().div_euclid(COOKIE_LIFE.nanos())
+    now.nanos().div_euclid(COOKIE_LIFETIME.nanos())
 }
 
 /// Outcome of a handshake.
@@ -103,7 +109,7 @@ pub(crate) enum HandshakeOutcome {
 /// Error: even the smallest datagrams that are tried are too long for the path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "it answers short datagrams, but none of {bytes} bytes: a link on the path takes smaller packets (MTU); mend its \
+    "the cloud answers short datagrams, but none of {bytes} bytes: a link on the path has a smaller MTU; correct its \
      MTU, or set datagram_bytes lower at one end"
 )]
 pub(crate) struct PathTooSmall {
@@ -120,9 +126,9 @@ pub(crate) struct DialState {
     prefix_bytes: usize,
     cookie: Option<Cookie>,
     is_second_cookie: bool,
-    /// Number of unanswered packets of the present kind.
-    tries: u32,
-    next: MonoTime,
+    /// Number of unanswered packets of the current kind.
+    attempts: u32,
+    next_attempt: MonoTime,
     /// Length of datagrams that the path does not carry.
     too_long: Option<u16>,
 }
@@ -137,8 +143,8 @@ impl DialState {
             prefix_bytes,
             cookie: None,
             is_second_cookie: false,
-            tries: 0,
-            next: now,
+            attempts: 0,
+            next_attempt: now,
             too_long: None,
         }
     }
@@ -147,10 +153,10 @@ impl DialState {
     pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<HandshakeOutcome> {
         match *packet {
             Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
-                (self.cookie, self.tries, self.next) = (Some(cookie), 0, now);
+                (self.cookie, self.attempts, self.next_attempt) = (Some(cookie), 0, now);
                 None
             }
-            // No cloud has a smaller limit. A length that was altered on the way must not stay for the whole session.
+            // No cloud accepts less, so the length was altered on the way. It must not limit the whole session.
             Packet::Opened { terms, .. } if terms.datagram < MIN_DATAGRAM_BYTES => None,
             Packet::Opened { nonce, connection, terms } if nonce == self.nonce => {
                 let datagram = terms.datagram.min(self.terms.datagram);
@@ -163,7 +169,7 @@ impl DialState {
         }
     }
 
-    /// Continues with shorter datagrams, because those of the present length do not pass.
+    /// Continues with shorter datagrams, because the path does not carry those of the current length.
     ///
     /// # Errors
     /// If there are no shorter ones to try.
@@ -173,7 +179,7 @@ impl DialState {
             return Err(PathTooSmall { bytes });
         }
         self.too_long = Some(bytes);
-        (self.terms.datagram, self.tries, self.next) = (SAFE_DATAGRAM_BYTES, 0, now);
+        (self.terms.datagram, self.attempts, self.next_attempt) = (SAFE_DATAGRAM_BYTES, 0, now);
         Ok(())
     }
 
@@ -182,7 +188,7 @@ impl DialState {
     pub(crate) fn remark(&self) -> Option<String> {
         let bytes = self.too_long?;
         Some(format!(
-            "the path carries no datagrams of the configured {bytes} bytes: going on with {SAFE_DATAGRAM_BYTES} bytes; set datagram_bytes \
+            "the path carries no datagrams of the configured {bytes} bytes: continuing with {SAFE_DATAGRAM_BYTES} bytes; set datagram_bytes \
              lower, or the MTU of every link on the path higher"
         ))
     }
@@ -192,16 +198,17 @@ impl DialState {
     /// # Errors
     /// If the cloud answers short packets only.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, now: MonoTime) -> Result<bool, PathTooSmall> {
-        if now < self.next {
+        if now < self.next_attempt {
             return Ok(false);
         }
         let is_large = self.terms.datagram > SAFE_DATAGRAM_BYTES;
-        if self.cookie.is_some() && self.tries >= if is_large { LARGE_TRIES } else { TRIES } {
+        if self.cookie.is_some() && self.attempts >= if is_large { MAX_LARGE_ATTEMPTS } else { MAX_ATTEMPTS }
+        {
             if is_large || self.is_second_cookie {
                 self.shorten(now)?;
             } else {
                 // The first cookie may be too old by now. If a second one arrives, short datagrams still pass.
-                (self.cookie, self.tries, self.is_second_cookie) = (None, 0, true);
+                (self.cookie, self.attempts, self.is_second_cookie) = (None, 0, true);
             }
         }
         let (nonce, reply_port) = (self.nonce, self.reply_port);
@@ -215,13 +222,13 @@ impl DialState {
                 out.resize(out.len().max(longest), 0);
             }
         }
-        self.next = now + Span::from_nanos(RETRY_PAUSE.nanos() << self.tries.min(3));
-        self.tries += 1;
+        self.next_attempt = now + Span::from_nanos(RETRY_INTERVAL.nanos() << self.attempts.min(3));
+        self.attempts += 1;
         Ok(true)
     }
 
     /// Returns the time at which the next packet is due.
     pub(crate) const fn next_timer(&self) -> MonoTime {
-        self.next
+        self.next_attempt
     }
 }

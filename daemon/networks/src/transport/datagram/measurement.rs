@@ -7,7 +7,7 @@ use peernet_clock::MonoTime;
 
 use self::reported_totals::ReportedTotals;
 use self::round_trip::RoundTripEstimator;
-use super::counting::{ArrivalCounter, ArrivalTotals};
+use super::arrival_counter::{ArrivalCounter, ArrivalTotals};
 use super::false_claim::FalseClaim;
 use crate::statistics::{DatagramStatistics, TransportStatistics};
 
@@ -31,8 +31,8 @@ impl PathMeasurement {
     }
 
     /// Counts a datagram with data that arrived.
-    pub(super) fn arrive(&mut self, number: u32, now: MonoTime) {
-        self.arrivals.arrive(number, now);
+    pub(super) fn record_arrival(&mut self, number: u32, now: MonoTime) {
+        self.arrivals.record_arrival(number, now);
     }
 
     /// Returns the totals that are reported to the other end.
@@ -45,25 +45,25 @@ impl PathMeasurement {
     ///
     /// # Errors
     /// If the totals are higher than `sent` allows.
-    pub(super) fn report(
+    pub(super) fn receive_report(
         &mut self,
         number: u32,
         totals: ArrivalTotals,
         sent: u64,
         now: MonoTime,
     ) -> Result<(), FalseClaim> {
-        self.arrivals.expect(number, now);
-        self.reported.report(totals, sent)
+        self.arrivals.note_sent(number, now);
+        self.reported.receive(totals, sent)
     }
 
     /// Notes that a heartbeat is sent.
-    pub(super) fn ask(&mut self, now: MonoTime) {
-        self.round_trip.ask(now);
+    pub(super) fn record_ping(&mut self, now: MonoTime) {
+        self.round_trip.record_ping(now);
     }
 
-    /// Notes that the heartbeat that was sent at `asked` is answered.
-    pub(super) fn answer(&mut self, asked: MonoTime, now: MonoTime) {
-        self.round_trip.answer(asked, now);
+    /// Notes that the heartbeat that was sent at `sent_at` is answered.
+    pub(super) fn record_pong(&mut self, sent_at: MonoTime, now: MonoTime) {
+        self.round_trip.record_pong(sent_at, now);
     }
 
     /// Returns the number of this end's datagrams that the other end reports as lost.

@@ -1,18 +1,18 @@
 //! Messages and connections over datagrams, without I/O; the caller provides the time.
 //!
-//! For transports over networks that lose, duplicate and reorder datagrams, such as UDP. A *virtual connection* is
-//! opened by a [`handshake`], has heartbeats, and ends with a goodbye or by silence ([`connection`]). A message is
-//! split into [fragments](fragment). At the other end, [`reassembly`] completes it or counts it as lost; then both ends
-//! learn how many of its fragments arrived. Only the messages that open and close sessions are retransmitted.
-//! [`window`] bounds the bytes in flight, [`counting`] counts the losses of datagrams, [`endpoint`] has all connections
+//! These modules serve transports over networks that lose, duplicate and reorder datagrams, such as UDP. A *virtual
+//! connection* is opened by a [`handshake`], has heartbeats, and ends with a goodbye or by silence ([`connection`]). A
+//! message is split into [fragments](fragment). At the other end, [`reassembly`] completes the message or counts it as
+//! lost and reports how many of its fragments arrived. Only the messages that open and close sessions are retransmitted.
+//! [`window`] bounds the bytes in flight, [`arrival_counter`] counts the losses of datagrams, [`endpoint`] has all connections
 //! of a port, and [`packet`] describes the wire form.
 //!
 //! Any packet may have been altered or forged on the way. A number far ahead and a total therefore need a second packet
-//! that agrees ([`receiving`], [`counting`], [`measurement`]). A packet that contradicts this end's own state makes a
+//! that agrees ([`receiving`], [`arrival_counter`], [`measurement`]). A packet that contradicts this end's own state makes a
 //! [`false_claim`] and has no effect.
 
+pub(crate) mod arrival_counter;
 pub(crate) mod connection;
-pub(crate) mod counting;
 pub(crate) mod endpoint;
 mod false_claim;
 pub(crate) mod fragment;

@@ -12,14 +12,14 @@
 //! | 5 data | both | connection 64, number 32, sequence 64, tag 64, offset 32, total 32, checksum 32, stride 16, lifetime 16, bytes |
 //! | 6 progress | both | connection 64, sequence 64, end 32 |
 //! | 7 lost | both | connection 64, sequence 64, received 32, total 32 |
-//! | 8 lost-known | both | connection 64, sequence 64, tag 64, total 32 |
+//! | 8 lost-ack | both | connection 64, sequence 64, tag 64, total 32 |
 //! | 9 ping, 10 pong | both | connection 64, time 64, next sequence 64, settled sequence 64, next number 32, lost 64, duplicated 64, reordered 64 |
 //! | 11 bye | both | connection 64, next sequence 64 |
-//! | 12 bye-heard | both | connection 64 |
-//! | 13 path, 14 path-confirmed | both | connection 64, token 64 |
+//! | 12 bye-ack | both | connection 64 |
+//! | 13 path-challenge, 14 path-response | both | connection 64, token 64 |
 //! | 15 reset | cloud | connection or nonce 64, reason 8 |
 
-use super::counting::ArrivalTotals;
+use super::arrival_counter::ArrivalTotals;
 
 mod read;
 
@@ -113,13 +113,13 @@ pub(crate) enum Packet<'a> {
     Data { connection: u64, number: u32, fragment: Fragment<'a> },
     Progress { connection: u64, sequence: u64, end: u32 },
     Lost { connection: u64, sequence: u64, received: u32, total: u32 },
-    LostKnown { connection: u64, sequence: u64, tag: u64, total: u32 },
+    LostAck { connection: u64, sequence: u64, tag: u64, total: u32 },
     Ping { connection: u64, heartbeat: Heartbeat },
     Pong { connection: u64, heartbeat: Heartbeat },
     Bye { connection: u64, next: u64 },
-    ByeHeard { connection: u64 },
-    Path { connection: u64, token: u64 },
-    PathConfirmed { connection: u64, token: u64 },
+    ByeAck { connection: u64 },
+    PathChallenge { connection: u64, token: u64 },
+    PathResponse { connection: u64, token: u64 },
     Reset { id: u64, reason: ResetReason },
 }
 
@@ -182,7 +182,7 @@ impl Packet<'_> {
                 put(&received.to_be_bytes());
                 put(&total.to_be_bytes());
             }
-            Self::LostKnown { connection, sequence, tag, total } => {
+            Self::LostAck { connection, sequence, tag, total } => {
                 put(&connection.to_be_bytes());
                 put(&sequence.to_be_bytes());
                 put(&tag.to_be_bytes());
@@ -199,8 +199,8 @@ impl Packet<'_> {
                 put(&connection.to_be_bytes());
                 put(&next.to_be_bytes());
             }
-            Self::ByeHeard { connection } => put(&connection.to_be_bytes()),
-            Self::Path { connection, token } | Self::PathConfirmed { connection, token } => {
+            Self::ByeAck { connection } => put(&connection.to_be_bytes()),
+            Self::PathChallenge { connection, token } | Self::PathResponse { connection, token } => {
                 put(&connection.to_be_bytes());
                 put(&token.to_be_bytes());
             }
@@ -222,13 +222,13 @@ impl Packet<'_> {
             Self::Data { connection, .. }
             | Self::Progress { connection, .. }
             | Self::Lost { connection, .. }
-            | Self::LostKnown { connection, .. }
+            | Self::LostAck { connection, .. }
             | Self::Ping { connection, .. }
             | Self::Pong { connection, .. }
             | Self::Bye { connection, .. }
-            | Self::ByeHeard { connection }
-            | Self::Path { connection, .. }
-            | Self::PathConfirmed { connection, .. }
+            | Self::ByeAck { connection }
+            | Self::PathChallenge { connection, .. }
+            | Self::PathResponse { connection, .. }
             | Self::Reset { id: connection, .. } => Some(connection),
         }
     }
@@ -242,13 +242,13 @@ impl Packet<'_> {
             Self::Data { .. } => 5,
             Self::Progress { .. } => 6,
             Self::Lost { .. } => 7,
-            Self::LostKnown { .. } => 8,
+            Self::LostAck { .. } => 8,
             Self::Ping { .. } => 9,
             Self::Pong { .. } => 10,
             Self::Bye { .. } => 11,
-            Self::ByeHeard { .. } => 12,
-            Self::Path { .. } => 13,
-            Self::PathConfirmed { .. } => 14,
+            Self::ByeAck { .. } => 12,
+            Self::PathChallenge { .. } => 13,
+            Self::PathResponse { .. } => 14,
             Self::Reset { .. } => 15,
         }
     }

@@ -1,35 +1,35 @@
-//! The bytes of a message of which some fragments have arrived, in memory that grows with them.
+//! A message of which some fragments have arrived. Its memory grows with them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bytes::Bytes;
 
-use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
+use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 
-/// Memory of a fragment behind a gap in addition to its bytes: its entry in the map and the overhead of the allocator.
+/// Memory of a fragment beyond a gap in addition to its bytes: its entry in the map and the overhead of the allocator.
 /// Bytes.
 const FRAGMENT_OVERHEAD: u64 = 96;
 
 /// The part of a message that has arrived.
 ///
-/// The length that a sender claims reserves no memory, so that one datagram cannot cost the memory of a whole message.
+/// The announced length of a message reserves no memory, so that one datagram cannot cost the memory of a whole message.
 #[derive(Debug)]
 pub(super) struct PartialMessage {
     total: u32,
     /// Bytes from the beginning up to the first gap.
-    start: Vec<u8>,
-    /// Fragments behind that gap, by offset.
-    behind: BTreeMap<u32, Box<[u8]>>,
-    /// Memory of the fragments behind the gap. Bytes.
-    behind_cost: u64,
+    contiguous: Vec<u8>,
+    /// Fragments beyond that gap, by offset.
+    beyond_gap: BTreeMap<u32, Box<[u8]>>,
+    /// Memory of the fragments beyond the gap. Bytes.
+    beyond_gap_bytes: u64,
     reserved: Reservation,
 }
 
-/// Largest memory of a message as a multiple of its length, while its fragments arrive in any order. Up to twice the
-/// bytes before the gap are reserved, and the bytes behind it are stored separately. Holds for fragments of a
-/// datagram's usual length.
-pub(super) const PEAK_COST: u64 = 2;
+/// Largest memory of a message as a multiple of its length, in whatever order its fragments arrive. Holds for fragments
+/// of a usual length.
+// Up to twice the bytes before the gap are reserved, and the bytes beyond it are stored separately.
+pub(super) const PEAK_MEMORY_FACTOR: u64 = 2;
 
 /// Effect of a fragment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,9 +44,9 @@ impl PartialMessage {
     pub(super) fn new(total: u32, budget: &Arc<MemoryBudget>) -> Self {
         Self {
             total,
-            start: Vec::new(),
-            behind: BTreeMap::new(),
-            behind_cost: 0,
+            contiguous: Vec::new(),
+            beyond_gap: BTreeMap::new(),
+            beyond_gap_bytes: 0,
             reserved: Reservation::empty(budget),
         }
     }
@@ -59,50 +59,50 @@ impl PartialMessage {
     /// Adds a fragment. Fragments of one message do not overlap and do not extend beyond its end.
     ///
     /// # Errors
-    /// If the budget has no room. The message must then be given up.
+    /// If the fragment would exceed the budget. The message must then be given up.
     pub(super) fn add(
         &mut self,
         offset: u32,
         bytes: &[u8],
         budget: &Arc<MemoryBudget>,
-    ) -> Result<AddOutcome, Exhausted> {
-        let arrived = self.start.len();
-        if (offset as usize) < arrived || self.behind.contains_key(&offset) {
+    ) -> Result<AddOutcome, BudgetExhausted> {
+        let arrived = self.contiguous.len();
+        if (offset as usize) < arrived || self.beyond_gap.contains_key(&offset) {
             return Ok(AddOutcome::Duplicate);
         }
         if offset as usize > arrived {
-            let cost = self.behind_cost + bytes.len() as u64 + FRAGMENT_OVERHEAD;
-            self.reserved.set(budget, self.start.capacity() as u64 + cost)?;
-            self.behind_cost = cost;
-            self.behind.insert(offset, bytes.into());
+            let cost = self.beyond_gap_bytes + bytes.len() as u64 + FRAGMENT_OVERHEAD;
+            self.reserved.resize(budget, self.contiguous.capacity() as u64 + cost)?;
+            self.beyond_gap_bytes = cost;
+            self.beyond_gap.insert(offset, bytes.into());
             return Ok(AddOutcome::New);
         }
         self.append(bytes, budget)?;
-        while let Some(entry) = self.behind.first_entry()
-            && *entry.key() as usize == self.start.len()
+        while let Some(entry) = self.beyond_gap.first_entry()
+            && *entry.key() as usize == self.contiguous.len()
         {
             let bytes = entry.remove();
             self.append(&bytes, budget)?;
-            self.behind_cost -= bytes.len() as u64 + FRAGMENT_OVERHEAD;
+            self.beyond_gap_bytes -= bytes.len() as u64 + FRAGMENT_OVERHEAD;
         }
         Ok(AddOutcome::New)
     }
 
-    fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), Exhausted> {
-        let needed = self.start.len() + bytes.len();
-        if needed > self.start.capacity() {
+    fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), BudgetExhausted> {
+        let needed = self.contiguous.len() + bytes.len();
+        if needed > self.contiguous.capacity() {
             // At most twice the bytes that have arrived, so that a long message is copied seldom.
-            let capacity = needed.max(self.start.len() * 2).min(self.total as usize);
-            self.reserved.set(budget, capacity as u64 + self.behind_cost)?;
-            self.start.reserve_exact(capacity - self.start.len());
+            let capacity = needed.max(self.contiguous.len() * 2).min(self.total as usize);
+            self.reserved.resize(budget, capacity as u64 + self.beyond_gap_bytes)?;
+            self.contiguous.reserve_exact(capacity - self.contiguous.len());
         }
-        self.start.extend_from_slice(bytes);
+        self.contiguous.extend_from_slice(bytes);
         Ok(())
     }
 
     /// Returns the bytes of a whole message, and the reservation of their memory.
     pub(super) fn into_bytes(self) -> (Bytes, Reservation) {
-        (self.start.into(), self.reserved)
+        (self.contiguous.into(), self.reserved)
     }
 }
 
@@ -118,9 +118,13 @@ mod tests {
         for offset in [0, 1_000, 3_999_999_000] {
             let mut message = PartialMessage::new(4_000_000_000, &budget);
             message.add(offset, &[7; 1_000], &budget).expect("there is room");
-            assert!(budget.held() <= 2_000, "{} bytes for a fragment at {offset}", budget.held());
+            assert!(
+                budget.reserved_bytes() <= 2_000,
+                "{} bytes for a fragment at {offset}",
+                budget.reserved_bytes()
+            );
         }
-        assert_eq!(budget.held(), 0);
+        assert_eq!(budget.reserved_bytes(), 0);
     }
 
     #[test]
@@ -131,8 +135,8 @@ mod tests {
         assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::New));
         assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
         assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
-        assert_eq!(message.add(6_000, &[7; 1_000], &budget), Err(Exhausted));
-        assert_eq!(message.add(1_000, &[7; 1_000], &budget), Err(Exhausted));
+        assert_eq!(message.add(6_000, &[7; 1_000], &budget), Err(BudgetExhausted));
+        assert_eq!(message.add(1_000, &[7; 1_000], &budget), Err(BudgetExhausted));
     }
 
     proptest! {
@@ -155,12 +159,12 @@ mod tests {
                     arrived += part.len() as u64;
                     count += 1;
                 }
-                prop_assert!(budget.held() <= 2 * arrived + count * FRAGMENT_OVERHEAD);
+                prop_assert!(budget.reserved_bytes() <= 2 * arrived + count * FRAGMENT_OVERHEAD);
             }
             let (whole, reserved) = message.into_bytes();
             prop_assert_eq!(&whole[..], &bytes[..]);
             drop(reserved);
-            prop_assert_eq!(budget.held(), 0);
+            prop_assert_eq!(budget.reserved_bytes(), 0);
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Reassembles messages from the fragments of one connection, in bounded memory.
 //!
-//! Fragments may be missing, duplicated, late or forged. Every message number is settled once: its message is delivered
-//! or counted as lost. Numbers below [`Reassembly::floor`] are settled. The states of at most [`MAX_SPAN`] numbers
-//! above it are kept; when a number beyond them arrives, the lowest ones are given up.
+//! Fragments may be missing, duplicated, late or forged. Every message number is *settled* once: its message is delivered
+//! or counted as lost. All numbers below [`Reassembly::floor`] are settled. From there on the states of at most
+//! [`MAX_SPAN`] numbers are stored. When a higher number arrives, the messages with the lowest numbers are given up.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -13,9 +13,9 @@ use peernet_clock::{MonoTime, Span};
 use super::fragment::fragment_count;
 use super::packet::Fragment;
 use super::partial_message::{AddOutcome, PartialMessage};
-use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
+use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 
-/// Largest number of message numbers whose state is kept.
+/// Largest number of message numbers whose state is stored.
 pub(crate) const MAX_SPAN: u64 = 1_024;
 
 /// Largest distance of a fragment's message above the messages that are known to have been sent, if it needs more than
@@ -29,9 +29,9 @@ pub(crate) struct ReassemblyLimits {
     pub(crate) max_message_bytes: u32,
     /// Largest number of messages of which a part has arrived.
     pub(crate) max_unfinished_messages: usize,
-    /// Time for which fragments are awaited after the whole message is known to have been sent.
+    /// Time limit for missing fragments after the whole message is known to have been sent.
     pub(crate) timeout: Span,
-    /// Longest time without a new fragment of a message while that is not known.
+    /// Time limit between two fragments of a message that is not known to have been sent as a whole.
     pub(crate) idle_timeout: Span,
 }
 
@@ -45,7 +45,7 @@ pub(crate) enum ReassemblyOutcome {
         /// Reservation of its memory.
         reserved: Reservation,
     },
-    /// The fragment is stored, or its message was given up because of it.
+    /// The fragment is stored, or it would exceed the budget and its message was given up.
     Stored,
     /// The fragment had arrived before, or its message is settled.
     Duplicate,
@@ -74,9 +74,9 @@ pub(crate) struct Reassembly {
     budget: Arc<MemoryBudget>,
     floor: u64,
     /// Messages below this number are known to have been sent completely, because their sender sends one after the
-    /// other. Only these are given up if no fragment of them arrives.
-    sent: u64,
-    /// States of the numbers from the floor on. The first one is not settled.
+    /// other. Only these count as lost if no fragment of them arrives.
+    sent_below: u64,
+    /// States of the numbers from the floor on. The first number is not settled.
     slots: VecDeque<Slot>,
     unfinished: usize,
     lost: Vec<LostMessage>,
@@ -98,14 +98,22 @@ struct UnfinishedMessage {
     received: u32,
     count: u32,
     deadline: Option<MonoTime>,
-    progress: MonoTime,
+    progress_at: MonoTime,
     /// Time at which it was known that the whole message had been sent.
-    sent: Option<MonoTime>,
+    sent_at: Option<MonoTime>,
 }
 
 impl Reassembly {
     pub(crate) fn new(limits: ReassemblyLimits, budget: Arc<MemoryBudget>) -> Self {
-        Self { limits, budget, floor: 0, sent: 0, slots: VecDeque::new(), unfinished: 0, lost: Vec::new() }
+        Self {
+            limits,
+            budget,
+            floor: 0,
+            sent_below: 0,
+            slots: VecDeque::new(),
+            unfinished: 0,
+            lost: Vec::new(),
+        }
     }
 
     /// Replaces the limits and the budget. Messages that have arrived in part are kept.
@@ -119,9 +127,9 @@ impl Reassembly {
         self.floor
     }
 
-    /// Returns whether no message is awaited.
+    /// Returns whether all messages that are known to have been sent are settled.
     pub(crate) const fn is_settled(&self) -> bool {
-        self.floor >= self.sent && self.unfinished == 0
+        self.floor >= self.sent_below && self.unfinished == 0
     }
 
     /// Removes and returns the messages that were lost since the last call.
@@ -134,9 +142,9 @@ impl Reassembly {
         if fragment.sequence < self.floor {
             return ReassemblyOutcome::Duplicate;
         }
-        // One altered number must not give up all awaited messages.
-        let most = self.floor.saturating_add(MAX_SPAN).max(self.sent.saturating_add(MAX_AHEAD));
-        if fragment.sequence >= most {
+        // A single altered number must not make all unfinished messages count as lost.
+        let limit = self.floor.saturating_add(MAX_SPAN).max(self.sent_below.saturating_add(MAX_AHEAD));
+        if fragment.sequence >= limit {
             return ReassemblyOutcome::TooFarAhead;
         }
         self.extend(fragment.sequence.saturating_add(1), now);
@@ -144,12 +152,12 @@ impl Reassembly {
         let received = match self.slots.get_mut(at) {
             None | Some(Slot::Settled) => Ok(ReassemblyOutcome::Duplicate),
             Some(Slot::Unfinished(unfinished)) => unfinished.add(fragment, &self.budget, now),
-            Some(Slot::Missing { .. }) => self.begin(fragment, now),
+            Some(Slot::Missing { .. }) => self.start_message(fragment, now),
         };
         match received {
-            Ok(ReassemblyOutcome::Stored) => self.finish(fragment.sequence),
+            Ok(ReassemblyOutcome::Stored) => self.deliver_if_complete(fragment.sequence),
             Ok(received) => received,
-            Err(Exhausted) => {
+            Err(BudgetExhausted) => {
                 self.give_up_slot(fragment.sequence);
                 ReassemblyOutcome::Stored
             }
@@ -157,7 +165,11 @@ impl Reassembly {
     }
 
     /// Starts a message of which nothing had arrived.
-    fn begin(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Result<ReassemblyOutcome, Exhausted> {
+    fn start_message(
+        &mut self,
+        fragment: &Fragment<'_>,
+        now: MonoTime,
+    ) -> Result<ReassemblyOutcome, BudgetExhausted> {
         let count = fragment_count(fragment.total, fragment.stride);
         let mut unfinished = UnfinishedMessage {
             tag: fragment.tag,
@@ -168,21 +180,21 @@ impl Reassembly {
             count,
             deadline: (fragment.lifetime_ms > 0)
                 .then(|| now + Span::from_millis(fragment.lifetime_ms.into())),
-            progress: now,
-            sent: (fragment.sequence < self.sent).then_some(now),
+            progress_at: now,
+            sent_at: (fragment.sequence < self.sent_below).then_some(now),
         };
-        // Too long for this end: counted as lost like a message without memory, so that the sender learns of it.
+        // A message that is too long counts as lost, like one without memory, so that its sender is informed.
         let added = if fragment.total > self.limits.max_message_bytes {
             unfinished.received = 1;
-            Err(Exhausted)
+            Err(BudgetExhausted)
         } else {
             unfinished.add(fragment, &self.budget, now)
         };
-        // A message of one fragment is complete at once and needs no place.
+        // A message of one fragment is complete at once and does not count as unfinished.
         if count > 1 && self.unfinished >= self.limits.max_unfinished_messages {
             self.give_up_oldest();
         }
-        // Giving up the oldest one may have moved the floor.
+        // Giving up the oldest message may have moved the floor.
         let at = (fragment.sequence - self.floor) as usize;
         if let Some(slot) = self.slots.get_mut(at) {
             *slot = Slot::Unfinished(Box::new(unfinished));
@@ -192,7 +204,7 @@ impl Reassembly {
     }
 
     /// Delivers the message of a number if it is complete.
-    fn finish(&mut self, sequence: u64) -> ReassemblyOutcome {
+    fn deliver_if_complete(&mut self, sequence: u64) -> ReassemblyOutcome {
         let at = (sequence - self.floor) as usize;
         let Some(slot) = self.slots.get_mut(at) else { return ReassemblyOutcome::Stored };
         if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received == unfinished.count) {
@@ -202,8 +214,8 @@ impl Reassembly {
             return ReassemblyOutcome::Stored;
         };
         self.unfinished -= 1;
-        self.advance();
-        let lost = unfinished.lost(sequence);
+        self.advance_floor();
+        let lost = unfinished.to_loss(sequence);
         let (bytes, reserved) = unfinished.message.into_bytes();
         if crc32fast::hash(&bytes) != unfinished.checksum {
             self.lost.push(lost);
@@ -212,20 +224,20 @@ impl Reassembly {
         ReassemblyOutcome::Message { bytes, reserved }
     }
 
-    /// Notes that the other end has sent all messages below `next`, which is known since `since`.
-    pub(crate) fn expect(&mut self, next: u64, since: MonoTime) {
+    /// Records that the other end has sent all messages below `next`. `since` is the time at which this became known.
+    pub(crate) fn note_sent(&mut self, next: u64, since: MonoTime) {
         self.extend(next, since);
-        let first = self.sent.max(self.floor);
+        let first = self.sent_below.max(self.floor);
         if next <= first {
             return;
         }
-        let newly = (first - self.floor) as usize..(next - self.floor) as usize;
-        for slot in self.slots.range_mut(newly) {
+        let newly_sent = (first - self.floor) as usize..(next - self.floor) as usize;
+        for slot in self.slots.range_mut(newly_sent) {
             if let Slot::Unfinished(unfinished) = slot {
-                unfinished.sent.get_or_insert(since);
+                unfinished.sent_at.get_or_insert(since);
             }
         }
-        self.sent = next;
+        self.sent_below = next;
     }
 
     /// Creates the states of all messages below `next`.
@@ -235,16 +247,16 @@ impl Reassembly {
             while self.floor < floor
                 && let Some(slot) = self.slots.pop_front()
             {
-                // Numbers without any fragment are skipped. A sender that leaves out many numbers at once does not get
-                // an answer for each.
+                // Numbers without any fragment are skipped, so that a sender that leaves out many numbers does not make
+                // this end report each of them.
                 if let Slot::Unfinished(unfinished) = slot {
                     self.unfinished -= 1;
-                    self.lost.push(unfinished.lost(self.floor));
+                    self.lost.push(unfinished.to_loss(self.floor));
                 }
                 self.floor += 1;
             }
             self.floor = self.floor.max(floor);
-            self.advance();
+            self.advance_floor();
         }
         let known = next.saturating_sub(self.floor) as usize;
         while self.slots.len() < known {
@@ -252,33 +264,33 @@ impl Reassembly {
         }
     }
 
-    /// Gives up messages that have waited too long.
+    /// Gives up messages whose time limit has passed.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         let ReassemblyLimits { timeout, idle_timeout, .. } = self.limits;
-        let next = self.sent;
+        let next = self.sent_below;
         self.give_up(|sequence, slot| match slot {
             Slot::Missing { since } => sequence < next && now - *since >= timeout,
             Slot::Unfinished(unfinished) => {
-                let UnfinishedMessage { deadline, progress, sent, .. } = **unfinished;
+                let UnfinishedMessage { deadline, progress_at, sent_at, .. } = **unfinished;
                 deadline.is_some_and(|deadline| deadline <= now)
-                    // Since the last fragment, because fragments may still be on their way while others arrive.
-                    || sent.is_some_and(|sent| now - sent.max(progress) >= timeout)
-                    || now - progress >= idle_timeout
+                    // Counted from the last fragment, because further fragments may still be on their way.
+                    || sent_at.is_some_and(|sent_at| now - sent_at.max(progress_at) >= timeout)
+                    || now - progress_at >= idle_timeout
             }
             Slot::Settled => false,
         });
     }
 
-    /// Gives up all awaited messages.
+    /// Gives up all messages that are not settled.
     pub(crate) fn give_up_all(&mut self) {
-        let next = self.sent;
+        let next = self.sent_below;
         self.give_up(|sequence, slot| sequence < next || matches!(slot, Slot::Unfinished(_)));
     }
 
-    fn give_up(&mut self, is_over: impl Fn(u64, &Slot) -> bool) {
+    fn give_up(&mut self, is_expired: impl Fn(u64, &Slot) -> bool) {
         for (at, slot) in self.slots.iter_mut().enumerate() {
             let sequence = self.floor + at as u64;
-            if !is_over(sequence, slot) {
+            if !is_expired(sequence, slot) {
                 continue;
             }
             match std::mem::replace(slot, Slot::Settled) {
@@ -287,12 +299,12 @@ impl Reassembly {
                 }
                 Slot::Unfinished(unfinished) => {
                     self.unfinished -= 1;
-                    self.lost.push(unfinished.lost(sequence));
+                    self.lost.push(unfinished.to_loss(sequence));
                 }
                 Slot::Settled => {}
             }
         }
-        self.advance();
+        self.advance_floor();
     }
 
     fn give_up_oldest(&mut self) {
@@ -301,8 +313,8 @@ impl Reassembly {
             && let Slot::Unfinished(unfinished) = std::mem::replace(&mut self.slots[at], Slot::Settled)
         {
             self.unfinished -= 1;
-            self.lost.push(unfinished.lost(self.floor + at as u64));
-            self.advance();
+            self.lost.push(unfinished.to_loss(self.floor + at as u64));
+            self.advance_floor();
         }
     }
 
@@ -313,13 +325,13 @@ impl Reassembly {
             && let Slot::Unfinished(unfinished) = std::mem::replace(slot, Slot::Settled)
         {
             self.unfinished -= 1;
-            self.lost.push(unfinished.lost(sequence));
-            self.advance();
+            self.lost.push(unfinished.to_loss(sequence));
+            self.advance_floor();
         }
     }
 
     /// Moves the floor up to the first number that is not settled.
-    fn advance(&mut self) {
+    fn advance_floor(&mut self) {
         while let Some(Slot::Settled) = self.slots.front() {
             self.slots.pop_front();
             self.floor += 1;
@@ -331,13 +343,13 @@ impl UnfinishedMessage {
     /// Adds a fragment to its message.
     ///
     /// # Errors
-    /// If the budget has no room for it.
+    /// If it would exceed the budget.
     fn add(
         &mut self,
         fragment: &Fragment<'_>,
         budget: &Arc<MemoryBudget>,
         now: MonoTime,
-    ) -> Result<ReassemblyOutcome, Exhausted> {
+    ) -> Result<ReassemblyOutcome, BudgetExhausted> {
         let is_same = (fragment.tag, fragment.checksum, fragment.stride)
             == (self.tag, self.checksum, self.stride)
             && fragment.total == self.message.total();
@@ -350,11 +362,11 @@ impl UnfinishedMessage {
             return Ok(ReassemblyOutcome::Duplicate);
         }
         self.received += 1;
-        self.progress = now;
+        self.progress_at = now;
         added.map(|_| ReassemblyOutcome::Stored)
     }
 
-    fn lost(&self, sequence: u64) -> LostMessage {
+    fn to_loss(&self, sequence: u64) -> LostMessage {
         LostMessage { sequence, tag: Some(self.tag), received: self.received, total: self.count }
     }
 }

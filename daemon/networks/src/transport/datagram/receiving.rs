@@ -11,22 +11,22 @@ use self::watermark::SentWatermark;
 use super::false_claim::FalseClaim;
 use super::packet::{Fragment, Packet};
 use super::reassembly::{LostMessage, MAX_SPAN, Reassembly, ReassemblyLimits, ReassemblyOutcome};
-use super::sending::read_tag;
+use super::sending::decode_tag;
 use super::window::PROGRESS_BYTES;
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
 
-/// Largest number of lost messages that the other end does not know of.
-const MAX_REPORTS: usize = MAX_SPAN as usize;
+/// Largest number of lost messages whose loss the other end has not confirmed.
+const MAX_LOSS_REPORTS: usize = MAX_SPAN as usize;
 
 /// Largest number of lost messages that are reported at once.
-const REPORTS_AT_ONCE: usize = 32;
+const MAX_REPORTS_AT_ONCE: usize = 32;
 
 /// Largest number of reports of one lost message.
-const REPORT_TRIES: u32 = 12;
+const MAX_REPORT_ATTEMPTS: u32 = 12;
 
-/// Pause after the first report. It doubles up to eight times this value.
-const REPORT_PAUSE: Span = Span::from_millis(50);
+/// Interval after the first report. It doubles up to eight times this value.
+const REPORT_INTERVAL: Span = Span::from_millis(50);
 
 /// The receiving half of a connection.
 #[derive(Debug)]
@@ -38,16 +38,16 @@ pub(crate) struct ReceivingHalf {
     /// message. It is reset after each report, so that a number that was altered on the way is not kept.
     furthest: (u64, u32),
     /// Bytes that arrived since the last report of progress.
-    untold: u32,
-    reports: Vec<Report>,
+    unreported_bytes: u32,
+    reports: Vec<LossReport>,
 }
 
 /// A lost message whose loss the other end has not confirmed.
 #[derive(Debug)]
-struct Report {
+struct LossReport {
     lost: LostMessage,
-    tries: u32,
-    next: MonoTime,
+    attempts: u32,
+    next_at: MonoTime,
 }
 
 /// Outcome of a fragment.
@@ -58,7 +58,7 @@ pub(crate) enum FragmentOutcome {
     /// No message is complete.
     Nothing,
     /// The fragment is invalid, for this reason.
-    Garbage(String),
+    InvalidData(String),
 }
 
 impl ReceivingHalf {
@@ -68,7 +68,7 @@ impl ReceivingHalf {
             reassembly: Reassembly::new(limits, budget),
             watermark: SentWatermark::default(),
             furthest: (0, 0),
-            untold: 0,
+            unreported_bytes: 0,
             reports: Vec::new(),
         }
     }
@@ -85,24 +85,26 @@ impl ReceivingHalf {
         if !matches!(received, ReassemblyOutcome::TooFarAhead) {
             let end = fragment.offset + fragment.bytes.len() as u32;
             self.furthest = self.furthest.max((fragment.sequence, end));
-            self.untold = self.untold.saturating_add(fragment.bytes.len() as u32);
+            self.unreported_bytes = self.unreported_bytes.saturating_add(fragment.bytes.len() as u32);
         }
         match received {
             ReassemblyOutcome::Message { bytes, reserved } => FragmentOutcome::Message(bytes, reserved),
             ReassemblyOutcome::Stored | ReassemblyOutcome::Duplicate => FragmentOutcome::Nothing,
             ReassemblyOutcome::Inconsistent => {
-                FragmentOutcome::Garbage("a fragment that contradicts its message".into())
+                FragmentOutcome::InvalidData("a fragment that contradicts its message".into())
             }
-            ReassemblyOutcome::TooFarAhead => FragmentOutcome::Garbage(FalseClaim::TooFarAhead.to_string()),
+            ReassemblyOutcome::TooFarAhead => {
+                FragmentOutcome::InvalidData(FalseClaim::TooFarAhead.to_string())
+            }
         }
     }
 
     /// Returns the report of progress if it is due.
-    pub(crate) fn progress(&mut self) -> Option<Packet<'static>> {
-        if self.untold < PROGRESS_BYTES {
+    pub(crate) fn take_progress(&mut self) -> Option<Packet<'static>> {
+        if self.unreported_bytes < PROGRESS_BYTES {
             return None;
         }
-        self.untold = 0;
+        self.unreported_bytes = 0;
         // Reset, so that a number that was altered on the way goes into one report only.
         let (sequence, end) = std::mem::take(&mut self.furthest);
         Some(Packet::Progress { connection: self.connection, sequence, end })
@@ -112,96 +114,101 @@ impl ReceivingHalf {
     /// packet.
     ///
     /// # Errors
-    /// If the number is too far above those that are known to have been sent. The next packet may confirm it.
-    pub(crate) fn expect(&mut self, next: u64, packet: u64, now: MonoTime) -> Result<(), FalseClaim> {
+    /// If the number is too far above the settled messages. The next packet may confirm it.
+    pub(crate) fn note_sent(&mut self, next: u64, packet: u64, now: MonoTime) -> Result<(), FalseClaim> {
         self.claim(next, packet, now);
-        let most = self.reassembly.floor().saturating_add(MAX_SPAN);
-        if next <= most { Ok(()) } else { Err(FalseClaim::TooFarAhead) }
+        let limit = self.reassembly.floor().saturating_add(MAX_SPAN);
+        if next <= limit { Ok(()) } else { Err(FalseClaim::TooFarAhead) }
     }
 
     /// Notes that a packet claims that all messages below `next` have been sent.
     fn claim(&mut self, next: u64, packet: u64, now: MonoTime) {
         if let Some((confirmed, since)) = self.watermark.claim(next, packet, now) {
-            self.reassembly.expect(confirmed, since);
+            self.reassembly.note_sent(confirmed, since);
         }
     }
 
-    /// Returns the number below which all messages are settled and the other end knows which of them are lost.
+    /// Returns the number below which all messages are settled and the other end has confirmed the losses.
     pub(crate) fn settled(&self) -> u64 {
         let unknown = self.reports.iter().map(|report| report.lost.sequence);
         unknown.chain([self.reassembly.floor()]).min().unwrap_or_default()
     }
 
-    /// Returns whether no message is awaited and the other end knows the losses.
+    /// Returns whether all messages are settled and the other end has confirmed all losses.
     pub(crate) fn is_settled(&self) -> bool {
-        // The last messages before a goodbye may be claimed by the goodbye alone.
+        // A goodbye may be the only packet that reports the last messages. Its claim is then never confirmed, so the
+        // unconfirmed one counts here.
         let is_known = self.watermark.claimed() <= self.reassembly.floor();
         is_known && self.reassembly.is_settled() && self.reports.is_empty()
     }
 
-    /// Gives up all awaited messages.
+    /// Gives up all messages that are not settled.
     pub(crate) fn give_up_all(&mut self) {
         self.reassembly.give_up_all();
     }
 
-    /// Starts to report the losses since the last call to the other end. Returns those that can be passed on here at
-    /// once.
+    /// Starts to report the losses since the last call to the other end. Returns the losses that the layer above can be
+    /// informed of at once, because their tag is known.
     pub(crate) fn take_lost(&mut self, now: MonoTime) -> Vec<MessageLoss> {
         let lost = self.reassembly.take_lost();
-        let mut known = Vec::new();
+        let mut identified = Vec::new();
         for lost in lost {
-            // If no fragment has arrived, the tag is unknown here. The confirmation of the other end brings it.
+            // If no fragment has arrived, the tag is unknown here. The confirmation of the other end contains it.
             if let Some(tag) = lost.tag {
-                known.push(MessageLoss { tag: read_tag(tag), received: lost.received, total: lost.total });
+                identified.push(MessageLoss {
+                    tag: decode_tag(tag),
+                    received: lost.received,
+                    total: lost.total,
+                });
             }
-            if self.reports.len() < MAX_REPORTS {
-                self.reports.push(Report { lost, tries: 0, next: now });
+            if self.reports.len() < MAX_LOSS_REPORTS {
+                self.reports.push(LossReport { lost, attempts: 0, next_at: now });
             } else if lost.tag.is_none() {
-                known.push(MessageLoss { tag: None, received: 0, total: 0 });
+                identified.push(MessageLoss { tag: None, received: 0, total: 0 });
             }
         }
-        known
+        identified
     }
 
-    /// Handles the confirmation of a loss, which says which message it was. Returns the loss to be passed on here, if
-    /// it was unknown.
-    pub(crate) fn known(&mut self, sequence: u64, tag: u64, total: u32) -> Option<MessageLoss> {
+    /// Handles the confirmation of a loss, which contains the tag of the message. Returns the loss for the layer above if
+    /// its tag was unknown.
+    pub(crate) fn confirm_loss(&mut self, sequence: u64, tag: u64, total: u32) -> Option<MessageLoss> {
         let at = self.reports.iter().position(|report| report.lost.sequence == sequence)?;
         let report = self.reports.swap_remove(at);
-        report.lost.tag.is_none().then(|| MessageLoss { tag: read_tag(tag), received: 0, total })
+        report.lost.tag.is_none().then(|| MessageLoss { tag: decode_tag(tag), received: 0, total })
     }
 
-    /// Gives up messages that have waited too long.
+    /// Gives up messages whose time limit has passed.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         self.reassembly.tick(now);
     }
 
     /// Returns the reports of losses that are due, and the losses whose reports are given up.
-    pub(crate) fn reports(&mut self, now: MonoTime) -> (Vec<Packet<'static>>, Vec<MessageLoss>) {
-        let (mut packets, mut silent) = (Vec::new(), Vec::new());
+    pub(crate) fn due_reports(&mut self, now: MonoTime) -> (Vec<Packet<'static>>, Vec<MessageLoss>) {
+        let (mut packets, mut given_up) = (Vec::new(), Vec::new());
         let connection = self.connection;
         self.reports.retain_mut(|report| {
-            if report.next > now || packets.len() >= REPORTS_AT_ONCE {
+            if report.next_at > now || packets.len() >= MAX_REPORTS_AT_ONCE {
                 return true;
             }
             let LostMessage { sequence, tag, received, total } = report.lost;
-            if report.tries >= REPORT_TRIES {
+            if report.attempts >= MAX_REPORT_ATTEMPTS {
                 if tag.is_none() {
-                    silent.push(MessageLoss { tag: None, received, total });
+                    given_up.push(MessageLoss { tag: None, received, total });
                 }
                 return false;
             }
             packets.push(Packet::Lost { connection, sequence, received, total });
-            report.next = now + Span::from_nanos(REPORT_PAUSE.nanos() << report.tries.min(3));
-            report.tries += 1;
+            report.next_at = now + Span::from_nanos(REPORT_INTERVAL.nanos() << report.attempts.min(3));
+            report.attempts += 1;
             true
         });
-        (packets, silent)
+        (packets, given_up)
     }
 
     /// Returns the time at which a message is to be given up or reported.
     pub(crate) fn next_timer(&self, now: MonoTime, tick: Span) -> Option<MonoTime> {
         let waiting = (!self.reassembly.is_settled()).then(|| now + tick);
-        self.reports.iter().map(|report| report.next).chain(waiting).min()
+        self.reports.iter().map(|report| report.next_at).chain(waiting).min()
     }
 }

@@ -7,8 +7,8 @@ mod send_queue;
 use peernet_clock::MonoTime;
 
 use self::long_losses::LongLossDetector;
-pub(super) use self::outstanding::read_tag;
-use self::outstanding::{OutstandingMessages, written_tag};
+pub(super) use self::outstanding::decode_tag;
+use self::outstanding::{OutstandingMessages, encode_tag};
 pub(crate) use self::send_queue::QueueLimits;
 use self::send_queue::SendQueue;
 use super::false_claim::FalseClaim;
@@ -20,7 +20,7 @@ use crate::transport::{Frames, MessageLoss, SendFailure};
 
 /// Largest message without a tag that is retransmitted when it is lost. Messages without a tag open and close sessions.
 /// Bytes.
-const MAX_KEPT_BYTES: u32 = 64 * 1024;
+const MAX_RETRANSMITTED_BYTES: u32 = 64 * 1024;
 
 /// Largest number of bytes of datagrams that are sent at once.
 const MAX_BATCH_BYTES: usize = 60_000;
@@ -85,32 +85,32 @@ impl SendingHalf {
         deadline: Option<MonoTime>,
     ) -> Result<(), SendFailure> {
         let bytes: u64 = frames.iter().map(|frame| frame.len() as u64).sum();
-        if !self.queue.has_room(bytes) {
+        if !self.queue.accepts(bytes) {
             return Err(SendFailure::Full);
         }
-        self.enqueue(frames, written_tag(tag), deadline)
+        self.enqueue(frames, encode_tag(tag), deadline)
     }
 
     fn enqueue(&mut self, frames: Frames, tag: u64, deadline: Option<MonoTime>) -> Result<(), SendFailure> {
         // Messages without a tag open and close sessions, and are retransmitted.
-        let kept = (tag == 0).then(|| frames.clone());
-        let message = OutgoingMessage::new(frames, self.outstanding.next(), tag, deadline)
+        let retransmission = (tag == 0).then(|| frames.clone());
+        let message = OutgoingMessage::new(frames, self.outstanding.next_sequence(), tag, deadline)
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
-        let kept = kept.filter(|_| message.total <= MAX_KEPT_BYTES);
-        self.outstanding.push(tag, fragment_count(message.total, self.stride), kept);
+        let retransmission = retransmission.filter(|_| message.total <= MAX_RETRANSMITTED_BYTES);
+        self.outstanding.push(tag, fragment_count(message.total, self.stride), retransmission);
         self.queue.push(message);
         Ok(())
     }
 
     /// Returns the message whose part is sent next, and the offset of that part.
-    fn position(&self) -> (u64, u32) {
+    fn send_position(&self) -> (u64, u32) {
         let waiting = self.queue.front().map(|message| (message.sequence, message.offset));
-        waiting.unwrap_or_else(|| (self.outstanding.next(), 0))
+        waiting.unwrap_or_else(|| (self.outstanding.next_sequence(), 0))
     }
 
     /// Returns the number of the first message that has not been sent completely.
-    pub(crate) fn next(&self) -> u64 {
-        self.position().0
+    pub(crate) fn next_sequence(&self) -> u64 {
+        self.send_position().0
     }
 
     /// Returns the number of datagrams that were sent, which is also the number of the next one.
@@ -130,7 +130,7 @@ impl SendingHalf {
 
     /// Returns the time at which a part of a message was last sent; `None` if all messages that were sent are settled.
     pub(crate) fn unsettled_since(&self) -> Option<MonoTime> {
-        (self.outstanding.first() < self.next()).then_some(self.sent_at)
+        (self.outstanding.first() < self.next_sequence()).then_some(self.sent_at)
     }
 
     /// Returns the time at which more can be sent if nothing arrives until then.
@@ -138,16 +138,16 @@ impl SendingHalf {
         (!self.queue.is_empty()).then(|| self.window.opens_at())
     }
 
-    /// Appends at most `most` datagrams that may be sent now. `None` if there are none.
-    pub(crate) fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<Batch> {
+    /// Appends at most `max_datagrams` datagrams that may be sent now. `None` if there are none.
+    pub(crate) fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<Batch> {
         let start = out.len();
-        let full = self.longest();
+        let full_length = self.longest_datagram();
         let mut batch: Option<Batch> = None;
         while self.window.is_open(now)
             && let Some(message) = self.queue.front()
         {
             let count = batch.map_or(0, |batch| batch.count);
-            if count >= most || (count > 0 && out.len() - start + full > MAX_BATCH_BYTES) {
+            if count >= max_datagrams || (count > 0 && out.len() - start + full_length > MAX_BATCH_BYTES) {
                 break;
             }
             // At least 1, because 0 means no deadline.
@@ -164,18 +164,18 @@ impl SendingHalf {
                 lifetime_ms,
                 bytes: &[],
             };
-            let begin = out.len();
+            let datagram_start = out.len();
             self.writer.write_data_header(self.datagrams as u32, &fragment, out);
             let Some((sequence, end)) = self.queue.take(self.stride, out) else { break };
             self.datagrams += 1;
-            let length = out.len() - begin;
-            self.window.sent(sequence, end, length as u32, now);
+            let length = out.len() - datagram_start;
+            self.window.record_sent(sequence, end, length as u32, now);
             self.sent_at = now;
             let segment = batch.map_or(length, |batch| batch.segment);
             batch = Some(Batch { segment, count: count + 1 });
-            // Only the last datagram of a batch may be shorter, and after a short first one all others would have to be
-            // as short.
-            if length < segment || segment < full {
+            // All datagrams of a batch but the last must have the same length (generic segmentation offload). A short
+            // datagram therefore ends the batch.
+            if length < segment || segment < full_length {
                 break;
             }
         }
@@ -192,12 +192,17 @@ impl SendingHalf {
     ///
     /// # Errors
     /// If that part was not sent.
-    pub(crate) fn progress(&mut self, sequence: u64, end: u32, now: MonoTime) -> Result<(), FalseClaim> {
-        let (current, offset) = self.position();
+    pub(crate) fn receive_progress(
+        &mut self,
+        sequence: u64,
+        end: u32,
+        now: MonoTime,
+    ) -> Result<(), FalseClaim> {
+        let (current, offset) = self.send_position();
         if sequence > current || (sequence == current && end > offset) {
             return Err(FalseClaim::Unsent);
         }
-        self.window.progress(sequence, end, now);
+        self.window.record_progress(sequence, end, now);
         Ok(())
     }
 
@@ -205,68 +210,69 @@ impl SendingHalf {
     ///
     /// # Errors
     /// If one of them was not sent.
-    pub(crate) fn settled(&mut self, below: u64) -> Result<(), FalseClaim> {
-        let (current, offset) = self.position();
-        // A message of which only a part was sent may have been given up already.
+    pub(crate) fn receive_settled(&mut self, below: u64) -> Result<(), FalseClaim> {
+        let (current, offset) = self.send_position();
+        // The other end may have given up a message of which only a part was sent.
         if below > current + u64::from(offset > 0) {
             return Err(FalseClaim::Unsent);
         }
         for message in self.outstanding.settle(below) {
-            self.long_losses.arrive(message.fragments);
+            self.long_losses.record_arrival(message.fragments);
         }
         Ok(())
     }
 
-    /// Handles the report of a lost message; `lost` is as in [`loses_long`](Self::loses_long). Returns the tag and the
-    /// number of fragments for the answer, and the loss to be passed on.
+    /// Handles the report of a lost message. `lost` is as in
+    /// [`loses_all_long_datagrams`](Self::loses_all_long_datagrams). Returns the tag and the number of fragments for the
+    /// answer, and the loss for the layer above.
     ///
     /// # Errors
     /// If the message was not sent, or has fewer fragments than are reported as received.
-    pub(crate) fn lost(
+    pub(crate) fn receive_loss(
         &mut self,
         (sequence, received): (u64, u32),
         lost: u64,
         now: MonoTime,
     ) -> Result<(u64, u32, Option<MessageLoss>), FalseClaim> {
-        let (current, offset) = self.position();
+        let (current, offset) = self.send_position();
         // Only a message of which something was sent can be lost.
         if sequence > current || (sequence == current && offset == 0) {
             return Err(FalseClaim::Unsent);
         }
-        // The message is settled or too old; the answer only ends the reports about it.
+        // The message is settled or too old. The answer only makes the other end stop its reports.
         let Some(message) = self.outstanding.get_mut(sequence) else { return Ok((0, 0, None)) };
         let (tag, fragments) = (message.tag, message.fragments);
         if received > fragments {
             return Err(FalseClaim::Fragments);
         }
         if sequence == current {
-            // The other end found no room for the message. Its remaining fragments would be useless, and the loss would
-            // be known here too late.
+            // The other end has no memory for the message. Sending its remaining fragments would be useless and would
+            // delay the report of the loss to the layer above.
             self.queue.drop_front();
         }
         if std::mem::replace(&mut message.is_lost, true) {
             return Ok((tag, fragments, None));
         }
-        let kept = message.kept.take();
-        self.window.lost();
-        self.long_losses.lose(fragments, received, lost, now);
-        if let Some(frames) = kept
+        let retransmission = message.retransmission.take();
+        self.window.record_loss();
+        self.long_losses.record_loss(fragments, received, lost, now);
+        if let Some(frames) = retransmission
             && self.enqueue(frames, 0, None).is_ok()
         {
             self.retransmitted += u64::from(fragments);
             return Ok((tag, fragments, None));
         }
-        Ok((tag, fragments, Some(MessageLoss { tag: read_tag(tag), received, total: fragments })))
+        Ok((tag, fragments, Some(MessageLoss { tag: decode_tag(tag), received, total: fragments })))
     }
 
-    /// Returns whether the longest datagrams do not arrive any more. `lost` is the number of lost datagrams that the
-    /// other end has reported. It is needed because the other end may give messages up for other reasons, too.
-    pub(crate) fn loses_long(&self, lost: u64, now: MonoTime) -> bool {
+    /// Returns whether the longest datagrams no longer arrive. `lost` is the number of lost datagrams that the other end
+    /// has reported; the other end may give up messages for other reasons than lost datagrams.
+    pub(crate) fn loses_all_long_datagrams(&self, lost: u64, now: MonoTime) -> bool {
         self.long_losses.loses_all(lost, now)
     }
 
     /// Returns the length of the longest datagrams that are sent.
-    pub(crate) fn longest(&self) -> usize {
+    pub(crate) fn longest_datagram(&self) -> usize {
         self.writer.data_overhead() + usize::from(self.stride)
     }
 

@@ -1,13 +1,13 @@
 //! Flow control of one direction: the other end's socket buffer, recent arrivals, and a configured rate.
 //!
-//! The other end says how many bytes may be in flight to it and how far it has received. Within that limit the window
-//! grows with the bytes that arrive and is halved when messages are lost, as TCP's is (RFC 5681), so that the rate
+//! The other end reports how many bytes may be in flight to it and how far it has received. Within that limit the window
+//! grows with the bytes that arrive and is halved when a message is lost, like that of TCP (RFC 5681). The rate thus
 //! follows the slowest link of the path.
 //!
-//! After a loss the window grows with time and not with the bytes that arrive, as CUBIC's does (RFC 9438). Every loss
-//! costs a whole message. A size that was too large is therefore tried again after seconds and not within the next
-//! message. With a receiver whose buffer is too small, such as libzmq's, a message is lost every few seconds instead of
-//! nearly every message.
+//! After a loss the window grows with time and not with the bytes that arrive, like that of CUBIC (RFC 9438). The reason
+//! is that every loss costs a whole message: a size that was too large is tried again after seconds and not within the
+//! next message. With a receiver whose buffer is too small, such as that of libzmq, a message is lost every few seconds
+//! instead of nearly every message.
 
 mod congestion;
 mod in_flight;
@@ -58,25 +58,25 @@ impl SendWindow {
 
     /// Returns the time at which the window may be open again if nothing arrives until then.
     pub(crate) fn opens_at(&self) -> MonoTime {
-        if self.is_full() { self.in_flight.ends_at() } else { self.pacer.opens_at() }
+        if self.is_full() { self.in_flight.expires_at() } else { self.pacer.opens_at() }
     }
 
     /// Notes that a datagram was sent whose part of message `sequence` ends at offset `end`.
-    pub(crate) fn sent(&mut self, sequence: u64, end: u32, bytes: u32, now: MonoTime) {
-        self.in_flight.send((sequence, end), bytes, now);
-        self.pacer.sent(bytes, now);
+    pub(crate) fn record_sent(&mut self, sequence: u64, end: u32, bytes: u32, now: MonoTime) {
+        self.in_flight.record_sent((sequence, end), bytes, now);
+        self.pacer.record_sent(bytes, now);
     }
 
     /// Handles a report of the other end's progress.
-    pub(crate) fn progress(&mut self, sequence: u64, end: u32, now: MonoTime) {
-        let arrived = self.in_flight.progress((sequence, end), now);
+    pub(crate) fn record_progress(&mut self, sequence: u64, end: u32, now: MonoTime) {
+        let arrived = self.in_flight.record_progress((sequence, end), now);
         if arrived > 0 {
             self.congestion.grow(arrived, now);
         }
     }
 
     /// Notes that a message was lost.
-    pub(crate) fn lost(&mut self) {
+    pub(crate) fn record_loss(&mut self) {
         self.congestion.shrink(self.in_flight.sent(), self.in_flight.arrived());
     }
 
@@ -90,7 +90,7 @@ impl SendWindow {
 mod tests {
     use peernet_clock::Span;
 
-    use super::congestion::{FIRST_WINDOW, MIN_WINDOW};
+    use super::congestion::{INITIAL_WINDOW, MIN_WINDOW};
     use super::*;
 
     const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
@@ -103,7 +103,7 @@ mod tests {
         let mut count = 0;
         while window.is_open(now) {
             count += 1;
-            window.sent(0, count, 1_000, now);
+            window.record_sent(0, count, 1_000, now);
         }
         count
     }
@@ -112,13 +112,13 @@ mod tests {
     fn window_grows_with_what_arrives_up_to_what_fits() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         let sent = fill(&mut window, at(0));
-        assert_eq!(sent, FIRST_WINDOW.div_ceil(1_000));
-        window.progress(0, sent / 2, at(1));
-        assert!(window.is_open(at(1)) && window.size() > FIRST_WINDOW);
+        assert_eq!(sent, INITIAL_WINDOW.div_ceil(1_000));
+        window.record_progress(0, sent / 2, at(1));
+        assert!(window.is_open(at(1)) && window.size() > INITIAL_WINDOW);
         for round in 0..20 {
             let sent = fill(&mut window, at(round));
-            window.progress(0, sent, at(round));
-            window.progress(u64::MAX, 0, at(round));
+            window.record_progress(0, sent, at(round));
+            window.record_progress(u64::MAX, 0, at(round));
         }
         assert!(window.size() <= TERMS.window);
     }
@@ -127,28 +127,28 @@ mod tests {
     fn losses_of_one_flight_halve_window_once() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         fill(&mut window, at(0));
-        window.lost();
-        window.lost();
-        assert_eq!(window.size(), FIRST_WINDOW / 2);
+        window.record_loss();
+        window.record_loss();
+        assert_eq!(window.size(), INITIAL_WINDOW / 2);
         assert!(!window.is_open(at(1)));
         for _ in 0..10 {
             window.tick(at(1_000));
-            window.lost();
+            window.record_loss();
             fill(&mut window, at(1_000));
         }
-        assert_eq!(window.size(), MIN_WINDOW, "and never below the least");
+        assert_eq!(window.size(), MIN_WINDOW, "and never below the minimum");
     }
 
     #[test]
     fn lossy_window_size_is_retried_after_seconds() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         fill(&mut window, at(0));
-        window.lost();
+        window.record_loss();
         let mut grown_at = None;
         for millis in 1..10_000 {
             fill(&mut window, at(millis));
-            window.progress(u64::MAX, u32::MAX, at(millis));
-            if window.size() >= FIRST_WINDOW {
+            window.record_progress(u64::MAX, u32::MAX, at(millis));
+            if window.size() >= INITIAL_WINDOW {
                 grown_at.get_or_insert(millis);
             }
         }
@@ -172,8 +172,8 @@ mod tests {
         let mut sent = 0;
         for millis in 0..1_000 {
             while window.is_open(at(millis)) {
-                window.sent(sent, 1, 1_000, at(millis));
-                window.progress(sent, 1, at(millis));
+                window.record_sent(sent, 1, 1_000, at(millis));
+                window.record_progress(sent, 1, at(millis));
                 sent += 1;
             }
         }

@@ -17,7 +17,7 @@ use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
 use super::limits::{connection_limits, queue_limits};
 use super::parts;
 use super::payload::PayloadType;
-use super::payload_topic::{MASTER_RETRY, Payload, PayloadTopic, payload_topic_closed};
+use super::payload_topic::{MASTER_RETRY_INTERVAL, Payload, PayloadTopic, describe_open_failure};
 use crate::SessionSettings;
 use crate::message::{Header, Outcome};
 use crate::statistics::{ConnectionAddresses, DatagramStatistics, TransportStatistics};
@@ -94,9 +94,9 @@ impl Channel {
 
     /// Publishes a companion without frames for all subscribers.
     pub(super) fn announce(&self, kind: u8) {
-        let info = self.begin(kind);
+        let info = self.new_companion(kind);
         let states_buffer_size = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
-        // The other end cannot know the size of these buffers, so hello and welcome state it.
+        // The other end has no other way to know the size of these buffers.
         let buffer = self.node.receive_buffer_bytes().filter(|_| states_buffer_size);
         let frame_lengths =
             buffer.map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX)).into_iter().collect();
@@ -105,12 +105,12 @@ impl Channel {
 
     /// Publishes a goodbye.
     pub(super) fn send_goodbye(&self, reason: &str) {
-        let info = self.begin(MessageInfo::GOODBYE);
+        let info = self.new_companion(MessageInfo::GOODBYE);
         self.publish_for_all(&MessageInfo { reason: reason.to_owned(), ..info });
     }
 
-    fn begin(&self, kind: u8) -> MessageInfo {
-        self.lock().begin(kind, self.clock.wall(), self.now())
+    fn new_companion(&self, kind: u8) -> MessageInfo {
+        self.lock().new_companion(kind, self.clock.wall(), self.now())
     }
 
     fn publish_for_all(&self, info: &MessageInfo) {
@@ -119,7 +119,7 @@ impl Channel {
             tracing::debug!(
                 topic = self.info.topic(),
                 %error,
-                "a message about a connection was not published"
+                "cannot publish a message about the state of a connection"
             );
         }
     }
@@ -135,19 +135,20 @@ impl Channel {
         }
     }
 
-    /// Publishes a message. Its first payload part goes to the payload topic if its type fits and the topic is open.
-    /// All else goes to the companions' topic.
+    /// Publishes a message. Its first payload part is published on the payload topic if its type fits and the topic is
+    /// open. Everything else is published on the companions' topic.
     pub(super) fn send(&self, message: &[Bytes], options: SendOptions) -> Result<(), SendFailure> {
         let gone = |reason: String| SendFailure::Gone(reason);
         let peer = self.peer.get().ok_or_else(|| gone("the connection is not open".into()))?;
         let described = message.get(PAYLOAD_FRAME).and_then(|_| describe(message.first()?));
         let departure = described.as_ref().map_or_else(|| self.clock.wall(), |described| described.departure);
-        // Held until both messages are published, so that both topics have the messages in the order of their stamps.
+        // The lock is held until both messages are published, so that both topics have the messages in the order of their
+        // stamps.
         let mut state = self.lock();
         if state.is_closed() {
             return Err(gone("the connection is closed".into()));
         }
-        let mut info = state.begin(MessageInfo::DATA, departure, self.now());
+        let mut info = state.new_companion(MessageInfo::DATA, departure, self.now());
         info.request = options.tag.unwrap_or(MessageInfo::NO_REQUEST);
         let has_payload = match (&described, message.get(PAYLOAD_FRAME)) {
             (Some(described), Some(data)) => {
@@ -161,17 +162,19 @@ impl Channel {
         }
         // Each part takes the number of the message, which gets the next one: numbers are in the order of sending.
         let mut companions = Vec::new();
-        for frames in parts::split(&mut info.frames, self.node.max_companion_bytes()) {
-            companions.push(MessageInfo { frames, ..state.begin_part(&mut info) });
+        for frames in parts::split_frames(&mut info.frames, self.node.max_companion_bytes()) {
+            companions.push(MessageInfo { frames, ..state.new_part(&mut info) });
         }
         companions.push(info);
         let encoded = companions.iter().map(|companion| companion.encode(self.node.form()));
         let encoded: Vec<EncodedMessage> =
             encoded.collect::<Result<_, _>>().map_err(|error| gone(error.to_string()))?;
         match self.info.publish_to(&peer.node, &encoded).map_err(|error| gone(error.to_string()))? {
-            Delivery::Taken => Ok(()),
+            Delivery::Accepted => Ok(()),
             Delivery::Full => Err(SendFailure::Full),
-            Delivery::Absent => Err(gone(format!("node {} has left topic {}", peer.node, self.info.topic()))),
+            Delivery::NotConnected => {
+                Err(gone(format!("node {} has left topic {}", peer.node, self.info.topic())))
+            }
         }
     }
 
@@ -210,13 +213,13 @@ impl Channel {
             match self.payload_topic.open(&*self.node, kind).await {
                 Ok(()) => return,
                 Err(error) if !is_reported => {
-                    let text = payload_topic_closed(self.payload_topic.name(), &error);
+                    let text = describe_open_failure(self.payload_topic.name(), &error);
                     self.remark(&mut self.lock(), text);
                     is_reported = true;
                 }
                 Err(_) => {}
             }
-            sleep(MASTER_RETRY).await;
+            sleep(MASTER_RETRY_INTERVAL).await;
         }
     }
 

@@ -23,7 +23,7 @@ use tokio::sync::mpsc;
 use self::connection_table::Admission;
 use self::peers::{Delivery, Peers};
 use self::tasks::CloudTasks;
-use super::interface::{NodeFailure, SessionNode, SessionSubscriber, TopicMessage, TopicUse, open_node};
+use super::interface::{NodeFailure, SessionNode, SessionSubscriber, TopicMessage, TopicPurpose, open_node};
 use super::names::{cloud_node, refusals_topic, sessions_topic};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
@@ -34,16 +34,16 @@ use crate::transport::{
 use crate::{Address, SessionSettings};
 
 /// Largest number of arrivals that wait to be received.
-const QUEUED_ARRIVALS: usize = 64;
+const MAX_QUEUED_ARRIVALS: usize = 64;
 
 /// Largest request for a connection. Bytes.
 const MAX_HELLO_BYTES: usize = 4 * 1024;
 
-/// Largest number of waiting requests. Edges repeat theirs.
+/// Largest number of queued requests. Further ones are dropped, because edges repeat theirs.
 const MAX_QUEUED_HELLOS: usize = 64;
 
 /// Number of topics of a connection. Each is a TCP connection.
-const SOCKETS_OF_CONNECTION: usize = 5;
+const SOCKETS_PER_CONNECTION: usize = 5;
 
 /// Opens the cloud's node and its topics under the address's name.
 pub(crate) async fn bind(
@@ -66,15 +66,15 @@ pub(crate) async fn bind(
         max_message_bytes: MAX_HELLO_BYTES,
         ..Default::default()
     };
-    let kind = (TopicUse::Sessions, TopicType::of::<SessionHello>());
+    let kind = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
     let sessions = node.subscribe(&topic, kind, options).await.map_err(other)?;
-    let refusals = (TopicUse::Companions, TopicType::of::<MessageInfo>());
+    let refusals = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
     let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
     let refusals = node.publish(&refusals_topic(name), refusals, queue).await.map_err(other)?;
     let caveat = node.caveat().map(str::to_owned);
-    let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
+    let (deliveries, arrivals) = mpsc::channel(MAX_QUEUED_ARRIVALS);
     // At least one, however few descriptors the process may open.
-    let max = (DescriptorShare::DataPort.connections_of_each(ports) / SOCKETS_OF_CONNECTION).max(1);
+    let max = (DescriptorShare::DataPort.max_connections_per_port(ports) / SOCKETS_PER_CONNECTION).max(1);
     let tasks = CloudTasks::default();
     let peers = Peers::new(
         (Arc::clone(&node), SharedClock::clone(clock)),
@@ -83,14 +83,14 @@ pub(crate) async fn bind(
         tasks.clone(),
     );
     let peers = Arc::new(peers);
-    tasks.spawn(accept(Arc::clone(&peers), Arc::clone(&node), sessions, tasks.clone()));
+    tasks.spawn(accept_connections(Arc::clone(&peers), Arc::clone(&node), sessions, tasks.clone()));
     let sender = Box::new(RosCloudSender(peers));
     let receiver = Box::new(RosCloudReceiver { node, arrivals, tasks });
     Ok(BoundPort { address: address.clone(), caveat, sender, receiver })
 }
 
 /// Opens a connection for each edge that asks for one.
-async fn accept(
+async fn accept_connections(
     peers: Arc<Peers>,
     node: Arc<dyn SessionNode>,
     mut sessions: Box<dyn SessionSubscriber>,
@@ -98,11 +98,11 @@ async fn accept(
 ) {
     loop {
         tokio::select! {
-            () = tasks.ending() => return,
+            () = tasks.wait_for_stop() => return,
             message = sessions.recv() => match message {
                 Ok(message) => handle_hello(&peers, node.form(), message),
                 Err(error) => {
-                    tracing::error!(%error, node = node.name(), "edges can ask for no connections any more");
+                    tracing::error!(%error, node = node.name(), "cannot receive further requests for connections; the port closes");
                     tasks.abort();
                     return;
                 }
@@ -114,17 +114,17 @@ async fn accept(
 fn handle_hello(peers: &Arc<Peers>, form: WireForm, message: TopicMessage) {
     let TopicMessage { bytes, publisher, .. } = message;
     match SessionHello::decode(form, bytes) {
-        // A node may only ask for itself.
+        // A node may request a connection only for itself.
         Ok(hello) if *hello.node == *publisher.node => peers.open(hello, &publisher),
         Ok(hello) => {
             let problem =
                 format!("node {} asked for a connection in the name of {}", publisher.node, hello.node);
-            peers.garbage(publisher.remote, &problem);
+            peers.report_invalid(publisher.remote, &problem);
         }
         Err(error) => {
             let problem =
-                format!("a request of node {} for a connection cannot be read: {error}", publisher.node);
-            peers.garbage(publisher.remote, &problem);
+                format!("cannot decode the request of node {} for a connection: {error}", publisher.node);
+            peers.report_invalid(publisher.remote, &problem);
         }
     }
 }
@@ -175,10 +175,10 @@ impl CloudReceiver for RosCloudReceiver {
     fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
         Box::pin(async {
             tokio::select! {
-                // Biased, so that what arrived before the abort is still delivered.
+                // Biased, so that arrivals before the abort are still delivered.
                 biased;
                 delivery = self.arrivals.recv() => delivery.map(|(arrival, _reserved)| arrival),
-                () = self.tasks.aborted() => None,
+                () = self.tasks.wait_for_abort() => None,
             }
         })
     }

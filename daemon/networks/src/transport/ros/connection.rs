@@ -21,7 +21,7 @@ pub(super) use self::events::Event;
 use self::events::EventQueue;
 use self::heartbeats::Heartbeats;
 use self::sequence::{IncomingSequence, OutgoingSequence};
-use super::pairing::request_of;
+use super::pairing::request_number;
 use crate::transport::MessageLoss;
 use crate::transport::memory::MemoryBudget;
 
@@ -59,7 +59,7 @@ pub(super) struct Connection {
 enum Phase {
     Open,
     /// The peer has said goodbye with this reason. The connection ends when the payloads have arrived whose companions
-    /// came before the goodbye.
+    /// arrived before the goodbye.
     Leaving(String),
     Closed,
 }
@@ -113,14 +113,14 @@ impl Connection {
     }
 
     /// Creates the companion of a message that departs at `wall`, in nanoseconds since the Unix epoch.
-    pub(super) fn begin(&mut self, kind: u8, wall: i64, now: MonoTime) -> MessageInfo {
+    pub(super) fn new_companion(&mut self, kind: u8, wall: i64, now: MonoTime) -> MessageInfo {
         self.heartbeats.note_sent(now);
-        self.outgoing.begin(kind, wall)
+        self.outgoing.new_companion(kind, wall)
     }
 
     /// Returns a companion for the first bytes of a message, and gives the message the next number.
-    pub(super) fn begin_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
-        self.outgoing.begin_part(message)
+    pub(super) fn new_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
+        self.outgoing.new_part(message)
     }
 
     /// Handles a companion of this connection.
@@ -144,8 +144,8 @@ impl Connection {
             MessageInfo::SUBSCRIBED => self.peer.is_subscribed = true,
             MessageInfo::PART => self.assembly.receive_part(&info, now),
             MessageInfo::LOST => {
-                // Of the two halves, the peer has the companion, which names the request.
-                let loss = MessageLoss { tag: request_of(&info), received: 1, total: 2 };
+                // The peer received the companion, which names the request, and not the payload.
+                let loss = MessageLoss { tag: request_number(&info), received: 1, total: 2 };
                 self.events.push(Event::Lost(loss));
             }
             MessageInfo::GOODBYE => {
@@ -153,7 +153,7 @@ impl Connection {
                 self.phase = Phase::Leaving(peernet_sample::printable_line(&info.reason).into_owned());
                 self.end_after_payloads();
             }
-            kind => self.events.push(Event::Garbage(format!("a message of the unknown kind {kind}"))),
+            kind => self.events.push(Event::InvalidData(format!("a message of the unknown kind {kind}"))),
         }
     }
 
@@ -168,10 +168,10 @@ impl Connection {
         self.end_after_payloads();
     }
 
-    /// Ends the connection after a goodbye, once all payloads have arrived whose companions have. They are awaited
+    /// Ends the connection after a goodbye, once the payloads of all companions have arrived. The goodbye may overtake them,
     /// because the two topics have no common order.
     fn end_after_payloads(&mut self) {
-        let has_all_payloads = self.assembly.deliver_overtaking(&mut self.events);
+        let has_all_payloads = self.assembly.deliver_overtaking_messages(&mut self.events);
         if has_all_payloads && let Phase::Leaving(reason) = &mut self.phase {
             let reason = std::mem::take(reason);
             self.end(reason);
@@ -204,12 +204,12 @@ impl Connection {
             return None;
         }
         if let Some(request) = self.events.pop_lost_request() {
-            return Some(MessageInfo { request, ..self.begin(MessageInfo::LOST, wall, now) });
+            return Some(MessageInfo { request, ..self.new_companion(MessageInfo::LOST, wall, now) });
         }
-        if self.confirmation.take_due() {
-            return Some(self.begin(MessageInfo::SUBSCRIBED, wall, now));
+        if self.confirmation.take_if_due() {
+            return Some(self.new_companion(MessageInfo::SUBSCRIBED, wall, now));
         }
-        self.heartbeats.is_due(now).then(|| self.begin(MessageInfo::HEARTBEAT, wall, now))
+        self.heartbeats.is_due(now).then(|| self.new_companion(MessageInfo::HEARTBEAT, wall, now))
     }
 
     /// Returns the time for the next call of [`tick`](Self::tick).
@@ -226,18 +226,18 @@ impl Connection {
     }
 
     /// Reports an invalid message of the peer.
-    pub(super) fn garbage(&mut self, problem: String) {
+    pub(super) fn report_invalid(&mut self, problem: String) {
         if !self.is_closed() {
-            self.events.push(Event::Garbage(problem));
+            self.events.push(Event::InvalidData(problem));
         }
     }
 
-    /// Reports a condition that makes the connection worse than it could be.
+    /// Reports a condition that slows the connection down or hides it from other programs.
     pub(super) fn remark(&mut self, text: String) {
         self.events.push(Event::Remark(text));
     }
 
-    /// Ends the connection. The first reason is kept.
+    /// Ends the connection. Later calls do not change the reason.
     pub(super) fn end(&mut self, reason: String) {
         if !self.is_closed() {
             self.phase = Phase::Closed;

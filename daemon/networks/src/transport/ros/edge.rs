@@ -14,62 +14,62 @@ use tokio_util::sync::CancellationToken;
 
 use super::channel::Channel;
 use super::connection::Event;
+use super::connection_task::{ConnectionTask, Directive, Sink};
 use super::interface::{
-    EdgeTopics, NodeFailure, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber, TopicUse,
+    EdgeTopics, NodeFailure, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber, TopicPurpose,
     end_in_background, open_node,
 };
 use super::limits::{ReceiveLimits, largest_message, queue_limits};
-use super::names::{TopicPair, allowed, edge_node_prefix, refusals_topic, sessions_topic};
-use super::serving::{ConnectionTask, Directive, Sink};
+use super::names::{TopicPair, edge_node_prefix, refusals_topic, sessions_topic, to_ros_name};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialFailure, Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    DialContext, DialFailure, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
     SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
 
 /// First interval between two hellos of an edge. It doubles until the cloud answers.
-///
-/// The hello is repeated because a ROS 2 publisher does not know whether the other end has found it, and messages
-/// published before that are lost.
+// The hello is repeated because a ROS 2 publisher does not know whether the other end has found it. Messages that are
+// published before that are lost.
 const MIN_HELLO_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Longest interval between two hellos of an edge.
 const MAX_HELLO_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Number of messages of the largest length that may be in reception, or of which one half may be held, at once.
-const INCOMPLETE_MESSAGES: u64 = 6;
+/// Number of messages of the largest length that may be incomplete at once: those that are being received, and those of
+/// which only one half has arrived.
+const MAX_INCOMPLETE_MESSAGES: u64 = 6;
 
 /// Largest number of arrivals that wait to be received.
-const QUEUED_ARRIVALS: usize = 64;
+const MAX_QUEUED_ARRIVALS: usize = 64;
 
 /// Opens a virtual connection to the cloud with the address's name.
 pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
-    dialler: &Dialler<'_>,
+    context: &DialContext<'_>,
 ) -> Result<EdgeConnection, DialFailure> {
     let id = uuid::Uuid::new_v4().simple().to_string();
-    let hello = dialler.hello;
+    let hello = context.hello;
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
     let name = format!("{prefix}{}", &id[..8]);
-    let node = open_node(address, &name, settings, dialler.clock).await?;
-    // However dialling ends, the guard ends the node, so that the master is informed.
-    let node = NodeGuard { node, patience: settings.close_timeout() };
-    let pipeline = node.resolve(&allowed(hello.pipeline.as_str()))?;
+    let node = open_node(address, &name, settings, context.clock).await?;
+    // The guard ends the node even if opening the connection fails, so that the master is informed.
+    let node = NodeGuard { node, end_timeout: settings.close_timeout() };
+    let pipeline = node.resolve(&to_ros_name(hello.pipeline.as_str()))?;
     let topics = EdgeTopics {
         cloud: address.listener_name().unwrap_or_default().to_owned(),
         request: TopicPair::request(&pipeline),
         response: TopicPair::response(&pipeline),
-        own_prefix: prefix,
+        pipeline_prefix: prefix,
     };
     let cloud = node.find_cloud(&topics).await?;
-    let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(INCOMPLETE_MESSAGES));
+    let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(MAX_INCOMPLETE_MESSAGES));
     let limits = ReceiveLimits { max_message_bytes: largest_message(settings), budget: Arc::clone(&budget) };
     let receiving = limits.subscriber_options(settings, &cloud);
     let opened = open(&topics, &**node, settings, receiving).await?;
-    let clock = SharedClock::clone(dialler.clock);
+    let clock = SharedClock::clone(context.clock);
     let sending = (opened.request_info, topics.request.payload);
     let channel = Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, sending);
     let wire = SessionHello {
@@ -82,9 +82,9 @@ pub(crate) async fn dial(
     exchange_hellos(&channel, (&mut *response_info, &mut *refusals), &*opened.sessions, (&cloud, wire))
         .await?;
     drop(refusals);
-    let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(QUEUED_ARRIVALS));
+    let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(MAX_QUEUED_ARRIVALS));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
-    let serving = ConnectionTask {
+    let connection_task = ConnectionTask {
         channel: Arc::clone(&channel),
         info: response_info,
         payload: Some(opened.response),
@@ -93,7 +93,7 @@ pub(crate) async fn dial(
         stop: stop.clone(),
         abort: abort.clone(),
     };
-    let task = tokio::spawn(serving.run("the edge closed the connection"));
+    let task = tokio::spawn(connection_task.run("the edge closed the connection"));
     let receiver = RosEdgeReceiver { node, arrivals, stop, abort, task: Some(task) };
     Ok(EdgeConnection {
         sender: Box::new(RosEdgeSender(channel)),
@@ -125,9 +125,9 @@ async fn open(
     receiving: SubscriberOptions,
 ) -> Result<OpenTopics, NodeFailure> {
     let queue = queue_limits(settings);
-    let companions = (TopicUse::Companions, TopicType::of::<MessageInfo>());
-    let payloads = (TopicUse::Payloads, TopicType::any());
-    let sessions = (TopicUse::Sessions, TopicType::of::<SessionHello>());
+    let companions = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
+    let payloads = (TopicPurpose::Payloads, TopicType::any());
+    let sessions = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
     // All topics are opened before the hello is sent, so that no answer is missed.
     Ok(OpenTopics {
         response_info: node.subscribe(&topics.response.info, companions.clone(), receiving.clone()).await?,
@@ -193,7 +193,7 @@ async fn exchange_hellos(
 #[derive(Debug)]
 struct NodeGuard {
     node: Arc<dyn SessionNode>,
-    patience: Duration,
+    end_timeout: Duration,
 }
 
 impl std::ops::Deref for NodeGuard {
@@ -206,7 +206,7 @@ impl std::ops::Deref for NodeGuard {
 
 impl Drop for NodeGuard {
     fn drop(&mut self) {
-        end_in_background(Arc::clone(&self.node), self.patience);
+        end_in_background(Arc::clone(&self.node), self.end_timeout);
     }
 }
 
@@ -216,21 +216,21 @@ struct EdgeSink;
 impl Sink for EdgeSink {
     type Delivery = (Result<EdgeArrival, Disconnected>, Vec<Reservation>);
 
-    fn take(&mut self, _channel: &Channel, event: Event) -> Option<Self::Delivery> {
+    fn handle_event(&mut self, _channel: &Channel, event: Event) -> Option<Self::Delivery> {
         let (arrival, reserved) = match event {
             // The cloud repeats the welcome if it receives the hello twice.
             Event::Welcome | Event::Hello => return None,
             Event::Message(frames, reserved) => (Ok(EdgeArrival::Message(frames)), reserved),
             Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), Vec::new()),
             Event::Lost(loss) => (Ok(EdgeArrival::Lost(loss)), Vec::new()),
-            Event::Garbage(problem) => (Ok(EdgeArrival::Garbage(problem)), Vec::new()),
+            Event::InvalidData(problem) => (Ok(EdgeArrival::InvalidData(problem)), Vec::new()),
             Event::Remark(text) => (Ok(EdgeArrival::Remark(text)), Vec::new()),
             Event::Gone(reason) => (Err(Disconnected(reason)), Vec::new()),
         };
         Some((arrival, reserved))
     }
 
-    async fn wait(&mut self, _channel: &Arc<Channel>) -> Directive {
+    async fn next_directive(&mut self, _channel: &Arc<Channel>) -> Directive {
         std::future::pending().await
     }
 }
@@ -239,7 +239,7 @@ impl Sink for EdgeSink {
 struct RosEdgeSender(Arc<Channel>);
 
 impl EdgeSender for RosEdgeSender {
-    // The deadline is not used: the topics repeat what is lost, so that nothing is sent again here.
+    // The deadline is not used: the topics retransmit lost messages, so that nothing is retransmitted here.
     fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
         self.0.send(&frames, options)
     }

@@ -14,13 +14,13 @@ pub(super) const PAYLOAD_FRAME: usize = 2;
 pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) -> bool {
     let length = |frame: &Bytes| u32::try_from(frame.len()).ok();
     let Some(lengths) = frames.iter().map(length).collect::<Option<Vec<u32>>>() else { return false };
-    let packed = frames.iter().enumerate().filter(|(at, _)| !(has_payload && *at == PAYLOAD_FRAME));
-    let packed: Vec<&Bytes> = packed.map(|(_, frame)| frame).collect();
-    info.frames = match packed[..] {
+    let companion_frames = frames.iter().enumerate().filter(|(at, _)| !(has_payload && *at == PAYLOAD_FRAME));
+    let companion_frames: Vec<&Bytes> = companion_frames.map(|(_, frame)| frame).collect();
+    info.frames = match companion_frames[..] {
         [only] => only.clone(),
         _ => {
-            let mut joined = BytesMut::with_capacity(packed.iter().map(|frame| frame.len()).sum());
-            packed.iter().for_each(|frame| joined.extend_from_slice(frame));
+            let mut joined = BytesMut::with_capacity(companion_frames.iter().map(|frame| frame.len()).sum());
+            companion_frames.iter().for_each(|frame| joined.extend_from_slice(frame));
             joined.freeze()
         }
     };
@@ -32,11 +32,11 @@ pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) 
 /// Reason why a companion and its payload do not form a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum FramesError {
-    #[error("a message of {0} frames, more than {MAX_FRAMES}")]
+    #[error("the message has {0} frames, more than {MAX_FRAMES}")]
     TooMany(usize),
-    #[error("a message of {bytes} bytes, more than max_message_bytes allows, {most}")]
-    TooLarge { bytes: u64, most: u64 },
-    #[error("frames of other lengths than the message says")]
+    #[error("the message has {bytes} bytes, more than max_message_bytes, {max_bytes}")]
+    TooLarge { bytes: u64, max_bytes: u64 },
+    #[error("the frames have other lengths than the message announces")]
     Lengths,
 }
 
@@ -46,20 +46,20 @@ pub(super) fn announced_bytes(info: &MessageInfo) -> u64 {
 }
 
 /// Checks the lengths that a companion announces.
-pub(super) fn check(info: &MessageInfo, most: u64) -> Result<(), FramesError> {
+pub(super) fn check_lengths(info: &MessageInfo, max_bytes: u64) -> Result<(), FramesError> {
     if info.frame_lengths.len() > MAX_FRAMES {
         return Err(FramesError::TooMany(info.frame_lengths.len()));
     }
     let bytes = announced_bytes(info);
-    if bytes > most {
-        return Err(FramesError::TooLarge { bytes, most });
+    if bytes > max_bytes {
+        return Err(FramesError::TooLarge { bytes, max_bytes });
     }
-    let elsewhere = match (info.has_payload, info.frame_lengths.get(PAYLOAD_FRAME)) {
+    let payload_bytes = match (info.has_payload, info.frame_lengths.get(PAYLOAD_FRAME)) {
         (false, _) => 0,
         (true, Some(length)) => u64::from(*length),
         (true, None) => return Err(FramesError::Lengths),
     };
-    if info.frames.len() as u64 == bytes - elsewhere { Ok(()) } else { Err(FramesError::Lengths) }
+    if info.frames.len() as u64 == bytes - payload_bytes { Ok(()) } else { Err(FramesError::Lengths) }
 }
 
 /// Returns the frames of a checked companion and its payload.
@@ -93,7 +93,7 @@ mod tests {
             let has_payload = wants_payload && frames.len() > PAYLOAD_FRAME;
             let mut info = MessageInfo::default();
             prop_assert!(pack(&mut info, &frames, has_payload));
-            prop_assert_eq!(check(&info, 1_000), Ok(()));
+            prop_assert_eq!(check_lengths(&info, 1_000), Ok(()));
             let payload = has_payload.then(|| frames[PAYLOAD_FRAME].clone());
             prop_assert_eq!(unpack(&info, payload.as_ref()), Ok(frames));
         }
@@ -106,7 +106,7 @@ mod tests {
         ) {
             let info = MessageInfo { frame_lengths: lengths, frames: frames.into(), has_payload, ..MessageInfo::default() };
             let payload = Bytes::from_static(b"payload");
-            if check(&info, 1_000).is_ok() {
+            if check_lengths(&info, 1_000).is_ok() {
                 let _ = unpack(&info, has_payload.then_some(&payload));
             }
         }

@@ -72,13 +72,13 @@ pub(super) struct TopicMessage {
     pub(super) publisher: RemoteNode,
     /// Type of the message, such as `sensor_msgs/Image`.
     pub(super) type_name: Arc<str>,
-    /// Share of the subscriber's memory that the message holds.
+    /// Reservation of the message's memory in the subscriber's limit.
     pub(super) memory: MessageMemory,
 }
 
 /// Purpose of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum TopicUse {
+pub(super) enum TopicPurpose {
     /// Requests for connections.
     Sessions,
     /// Companions of messages.
@@ -87,7 +87,7 @@ pub(super) enum TopicUse {
     Payloads,
 }
 
-/// Topics of a connection that an edge wants to open.
+/// Topics of a connection that an edge opens.
 #[derive(Clone, Debug)]
 pub(super) struct EdgeTopics {
     /// Name of the cloud.
@@ -95,7 +95,7 @@ pub(super) struct EdgeTopics {
     pub(super) request: TopicPair,
     pub(super) response: TopicPair,
     /// Common prefix of the names of all nodes of this pipeline.
-    pub(super) own_prefix: String,
+    pub(super) pipeline_prefix: String,
 }
 
 /// A node of either version of ROS.
@@ -118,14 +118,14 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// Returns the global name of a topic or of a pipeline.
     fn resolve(&self, name: &str) -> Result<String, NodeFailure>;
 
-    /// Checks that the cloud is there, and that no other program uses the topics. Returns the name of the cloud's node.
+    /// Checks that the cloud exists, and that no other program uses the topics. Returns the name of the cloud's node.
     fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>>;
 
     /// Checks that no other cloud serves a name.
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>>;
 
-    /// Returns the size of this node's socket buffers; the other end sends no longer payload messages. `None` if
-    /// payloads of any length arrive. In this case the node also knows which nodes receive its messages, and they need
+    /// Returns the size of this node's socket buffers, in bytes. The other end does not send longer payload messages.
+    /// `None` if payloads of any length arrive. Such a node also knows which nodes receive its messages, so that they need
     /// not confirm it.
     fn receive_buffer_bytes(&self) -> Option<usize>;
 
@@ -133,15 +133,16 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     fn max_companion_bytes(&self) -> usize;
 
     /// Returns the time limit for a payload whose companion has arrived; `None` for the default.
-    fn payload_patience(&self) -> Option<Duration>;
+    fn payload_timeout(&self) -> Option<Duration>;
 
-    /// Returns a limit of this host that makes connections worse, such as small socket buffers, with its remedy.
+    /// Returns a warning about a limit of this host that slows connections down, such as small socket buffers, and what to
+    /// do about it.
     fn caveat(&self) -> Option<&str>;
 
     fn publish<'a>(
         &'a self,
         topic: &'a str,
-        of: (TopicUse, TopicType),
+        kind: (TopicPurpose, TopicType),
         queue: QueueLimits,
     ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>>;
 
@@ -149,12 +150,12 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     fn subscribe<'a>(
         &'a self,
         topic: &'a str,
-        of: (TopicUse, TopicType),
+        kind: (TopicPurpose, TopicType),
         options: SubscriberOptions,
     ) -> BoxFuture<'a, Result<Box<dyn SessionSubscriber>, NodeFailure>>;
 
-    /// Ends the node after all published messages have been sent, or after `patience`.
-    fn end(&self, patience: Duration) -> BoxFuture<'_, ()>;
+    /// Ends the node after all published messages have been sent, or after `time_limit`.
+    fn end(&self, time_limit: Duration) -> BoxFuture<'_, ()>;
 
     /// Ends the node at once.
     fn close(&self);
@@ -207,11 +208,11 @@ pub(super) trait PublisherChanges: Send + Sync {
     fn changed(&self) -> BoxFuture<'_, ()>;
 }
 
-/// Ends the node of a connection or cloud that has failed, in the background.
-pub(super) fn end_in_background(node: Arc<dyn SessionNode>, patience: Duration) {
+/// Ends a node in the background, because the caller cannot wait.
+pub(super) fn end_in_background(node: Arc<dyn SessionNode>, time_limit: Duration) {
     match tokio::runtime::Handle::try_current() {
         Ok(runtime) => {
-            runtime.spawn(async move { node.end(patience).await });
+            runtime.spawn(async move { node.end(time_limit).await });
         }
         Err(_) => node.close(),
     }

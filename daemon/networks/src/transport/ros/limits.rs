@@ -14,8 +14,8 @@ use crate::transport::memory::{MemoryBudget, Reservation};
 /// Time limit for the other half of a message. Both halves may be in transfer on a slow link.
 const PAIRING_TIMEOUT: Span = Span::from_seconds(30);
 
-/// Largest number of bytes of waiting messages on a topic. A single longer message is accepted.
-const WAITING_BYTES: usize = 64 * 1024;
+/// Largest number of bytes of queued messages on a topic. A single longer message is accepted.
+const MAX_QUEUED_BYTES: usize = 64 * 1024;
 
 /// Largest size of a companion without its frames. Bytes.
 pub(super) const INFO_OVERHEAD_BYTES: usize = 4 * 1024;
@@ -26,7 +26,7 @@ pub(super) fn connection_limits(settings: &SessionSettings, node: &dyn SessionNo
         max_message_bytes: settings.max_message_bytes,
         max_incomplete: settings.max_in_flight as usize + 16,
         confirms_payloads: node.receive_buffer_bytes().is_some(),
-        pairing_timeout: node.payload_patience().map_or(PAIRING_TIMEOUT, Span::from),
+        pairing_timeout: node.payload_timeout().map_or(PAIRING_TIMEOUT, Span::from),
         heartbeat_interval: settings.heartbeat_interval().into(),
         heartbeat_timeout: settings.heartbeat_timeout().into(),
     }
@@ -47,15 +47,14 @@ pub(super) struct ReceiveLimits {
 }
 
 impl ReceiveLimits {
-    /// Returns the options of a subscription. It holds few bytes before they are taken; the others stay with the
-    /// publisher.
+    /// Returns the options of a subscription. Its queue is short, so that further messages wait at the publisher.
     pub(super) fn subscriber_options(
         &self,
         settings: &SessionSettings,
         publisher: &Arc<str>,
     ) -> SubscriberOptions {
         SubscriberOptions {
-            queue: QueueLimits { messages: queue_limits(settings).messages, bytes: WAITING_BYTES },
+            queue: QueueLimits { messages: queue_limits(settings).messages, bytes: MAX_QUEUED_BYTES },
             when_full: WhenFull::Wait,
             max_message_bytes: self.max_message_bytes,
             publisher: Some(Arc::clone(publisher)),
@@ -65,24 +64,24 @@ impl ReceiveLimits {
 
     /// Returns the budget for the ROS client.
     pub(super) fn memory(&self) -> Option<Arc<dyn MemoryLimit>> {
-        Some(Arc::new(ReceivingMemory(Arc::clone(&self.budget))))
+        Some(Arc::new(BudgetLimit(Arc::clone(&self.budget))))
     }
 }
 
 /// A budget with the interface that the ROS client uses.
 #[derive(Debug)]
-struct ReceivingMemory(Arc<MemoryBudget>);
+struct BudgetLimit(Arc<MemoryBudget>);
 
-impl MemoryLimit for ReceivingMemory {
+impl MemoryLimit for BudgetLimit {
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>> {
         let mut reserved = Reservation::empty(&self.0);
-        reserved.set(&self.0, bytes as u64).ok()?;
+        reserved.resize(&self.0, bytes as u64).ok()?;
         Some(Box::new(reserved))
     }
 }
 
-/// Returns the limits of the queue of a published topic. It has room for every request in flight, and for the messages
-/// that open, keep and close a connection.
+/// Returns the limits of the queue of a published topic: one message for each request in flight, and 32 for the messages
+/// that open, maintain and close a connection.
 pub(super) fn queue_limits(settings: &SessionSettings) -> QueueLimits {
     QueueLimits { messages: settings.max_in_flight as usize + 32, bytes: largest_message(settings) }
 }

@@ -7,7 +7,7 @@
 //! messages have no payload, and a part whose type does not fit the topic is sent in the companion. The type of a
 //! payload topic is that of the first payload; the topic is opened in the background and nothing waits for it.
 //!
-//! [`connection`] and [`pairing`] have the protocol without I/O. [`channel`] and [`serving`] are one end of a
+//! [`connection`] and [`pairing`] have the protocol without I/O. [`channel`] and [`connection_task`] are one end of a
 //! connection, which [`edge`] and [`cloud`] open. They use nodes, publishers and subscribers through [`interface`],
 //! which [`ros1`] and [`ros2`] implement.
 //!
@@ -16,11 +16,11 @@
 //! - A cloud accepts messages only from the node that asked for the connection. The names of topics are derived from
 //!   the pipeline's name, so that no edge can make a cloud publish on other topics.
 //! - Before a session, a companion may have 64 KiB, and the cloud does not subscribe to the payload topic.
-//! - TCPROS and reliable topics of ROS 2 repeat what is lost, so that nothing is sent again here.
-//! - The two topics of a direction have no common order, but each is in order: a later message on one proves that an
-//!   earlier partner is lost. A deadline is the last resort. A goodbye, and a message about the session itself, waits
-//!   for the payloads whose companions came before it.
-//! - If a peer leaves one topic, its last messages on the other topic are awaited for 500 ms. Then the connection ends
+//! - TCPROS and reliable topics of ROS 2 retransmit lost messages, so that nothing is retransmitted here.
+//! - The two topics of a direction have no common order, but each is in order. A later message on one topic therefore
+//!   proves that the partner of an earlier message is lost. If no later message arrives, a deadline ends the wait. A
+//!   goodbye, and a message about the session itself, waits for the payloads whose companions arrived before it.
+//! - If a peer leaves one topic, the connection waits 500 ms for the peer's last messages on the other topic. Then it ends
 //!   even if the peer has returned, because messages may have been lost.
 
 mod channel;
@@ -28,6 +28,7 @@ mod checks;
 mod cloud;
 mod connection;
 mod connection_clock;
+mod connection_task;
 mod edge;
 mod frames;
 mod interface;
@@ -40,7 +41,6 @@ mod payload_topic;
 mod ros1;
 mod ros2;
 mod second_publishers;
-mod serving;
 mod version;
 
 pub(crate) use checks::HOST_CHECKS;

@@ -18,18 +18,18 @@ pub(super) fn refusals_topic(name: &str) -> String {
 /// Returns the first part of the names of an edge's nodes for a pipeline, without namespace. The identifier of the
 /// connection follows it.
 pub(super) fn edge_node_prefix(host: &str, pipeline: &str) -> String {
-    format!("peernet_{}_{}_", allowed(host), allowed(pipeline))
+    format!("peernet_{}_{}_", to_ros_name(host), to_ros_name(pipeline))
 }
 
 /// Returns the name of an edge's node without the identifier of its connection; `None` for other nodes.
-pub(super) fn without_connection(node: &str) -> Option<&str> {
+pub(super) fn strip_connection_id(node: &str) -> Option<&str> {
     let (prefix, identifier) = node.rsplit_once('_')?;
     let is_edge = base_name(prefix).starts_with("peernet_") && identifier.len() == 8;
     (is_edge && identifier.bytes().all(|digit| digit.is_ascii_hexdigit())).then_some(prefix)
 }
 
 /// Returns the text with characters that ROS names cannot have replaced by underscores.
-pub(super) fn allowed(text: &str) -> String {
+pub(super) fn to_ros_name(text: &str) -> String {
     let replace = |char: char| if char.is_ascii_alphanumeric() { char } else { '_' };
     let replaced: String = text.chars().map(replace).collect();
     match replaced.starts_with(|first: char| first.is_ascii_alphabetic()) {
@@ -55,15 +55,15 @@ pub(super) struct TopicPair {
 impl TopicPair {
     /// Returns the topics from the edge to the cloud.
     pub(super) fn request(pipeline: &str) -> Self {
-        Self::of(pipeline, "request")
+        Self::new(pipeline, "request")
     }
 
     /// Returns the topics from the cloud to the edge.
     pub(super) fn response(pipeline: &str) -> Self {
-        Self::of(pipeline, "response")
+        Self::new(pipeline, "response")
     }
 
-    fn of(pipeline: &str, direction: &str) -> Self {
+    fn new(pipeline: &str, direction: &str) -> Self {
         let payload = format!("{pipeline}/{direction}");
         Self { info: format!("{payload}_info"), payload }
     }
@@ -75,14 +75,14 @@ mod tests {
 
     #[test]
     fn names_contain_only_allowed_characters() {
-        assert_eq!(allowed("quality-control.2"), "quality_control_2");
-        assert_eq!(allowed("2nd"), "p2nd");
+        assert_eq!(to_ros_name("quality-control.2"), "quality_control_2");
+        assert_eq!(to_ros_name("2nd"), "p2nd");
         assert_eq!(edge_node_prefix("jetson-orin", "line"), "peernet_jetson_orin_line_");
         assert_eq!(base_name("/robot/peernet_gpu"), cloud_node("gpu"));
         let (first, second) = ("/peernet_jetson_line_1a2b3c4d", "/peernet_jetson_line_00000000");
-        assert_eq!(without_connection(first), without_connection(second));
+        assert_eq!(strip_connection_id(first), strip_connection_id(second));
         for other in ["/peernet_gpu", "/viewer_1a2b3c4d", "/peernet_jetson_line_nothex00"] {
-            assert_eq!(without_connection(other), None, "{other}");
+            assert_eq!(strip_connection_id(other), None, "{other}");
         }
         let topics = TopicPair::request("/robot/line");
         assert_eq!((&*topics.payload, &*topics.info), ("/robot/line/request", "/robot/line/request_info"));

@@ -1,7 +1,8 @@
 //! Joins each payload with its companion, without I/O.
 //!
-//! Payloads and companions are on separate topics, each of which is in order. When a later message arrives on the other
-//! topic, a waiting half's partner is certainly lost. If no later message arrives, a deadline ends the wait.
+//! Payloads and companions are on separate topics, each of which is in order. A half waits for its partner on the other
+//! topic. If a later message arrives there first, the partner is certainly lost. If no later message arrives, a deadline
+//! ends the wait.
 
 use std::collections::BTreeMap;
 
@@ -15,13 +16,13 @@ use crate::transport::memory::Reservation;
 /// Halves of messages that wait for the other half, by stamp.
 #[derive(Debug)]
 pub(super) struct Pairing {
-    waiting: BTreeMap<i64, WaitingHalf>,
-    max_waiting: usize,
+    pending: BTreeMap<i64, PendingHalf>,
+    max_pending: usize,
     timeout: Span,
 }
 
 #[derive(Debug)]
-struct WaitingHalf {
+struct PendingHalf {
     half: Half,
     deadline: MonoTime,
     reserved: Reservation,
@@ -50,7 +51,7 @@ impl Half {
     /// Returns the loss of the message that this half belongs to.
     fn loss(&self) -> MessageLoss {
         let tag = match self {
-            Self::Info(info) => request_of(info),
+            Self::Info(info) => request_number(info),
             Self::Payload(_) => None,
         };
         MessageLoss { tag, received: 1, total: 2 }
@@ -58,13 +59,13 @@ impl Half {
 }
 
 /// Returns the request that a message belongs to.
-pub(super) fn request_of(info: &MessageInfo) -> Option<u64> {
+pub(super) fn request_number(info: &MessageInfo) -> Option<u64> {
     (info.request != MessageInfo::NO_REQUEST).then_some(info.request)
 }
 
 impl Pairing {
-    pub(super) fn new(max_waiting: usize, timeout: Span) -> Self {
-        Self { waiting: BTreeMap::new(), max_waiting, timeout }
+    pub(super) fn new(max_pending: usize, timeout: Span) -> Self {
+        Self { pending: BTreeMap::new(), max_pending, timeout }
     }
 
     /// Adds a half that arrived. Returns the message if it is complete now.
@@ -76,8 +77,8 @@ impl Pairing {
         now: MonoTime,
         lost: &mut Vec<MessageLoss>,
     ) -> Option<Pair> {
-        self.settle(stamp, half.is_info(), lost);
-        match self.waiting.remove(&stamp) {
+        self.give_up_unmatched(stamp, half.is_info(), lost);
+        match self.pending.remove(&stamp) {
             Some(other) if other.half.is_info() != half.is_info() => {
                 let reserved = [other.reserved, reserved];
                 match (other.half, half) {
@@ -88,13 +89,14 @@ impl Pairing {
                     _ => return None,
                 }
             }
-            // Two halves of the same kind have one stamp, and it is unknown which one is right: the newer one is kept.
+            // Two halves of the same kind have the same stamp. Which one is right is unknown; the newer one replaces the
+            // older.
             Some(other) => lost.push(other.half.loss()),
             None => {}
         }
-        self.waiting.insert(stamp, WaitingHalf { half, deadline: now + self.timeout, reserved });
-        if self.waiting.len() > self.max_waiting
-            && let Some((_, oldest)) = self.waiting.pop_first()
+        self.pending.insert(stamp, PendingHalf { half, deadline: now + self.timeout, reserved });
+        if self.pending.len() > self.max_pending
+            && let Some((_, oldest)) = self.pending.pop_first()
         {
             lost.push(oldest.half.loss());
         }
@@ -102,42 +104,43 @@ impl Pairing {
     }
 
     /// Notes that a message without a payload arrived on the companions' topic.
-    pub(super) fn skip(&mut self, stamp: i64, lost: &mut Vec<MessageLoss>) {
-        self.settle(stamp, true, lost);
+    pub(super) fn note_message_without_payload(&mut self, stamp: i64, lost: &mut Vec<MessageLoss>) {
+        self.give_up_unmatched(stamp, true, lost);
     }
 
     /// Gives up the earlier halves that wait for a partner on the topic on which a message with this stamp arrived.
-    fn settle(&mut self, stamp: i64, is_info: bool, lost: &mut Vec<MessageLoss>) {
-        let in_vain = |at: &i64, waiting: &mut WaitingHalf| *at < stamp && waiting.half.is_info() != is_info;
-        lost.extend(self.waiting.extract_if(.., in_vain).map(|(_, waiting)| waiting.half.loss()));
+    fn give_up_unmatched(&mut self, stamp: i64, is_info: bool, lost: &mut Vec<MessageLoss>) {
+        let is_unmatched =
+            |at: &i64, pending: &mut PendingHalf| *at < stamp && pending.half.is_info() != is_info;
+        lost.extend(self.pending.extract_if(.., is_unmatched).map(|(_, pending)| pending.half.loss()));
     }
 
     /// Gives up the halves whose time limit has passed.
     pub(super) fn expire(&mut self, now: MonoTime, lost: &mut Vec<MessageLoss>) {
-        let is_over = |_: &i64, waiting: &mut WaitingHalf| waiting.deadline <= now;
-        lost.extend(self.waiting.extract_if(.., is_over).map(|(_, waiting)| waiting.half.loss()));
+        let is_expired = |_: &i64, pending: &mut PendingHalf| pending.deadline <= now;
+        lost.extend(self.pending.extract_if(.., is_expired).map(|(_, pending)| pending.half.loss()));
     }
 
     /// Returns whether the companion with this stamp waits for its payload.
     pub(super) fn awaits_payload(&self, stamp: i64) -> bool {
-        self.waiting.get(&stamp).is_some_and(|waiting| waiting.half.is_info())
+        self.pending.get(&stamp).is_some_and(|pending| pending.half.is_info())
     }
 
     /// Drops a payload that its companion does not need.
     pub(super) fn drop_payload(&mut self, stamp: i64) {
-        if self.waiting.get(&stamp).is_some_and(|waiting| !waiting.half.is_info()) {
-            self.waiting.remove(&stamp);
+        if self.pending.get(&stamp).is_some_and(|pending| !pending.half.is_info()) {
+            self.pending.remove(&stamp);
         }
     }
 
     /// Returns whether any companion waits for its payload.
     pub(super) fn awaits_payloads(&self) -> bool {
-        self.waiting.values().any(|waiting| waiting.half.is_info())
+        self.pending.values().any(|pending| pending.half.is_info())
     }
 
     /// Returns the time at which the next half's time limit passes.
     pub(super) fn next_timer(&self) -> Option<MonoTime> {
-        self.waiting.values().map(|waiting| waiting.deadline).min()
+        self.pending.values().map(|pending| pending.deadline).min()
     }
 }
 
@@ -160,7 +163,7 @@ mod tests {
 
         fn add(&mut self, stamp: i64, half: Half) -> Option<Pair> {
             let mut reserved = Reservation::empty(&self.budget);
-            reserved.set(&self.budget, 10).expect("there is room");
+            reserved.resize(&self.budget, 10).expect("there is room");
             self.pairing.add(stamp, half, reserved, MonoTime::default(), &mut self.lost)
         }
 
@@ -188,7 +191,7 @@ mod tests {
         let pair = bench.info(3).expect("whole");
         assert_eq!((&pair.payload[..], pair.info.request), (&b"x"[..], 3));
         drop(pair);
-        assert_eq!((bench.budget.held(), bench.lost.len()), (0, 1));
+        assert_eq!((bench.budget.reserved_bytes(), bench.lost.len()), (0, 1));
     }
 
     #[test]
@@ -208,7 +211,7 @@ mod tests {
         assert_eq!(bench.lost, [loss(Some(1))]);
         let end = bench.pairing.next_timer().expect("three wait");
         bench.pairing.expire(end, &mut bench.lost);
-        assert_eq!((bench.lost.len(), bench.budget.held()), (4, 0));
+        assert_eq!((bench.lost.len(), bench.budget.reserved_bytes()), (4, 0));
         assert_eq!(bench.pairing.next_timer(), None);
     }
 }

@@ -19,11 +19,11 @@ pub(super) enum PayloadType {
 /// Error: a payload message cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PayloadError {
-    #[error("messages of the type {0}, which carries no payload of a session")]
+    #[error("its type {0} is not one that carries payloads of sessions")]
     OtherType(String),
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    #[error("its layout does not say which message it belongs to")]
+    #[error("the label of its first dimension does not name its connection and stamp")]
     NoStamp,
 }
 
@@ -31,7 +31,7 @@ impl PayloadType {
     const ALL: [Self; 3] = [Self::Image, Self::CompressedImage, Self::Bytes];
 
     /// Returns the type for a part of a sample.
-    pub(super) fn of(part: &Description, length: usize) -> Self {
+    pub(super) fn from_part(part: &Description, length: usize) -> Self {
         match part.media {
             MediaType::Jpeg | MediaType::Png => Self::CompressedImage,
             // Only a shape of rows, columns and channels that matches the length can be an `Image`.
@@ -44,9 +44,9 @@ impl PayloadType {
 
     pub(super) fn topic_type(self) -> TopicType {
         match self {
-            Self::Image => TopicType::of::<Image>(),
-            Self::CompressedImage => TopicType::of::<CompressedImage>(),
-            Self::Bytes => TopicType::of::<UInt8MultiArray>(),
+            Self::Image => TopicType::from_message::<Image>(),
+            Self::CompressedImage => TopicType::from_message::<CompressedImage>(),
+            Self::Bytes => TopicType::from_message::<UInt8MultiArray>(),
         }
     }
 
@@ -67,7 +67,7 @@ pub(super) fn encode(
     data: &Bytes,
 ) -> Result<EncodedMessage, EncodeError> {
     let (header, data) = (header.clone(), data.clone());
-    match PayloadType::of(part, data.len()) {
+    match PayloadType::from_part(part, data.len()) {
         PayloadType::CompressedImage => {
             let format = if part.media == MediaType::Png { "png" } else { "jpeg" }.to_owned();
             CompressedImage { header, format, data }.encode(form)
@@ -96,16 +96,16 @@ pub(super) fn decode(
     type_name: &str,
     message: Bytes,
 ) -> Result<(String, i64, Bytes), PayloadError> {
-    let found = PayloadType::ALL.into_iter().find(|known| known.name() == type_name);
-    let keyed = |header: Header, data| (header.frame_id, header.stamp.as_nanos(), data);
-    match found.ok_or_else(|| PayloadError::OtherType(type_name.to_owned()))? {
+    let payload_type = PayloadType::ALL.into_iter().find(|known| known.name() == type_name);
+    let with_key = |header: Header, data| (header.frame_id, header.stamp.as_nanos(), data);
+    match payload_type.ok_or_else(|| PayloadError::OtherType(type_name.to_owned()))? {
         PayloadType::Image => {
             let image = Image::decode(form, message)?;
-            Ok(keyed(image.header, image.data))
+            Ok(with_key(image.header, image.data))
         }
         PayloadType::CompressedImage => {
             let image = CompressedImage::decode(form, message)?;
-            Ok(keyed(image.header, image.data))
+            Ok(with_key(image.header, image.data))
         }
         PayloadType::Bytes => {
             let array = UInt8MultiArray::decode(form, message)?;
@@ -135,7 +135,7 @@ mod tests {
         for (part, length, name) in cases {
             let data = Bytes::from(vec![7; length]);
             let header = Header { seq: 3, stamp: Time::from_nanos(5_000_000_007), frame_id: "ab".into() };
-            let kind = PayloadType::of(&part, length);
+            let kind = PayloadType::from_part(&part, length);
             assert_eq!((&*kind.topic_type().name, kind.name()), (name, name));
             for form in [WireForm::Ros1, WireForm::Cdr] {
                 let message = encode(form, &header, &part, &data).expect("can be written");

@@ -10,18 +10,18 @@ use peernet_sample::Description;
 use tokio::sync::Notify;
 
 use super::connection::PeerState;
-use super::interface::{NodeFailure, SessionNode, SessionPublisher, TopicUse};
+use super::interface::{NodeFailure, SessionNode, SessionPublisher, TopicPurpose};
 use super::payload::{self, PayloadType};
 use crate::transport::SendFailure;
 
 /// Interval between attempts to open a topic while the master is not reachable.
-pub(super) const MASTER_RETRY: Duration = Duration::from_secs(1);
+pub(super) const MASTER_RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Payload topic of one end of a connection. The first payload determines its type and makes the connection's task open
 /// it. A payload that cannot be sent on it is sent in the companion of its message.
 ///
 /// In ROS 2 a payload is also sent in its companion until the other end has confirmed that payloads of this connection
-/// arrive on the topic. This is correct as well if types or QoS do not fit, or if the topic has a publisher of an
+/// arrive on the topic. Messages then also arrive if types or QoS do not fit, or if the topic has a publisher of an
 /// earlier connection.
 #[derive(Debug)]
 pub(super) struct PayloadTopic {
@@ -87,7 +87,7 @@ impl PayloadTopic {
         remark: &mut dyn FnMut(String),
     ) -> Result<bool, SendFailure> {
         let Payload { header, part, data } = *payload;
-        let kind = PayloadType::of(part, data.len());
+        let kind = PayloadType::from_part(part, data.len());
         let mut state = self.state();
         let TopicState { phase, has_remarked_refusal, has_remarked_size } = &mut *state;
         let (opened, publisher) = match phase {
@@ -107,7 +107,7 @@ impl PayloadTopic {
         let max_bytes = max_payload_bytes(node, peer_state);
         if let Some(max_bytes) = max_bytes.filter(|max_bytes| data.len() > *max_bytes) {
             if !std::mem::replace(has_remarked_size, true) {
-                remark(payload_too_long(data.len(), max_bytes, publisher.topic()));
+                remark(describe_long_payload(data.len(), max_bytes, publisher.topic()));
             }
             return Ok(false);
         }
@@ -125,10 +125,10 @@ impl PayloadTopic {
             return Ok(false);
         };
         match publisher.publish_to(peer, &[message]) {
-            Ok(Delivery::Taken) => Ok(is_confirmed),
+            Ok(Delivery::Accepted) => Ok(is_confirmed),
             Ok(Delivery::Full) if is_confirmed => Err(SendFailure::Full),
             // The companion has the payload as well, so that nothing is lost.
-            Ok(Delivery::Full | Delivery::Absent) => Ok(false),
+            Ok(Delivery::Full | Delivery::NotConnected) => Ok(false),
             Err(error) => Err(SendFailure::Gone(error.to_string())),
         }
     }
@@ -153,7 +153,8 @@ impl PayloadTopic {
     /// # Errors
     /// If the master does not answer or refuses.
     pub(super) async fn open(&self, node: &dyn SessionNode, kind: PayloadType) -> Result<(), NodeFailure> {
-        let publisher = node.publish(&self.name, (TopicUse::Payloads, kind.topic_type()), self.queue).await?;
+        let publisher =
+            node.publish(&self.name, (TopicPurpose::Payloads, kind.topic_type()), self.queue).await?;
         self.state().phase = TopicPhase::Open(kind, publisher);
         Ok(())
     }
@@ -165,21 +166,21 @@ fn max_payload_bytes(node: &dyn SessionNode, peer: PeerState) -> Option<usize> {
     Some(peer.receive_buffer_bytes.map_or(own, |theirs| own.min(theirs as usize)))
 }
 
-/// Returns the remark about a payload that is too long for the sockets.
-fn payload_too_long(bytes: usize, most: usize, topic: &str) -> String {
+/// Returns the remark about a payload that is too long for the socket buffers.
+fn describe_long_payload(bytes: usize, max_bytes: usize, topic: &str) -> String {
     format!(
-        "a payload of {bytes} bytes is longer than the {most} bytes that the sockets of both hosts hold: such payloads travel \
+        "a payload of {bytes} bytes is longer than the {max_bytes} bytes of the socket buffers of both hosts: such payloads are sent \
          in parts and not on topic {topic}, where other programs would see them; raise socket_buffer_bytes of the session, and \
          net.core.rmem_max, on both hosts"
     )
 }
 
 /// Returns the remark about a payload topic that could not be opened.
-pub(super) fn payload_topic_closed(topic: &str, error: &NodeFailure) -> String {
+pub(super) fn describe_open_failure(topic: &str, error: &NodeFailure) -> String {
     format!(
-        "topic {topic} could not be opened, and is tried again every {} s; payloads travel on the topic of their companions \
-         until then: {error}",
-        MASTER_RETRY.as_secs()
+        "cannot open topic {topic}: {error}; the attempt is repeated every {} s, and payloads are sent in their companions until \
+         it succeeds",
+        MASTER_RETRY_INTERVAL.as_secs()
     )
 }
 

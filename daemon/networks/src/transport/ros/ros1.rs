@@ -16,7 +16,7 @@ use tokio::time::timeout;
 
 use super::interface::{
     EdgeTopics, NodeFailure, PublisherChanges, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber,
-    TopicMessage, TopicUse,
+    TopicMessage, TopicPurpose,
 };
 use super::names::{base_name, cloud_node, sessions_topic};
 use crate::Address;
@@ -40,7 +40,7 @@ impl Ros1Node {
         Ok(Self { node, master: address.authority() })
     }
 
-    async fn cloud(&self, topics: &EdgeTopics) -> Result<Arc<str>, NodeFailure> {
+    async fn find_cloud_node(&self, topics: &EdgeTopics) -> Result<Arc<str>, NodeFailure> {
         let state = self.node.system_state().await?;
         let sessions = sessions_topic(&topics.cloud);
         let is_cloud = |node: &&String| base_name(node) == cloud_node(&topics.cloud);
@@ -48,14 +48,15 @@ impl Ros1Node {
         let mut clouds = self.node.running_subscribers(&sessions, &clouds).await?;
         let Some(cloud) = clouds.pop() else {
             return Err(NodeFailure(format!(
-                "the ROS master at {} knows no cloud with the name {}: nobody subscribes to {sessions}; start it with \
+                "the ROS master at {} knows no cloud with the name {}: nobody subscribes to {sessions}; start the cloud with \
                  this master and name",
                 self.master, topics.cloud
             )));
         };
-        let is_foreign = |node: &&String| !base_name(node).starts_with(&topics.own_prefix);
+        let is_of_other_program = |node: &&String| !base_name(node).starts_with(&topics.pipeline_prefix);
         for topic in [&topics.request.info, &topics.request.payload] {
-            let others: Vec<String> = state.publishers_of(topic).iter().filter(is_foreign).cloned().collect();
+            let others: Vec<String> =
+                state.publishers_of(topic).iter().filter(is_of_other_program).cloned().collect();
             if let Some(other) = self.node.running_publishers(topic, &others).await?.first() {
                 return Err(NodeFailure(format!(
                     "node {other} publishes topic {topic} already; stop it, give the pipeline another name, or set \
@@ -78,9 +79,9 @@ impl Ros1Node {
         Ok(cloud.into())
     }
 
-    /// Returns a running node, other than this one, that serves a name. Nodes that only watch the topic do not count.
-    /// If another node has this node's name, the master only knows the newer one.
-    async fn other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
+    /// Returns a running node, other than this one, that serves a name. Nodes that only observe the topic do not count.
+    /// If another node has this node's name, the master knows only the newer one.
+    async fn find_other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
         let state = self.node.system_state().await?;
         let own = base_name(self.node.name());
         let is_cloud = |other: &&String| base_name(other) == own;
@@ -108,12 +109,12 @@ impl SessionNode for Ros1Node {
     }
 
     fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
-        self.cloud(topics).boxed()
+        self.find_cloud_node(topics).boxed()
     }
 
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>> {
         let check = async move {
-            match self.other_cloud(cloud).await? {
+            match self.find_other_cloud(cloud).await? {
                 None => Ok(()),
                 Some(taken) => Err(NodeFailure(format!(
                     "node {taken} serves the name {cloud} at this ROS master already; stop it, or end the address with \
@@ -132,7 +133,7 @@ impl SessionNode for Ros1Node {
         usize::MAX
     }
 
-    fn payload_patience(&self) -> Option<Duration> {
+    fn payload_timeout(&self) -> Option<Duration> {
         None
     }
 
@@ -143,7 +144,7 @@ impl SessionNode for Ros1Node {
     fn publish<'a>(
         &'a self,
         topic: &'a str,
-        (_, kind): (TopicUse, TopicType),
+        (_, kind): (TopicPurpose, TopicType),
         queue: QueueLimits,
     ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>> {
         let publish = async move {
@@ -157,7 +158,7 @@ impl SessionNode for Ros1Node {
     fn subscribe<'a>(
         &'a self,
         topic: &'a str,
-        (_, kind): (TopicUse, TopicType),
+        (_, kind): (TopicPurpose, TopicType),
         options: SubscriberOptions,
     ) -> BoxFuture<'a, Result<Box<dyn SessionSubscriber>, NodeFailure>> {
         let subscribe = async move {
@@ -167,15 +168,17 @@ impl SessionNode for Ros1Node {
         subscribe.boxed()
     }
 
-    // The master removes the registrations if it answers in time.
-    fn end(&self, patience: Duration) -> BoxFuture<'_, ()> {
+    // Best effort: the registrations stay if the master does not answer in time.
+    fn end(&self, time_limit: Duration) -> BoxFuture<'_, ()> {
         let end = async move {
-            match timeout(patience, self.node.shutdown()).await {
+            match timeout(time_limit, self.node.shutdown()).await {
                 Ok(Ok(())) => {}
                 Ok(Err(error)) => {
-                    tracing::debug!(%error, node = self.name(), "a node stays in the master's lists");
+                    tracing::debug!(%error, node = self.name(), "cannot unregister a node from the ROS master");
                 }
-                Err(_) => tracing::debug!(node = self.name(), "a node stays in the master's lists"),
+                Err(_) => {
+                    tracing::debug!(node = self.name(), "the ROS master did not unregister a node in time")
+                }
             }
         };
         end.boxed()
@@ -199,11 +202,11 @@ impl SessionPublisher for Publisher {
     fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         for message in messages {
             let delivery = Self::publish_to(self, node, message.clone())?;
-            if delivery != Delivery::Taken {
+            if delivery != Delivery::Accepted {
                 return Ok(delivery);
             }
         }
-        Ok(Delivery::Taken)
+        Ok(Delivery::Accepted)
     }
 
     // Never refused here: the master and the headers of connections detect such problems earlier.

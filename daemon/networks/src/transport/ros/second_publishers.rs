@@ -7,19 +7,19 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::interface::SessionNode;
-use super::names::without_connection;
+use super::names::strip_connection_id;
 
 /// Time within which the name of a node becomes known after its topics.
-const NAME_TIMEOUT: Duration = Duration::from_secs(2);
+const NAME_DISCOVERY_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Largest number of second publishers that are remarked on.
 const MAX_SECOND_PUBLISHERS: usize = 16;
 
-/// Nodes other than the peer that publish on a topic of the connection. There is one remark on each, with its name if
-/// that is known.
+/// Nodes other than the peer that publish on a topic of the connection. There is one remark about each of them, with its
+/// name if that is known.
 #[derive(Debug, Default)]
 pub(super) struct SecondPublishers {
-    remarked: BTreeSet<Arc<str>>,
+    reported: BTreeSet<Arc<str>>,
     /// Nodes without a known name, each with its topic and the time when it was found.
     unnamed: BTreeMap<Arc<str>, (String, Instant)>,
 }
@@ -27,7 +27,7 @@ pub(super) struct SecondPublishers {
 impl SecondPublishers {
     /// Notes that the node `second` publishes a topic of the connection between `node` and `peer`. Returns a remark
     /// about it, once.
-    pub(super) fn note(
+    pub(super) fn check(
         &mut self,
         second: &Arc<str>,
         topic: &str,
@@ -35,37 +35,44 @@ impl SecondPublishers {
         now: Instant,
     ) -> Option<String> {
         // Bounded, because every host on the network can publish the topic.
-        let has_room = self.remarked.len() + self.unnamed.len() < MAX_SECOND_PUBLISHERS;
-        if self.remarked.contains(second) || !has_room && !self.unnamed.contains_key(second) {
+        let is_below_limit = self.reported.len() + self.unnamed.len() < MAX_SECOND_PUBLISHERS;
+        if self.reported.contains(second) || !is_below_limit && !self.unnamed.contains_key(second) {
             return None;
         }
         let names = node.names(second);
         // Its name may become known slightly later than its topics.
         let since = self.unnamed.get(second).map_or(now, |(_, since)| *since);
-        if names.is_empty() && now - since < NAME_TIMEOUT {
+        if names.is_empty() && now - since < NAME_DISCOVERY_TIMEOUT {
             self.unnamed.entry(Arc::clone(second)).or_insert_with(|| (topic.to_owned(), since));
             return None;
         }
         self.unnamed.remove(second);
         // An earlier connection of the same pipeline ends by itself.
-        let own = node.names(peer);
-        let own: BTreeSet<&str> = own.iter().filter_map(|name| without_connection(name)).collect();
-        let is_earlier = names.iter().any(|name| without_connection(name).is_some_and(|of| own.contains(of)));
-        if is_earlier || !self.remarked.insert(Arc::clone(second)) {
+        let peer_names = node.names(peer);
+        let peer_pipelines: BTreeSet<&str> =
+            peer_names.iter().filter_map(|name| strip_connection_id(name)).collect();
+        let is_earlier_connection = names
+            .iter()
+            .any(|name| strip_connection_id(name).is_some_and(|prefix| peer_pipelines.contains(prefix)));
+        if is_earlier_connection || !self.reported.insert(Arc::clone(second)) {
             return None;
         }
         let (second, first) = (node.describe(second), node.describe(peer));
         Some(format!(
-            "topic {topic} has two publishers: the messages of {second} are dropped, because the session is that of {first}; \
+            "topic {topic} has two publishers: the messages of {second} are dropped, because the session belongs to {first}; \
              stop the former, or give the pipeline another name"
         ))
     }
 
     /// Returns remarks about nodes whose names have become known or are no longer awaited.
-    pub(super) fn note_names(&mut self, (peer, node): (&str, &dyn SessionNode), now: Instant) -> Vec<String> {
+    pub(super) fn check_unnamed(
+        &mut self,
+        (peer, node): (&str, &dyn SessionNode),
+        now: Instant,
+    ) -> Vec<String> {
         let unnamed = self.unnamed.clone();
         let remark = |(second, (topic, _)): (&Arc<str>, &(String, Instant))| {
-            self.note(second, topic, (peer, node), now)
+            self.check(second, topic, (peer, node), now)
         };
         unnamed.iter().filter_map(remark).collect()
     }
@@ -83,15 +90,18 @@ mod tests {
         let (mut node, mut others, begin) =
             (TestNode::default(), SecondPublishers::default(), Instant::now());
         for id in ["named", "unnamed"] {
-            assert_eq!(others.note(&id.into(), TOPIC, ("peer", &node), begin), None);
+            assert_eq!(others.check(&id.into(), TOPIC, ("peer", &node), begin), None);
         }
         node.set_name("named", "/viewer");
-        let remarks = others.note_names(("peer", &node), begin);
+        let remarks = others.check_unnamed(("peer", &node), begin);
         assert!(matches!(&remarks[..], [remark] if remark.contains("messages of named")), "{remarks:?}");
-        let remarks = others.note_names(("peer", &node), begin + NAME_TIMEOUT);
+        let remarks = others.check_unnamed(("peer", &node), begin + NAME_DISCOVERY_TIMEOUT);
         assert!(matches!(&remarks[..], [remark] if remark.contains("messages of unnamed")), "{remarks:?}");
         for id in ["named", "unnamed"] {
-            assert_eq!(others.note(&id.into(), TOPIC, ("peer", &node), begin + NAME_TIMEOUT), None);
+            assert_eq!(
+                others.check(&id.into(), TOPIC, ("peer", &node), begin + NAME_DISCOVERY_TIMEOUT),
+                None
+            );
         }
     }
 
@@ -101,9 +111,9 @@ mod tests {
         node.set_name("peer", "/peernet_jetson_line_1a2b3c4d");
         node.set_name("earlier", "/peernet_jetson_line_00000000");
         node.set_name("other", "/peernet_orin_line_00000000");
-        let mut note = |id: &str| others.note(&id.into(), TOPIC, ("peer", &node), Instant::now());
-        assert_eq!(note("earlier"), None);
-        assert!(note("other").is_some());
+        let mut check = |id: &str| others.check(&id.into(), TOPIC, ("peer", &node), Instant::now());
+        assert_eq!(check("earlier"), None);
+        assert!(check("other").is_some());
     }
 
     #[test]
@@ -111,7 +121,7 @@ mod tests {
         let (mut node, mut others) = (TestNode::default(), SecondPublishers::default());
         let ids: Vec<String> = (0..=MAX_SECOND_PUBLISHERS).map(|number| format!("n{number}")).collect();
         ids.iter().for_each(|id| node.set_name(id, "/viewer"));
-        let note = |id: &String| others.note(&id.as_str().into(), TOPIC, ("peer", &node), Instant::now());
-        assert_eq!(ids.iter().filter_map(note).count(), MAX_SECOND_PUBLISHERS);
+        let check = |id: &String| others.check(&id.as_str().into(), TOPIC, ("peer", &node), Instant::now());
+        assert_eq!(ids.iter().filter_map(check).count(), MAX_SECOND_PUBLISHERS);
     }
 }

@@ -6,12 +6,12 @@ use peernet_ros::ros1::Environment;
 use peernet_ros::ros2::Ros2Settings;
 use peernet_ros::topics::{RosVersion, VersionError};
 
-use super::names::allowed;
-use crate::transport::UnknownAddress;
+use super::names::to_ros_name;
+use crate::transport::ListenerLookupError;
 
 /// Returns the address of the cloud with this name. The version is `version` or that of the environment. In ROS 1 the
 /// master is that of `ROS_MASTER_URI`, in ROS 2 the domain is that of `ROS_DOMAIN_ID`.
-pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, UnknownAddress> {
+pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, ListenerLookupError> {
     find_with(name, version, |name| std::env::var(name).ok())
 }
 
@@ -19,15 +19,15 @@ fn find_with(
     name: &str,
     version: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
-) -> Result<String, UnknownAddress> {
-    let name = allowed(name);
+) -> Result<String, ListenerLookupError> {
+    let name = to_ros_name(name);
     if requested_version(version, &variable)? == RosVersion::Ros2 {
         let settings = Ros2Settings::default().with_environment(variable);
-        let settings = settings.map_err(|error| UnknownAddress(error.to_string()))?;
+        let settings = settings.map_err(|error| ListenerLookupError(error.to_string()))?;
         return Ok(format!("ros2://{}/{name}", settings.domain_id.unwrap_or_default()));
     }
     let environment = Environment::from_variables(|name| variable(name).map(OsString::from));
-    let master = environment.map_err(|error| UnknownAddress(error.to_string()))?.master;
+    let master = environment.map_err(|error| ListenerLookupError(error.to_string()))?.master;
     let host =
         if master.host().contains(':') { format!("[{}]", master.host()) } else { master.host().to_owned() };
     Ok(format!("ros1://{host}:{}/{name}", master.port()))
@@ -37,13 +37,13 @@ fn find_with(
 fn requested_version(
     given: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
-) -> Result<RosVersion, UnknownAddress> {
+) -> Result<RosVersion, ListenerLookupError> {
     // A number that does not fit into a byte is not a version.
     let given = given.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
-    let given = given.transpose().map_err(|error| UnknownAddress(format!("ros_version: {error}")))?;
+    let given = given.transpose().map_err(|error| ListenerLookupError(format!("ros_version: {error}")))?;
     match RosVersion::resolve(given, variable) {
         Err(VersionError::NotGiven) => Ok(RosVersion::Ros1),
-        other => other.map_err(|error| UnknownAddress(error.to_string())),
+        other => other.map_err(|error| ListenerLookupError(error.to_string())),
     }
 }
 
@@ -51,7 +51,7 @@ fn requested_version(
 mod tests {
     use super::*;
 
-    fn found(version: Option<u64>, variables: &[(&str, &str)]) -> Result<String, UnknownAddress> {
+    fn found(version: Option<u64>, variables: &[(&str, &str)]) -> Result<String, ListenerLookupError> {
         find_with("jetson-orin", version, |name| {
             variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
         })

@@ -14,7 +14,7 @@ use tokio::time::Instant;
 use super::driver::{Machine, Port};
 use super::radio::PREFIX;
 use super::socket::UdpPort;
-use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
+use super::{connection_limits, local_terms, reassembly_limits, socket_bytes};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
 use crate::transport::datagram::endpoint::Delivery;
@@ -38,19 +38,19 @@ pub(crate) async fn bind(
     ports: NonZeroUsize,
     _clock: &SharedClock,
 ) -> Result<BoundPort, BindFailure> {
-    let found = tokio::net::lookup_host(address.authority()).await;
-    let found = found.map_err(|error| BindFailure::Other(error.to_string()))?.next();
-    let at = found.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
-    let socket = UdpPort::bind(at, socket_bytes(settings)).map_err(|error| failure(&error))?;
+    let resolved = tokio::net::lookup_host(address.authority()).await;
+    let resolved = resolved.map_err(|error| BindFailure::Other(error.to_string()))?.next();
+    let at = resolved.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
+    let socket = UdpPort::bind(at, socket_bytes(settings)).map_err(|error| bind_failure(&error))?;
     let bound = socket.address();
     let caveat = socket.caveat().map(str::to_owned);
     let limits = EndpointLimits {
         connection: connection_limits(settings),
         reassembly: reassembly_limits(settings),
         max_unfinished_bytes: settings.max_unfinished_bytes,
-        max_connections: DescriptorShare::DataPort.connections_of_each(ports),
+        max_connections: DescriptorShare::DataPort.max_connections_per_port(ports),
         hello_timeout: Span::from(settings.hello_timeout()),
-        terms: own_terms(settings, &socket),
+        terms: local_terms(settings, &socket),
     };
     // Two random UUIDs have 244 random bits.
     let mut secret = [0; 32];
@@ -59,11 +59,11 @@ pub(crate) async fn bind(
     let machine = CloudEnd { endpoint: Endpoint::new(secret, PREFIX, limits), is_closing: false };
     let (port, arrivals) = Port::serve(socket, machine, Instant::now());
     let sender = Box::new(UdpCloudSender(Arc::clone(&port)));
-    let address = address.at_ip(bound.ip(), bound.port());
+    let address = address.with_ip(bound.ip(), bound.port());
     Ok(BoundPort { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
 }
 
-fn failure(error: &io::Error) -> BindFailure {
+fn bind_failure(error: &io::Error) -> BindFailure {
     match error.kind() {
         io::ErrorKind::AddrInUse => BindFailure::InUse,
         io::ErrorKind::PermissionDenied => BindFailure::Denied,
@@ -87,7 +87,7 @@ impl Machine for CloudEnd {
     }
 
     // Ignored, because anyone can forge such reports. A peer that is gone is noticed by its silence.
-    fn refused(&mut self) {}
+    fn handle_port_unreachable(&mut self) {}
 
     fn tick(&mut self, now: MonoTime) {
         self.endpoint.tick(now);
@@ -97,8 +97,8 @@ impl Machine for CloudEnd {
         self.endpoint.next_timer()
     }
 
-    fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)> {
-        self.endpoint.fill(out, most, now)
+    fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<(Route, Batch)> {
+        self.endpoint.fill(out, max_datagrams, now)
     }
 
     fn next_delivery(&mut self) -> Option<Delivery> {
@@ -124,23 +124,23 @@ struct UdpCloudSender(Arc<Port<CloudEnd>>);
 
 impl CloudSender for UdpCloudSender {
     fn send(&self, peer: &Peer, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
-        self.0.with(|end, _| end.endpoint.send(peer.connection, frames, options.tag))
+        self.0.with_machine(|end, _| end.endpoint.send(peer.connection, frames, options.tag))
     }
 
     fn greet(&self, connection: ConnectionId) {
-        self.0.with(|end, _| end.endpoint.greet(connection));
+        self.0.with_machine(|end, _| end.endpoint.greet(connection));
     }
 
     fn admit(&self, connection: ConnectionId) {
-        self.0.with(|end, _| end.endpoint.admit(connection));
+        self.0.with_machine(|end, _| end.endpoint.admit(connection));
     }
 
     fn demote(&self, connection: ConnectionId) {
-        self.0.with(|end, now| end.endpoint.demote(connection, now));
+        self.0.with_machine(|end, now| end.endpoint.demote(connection, now));
     }
 
     fn statistics(&self, connection: ConnectionId) -> TransportStatistics {
-        self.0.with(|end, now| end.endpoint.statistics(connection, now))
+        self.0.with_machine(|end, now| end.endpoint.statistics(connection, now))
     }
 }
 

@@ -18,10 +18,10 @@ use crate::transport::datagram::endpoint::Route;
 use crate::transport::datagram::sending::Batch;
 
 /// Largest number of arrivals that wait to be received.
-const MAX_WAITING: usize = 1_024;
+const MAX_QUEUED_ARRIVALS: usize = 1_024;
 
-/// Number of batches that are read before something is sent again.
-const READS_PER_TURN: usize = 8;
+/// Largest number of batches that are read before the next send.
+const READS_PER_ITERATION: usize = 8;
 
 /// Shortest and longest sleep of the task.
 const MIN_SLEEP: Span = Span::from_millis(1);
@@ -33,11 +33,11 @@ pub(super) trait Machine: Send + fmt::Debug + 'static {
     type Delivery: Send + 'static;
 
     fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime);
-    /// Notes that the system reports a closed port at the destination.
-    fn refused(&mut self);
+    /// Handles the report of the system that no socket is bound to the destination port.
+    fn handle_port_unreachable(&mut self);
     fn tick(&mut self, now: MonoTime);
     fn next_timer(&self, now: MonoTime) -> Option<MonoTime>;
-    fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)>;
+    fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<(Route, Batch)>;
     fn next_delivery(&mut self) -> Option<Self::Delivery>;
     /// Starts to say goodbye.
     fn close(&mut self, now: MonoTime);
@@ -91,7 +91,7 @@ impl<M: Machine> Port<M> {
             ended: CancellationToken::new(),
             start,
         });
-        let (sender, receiver) = mpsc::channel(MAX_WAITING);
+        let (sender, receiver) = mpsc::channel(MAX_QUEUED_ARRIVALS);
         tokio::spawn(Arc::clone(&port).run(sender));
         (port, receiver)
     }
@@ -105,8 +105,8 @@ impl<M: Machine> Port<M> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Calls `act` with the machine and sends what may be sent then.
-    pub(super) fn with<T>(&self, act: impl FnOnce(&mut M, MonoTime) -> T) -> T {
+    /// Calls `act` with the machine, then sends the datagrams that the machine may send.
+    pub(super) fn with_machine<T>(&self, act: impl FnOnce(&mut M, MonoTime) -> T) -> T {
         let mut state = self.lock();
         let now = self.time(Instant::now());
         let result = act(&mut state.machine, now);
@@ -121,7 +121,7 @@ impl<M: Machine> Port<M> {
 
     /// Says goodbye to all peers and waits at most `linger`.
     pub(super) async fn close(&self, linger: Duration) {
-        self.with(|machine, now| machine.close(now));
+        self.with_machine(|machine, now| machine.close(now));
         self.wake.notify_one();
         if timeout(linger, self.ended.cancelled()).await.is_err() {
             self.abort.cancel();
@@ -134,7 +134,7 @@ impl<M: Machine> Port<M> {
         let State { machine, out, blocked, .. } = state;
         loop {
             let (route, batch) = match blocked.take() {
-                Some(waiting) => waiting,
+                Some(batch) => batch,
                 None => {
                     out.clear();
                     let now = self.time(Instant::now());
@@ -158,10 +158,10 @@ impl<M: Machine> Port<M> {
                 }
                 Err(error) => {
                     if error.kind() == io::ErrorKind::ConnectionRefused {
-                        machine.refused();
+                        machine.handle_port_unreachable();
                     }
                     // Datagrams may be lost anyway, and a path that never carries them ends the connection by silence.
-                    tracing::debug!(%error, to = %route.to, "datagrams were not sent");
+                    tracing::debug!(%error, to = %route.to, "cannot send datagrams");
                 }
             }
         }
@@ -169,7 +169,7 @@ impl<M: Machine> Port<M> {
 
     async fn run(self: Arc<Self>, arrivals: mpsc::Sender<M::Delivery>) {
         let mut buffers = ReceiveBuffers::new();
-        let mut waiting = VecDeque::new();
+        let mut queued = VecDeque::new();
         loop {
             let (next, is_blocked, is_over) = {
                 let mut state = self.lock();
@@ -177,7 +177,7 @@ impl<M: Machine> Port<M> {
                 state.machine.tick(now);
                 self.flush(&mut state);
                 while let Some(delivery) = state.machine.next_delivery() {
-                    waiting.push_back(delivery);
+                    queued.push_back(delivery);
                 }
                 let now = self.time(Instant::now());
                 // At least the resolution of the runtime's timers, at most an hour.
@@ -193,34 +193,34 @@ impl<M: Machine> Port<M> {
                     state.machine.is_finished(),
                 )
             };
-            while !waiting.is_empty()
+            while !queued.is_empty()
                 && let Ok(permit) = arrivals.try_reserve()
-                && let Some(delivery) = waiting.pop_front()
+                && let Some(delivery) = queued.pop_front()
             {
                 permit.send(delivery);
             }
-            if is_over && waiting.is_empty() {
+            if is_over && queued.is_empty() {
                 break;
             }
             tokio::select! {
                 () = self.abort.cancelled() => break,
-                // Datagrams that are not read stay in the kernel, which drops those for which it has no room.
-                result = self.socket.readable(), if waiting.is_empty() && !is_over => {
+                // While arrivals are queued, datagrams stay in the kernel, which drops them when its buffer is full.
+                result = self.socket.readable(), if queued.is_empty() && !is_over => {
                     if let Err(error) = result {
-                        tracing::debug!(%error, "a socket told of an error");
+                        tracing::debug!(%error, "a UDP socket reported an error");
                         if error.kind() == io::ErrorKind::ConnectionRefused {
-                            self.lock().machine.refused();
+                            self.lock().machine.handle_port_unreachable();
                         }
                     }
-                    self.read(&mut buffers);
+                    self.receive_datagrams(&mut buffers);
                 }
                 _ = self.socket.writable(), if is_blocked => {}
-                permit = arrivals.reserve(), if !waiting.is_empty() => match permit {
-                    Ok(permit) => if let Some(delivery) = waiting.pop_front() {
+                permit = arrivals.reserve(), if !queued.is_empty() => match permit {
+                    Ok(permit) => if let Some(delivery) = queued.pop_front() {
                         permit.send(delivery);
                     },
                     // Nothing receives the arrivals any more.
-                    Err(_) => waiting.clear(),
+                    Err(_) => queued.clear(),
                 },
                 () = self.wake.notified() => {}
                 () = sleep_until(next) => {}
@@ -234,21 +234,23 @@ impl<M: Machine> Port<M> {
         self.ended.cancel();
     }
 
-    fn read(&self, buffers: &mut ReceiveBuffers) {
+    fn receive_datagrams(&self, buffers: &mut ReceiveBuffers) {
         let mut state = self.lock();
-        for _ in 0..READS_PER_TURN {
+        for _ in 0..READS_PER_ITERATION {
             let now = self.time(Instant::now());
             let machine = &mut state.machine;
             let received = self.socket.try_receive(buffers, |source, local, datagram| {
-                // An empty body counts as garbage: the datagram is of another group or another program.
+                // An empty body is an invalid packet: the datagram is of another group or another program.
                 let body = radio::body(datagram).unwrap_or_default();
                 machine.receive(source, local, body, now);
             });
             match received {
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
-                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => machine.refused(),
-                Err(error) => tracing::debug!(%error, "a socket told of an error"),
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {
+                    machine.handle_port_unreachable()
+                }
+                Err(error) => tracing::debug!(%error, "a UDP socket reported an error"),
             }
         }
     }

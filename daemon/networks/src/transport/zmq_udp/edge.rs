@@ -14,8 +14,8 @@ use tokio::time::{Instant, sleep_until};
 
 use super::driver::{Machine, Port, time_since};
 use super::radio::{self, PREFIX};
-use super::socket::{ReceiveBuffers, UdpPort, any_address, source_address};
-use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
+use super::socket::{ReceiveBuffers, UdpPort, source_address, unspecified_address};
+use super::{connection_limits, local_terms, reassembly_limits, socket_bytes};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::datagram::connection::{Connection, Event};
 use crate::transport::datagram::endpoint::Route;
@@ -25,7 +25,7 @@ use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialFailure, Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    DialContext, DialFailure, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
     SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -37,17 +37,17 @@ const UNFINISHED_MESSAGES: u64 = 4;
 pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
-    _dialler: &Dialler<'_>,
+    _context: &DialContext<'_>,
 ) -> Result<EdgeConnection, DialFailure> {
-    let found = tokio::net::lookup_host(address.authority()).await;
-    let found = found.map_err(|error| unreachable(&error))?.next();
-    let peer = found.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
-    let socket = UdpPort::bind(SocketAddr::new(any_address(peer), 0), socket_bytes(settings));
+    let resolved = tokio::net::lookup_host(address.authority()).await;
+    let resolved = resolved.map_err(|error| unreachable(&error))?.next();
+    let peer = resolved.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
+    let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_bytes(settings));
     let socket = socket.map_err(|error| unreachable(&error))?;
     // A closed port of the cloud then ends the connection at once and not by silence.
     socket.report_errors().map_err(|error| unreachable(&error))?;
     let start = Instant::now();
-    let (id, terms, remark) = open(&socket, peer, own_terms(settings, &socket), start).await?;
+    let (id, terms, remark) = open(&socket, peer, local_terms(settings, &socket), start).await?;
     let largest = u64::from(reassembly_limits(settings).max_message_bytes);
     let budget = MemoryBudget::new(largest.saturating_mul(UNFINISHED_MESSAGES));
     let now = time_since(start, Instant::now());
@@ -59,8 +59,8 @@ pub(crate) async fn dial(
         now,
     );
     let (token, _) = uuid::Uuid::new_v4().as_u64_pair();
-    let garbage = VecDeque::new();
-    let machine = EdgeEnd { peer, id, connection, remark, garbage, token, asked: None };
+    let invalid_packets = VecDeque::new();
+    let machine = EdgeEnd { peer, id, connection, remark, invalid_packets, token, path_check: None };
     let (port, arrivals) = Port::serve(socket, machine, start);
     let sender = Box::new(UdpEdgeSender(Arc::clone(&port)));
     Ok(EdgeConnection { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }), is_cloud: true })
@@ -141,50 +141,52 @@ struct EdgeEnd {
     connection: Connection,
     /// Remark on the opening, until it is handed up.
     remark: Option<String>,
-    garbage: VecDeque<String>,
+    invalid_packets: VecDeque<String>,
     /// Token that proves that a sender who repeats it receives what is sent to its address.
     token: u64,
-    /// Another address that claims to be the cloud's, the time when it was noticed, and whether the token still has to
-    /// be sent to it.
-    asked: Option<(SocketAddr, MonoTime, bool)>,
+    /// Check of another address that claims to be the cloud's: the address, the time when it was noticed, and whether the
+    /// token still has to be sent to it.
+    path_check: Option<(SocketAddr, MonoTime, bool)>,
 }
 
-/// Shortest time between two tokens to other addresses.
-const PATH_PAUSE: Span = Span::from_millis(100);
+/// Shortest interval between two tokens to other addresses.
+const PATH_CHECK_INTERVAL: Span = Span::from_millis(100);
 
-/// Largest number of descriptions of garbage that wait to be handed up.
-const MAX_GARBAGE: usize = 64;
+/// Largest number of descriptions of invalid packets that wait to be handed up.
+const MAX_INVALID_PACKETS: usize = 64;
 
 impl Machine for EdgeEnd {
     type Delivery = (Result<EdgeArrival, Disconnected>, Option<Reservation>);
 
     fn receive(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
         // Only the IP addresses are compared, because the sending port of a RADIO socket is arbitrary.
-        let is_elsewhere = source.ip() != self.peer.ip();
+        let is_other_address = source.ip() != self.peer.ip();
         match Packet::read(Role::Edge, body) {
-            Ok(Packet::PathConfirmed { connection, token })
-                if is_elsewhere && (connection, token) == (self.id, self.token) =>
+            Ok(Packet::PathResponse { connection, token })
+                if is_other_address && (connection, token) == (self.id, self.token) =>
             {
                 self.peer = SocketAddr::new(source.ip(), self.peer.port());
                 tracing::info!(peer = %self.peer, "the cloud has another address");
             }
             // The sender knows the connection and may be the cloud. It gets a token, and its packets are ignored until
             // it returns the token.
-            Ok(packet) if is_elsewhere && packet.connection() == Some(self.id) => {
-                if self.asked.is_none_or(|(_, at, _)| now - at >= PATH_PAUSE) {
-                    self.asked = Some((SocketAddr::new(source.ip(), self.peer.port()), now, true));
+            Ok(packet) if is_other_address && packet.connection() == Some(self.id) => {
+                if self.path_check.is_none_or(|(_, at, _)| now - at >= PATH_CHECK_INTERVAL) {
+                    self.path_check = Some((SocketAddr::new(source.ip(), self.peer.port()), now, true));
                 }
             }
-            _ if is_elsewhere => {}
+            _ if is_other_address => {}
             Ok(packet) if packet.connection() == Some(self.id) => self.connection.receive(packet, now),
             // A duplicated answer of the handshake, or a packet for an earlier socket at this port.
             Ok(_) => {}
-            Err(error) if self.garbage.len() < MAX_GARBAGE => self.garbage.push_back(error.to_string()),
+            Err(error) if self.invalid_packets.len() < MAX_INVALID_PACKETS => {
+                self.invalid_packets.push_back(error.to_string())
+            }
             Err(_) => {}
         }
     }
 
-    fn refused(&mut self) {
+    fn handle_port_unreachable(&mut self) {
         self.connection.end("nobody listens at the peer's port any more");
     }
 
@@ -196,15 +198,15 @@ impl Machine for EdgeEnd {
         (!self.connection.is_closed()).then(|| self.connection.next_timer(now))
     }
 
-    fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)> {
-        if let Some((to, _, waits @ true)) = &mut self.asked {
-            *waits = false;
+    fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<(Route, Batch)> {
+        if let Some((to, _, must_send @ true)) = &mut self.path_check {
+            *must_send = false;
             let begin = out.len();
             out.extend_from_slice(PREFIX);
-            Packet::Path { connection: self.id, token: self.token }.write(Role::Edge, out);
+            Packet::PathChallenge { connection: self.id, token: self.token }.write(Role::Edge, out);
             return Some((Route { to: *to, from: None }, Batch { segment: out.len() - begin, count: 1 }));
         }
-        let batch = self.connection.fill(out, most, now)?;
+        let batch = self.connection.fill(out, max_datagrams, now)?;
         Some((Route { to: self.peer, from: None }, batch))
     }
 
@@ -212,14 +214,14 @@ impl Machine for EdgeEnd {
         if let Some(remark) = self.remark.take() {
             return Some((Ok(EdgeArrival::Remark(remark)), None));
         }
-        if let Some(problem) = self.garbage.pop_front() {
-            return Some((Ok(EdgeArrival::Garbage(problem)), None));
+        if let Some(problem) = self.invalid_packets.pop_front() {
+            return Some((Ok(EdgeArrival::InvalidData(problem)), None));
         }
         Some(match self.connection.next_event()? {
             Event::Message(frames, reserved) => (Ok(EdgeArrival::Message(frames)), Some(reserved)),
             Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), None),
             Event::Lost(loss) => (Ok(EdgeArrival::Lost(loss)), None),
-            Event::Garbage(problem) => (Ok(EdgeArrival::Garbage(problem)), None),
+            Event::InvalidData(problem) => (Ok(EdgeArrival::InvalidData(problem)), None),
             Event::Gone(reason) => (Err(Disconnected(reason)), None),
         })
     }
@@ -245,11 +247,11 @@ struct UdpEdgeSender(Arc<Port<EdgeEnd>>);
 impl EdgeSender for UdpEdgeSender {
     fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
         let deadline = options.deadline.map(|deadline| self.0.time(deadline));
-        self.0.with(|end, _| end.connection.send(frames, options.tag, deadline))
+        self.0.with_machine(|end, _| end.connection.send(frames, options.tag, deadline))
     }
 
     fn addresses(&self) -> Option<ConnectionAddresses> {
-        let (port, peer) = (self.0.socket.address().port(), self.0.with(|end, _| end.peer));
+        let (port, peer) = (self.0.socket.address().port(), self.0.with_machine(|end, _| end.peer));
         match source_address(peer) {
             Ok(ip) => Some(ConnectionAddresses { local: SocketAddr::new(ip, port), remote: peer }),
             Err(error) => {
@@ -264,7 +266,7 @@ impl EdgeSender for UdpEdgeSender {
     }
 
     fn statistics(&self) -> TransportStatistics {
-        self.0.with(|end, now| end.connection.statistics(now))
+        self.0.with_machine(|end, now| end.connection.statistics(now))
     }
 }
 

@@ -65,7 +65,7 @@ fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
     }
 }
 
-fn own_terms(settings: &SessionSettings, socket: &UdpPort) -> Terms {
+fn local_terms(settings: &SessionSettings, socket: &UdpPort) -> Terms {
     let datagram = u16::try_from(settings.datagram_bytes).unwrap_or(MAX_DATAGRAM_BYTES);
     Terms { window: socket.window(), datagram: datagram.clamp(MIN_DATAGRAM_BYTES, MAX_DATAGRAM_BYTES) }
 }

@@ -47,13 +47,13 @@ impl std::fmt::Debug for UdpPort {
 /// # Errors
 /// If there is no route to the peer.
 pub(super) fn source_address(peer: SocketAddr) -> io::Result<IpAddr> {
-    let socket = std::net::UdpSocket::bind((any_address(peer), 0))?;
+    let socket = std::net::UdpSocket::bind((unspecified_address(peer), 0))?;
     socket.connect(peer)?;
     Ok(socket.local_addr()?.ip())
 }
 
 /// Returns the unspecified address of the peer's address family.
-pub(super) const fn any_address(peer: SocketAddr) -> IpAddr {
+pub(super) const fn unspecified_address(peer: SocketAddr) -> IpAddr {
     match peer {
         SocketAddr::V4(_) => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
         SocketAddr::V6(_) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
@@ -106,7 +106,7 @@ impl UdpPort {
         self.address
     }
 
-    /// Returns the limit of the system that slows it down, and what to do.
+    /// Returns a warning about the system's limit on socket buffers, and what to do about it. `None` if it is high enough.
     pub(super) fn caveat(&self) -> Option<&str> {
         self.caveat.as_deref()
     }

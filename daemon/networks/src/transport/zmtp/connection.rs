@@ -30,7 +30,7 @@ pub(super) enum Phase {
     Admitted,
     /// The listener closes; queued messages are still sent.
     Closing,
-    /// The connection made room for another one.
+    /// A newer connection replaces this one.
     Replaced,
 }
 
@@ -49,8 +49,8 @@ pub(super) struct ZmtpConnection {
     pub(super) wake: Notify,
     max_queued_messages: usize,
     max_queued_bytes: usize,
-    /// Dropped after the socket, so that there are never more sockets than places.
-    _place: OwnedSemaphorePermit,
+    /// Permit to be open. It is dropped after the socket, so that there are never more sockets than permits.
+    _permit: OwnedSemaphorePermit,
 }
 
 /// The library's state machine, and its queue.
@@ -75,7 +75,7 @@ impl ZmtpConnection {
         id: ConnectionId,
         address: SocketAddr,
         writer: OwnedWriteHalf,
-        place: OwnedSemaphorePermit,
+        permit: OwnedSemaphorePermit,
         limits: &ListenerLimits,
         output: &Arc<MemoryBudget>,
     ) -> Self {
@@ -91,14 +91,14 @@ impl ZmtpConnection {
         Self {
             id,
             address,
-            group: AddressGroup::of(address),
+            group: AddressGroup::from_address(address),
             writer,
             codec: Mutex::new(codec),
             phase: AtomicU8::new(Phase::Handshake as u8),
             wake: Notify::new(),
             max_queued_messages: limits.max_queued_messages,
             max_queued_bytes: limits.max_queued_bytes,
-            _place: place,
+            _permit: permit,
         }
     }
 
@@ -120,13 +120,13 @@ impl ZmtpConnection {
     pub(super) fn advance(&self, to: Phase) {
         let allowed = |from: u8| {
             let from = PHASES[usize::from(from)];
-            let moves = match to {
+            let is_allowed = match to {
                 Phase::Handshake => false,
                 Phase::Greeted => from == Phase::Unadmitted,
                 Phase::Unadmitted | Phase::Admitted => from < Phase::Closing && from != to,
                 Phase::Closing | Phase::Replaced => from < Phase::Closing,
             };
-            moves.then_some(to as u8)
+            is_allowed.then_some(to as u8)
         };
         if self.phase.fetch_update(Ordering::AcqRel, Ordering::Acquire, allowed).is_ok() {
             self.wake.notify_one();
@@ -207,7 +207,12 @@ impl Codec {
 
     /// Reserves memory for `queued` queued bytes.
     fn reserve(&mut self, queued: usize) -> io::Result<()> {
-        let full = |_| io::Error::new(io::ErrorKind::OutOfMemory, "peers leave too much unread");
-        self.reserved.set(&self.budget, queued as u64).map_err(full)
+        let full = |_| {
+            io::Error::new(
+                io::ErrorKind::OutOfMemory,
+                "the memory for messages that peers have not read yet is used up",
+            )
+        };
+        self.reserved.resize(&self.budget, queued as u64).map_err(full)
     }
 }

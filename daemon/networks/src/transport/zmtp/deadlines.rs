@@ -10,10 +10,10 @@ use super::rejections::Rejection;
 pub(super) struct Deadlines {
     limits: ListenerLimits,
     phase: Phase,
-    phase_began: Instant,
+    phase_started_at: Instant,
     /// `true` if bytes arrived since the last [`check`](Self::check).
     pub(super) has_received: bool,
-    last_received: Instant,
+    last_received_at: Instant,
 }
 
 /// Action that a deadline demands.
@@ -29,7 +29,13 @@ pub(super) enum DueAction {
 impl Deadlines {
     pub(super) fn new(limits: &ListenerLimits, now: Instant) -> Self {
         let limits = limits.clone();
-        Self { limits, phase: Phase::Handshake, phase_began: now, has_received: false, last_received: now }
+        Self {
+            limits,
+            phase: Phase::Handshake,
+            phase_started_at: now,
+            has_received: false,
+            last_received_at: now,
+        }
     }
 
     /// Returns the phase whose deadline is watched.
@@ -39,26 +45,26 @@ impl Deadlines {
 
     /// Starts the deadline of a new phase.
     pub(super) const fn enter(&mut self, phase: Phase, now: Instant) {
-        (self.phase, self.phase_began) = (phase, now);
+        (self.phase, self.phase_started_at) = (phase, now);
     }
 
     /// Returns the action that is due now.
     pub(super) fn check(&mut self, now: Instant) -> DueAction {
         if std::mem::take(&mut self.has_received) {
-            self.last_received = now;
+            self.last_received_at = now;
         }
-        let in_phase = now - self.phase_began;
+        let phase_duration = now - self.phase_started_at;
         if self.phase == Phase::Handshake {
-            if in_phase < HANDSHAKE_TIMEOUT {
+            if phase_duration < HANDSHAKE_TIMEOUT {
                 return DueAction::Nothing;
             }
             return DueAction::End(Rejection::Handshake, "no ZMTP handshake in time".into());
         }
-        if self.phase == Phase::Unadmitted && in_phase >= self.limits.hello_timeout {
+        if self.phase == Phase::Unadmitted && phase_duration >= self.limits.hello_timeout {
             let text = format!("no hello was accepted within {} ms", self.limits.hello_timeout.as_millis());
             return DueAction::End(Rejection::NoHello, text);
         }
-        let silence = now - self.last_received;
+        let silence = now - self.last_received_at;
         if silence >= self.limits.heartbeat_timeout {
             let text = format!("the peer sent nothing for {} ms", silence.as_millis());
             return DueAction::End(Rejection::Silent, text);
@@ -67,11 +73,11 @@ impl Deadlines {
     }
 
     /// Returns the time of the next check.
-    pub(super) fn next(&self, now: Instant) -> Instant {
+    pub(super) fn next_check(&self, now: Instant) -> Instant {
         let heartbeat = now + self.limits.heartbeat_interval;
         match self.phase {
-            Phase::Handshake => self.phase_began + HANDSHAKE_TIMEOUT,
-            Phase::Unadmitted => heartbeat.min(self.phase_began + self.limits.hello_timeout),
+            Phase::Handshake => self.phase_started_at + HANDSHAKE_TIMEOUT,
+            Phase::Unadmitted => heartbeat.min(self.phase_started_at + self.limits.hello_timeout),
             _ => heartbeat,
         }
     }
@@ -101,10 +107,13 @@ mod tests {
         let start = Instant::now();
         let after = |seconds| start + Duration::from_secs(seconds);
         let mut deadlines = Deadlines::new(&limits(), start);
-        assert_eq!((deadlines.check(after(1)), deadlines.next(after(1))), (DueAction::Nothing, after(2)));
+        assert_eq!(
+            (deadlines.check(after(1)), deadlines.next_check(after(1))),
+            (DueAction::Nothing, after(2))
+        );
         assert!(matches!(deadlines.check(after(2)), DueAction::End(Rejection::Handshake, _)));
         deadlines.enter(Phase::Unadmitted, after(1));
-        assert_eq!((deadlines.check(after(5)), deadlines.next(after(5))), (DueAction::Ping, after(6)));
+        assert_eq!((deadlines.check(after(5)), deadlines.next_check(after(5))), (DueAction::Ping, after(6)));
         assert!(matches!(deadlines.check(after(6)), DueAction::End(Rejection::NoHello, _)));
     }
 

@@ -23,12 +23,11 @@ use super::rejections::Rejection;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Arrival, Frames, Peer};
 
-/// Largest number of bytes of one read while no long frame is expected. They are copied into frames, so that an idle
-/// connection holds no buffer.
+/// Largest number of bytes of one read while no long frame is expected.
+// They are read into the stack and copied into frames, so that an idle connection has no buffer.
 const READ_BYTES: usize = 16 * 1024;
 
-/// Number of bytes of waiting PONGs above which reading pauses. A peer that sends PINGs and reads nothing is thereby
-/// stopped.
+/// Number of bytes of waiting PONGs above which reading pauses. It stops a peer that sends PINGs and reads nothing.
 const MAX_QUEUED_PONG_BYTES: usize = 16 * 1024;
 
 /// Time limit for a peer to close its end after everything was sent to it.
@@ -114,10 +113,10 @@ impl Driver {
                 return end;
             }
             let connection = Arc::clone(&self.connection);
-            let is_blocked = self.is_blocked();
+            let must_write_first = self.must_write_first();
             let event = tokio::select! {
                 biased;
-                read = self.input.read(&connection), if !is_blocked => Wake::Read(read),
+                read = self.input.read(&connection), if !must_write_first => Wake::Read(read),
                 () = connection.wake.notified() => Wake::Notified,
                 result = connection.writer.writable(), if self.has_output => Wake::Writable(result.is_ok()),
                 () = timer.as_mut() => Wake::Timer,
@@ -142,19 +141,19 @@ impl Driver {
                 }
                 Wake::Notified => self.has_output = true,
                 Wake::Writable(true) => {}
-                Wake::Writable(false) => return ConnectionEnd::Peer("the connection broke".into()),
+                Wake::Writable(false) => return ConnectionEnd::Peer("the connection was lost".into()),
                 Wake::Timer => {
                     if let Some(end) = self.check_deadlines() {
                         return end;
                     }
-                    timer.as_mut().reset(self.deadlines.next(Instant::now()));
+                    timer.as_mut().reset(self.deadlines.next_check(Instant::now()));
                 }
             }
         }
     }
 
     /// Returns whether queued PONGs must be written before more is read.
-    fn is_blocked(&self) -> bool {
+    fn must_write_first(&self) -> bool {
         self.has_output && self.connection.codec().zmtp.pending_pong_size() > MAX_QUEUED_PONG_BYTES
     }
 
@@ -167,12 +166,12 @@ impl Driver {
         }
         let now = Instant::now();
         self.deadlines.enter(phase, now);
-        timer.reset(self.deadlines.next(now));
+        timer.reset(self.deadlines.next_check(now));
         match phase {
             Phase::Closing => Some(ConnectionEnd::Closed),
             Phase::Replaced => Some(ConnectionEnd::Rejected(
                 Rejection::Replaced,
-                "a newer connection needed its place".into(),
+                "a newer connection replaced it because the largest number of connections was open".into(),
             )),
             _ => None,
         }
@@ -198,7 +197,7 @@ impl Driver {
             while let Some(event) = codec.zmtp.poll_event() {
                 if let Event::HandshakeSucceeded { peer_properties, .. } = event {
                     if peer_properties.identity.as_ref().is_some_and(|identity| !identity.is_empty()) {
-                        let text = "the peer chose a routing id of its own".into();
+                        let text = "the peer chose its own routing id, which is not allowed".into();
                         return Err((Rejection::Handshake, text));
                     }
                     self.is_ready = true;
@@ -250,7 +249,7 @@ impl Driver {
         }
         let ping = Command::Ping { ttl_deciseconds: 0, context: bytes::Bytes::new() };
         if let Err(error) = codec.zmtp.send_command(&ping) {
-            tracing::debug!(%error, "a heartbeat was not sent");
+            tracing::debug!(%error, "cannot send a heartbeat");
         }
         drop(codec);
         self.has_output = true;
@@ -271,12 +270,12 @@ impl Driver {
             }
         };
         // Bytes that are not sent by then are lost with the connection.
-        let _late = tokio::time::timeout_at(deadline, flush).await;
+        let _unsent = tokio::time::timeout_at(deadline, flush).await;
         // Closing a socket with unread bytes would reset the connection, and the peer would lose what it has not read.
         shut_down_writing(&self.input.reader);
         let mut scratch = vec![0; READ_BYTES];
         let drain = async { while matches!(self.input.reader.read(&mut scratch).await, Ok(1..)) {} };
-        let _open = tokio::time::timeout_at(deadline.min(Instant::now() + CLOSE_TIMEOUT), drain).await;
+        let _still_open = tokio::time::timeout_at(deadline.min(Instant::now() + CLOSE_TIMEOUT), drain).await;
     }
 }
 
@@ -343,13 +342,13 @@ fn poll_read(
             debug_assert!(buffer.has_remaining_mut());
             let read = std::pin::pin!(reader.read_buf(&mut buffer)).poll(cx);
             let read = ready!(read);
-            (read, framer.filled(allowance, pieces))
+            (read, framer.complete_direct_read(allowance, pieces))
         }
         Ok(None) => {
             let mut scratch = [0; READ_BYTES];
             let mut buffer = ReadBuf::new(&mut scratch);
             let read = ready!(Pin::new(reader).poll_read(cx, &mut buffer));
-            (read.map(|()| buffer.filled().len()), framer.input(buffer.filled(), allowance, pieces))
+            (read.map(|()| buffer.filled().len()), framer.receive(buffer.filled(), allowance, pieces))
         }
     };
     Poll::Ready(match (read, result) {

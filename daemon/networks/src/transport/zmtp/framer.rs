@@ -1,7 +1,7 @@
 //! Splits the bytes of one connection into ZMTP frames, within limits and without I/O.
 //!
-//! The library's codec only gets whole frames. Everything unfinished is held and counted here. Memory is reserved as
-//! bytes arrive and not as a peer claims.
+//! The library's codec gets only whole frames. Bytes of unfinished frames are stored and counted here. Memory is
+//! reserved for bytes that have arrived, and not for the length that a frame announces.
 
 use std::sync::Arc;
 
@@ -26,13 +26,14 @@ const FIRST_BYTES: usize = 64 * 1024;
 
 /// Largest number of bytes that are reserved at the start of a frame on a connection that has already sent frames of
 /// this length. A stream of images then does not need growing buffers.
-const MOST_FIRST_BYTES: usize = 2 * 1024 * 1024;
+const MAX_FIRST_BYTES: usize = 2 * 1024 * 1024;
 
 /// Smallest remainder of a frame that is read from the kernel straight into the frame's buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 8 * 1024;
 
-/// Largest number of bytes of one such read. While the kernel copies, it receives nothing, and the sender waits.
-const MOST_DIRECT_READ_BYTES: usize = 64 * 1024;
+/// Largest number of bytes of one such read.
+// While the kernel copies to this process, it receives nothing for the connection, and the sender waits.
+const MAX_DIRECT_READ_BYTES: usize = 64 * 1024;
 
 /// Limits on what a connection may send at present.
 #[derive(Debug)]
@@ -81,7 +82,7 @@ enum State {
     Greeting(usize),
     Header {
         bytes: [u8; 9],
-        have: usize,
+        received: usize,
     },
     Body {
         flags: u8,
@@ -90,7 +91,7 @@ enum State {
     },
 }
 
-const NO_HEADER: State = State::Header { bytes: [0; 9], have: 0 };
+const EMPTY_HEADER: State = State::Header { bytes: [0; 9], received: 0 };
 
 impl Framer {
     pub(super) fn new(allowance: &Allowance) -> Self {
@@ -108,7 +109,7 @@ impl Framer {
     }
 
     /// Returns the buffer into which the remainder of a long frame is to be read, if one is expected.
-    /// [`filled`](Self::filled) is to be called afterwards.
+    /// [`complete_direct_read`](Self::complete_direct_read) is to be called afterwards.
     ///
     /// # Errors
     /// If there is no memory for the frame.
@@ -121,16 +122,20 @@ impl Framer {
             return Ok(None);
         }
         if buffer.len() == buffer.capacity() {
-            // At most twice what has arrived, so that a claimed length alone takes no memory.
+            // At most twice the bytes that have arrived, so that an announced length alone takes no memory.
             let capacity = (*length).min(buffer.len() * 2);
             grow(buffer, capacity, self.finished_bytes, &mut self.reserved, allowance)?;
         }
         let room = (*length).min(buffer.capacity()) - buffer.len();
-        Ok(Some(buffer.limit(room.min(MOST_DIRECT_READ_BYTES))))
+        Ok(Some(buffer.limit(room.min(MAX_DIRECT_READ_BYTES))))
     }
 
     /// Handles bytes that were read into the [direct buffer](Self::direct_buffer).
-    pub(super) fn filled(&mut self, allowance: &Allowance, out: &mut Vec<Piece>) -> Result<(), Violation> {
+    pub(super) fn complete_direct_read(
+        &mut self,
+        allowance: &Allowance,
+        out: &mut Vec<Piece>,
+    ) -> Result<(), Violation> {
         self.complete_body(allowance, out)
     }
 
@@ -138,7 +143,7 @@ impl Framer {
     ///
     /// # Errors
     /// If they are more than the connection may send at present.
-    pub(super) fn input(
+    pub(super) fn receive(
         &mut self,
         mut chunk: &[u8],
         allowance: &Allowance,
@@ -150,27 +155,28 @@ impl Framer {
                     let (greeting, rest) = chunk.split_at(chunk.len().min(*missing));
                     *missing -= greeting.len();
                     if *missing == 0 {
-                        self.state = NO_HEADER;
+                        self.state = EMPTY_HEADER;
                     }
                     out.push(Piece { bytes: Bytes::copy_from_slice(greeting), message: None });
                     chunk = rest;
                 }
                 // A frame that has arrived whole needs no buffer of its own.
-                State::Header { have: 0, .. } if is_whole_frame(chunk) => {
-                    let (flags, length) = self.check(chunk, allowance)?;
+                State::Header { received: 0, .. } if is_whole_frame(chunk) => {
+                    let (flags, length) = self.check_frame(chunk, allowance)?;
                     let (frame, rest) = chunk.split_at(header_length(flags) + length);
                     let message = self.complete_frame(flags, length, allowance)?;
                     out.push(Piece { bytes: Bytes::copy_from_slice(frame), message });
                     chunk = rest;
                 }
-                State::Header { bytes, have } => {
-                    let needed = if *have == 0 { header_length(chunk[0]) } else { header_length(bytes[0]) };
-                    let (header, rest) = chunk.split_at(chunk.len().min(needed - *have));
-                    bytes[*have..*have + header.len()].copy_from_slice(header);
-                    *have += header.len();
-                    if *have == needed {
+                State::Header { bytes, received } => {
+                    let needed =
+                        if *received == 0 { header_length(chunk[0]) } else { header_length(bytes[0]) };
+                    let (header, rest) = chunk.split_at(chunk.len().min(needed - *received));
+                    bytes[*received..*received + header.len()].copy_from_slice(header);
+                    *received += header.len();
+                    if *received == needed {
                         let header = *bytes;
-                        self.begin_body(&header[..needed], allowance, out)?;
+                        self.start_body(&header[..needed], allowance, out)?;
                     }
                     chunk = rest;
                 }
@@ -190,44 +196,51 @@ impl Framer {
         Ok(())
     }
 
-    fn begin_body(
+    fn start_body(
         &mut self,
         header: &[u8],
         allowance: &Allowance,
         out: &mut Vec<Piece>,
     ) -> Result<(), Violation> {
-        let (flags, length) = self.check(header, allowance)?;
+        let (flags, length) = self.check_frame(header, allowance)?;
         // The codec checks the flags before memory is reserved.
         out.push(Piece { bytes: Bytes::copy_from_slice(header), message: None });
-        let first = match allowance.stage {
-            Stage::Admitted => FIRST_BYTES.max(self.largest_frame.min(MOST_FIRST_BYTES)),
+        let initial = match allowance.stage {
+            Stage::Admitted => FIRST_BYTES.max(self.largest_frame.min(MAX_FIRST_BYTES)),
             Stage::Handshake | Stage::Unadmitted => FIRST_BYTES_UNADMITTED,
         };
         let mut buffer = Vec::new();
-        grow(&mut buffer, length.min(first), self.finished_bytes, &mut self.reserved, allowance)?;
+        grow(&mut buffer, length.min(initial), self.finished_bytes, &mut self.reserved, allowance)?;
         self.state = State::Body { flags, buffer, length };
         self.complete_body(allowance, out)
     }
 
-    /// Returns the flags and the length of a frame, of which at least the header has arrived, if the connection may
-    /// send it at present.
-    fn check(&self, frame: &[u8], allowance: &Allowance) -> Result<(u8, usize), Violation> {
+    /// Returns the flags and the length of a frame. At least its header must have arrived.
+    ///
+    /// # Errors
+    /// If the connection may not send such a frame at present.
+    fn check_frame(&self, frame: &[u8], allowance: &Allowance) -> Result<(u8, usize), Violation> {
         let (flags, length) = (frame[0], frame_length(frame));
         let size = self.finished_bytes.saturating_add(length).saturating_add(FRAME_OVERHEAD_BYTES);
         match allowance.stage {
             Stage::Handshake if flags & COMMAND != 0 && length > MAX_HANDSHAKE_BYTES => {
-                let text = format!("it claims {length} bytes during the handshake");
+                let text = format!(
+                    "the peer announced a command of {length} bytes during the handshake; {MAX_HANDSHAKE_BYTES} are allowed"
+                );
                 return Err((Rejection::Handshake, text));
             }
             Stage::Handshake | Stage::Unadmitted if size > MAX_UNADMITTED_BYTES => {
                 let text = format!(
-                    "it claims {length} bytes before its hello was accepted; {MAX_UNADMITTED_BYTES} are allowed"
+                    "the peer announced a frame of {length} bytes before its hello was accepted; {MAX_UNADMITTED_BYTES} are allowed"
                 );
                 return Err((Rejection::LargeBeforeHello, text));
             }
             // The codec reports the exact limit, with the overhead of each frame.
             Stage::Admitted if length > allowance.max_message_bytes => {
-                let text = format!("it claims {length} bytes; {} are allowed", allowance.max_message_bytes);
+                let text = format!(
+                    "the peer announced a frame of {length} bytes; {} are allowed",
+                    allowance.max_message_bytes
+                );
                 return Err((Rejection::TooLarge, text));
             }
             _ => {}
@@ -242,7 +255,7 @@ impl Framer {
         }
         let (flags, bytes) = (*flags, Bytes::from(std::mem::take(buffer)));
         self.largest_frame = self.largest_frame.max(bytes.len());
-        self.state = NO_HEADER;
+        self.state = EMPTY_HEADER;
         let message = self.complete_frame(flags, bytes.len(), allowance)?;
         out.push(Piece { bytes, message });
         Ok(())
@@ -267,7 +280,7 @@ impl Framer {
     }
 }
 
-/// Returns the length that a frame claims, of which at least the header has arrived.
+/// Returns the length that a frame announces. At least its header must have arrived.
 fn frame_length(frame: &[u8]) -> usize {
     let long = |bytes: &[u8]| bytes.iter().fold(0, |length, byte| length << 8 | u64::from(*byte));
     let claimed = long(&frame[1..header_length(frame[0])]);
@@ -284,7 +297,8 @@ const fn header_length(flags: u8) -> usize {
     if flags & LONG == 0 { 2 } else { 9 }
 }
 
-/// Makes room for `capacity` bytes of a frame, in addition to the message's complete frames.
+/// Grows the buffer of a frame to `capacity` bytes and reserves their memory, in addition to that of the message's
+/// complete frames.
 fn grow(
     buffer: &mut Vec<u8>,
     capacity: usize,
@@ -293,7 +307,7 @@ fn grow(
     allowance: &Allowance,
 ) -> Result<(), Violation> {
     reserve(reserved, finished_bytes.saturating_add(capacity + FRAME_OVERHEAD_BYTES), allowance)?;
-    // The length is a peer's choice, so a failed allocation must end the connection and not the process.
+    // The peer chooses the length, so a failed allocation must end the connection and not the process.
     buffer.try_reserve_exact(capacity - buffer.len()).map_err(|error| {
         (Rejection::NoMemory, format!("no memory for {capacity} bytes of an unfinished frame: {error}"))
     })
@@ -304,8 +318,8 @@ fn reserve(reserved: &mut Reservation, bytes: usize, allowance: &Allowance) -> R
         Stage::Admitted => &allowance.admitted,
         Stage::Handshake | Stage::Unadmitted => &allowance.unadmitted,
     };
-    reserved.set(budget, bytes as u64).map_err(|_| {
-        let text = format!("unfinished messages fill their budget, which has no room for {bytes} bytes more");
+    reserved.resize(budget, bytes as u64).map_err(|_| {
+        let text = format!("cannot reserve {bytes} bytes for an unfinished message: the memory budget of unfinished messages is used up");
         (Rejection::NoMemory, text)
     })
 }

@@ -23,16 +23,16 @@ use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, Arrival, BindFailure, ConnectionId, Frames, SendFailure};
 
 /// Largest number of messages of all connections that wait to be received. Their memory is reserved until then.
-const MAX_WAITING: usize = 1_024;
+const MAX_QUEUED_ARRIVALS: usize = 1_024;
 
 /// Number of sockets that may still be closing while the largest number of connections is open.
-const CLOSING_PLACES: usize = 16;
+const MAX_CLOSING_SOCKETS: usize = 16;
 
 /// Number of connections that the kernel may complete before they are accepted.
 const BACKLOG: i32 = 1_024;
 
-/// Pause after an accept that failed for lack of descriptors or memory.
-const SHORTAGE_PAUSE: Duration = Duration::from_millis(100);
+/// Time until the next attempt after an accept failed for lack of descriptors or memory.
+const ACCEPT_RETRY_INTERVAL: Duration = Duration::from_millis(100);
 
 /// The receiving end of a listening port. Dropping it closes the port and all connections.
 #[derive(Debug)]
@@ -89,8 +89,8 @@ impl ZmtpListener {
             tasks: TaskTracker::new(),
             close_deadline: Mutex::new(None),
         });
-        let (sender, arrivals) = mpsc::channel(MAX_WAITING);
-        shared.tasks.spawn(accept(listener, Arc::clone(&shared), sender));
+        let (sender, arrivals) = mpsc::channel(MAX_QUEUED_ARRIVALS);
+        shared.tasks.spawn(accept_connections(listener, Arc::clone(&shared), sender));
         Ok(Self { address, arrivals, shared })
     }
 
@@ -119,7 +119,7 @@ impl ZmtpListener {
     pub async fn close(mut self, linger: Duration) {
         let deadline = Instant::now() + linger;
         *self.shared.close_deadline.lock().unwrap_or_else(PoisonError::into_inner) = Some(deadline);
-        // Unblocks tasks that wait for room in the queue, so that they can close.
+        // Unblocks the tasks that wait because the queue is full, so that they can close.
         self.arrivals.close();
         while self.arrivals.try_recv().is_ok() {}
         self.shared.close();
@@ -167,7 +167,7 @@ impl ZmtpSender {
 impl ListenerState {
     fn close(&self) {
         self.stop.cancel();
-        for connection in self.table.all() {
+        for connection in self.table.connections() {
             connection.advance(Phase::Closing);
         }
         self.tasks.close();
@@ -200,28 +200,32 @@ fn bind_failure(error: &io::Error) -> BindFailure {
     }
 }
 
-async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mpsc::Sender<Delivery>) {
-    let places = Arc::new(Semaphore::new(shared.limits.max_connections + CLOSING_PLACES));
-    while let Some(accepted) = shared.stop.run_until_cancelled(next(&listener, &places)).await {
-        let (stream, address, place) = match accepted {
+async fn accept_connections(
+    listener: TcpListener,
+    shared: Arc<ListenerState>,
+    arrivals: mpsc::Sender<Delivery>,
+) {
+    let permits = Arc::new(Semaphore::new(shared.limits.max_connections + MAX_CLOSING_SOCKETS));
+    while let Some(accepted) = shared.stop.run_until_cancelled(accept_one(&listener, &permits)).await {
+        let (stream, address, permit) = match accepted {
             Ok(accepted) => accepted,
             Err(error) if is_aborted_by_peer(&error) => continue,
             Err(error) => {
                 shared.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
-                tokio::time::sleep(SHORTAGE_PAUSE).await;
+                tokio::time::sleep(ACCEPT_RETRY_INTERVAL).await;
                 continue;
             }
         };
-        if let Err(error) = prepare(&stream, &shared.limits) {
-            tracing::debug!(%error, %address, "a connection broke before it was served");
+        if let Err(error) = set_socket_options(&stream, &shared.limits) {
+            tracing::debug!(%error, %address, "cannot set the options of an accepted socket; the connection is dropped");
             continue;
         }
         let (reader, writer) = stream.into_split();
         let make = |id| {
             let output = &shared.budgets.output;
-            Arc::new(ZmtpConnection::new(id, address, writer, place, &shared.limits, output))
+            Arc::new(ZmtpConnection::new(id, address, writer, permit, &shared.limits, output))
         };
-        match shared.table.insert(AddressGroup::of(address), make) {
+        match shared.table.insert(AddressGroup::from_address(address), make) {
             Ok(InsertedConnection { connection, replaced }) => {
                 for other in replaced {
                     other.advance(Phase::Replaced);
@@ -232,39 +236,39 @@ async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mps
                 }
                 let driver =
                     Driver::new(connection, reader, &shared.limits, &shared.budgets, arrivals.clone());
-                shared.tasks.spawn(serve(driver, Arc::clone(&shared), arrivals.clone()));
+                shared.tasks.spawn(serve_connection(driver, Arc::clone(&shared), arrivals.clone()));
             }
             Err(reason) => {
-                let text = "as many admitted connections are open as are allowed";
+                let text = "the largest number of connections is open, and all of them are admitted";
                 shared.rejections.record(reason, Some(address), text);
             }
         }
     }
 }
 
-/// Waits for the next connection. Returns it with its place among the open ones.
-async fn next(
+/// Waits for the next connection. Returns it with its permit to be open.
+async fn accept_one(
     listener: &TcpListener,
-    places: &Arc<Semaphore>,
+    permits: &Arc<Semaphore>,
 ) -> io::Result<(TcpStream, SocketAddr, OwnedSemaphorePermit)> {
-    let place = Arc::clone(places).acquire_owned().await.map_err(io::Error::other)?;
+    let permit = Arc::clone(permits).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, address) = listener.accept().await?;
-    Ok((stream, address, place))
+    Ok((stream, address, permit))
 }
 
-/// Returns whether the other side gave up before it was accepted.
+/// Returns whether the peer closed the connection before it was accepted.
 fn is_aborted_by_peer(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
 }
 
-fn prepare(stream: &TcpStream, limits: &ListenerLimits) -> io::Result<()> {
+fn set_socket_options(stream: &TcpStream, limits: &ListenerLimits) -> io::Result<()> {
     // A small message must not wait for the acknowledgement of the one before.
     stream.set_nodelay(true)?;
     SockRef::from(stream).set_tcp_user_timeout(Some(limits.heartbeat_timeout))
 }
 
-async fn serve(mut driver: Driver, shared: Arc<ListenerState>, arrivals: mpsc::Sender<Delivery>) {
+async fn serve_connection(mut driver: Driver, shared: Arc<ListenerState>, arrivals: mpsc::Sender<Delivery>) {
     let end = driver.run().await;
     let connection = &driver.connection;
     let (id, address) = (connection.id, connection.address);
@@ -291,7 +295,7 @@ async fn serve(mut driver: Driver, shared: Arc<ListenerState>, arrivals: mpsc::S
     drop(driver);
     let arrival = match (has_delivered, is_ready) {
         (true, _) => Arrival::Gone(id, reason),
-        (false, false) => Arrival::Garbage(Some(address), reason),
+        (false, false) => Arrival::InvalidData(Some(address), reason),
         // The layer above does not know a connection without a message.
         (false, true) => return,
     };

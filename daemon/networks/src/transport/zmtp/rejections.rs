@@ -17,7 +17,7 @@ pub enum Rejection {
     TooMany,
     /// The largest number of connections of its address was open.
     TooManyOfAddress,
-    /// The connection was not admitted, and a newer one needed its place.
+    /// The connection was not admitted, and a newer one replaced it because a limit was reached.
     Replaced,
     /// The connection did not complete the ZMTP handshake in time.
     Handshake,
@@ -104,7 +104,7 @@ impl RejectionCounts {
             from,
             reason = reason.name(),
             connections = since_last,
-            "closed a connection at {}: {detail}; more of this kind are counted and logged once a minute",
+            "closed a connection at {}: {detail}; further ones with the same reason are counted and logged once a minute",
             self.port
         );
     }

@@ -17,7 +17,7 @@ pub(super) struct ConnectionTable {
 
 #[derive(Debug, Default)]
 struct Entries {
-    next: u64,
+    last_id: u64,
     open: HashMap<ConnectionId, Arc<ZmtpConnection>>,
     /// Connections that are not admitted, oldest first, because ids increase.
     unadmitted: BTreeSet<ConnectionId>,
@@ -44,7 +44,7 @@ impl ConnectionTable {
         self.entries().open.get(&id).cloned()
     }
 
-    pub(super) fn all(&self) -> Vec<Arc<ZmtpConnection>> {
+    pub(super) fn connections(&self) -> Vec<Arc<ZmtpConnection>> {
         self.entries().open.values().cloned().collect()
     }
 
@@ -60,23 +60,23 @@ impl ConnectionTable {
     ) -> Result<InsertedConnection, Rejection> {
         let mut entries = self.entries();
         let mut replaced = Vec::new();
-        let of_group = entries.groups.get(&group).copied().unwrap_or_default();
+        let group_count = entries.groups.get(&group).copied().unwrap_or_default();
         // All programs of this machine share the loopback address.
-        let of_group_is_full = !group.is_loopback() && of_group.open >= self.limits.max_per_address();
-        if of_group_is_full || of_group.unadmitted >= self.limits.max_unadmitted_per_address() {
+        let is_group_full = !group.is_loopback() && group_count.open >= self.limits.max_per_address();
+        if is_group_full || group_count.unadmitted >= self.limits.max_unadmitted_per_address() {
             let oldest = entries.oldest_unadmitted(group).ok_or(Rejection::TooManyOfAddress)?;
             replaced.extend(entries.remove(oldest));
         } else if entries.open.len() >= self.limits.max_connections
             || entries.unadmitted.len() >= self.limits.max_unadmitted()
         {
-            let crowded =
+            let most_crowded =
                 entries.groups.iter().max_by_key(|(_, count)| count.unadmitted).map(|(group, _)| *group);
             let oldest =
-                crowded.and_then(|group| entries.oldest_unadmitted(group)).ok_or(Rejection::TooMany)?;
+                most_crowded.and_then(|group| entries.oldest_unadmitted(group)).ok_or(Rejection::TooMany)?;
             replaced.extend(entries.remove(oldest));
         }
-        entries.next += 1;
-        let id = ConnectionId(entries.next);
+        entries.last_id += 1;
+        let id = ConnectionId(entries.last_id);
         let connection = make(id);
         entries.open.insert(id, Arc::clone(&connection));
         entries.unadmitted.insert(id);

@@ -9,14 +9,14 @@ use crate::messages::{
 
 /// Returns the MD5 sum of a definition. The text has constants first and then fields, each in order. In place of the
 /// name of another message type it has that type's sum, without the brackets of an array.
-fn sum(definition: &MessageDefinition) -> String {
+fn md5_sum(definition: &MessageDefinition) -> String {
     let (constants, fields): (Vec<&str>, Vec<&str>) =
         definition.text.lines().partition(|line| line.contains('='));
     let fields = fields.into_iter().map(|line| {
         let (kind, name) = line.split_once(' ').expect("a type and a name");
         let element = kind.split('[').next().expect("split gives one part at least");
         match definition.dependencies.iter().find(|dependency| dependency.name == element) {
-            Some(dependency) => format!("{} {name}", sum(dependency)),
+            Some(dependency) => format!("{} {name}", md5_sum(dependency)),
             None => {
                 assert!(!element.contains('/'), "{} lacks its dependency {element}", definition.name);
                 line.to_owned()
@@ -41,9 +41,9 @@ fn md5_sums_match_the_definitions() {
         MessageInfo::DEFINITION,
     ];
     for definition in all {
-        assert_eq!(definition.md5, sum(definition), "{}", definition.name);
+        assert_eq!(definition.md5, md5_sum(definition), "{}", definition.name);
         for dependency in definition.dependencies {
-            assert_eq!(dependency.md5, sum(dependency), "{}", dependency.name);
+            assert_eq!(dependency.md5, md5_sum(dependency), "{}", dependency.name);
         }
     }
 }

@@ -65,7 +65,7 @@ fn values_outside_the_wire_form_are_refused() {
 }
 
 #[test]
-fn claimed_length_is_compared_with_what_is_there() {
+fn claimed_length_is_compared_with_remaining_bytes() {
     let bytes = Bytes::from_static(b"\xff\xff\xff\xffabc");
     let error = StringMessage::decode(WireForm::Ros1, bytes).unwrap_err();
     assert_eq!(error, DecodeError::TooShort { offset: 4, needed: 0xffff_ffff, available: 3 });

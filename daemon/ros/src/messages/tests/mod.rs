@@ -15,8 +15,8 @@ prop_compose! {
     }
 }
 
-/// Returns bytes of lengths around the limit from which on they are referred to.
-fn blobs() -> impl Strategy<Value = bytes::Bytes> {
+/// Returns bytes of lengths around the limit from which on they are not copied.
+fn byte_strings() -> impl Strategy<Value = bytes::Bytes> {
     prop_oneof![0_usize..40, 4090_usize..4100]
         .prop_flat_map(|length| proptest::collection::vec(any::<u8>(), length))
         .prop_map(Into::into)
@@ -24,14 +24,14 @@ fn blobs() -> impl Strategy<Value = bytes::Bytes> {
 
 prop_compose! {
     fn images()(
-        header in headers(), height: u32, width: u32, encoding in "[^\0]{0,9}", is_bigendian: u8, step: u32, data in blobs(),
+        header in headers(), height: u32, width: u32, encoding in "[^\0]{0,9}", is_bigendian: u8, step: u32, data in byte_strings(),
     ) -> Image {
         Image { header, height, width, encoding, is_bigendian, step, data }
     }
 }
 
 prop_compose! {
-    fn compressed_images()(header in headers(), format in "[^\0]{0,9}", data in blobs()) -> CompressedImage {
+    fn compressed_images()(header in headers(), format in "[^\0]{0,9}", data in byte_strings()) -> CompressedImage {
         CompressedImage { header, format, data }
     }
 }
@@ -79,7 +79,7 @@ prop_compose! {
         size: (u32, u32, u32, u32),
         fields in proptest::collection::vec(point_fields(), 0..5),
         is_bigendian: bool,
-        data in blobs(),
+        data in byte_strings(),
         is_dense: bool,
     ) -> PointCloud2 {
         let (height, width, point_step, row_step) = size;

@@ -4,12 +4,12 @@ use std::fmt::Debug;
 
 use proptest::prelude::*;
 
-use super::{blobs, compressed_images, headers, images, imus, point_clouds};
+use super::{byte_strings, compressed_images, headers, images, imus, point_clouds};
 use crate::messages::{
     Header, Message, MultiArrayDimension, MultiArrayLayout, StringMessage, UInt8MultiArray, WireForm,
 };
 
-fn pass_through<M: Message>(message: &M, form: WireForm) -> M {
+fn encode_and_decode<M: Message>(message: &M, form: WireForm) -> M {
     let encoded = message.encode(form).unwrap();
     let length = encoded.len();
     let bytes = encoded.into_bytes();
@@ -19,19 +19,19 @@ fn pass_through<M: Message>(message: &M, form: WireForm) -> M {
 
 /// Compares in both forms; `without_seq` removes the field that ROS 2 does not have.
 fn check<M: Message + PartialEq + Debug>(message: M, without_seq: impl FnOnce(M) -> M) {
-    assert_eq!(pass_through(&message, WireForm::Ros1), message);
-    let read = pass_through(&message, WireForm::Cdr);
+    assert_eq!(encode_and_decode(&message, WireForm::Ros1), message);
+    let read = encode_and_decode(&message, WireForm::Cdr);
     assert_eq!(read, without_seq(message));
 }
 
-fn plain(header: Header) -> Header {
+fn clear_seq(header: Header) -> Header {
     Header { seq: 0, ..header }
 }
 
 proptest! {
     #[test]
     fn header_decodes_to_encoded_value(message in headers()) {
-        check(message, plain);
+        check(message, clear_seq);
     }
 
     #[test]
@@ -40,28 +40,28 @@ proptest! {
     }
 
     #[test]
-    fn byte_array_decodes_to_encoded_value(label in "[^\0]{0,9}", size: u32, stride: u32, data_offset: u32, data in blobs()) {
+    fn byte_array_decodes_to_encoded_value(label in "[^\0]{0,9}", size: u32, stride: u32, data_offset: u32, data in byte_strings()) {
         let layout = MultiArrayLayout { dim: vec![MultiArrayDimension { label, size, stride }], data_offset };
         check(UInt8MultiArray { layout, data }, |message| message);
     }
 
     #[test]
     fn image_decodes_to_encoded_value(message in images()) {
-        check(message, |mut m| { m.header = plain(m.header); m });
+        check(message, |mut m| { m.header = clear_seq(m.header); m });
     }
 
     #[test]
     fn compressed_image_decodes_to_encoded_value(message in compressed_images()) {
-        check(message, |mut m| { m.header = plain(m.header); m });
+        check(message, |mut m| { m.header = clear_seq(m.header); m });
     }
 
     #[test]
     fn imu_decodes_to_encoded_value(message in imus()) {
-        check(message, |mut m| { m.header = plain(m.header); m });
+        check(message, |mut m| { m.header = clear_seq(m.header); m });
     }
 
     #[test]
     fn point_cloud_decodes_to_encoded_value(message in point_clouds()) {
-        check(message, |mut m| { m.header = plain(m.header); m });
+        check(message, |mut m| { m.header = clear_seq(m.header); m });
     }
 }

@@ -11,11 +11,11 @@ use crate::ros1::memory::{MessageLimits, MessageMemory};
 /// Length of the prefix of each frame. Bytes.
 const PREFIX_BYTES: usize = 4;
 
-/// Room for reading while no long frame is expected. Bytes.
+/// Size of the read buffer while no long frame is expected. Bytes.
 const READ_BYTES: usize = 64 * 1024;
 
-/// Largest address space for a frame, as a multiple of the bytes that have arrived. Room that is not written yet takes
-/// no memory, and every growth of a buffer may copy it.
+/// Largest buffer for a frame, as a multiple of the bytes that have arrived. The part that is not written yet takes no
+/// memory, and each growth of the buffer may copy it.
 const MAX_GROWTH: usize = 16;
 
 /// Error: a frame cannot be received.
@@ -29,8 +29,8 @@ pub enum FrameError {
         /// Longest allowed length. Bytes.
         max: usize,
     },
-    /// The frame finds no room among the frames that others are sending.
-    #[error("a frame of {length} bytes finds no room: all that arrive at once share a limit")]
+    /// The frame and those that arrive at the same time exceed the shared limit.
+    #[error("no memory for a frame of {length} bytes: all frames that arrive at the same time share a limit")]
     NoMemory {
         /// Announced length. Bytes.
         length: usize,
@@ -67,7 +67,7 @@ impl FrameBuffer {
         Some(usize::try_from(length).unwrap_or(usize::MAX))
     }
 
-    /// Returns the buffer for the next bytes, with room for at least one byte.
+    /// Returns the buffer for the next bytes, with space for at least one byte.
     ///
     /// # Errors
     /// If there is no memory for more of a long frame. The connection must then be closed.
@@ -76,7 +76,7 @@ impl FrameBuffer {
         let (arrived, frame) = (self.bytes.len(), PREFIX_BYTES + length);
         let missing = frame.saturating_sub(arrived).max(1);
         if self.bytes.capacity() - arrived < missing.min(READ_BYTES) {
-            // A long frame gets room only for itself, so that no bytes of the next frame share its buffer.
+            // The buffer of a long frame has no space for the next frame, so that the two do not share memory.
             let growth = (arrived * MAX_GROWTH).max(READ_BYTES);
             self.bytes.reserve(missing.clamp(READ_BYTES, growth));
         }

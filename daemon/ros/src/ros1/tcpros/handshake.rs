@@ -23,7 +23,7 @@ pub struct TopicType {
 
 impl TopicType {
     /// Returns the type of a [`Message`].
-    pub fn of<M: Message>() -> Self {
+    pub fn from_message<M: Message>() -> Self {
         let definition = M::DEFINITION;
         Self {
             name: definition.name.into(),
@@ -44,7 +44,9 @@ impl TopicType {
 
     /// Returns whether messages of both types are the same. The sum decides; if it is `*`, the name does.
     fn matches(&self, name: &str, md5: &str) -> bool {
-        let is_same = |ours: &str, theirs: &str| ours == theirs || ours == ANY || theirs == ANY;
+        let is_same = |local_type: &str, peer_type: &str| {
+            local_type == peer_type || local_type == ANY || peer_type == ANY
+        };
         is_same(&self.md5, md5) && is_same(&self.name, name)
     }
 
@@ -53,7 +55,7 @@ impl TopicType {
     }
 }
 
-/// Reason why publisher and subscriber do not exchange messages.
+/// Reason why publisher and subscriber cannot exchange messages.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum HandshakeError {
     /// The header is invalid or lacks a field.
@@ -67,19 +69,19 @@ pub enum HandshakeError {
         /// Name of the node that was asked.
         node: String,
     },
-    /// The two sides have different types.
+    /// Publisher and subscriber have different types.
     #[error(
-        "topic {topic} has two message types: {ours} here, {theirs} at node {peer}; \
-         let both use the same definition of the type"
+        "topic {topic} has two message types: {local_type} here, {peer_type} at node {peer}; \
+         both must use the same definition of the type"
     )]
     TypeMismatch {
         /// Topic.
         topic: String,
-        /// Type and sum on this side.
-        ours: String,
-        /// Type and sum on the other side.
-        theirs: String,
-        /// Name of the other node.
+        /// Type and sum at this node.
+        local_type: String,
+        /// Type and sum at the peer.
+        peer_type: String,
+        /// Name of the peer's node.
         peer: String,
     },
     /// The publisher refused the subscription.
@@ -109,8 +111,8 @@ impl Publication {
     /// Returns the header that answers a subscriber's, and the subscriber's name.
     ///
     /// # Errors
-    /// If the subscriber asks for something else. It must be sent [`ConnectionHeader::error`] with the text of the
-    /// error.
+    /// If the subscriber requests another topic or type. The caller must send it [`ConnectionHeader::error`] with the text of
+    /// the error.
     pub fn answer(&self, request: &ConnectionHeader) -> Result<(ConnectionHeader, Arc<str>), HandshakeError> {
         let topic = request.require("topic")?;
         let md5 = request.require("md5sum")?;
@@ -123,8 +125,8 @@ impl Publication {
         if !self.kind.matches(name, md5) {
             return Err(HandshakeError::TypeMismatch {
                 topic: topic.into(),
-                ours: TopicType::description(&self.kind.name, &self.kind.md5),
-                theirs: TopicType::description(name, md5),
+                local_type: TopicType::description(&self.kind.name, &self.kind.md5),
+                peer_type: TopicType::description(name, md5),
                 peer: peer.into(),
             });
         }
@@ -180,8 +182,8 @@ impl Subscription {
         if !self.kind.matches(name, md5) {
             return Err(HandshakeError::TypeMismatch {
                 topic: topic(),
-                ours: TopicType::description(&self.kind.name, &self.kind.md5),
-                theirs: TopicType::description(name, md5),
+                local_type: TopicType::description(&self.kind.name, &self.kind.md5),
+                peer_type: TopicType::description(name, md5),
                 peer: peer.into(),
             });
         }

@@ -26,8 +26,8 @@ fn sent(header: &ConnectionHeader) -> ConnectionHeader {
 
 #[test]
 fn equal_types_connect() {
-    let publication = publication(TopicType::of::<CompressedImage>());
-    for kind in [TopicType::of::<CompressedImage>(), TopicType::any()] {
+    let publication = publication(TopicType::from_message::<CompressedImage>());
+    for kind in [TopicType::from_message::<CompressedImage>(), TopicType::any()] {
         let subscription = subscription(kind);
         let (answer, subscriber) = publication.answer(&sent(&subscription.request())).unwrap();
         assert_eq!(&*subscriber, "/sub");
@@ -40,14 +40,14 @@ fn equal_types_connect() {
 
 #[test]
 fn type_mismatch_names_both_types() {
-    let publication = publication(TopicType::of::<CompressedImage>());
-    let subscription = subscription(TopicType::of::<StringMessage>());
+    let publication = publication(TopicType::from_message::<CompressedImage>());
+    let subscription = subscription(TopicType::from_message::<StringMessage>());
     let error = publication.answer(&sent(&subscription.request())).unwrap_err();
     assert_eq!(
         error.to_string(),
         "topic /t has two message types: sensor_msgs/CompressedImage (md5sum 8f7a12909da2c9d3332d540a0977563f) here, \
          std_msgs/String (md5sum 992ce8a1687cec8c8bd883ec73ca41d1) at node /sub; \
-         let both use the same definition of the type"
+         both must use the same definition of the type"
     );
     let refusal = subscription.accept(&sent(&ConnectionHeader::error(&error.to_string()))).unwrap_err();
     assert!(matches!(refusal, HandshakeError::Refused { reason, .. } if reason == error.to_string()));

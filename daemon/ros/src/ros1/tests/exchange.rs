@@ -19,7 +19,7 @@ async fn receive(subscriber: &mut Subscriber) -> String {
 async fn messages_arrive_in_order_and_are_counted() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let mut subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
     within(publisher.wait_for_subscribers(1)).await.unwrap();
@@ -47,7 +47,7 @@ async fn subscriber_may_come_first() {
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let mut subscriber = b.subscribe("t", TopicType::any(), SubscriberOptions::default()).await.unwrap();
     assert!(subscriber.publishers().is_empty());
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("/t", kind, PublisherOptions::default()).await.unwrap();
     within(subscriber.wait_for_publishers(1)).await.unwrap();
     within(publisher.wait_for_subscribers(1)).await.unwrap();
@@ -59,7 +59,7 @@ async fn subscriber_may_come_first() {
 async fn connected_subscriber_misses_no_message() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     for number in 0..50 {
         let mut subscriber = b.subscribe("t", kind.clone(), SubscriberOptions::default()).await.unwrap();
@@ -73,7 +73,7 @@ async fn connected_subscriber_misses_no_message() {
 async fn large_messages_arrive_whole() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let mut subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
     within(publisher.wait_for_subscribers(1)).await.unwrap();
@@ -91,7 +91,7 @@ async fn large_messages_arrive_whole() {
 async fn latched_message_reaches_late_subscribers() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let options = PublisherOptions { is_latching: true, ..PublisherOptions::default() };
     let publisher = a.publish("t", kind.clone(), options).await.unwrap();
     publisher.publish(text("old")).unwrap();
@@ -105,7 +105,7 @@ async fn latched_message_reaches_late_subscribers() {
 async fn several_publishers_are_listed() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let first = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let second = b.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let mut subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
@@ -123,7 +123,7 @@ async fn several_publishers_are_listed() {
 async fn messages_before_shutdown_are_written() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<CompressedImage>();
+    let kind = TopicType::from_message::<CompressedImage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let mut subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
     within(publisher.wait_for_subscribers(1)).await.unwrap();

@@ -36,7 +36,7 @@ async fn missing_master_is_named() {
 async fn restarted_master_learns_all_topics() {
     let mut master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let mut subscriber = b.subscribe("t", kind.clone(), SubscriberOptions::default()).await.unwrap();
     within(publisher.wait_for_subscribers(1)).await.unwrap();
@@ -60,9 +60,11 @@ async fn restarted_master_learns_all_topics() {
 async fn type_mismatch_is_refused_with_both_types() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let publisher =
-        a.publish("t", TopicType::of::<CompressedImage>(), PublisherOptions::default()).await.unwrap();
-    let kind = TopicType::of::<StringMessage>();
+    let publisher = a
+        .publish("t", TopicType::from_message::<CompressedImage>(), PublisherOptions::default())
+        .await
+        .unwrap();
+    let kind = TopicType::from_message::<StringMessage>();
     let subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
     let reason = within(async {
         loop {
@@ -101,7 +103,7 @@ async fn full_queue_drops_and_counts() {
     let a = node(&master, "a").await;
     let queue = QueueLimits { messages: 4, bytes: 100_000_000 };
     let options = PublisherOptions { queue, ..PublisherOptions::default() };
-    let publisher = a.publish("t", TopicType::of::<CompressedImage>(), options).await.unwrap();
+    let publisher = a.publish("t", TopicType::from_message::<CompressedImage>(), options).await.unwrap();
     let stream = silent_subscriber(&a, &master).await;
     within(publisher.wait_for_subscribers(1)).await.unwrap();
     let dropped: usize = (0..50).map(|_| publisher.publish(message(1_000_000)).unwrap().dropped).sum();
@@ -126,7 +128,7 @@ async fn full_queue_drops_and_counts() {
 async fn watching_subscriber_drops_and_counts() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let options = SubscriberOptions {
         queue: QueueLimits { messages: 10, bytes: 1_000_000 },
@@ -159,7 +161,7 @@ async fn watching_subscriber_drops_and_counts() {
 async fn newest_messages_replace_oldest_and_are_counted() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let options = SubscriberOptions {
         queue: QueueLimits { messages: 3, bytes: 1_000_000 },
@@ -188,7 +190,7 @@ async fn newest_messages_replace_oldest_and_are_counted() {
 async fn unexpected_publisher_is_ignored_with_reason() {
     let master = TestMaster::start().await;
     let (a, b, c) = (node(&master, "a").await, node(&master, "b").await, node(&master, "c").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let foreign = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let options = SubscriberOptions { publisher: Some("/b".into()), ..SubscriberOptions::default() };
     let mut subscriber = c.subscribe("t", kind.clone(), options).await.unwrap();
@@ -213,14 +215,17 @@ async fn unexpected_publisher_is_ignored_with_reason() {
         }
     })
     .await;
-    assert!(reason.contains("node /a publishes it, too") && reason.contains("node /b"), "{reason}");
+    assert!(
+        reason.contains("node /a publishes this topic as well") && reason.contains("node /b"),
+        "{reason}"
+    );
 }
 
 #[tokio::test]
 async fn subscriber_reconnects_to_a_restarted_publisher() {
     let master = TestMaster::start().await;
     let b = node(&master, "b").await;
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let mut subscriber = b.subscribe("t", kind.clone(), SubscriberOptions::default()).await.unwrap();
     for length in [1, 2] {
         let a = node(&master, "a").await;
@@ -237,7 +242,7 @@ async fn subscriber_reconnects_to_a_restarted_publisher() {
 async fn node_with_taken_name_ends() {
     let master = TestMaster::start().await;
     let old = node(&master, "a").await;
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = old.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let new = node(&master, "a").await;
     let _publisher = new.publish("t", kind, PublisherOptions::default()).await.unwrap();
@@ -253,7 +258,7 @@ async fn node_with_taken_name_ends() {
 async fn topic_is_published_once_and_again_after_its_end() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
-    let publish = || a.publish("t", TopicType::of::<StringMessage>(), PublisherOptions::default());
+    let publish = || a.publish("t", TopicType::from_message::<StringMessage>(), PublisherOptions::default());
     let publisher = publish().await.unwrap();
     assert!(matches!(publish().await, Err(NodeError::AlreadyPublished { .. })));
     drop(publisher);
@@ -283,7 +288,7 @@ async fn malformed_header_is_answered_with_the_reason() {
 async fn garbage_at_both_ports_leaves_the_node_working() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let rpc_port = RpcUri::parse(a.uri()).unwrap().port();
     let long_line = "x".repeat(1_000_000);

@@ -41,14 +41,14 @@ impl TestLimit {
 impl MemoryLimit for TestLimit {
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>> {
         let taken = self.taken.fetch_add(bytes, Relaxed) + bytes;
-        let part = Part(Arc::clone(&self.taken), bytes);
-        (taken <= self.max).then(|| Box::new(part) as Box<dyn Any + Send + Sync>)
+        let reservation = Reservation(Arc::clone(&self.taken), bytes);
+        (taken <= self.max).then(|| Box::new(reservation) as Box<dyn Any + Send + Sync>)
     }
 }
 
-struct Part(Arc<AtomicUsize>, usize);
+struct Reservation(Arc<AtomicUsize>, usize);
 
-impl Drop for Part {
+impl Drop for Reservation {
     fn drop(&mut self) {
         self.0.fetch_sub(self.1, Relaxed);
     }
@@ -59,7 +59,7 @@ async fn foreign_publisher(master: &TestMaster, name: &str, stop: &CancellationT
     let publication = Publication {
         node: name.into(),
         topic: "/t".into(),
-        kind: TopicType::of::<StringMessage>(),
+        kind: TopicType::from_message::<StringMessage>(),
         is_latching: false,
     };
     let (server, messages) = (listener().await, listener().await);
@@ -88,7 +88,7 @@ async fn claimed_lengths_leave_memory_for_messages_of_others() {
     const CLAIMED: u32 = 50_000_000;
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let limit = TestLimit::new(4_000_000);
     let options = SubscriberOptions { memory: limit.option(), ..SubscriberOptions::default() };
     let mut subscriber = b.subscribe("t", kind.clone(), options).await.unwrap();

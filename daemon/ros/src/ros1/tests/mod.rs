@@ -16,7 +16,7 @@ pub(in crate::ros1) use self::memory::TestLimit;
 use super::{Environment, Node, RpcUri};
 
 /// Longest wait for anything that must happen.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIME_LIMIT: Duration = Duration::from_secs(30);
 
 fn clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("boot", "clock")))
@@ -36,5 +36,5 @@ async fn node(master: &TestMaster, name: &str) -> Node {
 
 /// Awaits something that must happen.
 async fn within<T>(future: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, future).await.expect("it happens in time")
+    tokio::time::timeout(TIME_LIMIT, future).await.expect("it happens in time")
 }

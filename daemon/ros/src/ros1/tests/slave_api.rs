@@ -6,12 +6,12 @@ use crate::ros1::rpc::{self, RpcError};
 use crate::ros1::xmlrpc::Value;
 use crate::ros1::{Node, PublisherOptions, RpcUri, SubscriberOptions, TopicType};
 
-async fn ask(node: &Node, method: &str, params: Vec<Value>) -> Result<Value, RpcError> {
+async fn call_method(node: &Node, method: &str, params: Vec<Value>) -> Result<Value, RpcError> {
     within(rpc::call(&RpcUri::parse(node.uri()).unwrap(), method, params)).await
 }
 
 async fn value(node: &Node, method: &str) -> Value {
-    let Value::Array(parts) = ask(node, method, vec!["/tool".into()]).await.unwrap() else {
+    let Value::Array(parts) = call_method(node, method, vec!["/tool".into()]).await.unwrap() else {
         panic!("an array")
     };
     assert_eq!(parts[0], Value::Int(1));
@@ -22,7 +22,7 @@ async fn value(node: &Node, method: &str) -> Value {
 async fn tools_get_answers() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
     within(publisher.wait_for_subscribers(1)).await.unwrap();
@@ -45,7 +45,7 @@ async fn tools_get_answers() {
     let statistics = value(&b, "getBusStats").await;
     assert_eq!(statistics.as_array().unwrap().len(), 3);
 
-    let error = ask(&a, "noSuchMethod", vec![]).await.unwrap_err();
+    let error = call_method(&a, "noSuchMethod", vec![]).await.unwrap_err();
     assert_eq!(error.to_string(), "fault -1: unknown method \"noSuchMethod\"");
 }
 
@@ -53,14 +53,17 @@ async fn tools_get_answers() {
 async fn unknown_topics_and_protocols_are_refused() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
-    let _publisher =
-        a.publish("t", TopicType::of::<StringMessage>(), PublisherOptions::default()).await.unwrap();
+    let _publisher = a
+        .publish("t", TopicType::from_message::<StringMessage>(), PublisherOptions::default())
+        .await
+        .unwrap();
     for (topic, protocol, reason) in [
         ("/other", "TCPROS", "topic /other is not published by node /a"),
         ("/t", "UDPROS", "node /a offers TCPROS only, asked for [\"UDPROS\"]"),
     ] {
         let protocols = Value::from([Value::from([protocol.into()])]);
-        let answer = ask(&a, "requestTopic", vec!["/b".into(), topic.into(), protocols]).await.unwrap();
+        let answer =
+            call_method(&a, "requestTopic", vec!["/b".into(), topic.into(), protocols]).await.unwrap();
         assert_eq!(answer, [Value::Int(0), reason.into(), Value::Int(0)].into());
     }
 }
@@ -70,7 +73,7 @@ async fn node_shuts_down_when_asked() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
     let mut subscriber = a.subscribe("t", TopicType::any(), SubscriberOptions::default()).await.unwrap();
-    ask(&a, "shutdown", vec!["/rosnode".into(), "user request".into()]).await.unwrap();
+    call_method(&a, "shutdown", vec!["/rosnode".into(), "user request".into()]).await.unwrap();
     let expected = "the ROS node /a has ended: /rosnode asked it to shut down: user request";
     assert_eq!(within(a.ended()).await.to_string(), expected);
     assert_eq!(within(subscriber.recv()).await.unwrap_err().to_string(), expected);
@@ -82,11 +85,13 @@ async fn node_shuts_down_when_asked() {
 async fn node_with_unique_name_ignores_shutdown_call() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
-    let publisher =
-        a.publish("t", TopicType::of::<StringMessage>(), PublisherOptions::default()).await.unwrap();
+    let publisher = a
+        .publish("t", TopicType::from_message::<StringMessage>(), PublisherOptions::default())
+        .await
+        .unwrap();
     // The call is meant for a node that ended and whose port this node has.
     let reason = "[/camera] Reason: new node registered with same name";
-    ask(&a, "shutdown", vec!["/master".into(), reason.into()]).await.unwrap();
+    call_method(&a, "shutdown", vec!["/master".into(), reason.into()]).await.unwrap();
 
     // The registration of a node that has ended makes the master ask this one to end.
     let ended = node(&master, "a").await;
@@ -104,7 +109,7 @@ async fn node_with_unique_name_ignores_shutdown_call() {
 async fn running_nodes_are_those_with_the_topic() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
-    let kind = TopicType::of::<StringMessage>();
+    let kind = TopicType::from_message::<StringMessage>();
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let _subscriber = a.subscribe("u", kind, SubscriberOptions::default()).await.unwrap();
     let nodes = ["/a".to_owned(), "/none".to_owned()];

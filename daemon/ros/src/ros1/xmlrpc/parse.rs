@@ -23,7 +23,7 @@ pub enum ParseError {
         reason: String,
     },
     /// The text has a document type, which can define entities.
-    #[error("the XML has a document type, which XML-RPC has no use for")]
+    #[error("the XML has a document type, which XML-RPC does not allow")]
     DocumentType,
     /// The text refers to an entity that XML does not define itself.
     #[error("the XML refers to the unknown entity {name:?}")]
@@ -48,7 +48,7 @@ pub enum ParseError {
         text: String,
     },
     /// Values are nested too deeply.
-    #[error("the XML-RPC message has more than {MAX_DEPTH} values within each other")]
+    #[error("the XML-RPC message has more than {MAX_DEPTH} nested values")]
     TooDeep,
     /// There are too many values.
     #[error("the XML-RPC message has more than {MAX_VALUES} values")]
@@ -68,7 +68,7 @@ pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
     // The element may be missing if there are no parameters.
     if parser.open_or_close("params")? {
         while parser.open_or_close("param")? {
-            params.push(parser.only_value()?);
+            params.push(parser.wrapped_value()?);
         }
         parser.close()?;
     }
@@ -83,15 +83,15 @@ pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
 pub fn parse_response(xml: &[u8]) -> Result<Response, ParseError> {
     let mut parser = Parser::new(utf8(xml)?);
     parser.open("methodResponse")?;
-    let response = match parser.markup()? {
+    let response = match parser.next_markup()? {
         Token::Open(name) if name == "params" => {
             parser.open("param")?;
-            let value = parser.only_value()?;
+            let value = parser.wrapped_value()?;
             parser.close()?;
             Response::Success(value)
         }
-        Token::Open(name) if name == "fault" => fault(parser.only_value()?)?,
-        found => return Err(found.is_not("params or fault")),
+        Token::Open(name) if name == "fault" => fault(parser.wrapped_value()?)?,
+        found => return Err(found.unexpected("params or fault")),
     };
     parser.close()?;
     parser.end()?;
@@ -127,7 +127,7 @@ enum Token {
 }
 
 impl Token {
-    fn is_not(&self, expected: &'static str) -> ParseError {
+    fn unexpected(&self, expected: &'static str) -> ParseError {
         let found = match self {
             Self::Open(name) => format!("<{name}>"),
             Self::Close => "the end of an element".to_owned(),
@@ -170,7 +170,7 @@ impl<'a> Parser<'a> {
     }
 
     /// Returns the next token that is not white space between elements.
-    fn markup(&mut self) -> Result<Token, ParseError> {
+    fn next_markup(&mut self) -> Result<Token, ParseError> {
         loop {
             match self.next()? {
                 Token::Text(text) if text.trim().is_empty() => {}
@@ -180,32 +180,32 @@ impl<'a> Parser<'a> {
     }
 
     fn open(&mut self, expected: &'static str) -> Result<(), ParseError> {
-        if self.open_or_close(expected)? { Ok(()) } else { Err(Token::Close.is_not(expected)) }
+        if self.open_or_close(expected)? { Ok(()) } else { Err(Token::Close.unexpected(expected)) }
     }
 
     /// Returns `true` if the expected element begins, `false` if the element around it has ended.
     fn open_or_close(&mut self, expected: &'static str) -> Result<bool, ParseError> {
-        match self.markup()? {
+        match self.next_markup()? {
             Token::Open(name) if name == expected => Ok(true),
             Token::Close => Ok(false),
-            found => Err(found.is_not(expected)),
+            found => Err(found.unexpected(expected)),
         }
     }
 
     fn close(&mut self) -> Result<(), ParseError> {
-        match self.markup()? {
+        match self.next_markup()? {
             Token::Close => Ok(()),
-            found => Err(found.is_not("the end of an element")),
+            found => Err(found.unexpected("the end of an element")),
         }
     }
 
     /// Reads the rest of the document: ends of elements, and then the end.
     fn end(&mut self) -> Result<(), ParseError> {
         loop {
-            match self.markup()? {
+            match self.next_markup()? {
                 Token::Close => {}
                 Token::End => return Ok(()),
-                found => return Err(found.is_not("the end")),
+                found => return Err(found.unexpected("the end")),
             }
         }
     }
@@ -216,13 +216,13 @@ impl<'a> Parser<'a> {
             match self.next()? {
                 Token::Text(text) => whole.push_str(&text),
                 Token::Close => return Ok(whole),
-                found => return Err(found.is_not("text")),
+                found => return Err(found.unexpected("text")),
             }
         }
     }
 
     /// Reads a value and the end of the element around it.
-    fn only_value(&mut self) -> Result<Value, ParseError> {
+    fn wrapped_value(&mut self) -> Result<Value, ParseError> {
         self.open("value")?;
         let value = self.value()?;
         self.close()?;
@@ -246,18 +246,18 @@ impl<'a> Parser<'a> {
                 Token::Text(piece) => text.push_str(&piece),
                 Token::Close => break Value::Text(text),
                 Token::Open(kind) if text.trim().is_empty() => {
-                    let value = self.typed(&kind)?;
+                    let value = self.typed_value(&kind)?;
                     self.close()?;
                     break value;
                 }
-                found => return Err(found.is_not("the end of the value")),
+                found => return Err(found.unexpected("the end of the value")),
             }
         };
         self.depth -= 1;
         Ok(value)
     }
 
-    fn typed(&mut self, kind: &str) -> Result<Value, ParseError> {
+    fn typed_value(&mut self, kind: &str) -> Result<Value, ParseError> {
         match kind {
             "int" | "i4" | "i8" => self.scalar("int", |text| text.parse().ok().map(Value::Int)),
             "boolean" => self.scalar("boolean", |text| match text {
@@ -271,7 +271,7 @@ impl<'a> Parser<'a> {
             "string" | "dateTime.iso8601" | "base64" => self.text_until_close().map(Value::Text),
             "array" => self.array(),
             "struct" => self.structure(),
-            other => Err(Token::Open(other.to_owned()).is_not("a type of XML-RPC")),
+            other => Err(Token::Open(other.to_owned()).unexpected("a type of XML-RPC")),
         }
     }
 
@@ -299,13 +299,13 @@ impl<'a> Parser<'a> {
         while self.open_or_close("member")? {
             self.open("name")?;
             let name = self.text_until_close()?;
-            members.push((name, self.only_value()?));
+            members.push((name, self.wrapped_value()?));
         }
         Ok(Value::Struct(members))
     }
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "what map_err calls takes a value")]
+#[expect(clippy::needless_pass_by_value, reason = "map_err passes the error by value")]
 fn malformed(error: impl ToString) -> ParseError {
     ParseError::Malformed { reason: error.to_string() }
 }

@@ -35,11 +35,15 @@ pub(super) fn qos_policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies 
     };
     // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged ones. At 1 MB each, this is far
     // more memory than the depth suggests.
-    let most = match role {
+    let sample_limit = match role {
         EndpointRole::Publisher => depth.max(MIN_UNACKNOWLEDGED),
         EndpointRole::Subscription => depth.max(MIN_UNREAD),
     };
-    let limits = ResourceLimits { max_samples: most, max_instances: 1, max_samples_per_instance: most };
+    let limits = ResourceLimits {
+        max_samples: sample_limit,
+        max_instances: 1,
+        max_samples_per_instance: sample_limit,
+    };
     let mut builder = QosPolicyBuilder::new()
         .reliability(reliability)
         .durability(durability)
@@ -57,8 +61,8 @@ fn seconds(seconds: f64) -> Duration {
 
 /// Returns the reason why two endpoints do not match.
 pub(super) fn incompatibility(offered: &QosPolicies, requested: &QosPolicies) -> Refusal {
-    let failed = offered.compliance_failure_wrt(requested);
-    let describe = |qos: &QosPolicies| match failed {
+    let failed_policy = offered.compliance_failure_wrt(requested);
+    let describe = |qos: &QosPolicies| match failed_policy {
         Some(QosPolicyId::Reliability) => qos.reliability().map(|value| match value {
             policy::Reliability::Reliable { .. } => Reliability::Reliable.to_string(),
             policy::Reliability::BestEffort => Reliability::BestEffort.to_string(),
@@ -74,7 +78,7 @@ pub(super) fn incompatibility(offered: &QosPolicies, requested: &QosPolicies) ->
         _ => None,
     };
     Refusal::IncompatibleQos {
-        policy: failed.map_or_else(|| "unknown".to_owned(), |id| format!("{id:?}").to_lowercase()),
+        policy: failed_policy.map_or_else(|| "unknown".to_owned(), |id| format!("{id:?}").to_lowercase()),
         offered: describe(offered).unwrap_or_else(|| "its default".to_owned()),
         requested: describe(requested).unwrap_or_else(|| "its default".to_owned()),
     }

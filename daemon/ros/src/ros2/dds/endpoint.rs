@@ -25,28 +25,29 @@ impl Endpoint {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if there is none within `patience`, [`Ros2Error::ShutDown`] if the node is shut down
+    /// [`Ros2Error::NoPeer`] if there is none within `time_limit`, [`Ros2Error::ShutDown`] if the node is shut down
     /// meanwhile.
-    pub(super) async fn await_peer(&self, patience: Duration) -> Result<(), Ros2Error> {
+    pub(super) async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         let mut peers = self.peers.clone();
         let matched = peers.wait_for(|peers| !peers.matched.is_empty());
-        let in_time = tokio::time::timeout(patience, matched);
+        let in_time = tokio::time::timeout(time_limit, matched);
         match self.node.closed.run_until_cancelled(in_time).await {
             Some(Ok(Ok(_))) => Ok(()),
-            Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.missing_peer(patience)))),
+            Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.no_peer_error(time_limit)))),
             // The sender exists as long as the endpoint is registered, which is as long as the endpoint exists.
-            None | Some(Ok(Err(_))) => Err(self.shut_down()),
+            None | Some(Ok(Err(_))) => Err(self.shut_down_error()),
         }
     }
 
-    pub(super) fn shut_down(&self) -> Ros2Error {
+    pub(super) fn shut_down_error(&self) -> Ros2Error {
         Ros2Error::ShutDown { topic: self.topic.clone() }
     }
 
-    fn missing_peer(&self, waited: Duration) -> NoPeer {
+    fn no_peer_error(&self, waited: Duration) -> NoPeer {
         let discovery = self.node.discovery();
         let name = |id| discovery.node_of(id).map(str::to_owned);
-        let refused = self.peers.borrow().refused.iter().map(|(id, why)| (name(*id), why.clone())).collect();
+        let refused =
+            self.peers.borrow().refused.iter().map(|(id, refusal)| (name(*id), refusal.clone())).collect();
         NoPeer {
             role: self.role,
             topic: self.topic.clone(),
@@ -54,7 +55,7 @@ impl Endpoint {
             waited,
             domain_id: self.node.domain_id,
             interfaces: self.node.interfaces.clone(),
-            participants: discovery.participants(),
+            participants: discovery.participant_count(),
             refused,
             topics: discovery.topics(),
         }

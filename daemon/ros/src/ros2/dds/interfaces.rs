@@ -6,7 +6,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use nix::ifaddrs::{InterfaceAddress, getifaddrs};
 use socket2::{Domain, Socket, Type};
 
-use crate::ros2::interfaces::{UnknownInterface, existing, find_among, list};
+use crate::ros2::interfaces::{UnknownInterface, find_interfaces, format_interfaces, ipv4_interfaces};
 use crate::ros2::{Ros2Error, SocketBufferWarning};
 
 /// IPv4 addresses of chosen network interfaces.
@@ -26,20 +26,20 @@ impl Interfaces {
     /// [`Ros2Error::UnknownInterface`] if one does not exist, [`Ros2Error::Interfaces`] if the kernel does not list
     /// them.
     pub(super) fn find(names: &[String]) -> Result<Self, Ros2Error> {
-        Ok(Self::find_among(names, &existing().map_err(Ros2Error::Interfaces)?)?)
+        Ok(Self::find_interfaces(names, &ipv4_interfaces().map_err(Ros2Error::Interfaces)?)?)
     }
 
-    fn find_among(names: &[String], existing: &[(String, Ipv4Addr)]) -> Result<Self, UnknownInterface> {
+    fn find_interfaces(names: &[String], existing: &[(String, Ipv4Addr)]) -> Result<Self, UnknownInterface> {
         if names.is_empty() {
             return Ok(Self { addresses: Vec::new(), description: "all interfaces".to_owned() });
         }
-        let chosen = find_among(names, existing)?;
+        let chosen = find_interfaces(names, existing)?;
         let addresses = chosen.iter().map(|(_, address)| IpAddr::V4(*address)).collect();
-        Ok(Self { addresses, description: list(&chosen) })
+        Ok(Self { addresses, description: format_interfaces(&chosen) })
     }
 
     /// Returns whether participants of the same host are found over the loopback interface.
-    pub(super) fn have_loopback(&self) -> bool {
+    pub(super) fn include_loopback(&self) -> bool {
         self.addresses.is_empty() || self.addresses.iter().any(IpAddr::is_loopback)
     }
 }
@@ -58,7 +58,7 @@ pub(super) fn own_addresses() -> io::Result<Vec<IpAddr>> {
     Ok(getifaddrs()?.filter_map(address).collect())
 }
 
-/// Compares the sizes of socket buffers that the kernel grants with the needed size.
+/// Compares the sizes of socket buffers that the kernel grants with the requested size.
 ///
 /// The sizes are read from a socket and not from `/proc/sys/net/core`, which network namespaces of older kernels do not
 /// show.
@@ -66,17 +66,17 @@ pub(super) fn own_addresses() -> io::Result<Vec<IpAddr>> {
 /// # Errors
 ///
 /// If no UDP socket can be created.
-pub(super) fn check_socket_buffers(needed: usize) -> io::Result<Vec<SocketBufferWarning>> {
+pub(super) fn check_socket_buffers(requested: usize) -> io::Result<Vec<SocketBufferWarning>> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, None)?;
-    socket.set_recv_buffer_size(needed)?;
-    socket.set_send_buffer_size(needed)?;
+    socket.set_recv_buffer_size(requested)?;
+    socket.set_send_buffer_size(requested)?;
     // Linux reports twice the granted size, because it counts its own overhead.
     let granted = [
-        (SocketBufferWarning::RECEIVING, socket.recv_buffer_size()? / 2),
+        (SocketBufferWarning::RECEIVE_SYSCTL, socket.recv_buffer_size()? / 2),
         ("net.core.wmem_max", socket.send_buffer_size()? / 2),
     ];
     let is_too_small = |(sysctl, granted): (&'static str, usize)| {
-        (granted < needed).then_some(SocketBufferWarning { sysctl, granted, needed })
+        (granted < requested).then_some(SocketBufferWarning { sysctl, granted, requested })
     };
     Ok(granted.into_iter().filter_map(is_too_small).collect())
 }
@@ -89,12 +89,12 @@ mod tests {
     fn chosen_interfaces_decide_on_the_loopback() {
         let existing =
             [("lo".to_owned(), Ipv4Addr::LOCALHOST), ("eth0".to_owned(), Ipv4Addr::new(10, 0, 0, 1))];
-        let find = |name: &str| Interfaces::find_among(&[name.to_owned()], &existing);
+        let find = |name: &str| Interfaces::find_interfaces(&[name.to_owned()], &existing);
         let by_name = find("eth0").expect("exists");
         assert_eq!((by_name.addresses.len(), by_name.description.as_str()), (1, "eth0 (10.0.0.1)"));
-        assert!(!by_name.have_loopback());
-        assert!(find("127.0.0.1").expect("exists").have_loopback());
-        assert!(Interfaces::find_among(&[], &existing).expect("all").have_loopback());
+        assert!(!by_name.include_loopback());
+        assert!(find("127.0.0.1").expect("exists").include_loopback());
+        assert!(Interfaces::find_interfaces(&[], &existing).expect("all").include_loopback());
     }
 
     #[test]

@@ -33,10 +33,10 @@ mod endpoint;
 mod interfaces;
 mod node;
 mod publisher;
+mod queries;
 mod raw_message;
 mod sequence_tracker;
 mod subscription;
-mod survey;
 
 pub use node::Ros2Node;
 pub use publisher::Ros2Publisher;

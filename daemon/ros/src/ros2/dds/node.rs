@@ -36,16 +36,16 @@ pub struct Ros2Node {
     socket_buffer_warnings: Vec<SocketBufferWarning>,
     pub(super) state: Arc<NodeState>,
     /// Present until the node is shut down.
-    pub(super) parts: Option<Parts>,
+    pub(super) entities: Option<DdsEntities>,
 }
 
-pub(super) struct Parts {
+pub(super) struct DdsEntities {
     pub(super) participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
-    discovery: JoinHandle<()>,
+    discovery_task: JoinHandle<()>,
     /// Task that reads the node list.
-    listing: JoinHandle<()>,
+    node_list_task: JoinHandle<()>,
 }
 
 /// State that the endpoints of a node share.
@@ -61,7 +61,7 @@ pub(super) struct NodeState {
 type ListReader = SimpleDataReader<RawMessage, RawAdapter>;
 
 /// Largest number of participants whose entries of the node list are received and not yet read.
-const LISTED_PARTICIPANTS: u32 = 1_024;
+const MAX_UNREAD_ENTRIES: u32 = 1_024;
 
 struct NodeList {
     writer: DataWriter<RawMessage, RawAdapter>,
@@ -114,11 +114,13 @@ impl Ros2Node {
             discovery: Mutex::new(DiscoveryState::new(id)),
             node_list: Mutex::new(node_list),
         });
-        state.announce();
-        let discovery = tokio::spawn(follow_discovery(participant.status_listener(), Arc::clone(&state)));
-        let listing = tokio::spawn(follow_node_list(entries, Arc::clone(&state)));
-        let parts = Some(Parts { participant, publisher, subscriber, discovery, listing });
-        Ok(Self { settings, socket_buffer_warnings, state, parts })
+        state.publish_node_list();
+        let discovery_task =
+            tokio::spawn(follow_discovery(participant.status_listener(), Arc::clone(&state)));
+        let node_list_task = tokio::spawn(follow_node_list(entries, Arc::clone(&state)));
+        let entities =
+            Some(DdsEntities { participant, publisher, subscriber, discovery_task, node_list_task });
+        Ok(Self { settings, socket_buffer_warnings, state, entities })
     }
 
     /// Returns the settings, completed by the environment variables.
@@ -134,7 +136,7 @@ impl Ros2Node {
     /// Returns the size of a receive buffer of this host's sockets. A message that is longer is lost in part at
     /// subscriptions with such sockets.
     pub fn receive_buffer_bytes(&self) -> usize {
-        let granted = self.socket_buffer_warnings.iter().find(|warning| warning.is_of_receiving());
+        let granted = self.socket_buffer_warnings.iter().find(|warning| warning.limits_receive_buffer());
         granted.map_or(self.settings.socket_buffer_bytes, |warning| warning.granted)
     }
 
@@ -144,25 +146,25 @@ impl Ros2Node {
     }
 
     /// Returns the number of other participants of the domain.
-    pub fn participants(&self) -> usize {
-        self.state.discovery().participants()
+    pub fn participant_count(&self) -> usize {
+        self.state.discovery().participant_count()
     }
 
-    /// Opens a publisher of a topic. `type_name` has the form `std_msgs/msg/String`.
+    /// Creates a publisher of a topic. `type_name` has the form `std_msgs/msg/String`.
     ///
     /// # Errors
     ///
     /// If names or the QoS profile are invalid, or `rustdds` fails.
-    pub fn publisher(
+    pub fn create_publisher(
         &self,
         topic: &str,
         type_name: &str,
         qos: &QosProfile,
     ) -> Result<Ros2Publisher, Ros2Error> {
         let role = EndpointRole::Publisher;
-        let (parts, names, dds_topic) = self.prepare(role, topic, type_name, qos)?;
+        let (entities, names, dds_topic) = self.open_topic(role, topic, type_name, qos)?;
         let mut discovery = self.state.discovery();
-        let writer = parts
+        let writer = entities
             .publisher
             .create_datawriter_no_key(&dds_topic, Some(qos_policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
@@ -170,58 +172,58 @@ impl Ros2Node {
         // Under the lock of `discovery`, so that no event about the endpoint is handled before it is known.
         let peers = discovery.add_local(id, role, &names.dds_type);
         drop(discovery);
-        self.state.announce();
+        self.state.publish_node_list();
         let (topic, type_name) = (names.topic, type_name.to_owned());
         let endpoint = Endpoint { id, role, topic, type_name, peers, node: Arc::clone(&self.state) };
-        let most = self.receive_buffer_bytes() / 2;
-        let most_unacknowledged = most.min(Ros2Publisher::MAX_UNACKNOWLEDGED_BYTES);
-        let (qos, unacknowledged) = (qos.clone(), AtomicUsize::new(0));
-        Ok(Ros2Publisher { writer, endpoint, qos, unacknowledged, most_unacknowledged })
+        let half_buffer = self.receive_buffer_bytes() / 2;
+        let max_unacknowledged_bytes = half_buffer.min(Ros2Publisher::MAX_UNACKNOWLEDGED_BYTES);
+        let (qos, unacknowledged_bytes) = (qos.clone(), AtomicUsize::new(0));
+        Ok(Ros2Publisher { writer, endpoint, qos, unacknowledged_bytes, max_unacknowledged_bytes })
     }
 
-    /// Opens a subscription of a topic. `type_name` has the form `std_msgs/msg/String`.
+    /// Creates a subscription of a topic. `type_name` has the form `std_msgs/msg/String`.
     ///
     /// # Errors
     ///
     /// If names or the QoS profile are invalid, or `rustdds` fails.
-    pub fn subscription(
+    pub fn create_subscription(
         &self,
         topic: &str,
         type_name: &str,
         qos: &QosProfile,
     ) -> Result<Ros2Subscription, Ros2Error> {
         let role = EndpointRole::Subscription;
-        let (parts, names, dds_topic) = self.prepare(role, topic, type_name, qos)?;
+        let (entities, names, dds_topic) = self.open_topic(role, topic, type_name, qos)?;
         let mut discovery = self.state.discovery();
-        let reader = parts
+        let reader = entities
             .subscriber
             .create_simple_datareader_no_key(&dds_topic, Some(qos_policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
         let id = endpoint_id(reader.guid());
-        // Under the lock for the same reason as in `publisher`.
+        // Under the lock for the same reason as in `create_publisher`.
         let peers = discovery.add_local(id, role, &names.dds_type);
         drop(discovery);
-        self.state.announce();
+        self.state.publish_node_list();
         let (topic, type_name) = (names.topic, type_name.to_owned());
         let endpoint = Endpoint { id, role, topic, type_name, peers, node: Arc::clone(&self.state) };
         let (tracker, counts) = (SequenceTracker::default(), ReceiveCounts::default());
         Ok(Ros2Subscription { reader, endpoint, tracker, counts })
     }
 
-    fn prepare(
+    fn open_topic(
         &self,
         role: EndpointRole,
         topic: &str,
         type_name: &str,
         qos: &QosProfile,
-    ) -> Result<(&Parts, Names, Topic), Ros2Error> {
+    ) -> Result<(&DdsEntities, Names, Topic), Ros2Error> {
         let topic = absolute_topic(&self.settings.namespace, &self.settings.node_name, topic)?;
         let names = Names { topic, dds_type: dds_type(type_name)? };
         qos.check().map_err(|source| Ros2Error::InvalidQos { topic: names.topic.clone(), source })?;
-        let Some(parts) = &self.parts else {
+        let Some(entities) = &self.entities else {
             return Err(Ros2Error::ShutDown { topic: names.topic });
         };
-        let dds_topic = parts
+        let dds_topic = entities
             .participant
             .create_topic(
                 dds_topic(&names.topic),
@@ -230,23 +232,23 @@ impl Ros2Node {
                 TopicKind::NoKey,
             )
             .map_err(|error| names.failed(role, &error))?;
-        Ok((parts, names, dds_topic))
+        Ok((entities, names, dds_topic))
     }
 
     /// Leaves the domain. Publishers and subscriptions of the node fail from now on. Messages that are not acknowledged
-    /// yet are not sent again (see [`Ros2Publisher::await_acknowledgment`]).
+    /// yet are not sent again (see [`Ros2Publisher::wait_for_acknowledgment`]).
     ///
     /// # Errors
     ///
     /// If a thread of `rustdds` panicked.
     pub async fn shut_down(mut self) -> Result<(), Ros2Error> {
         self.state.closed.cancel();
-        let Some(parts) = self.parts.take() else { return Ok(()) };
+        let Some(entities) = self.entities.take() else { return Ok(()) };
         let failed = |reason: String| Ros2Error::Leave { domain_id: self.state.domain_id, reason };
-        for task in [parts.discovery, parts.listing] {
+        for task in [entities.discovery_task, entities.node_list_task] {
             task.await.map_err(|error| failed(error.to_string()))?;
         }
-        let participant = parts.participant;
+        let participant = entities.participant;
         // On a blocking thread, because it waits for the threads of rustdds to end.
         tokio::task::spawn_blocking(move || drop(participant))
             .await
@@ -257,11 +259,14 @@ impl Ros2Node {
 impl Drop for Ros2Node {
     fn drop(&mut self) {
         self.state.closed.cancel();
-        if let Some(parts) = self.parts.take() {
+        if let Some(entities) = self.entities.take() {
             // Dropping the participant waits for the threads of rustdds, which must not block a thread of tokio.
             let name = "leaving ROS 2".to_owned();
-            if let Err(error) = std::thread::Builder::new().name(name).spawn(move || drop(parts)) {
-                tracing::warn!(%error, "the ROS 2 domain was left on a thread of the runtime");
+            if let Err(error) = std::thread::Builder::new().name(name).spawn(move || drop(entities)) {
+                tracing::warn!(
+                    %error,
+                    "cannot start a thread to leave the ROS 2 domain; leaving it on a thread of the runtime"
+                );
             }
         }
     }
@@ -276,7 +281,7 @@ struct Names {
 
 impl Names {
     fn failed(&self, role: EndpointRole, error: &rustdds::dds::CreateError) -> Ros2Error {
-        Ros2Error::Open { role, topic: self.topic.clone(), reason: error.to_string() }
+        Ros2Error::Create { role, topic: self.topic.clone(), reason: error.to_string() }
     }
 }
 
@@ -287,11 +292,11 @@ impl NodeState {
 
     pub(super) fn remove_endpoint(&self, id: EndpointId) {
         self.discovery().remove_local(id);
-        self.announce();
+        self.publish_node_list();
     }
 
     /// Publishes our entry of the node list.
-    fn announce(&self) {
+    fn publish_node_list(&self) {
         if self.closed.is_cancelled() {
             return;
         }
@@ -300,7 +305,10 @@ impl NodeState {
         list.entry.endpoints = self.discovery().local_endpoints();
         let Some(message) = RawMessage::from_payload(list.entry.to_payload()) else { return };
         if let Err(error) = list.writer.write(message, Some(rustdds::Timestamp::now())) {
-            tracing::warn!(error = %error.forget_data(), "the node list of ROS 2 does not show what this node has now");
+            tracing::warn!(
+                error = %error.forget_data(),
+                "cannot publish the ROS 2 node list; other participants see an old list of this node"
+            );
         }
     }
 }
@@ -319,8 +327,8 @@ impl NodeList {
             ..QosProfile::default()
         };
         // The topic has no keys, so that the entries of all participants are in one history.
-        let of_others = QosProfile { depth: LISTED_PARTICIPANTS, ..qos };
-        let of_others = qos_policies(EndpointRole::Subscription, &of_others);
+        let reader_qos = QosProfile { depth: MAX_UNREAD_ENTRIES, ..qos };
+        let reader_qos = qos_policies(EndpointRole::Subscription, &reader_qos);
         let qos = qos_policies(EndpointRole::Publisher, &qos);
         let (topic, type_name) = (node_list::TOPIC.to_owned(), node_list::TYPE_NAME.to_owned());
         let topic = participant.create_topic(topic, type_name, &qos, TopicKind::NoKey)?;
@@ -331,14 +339,14 @@ impl NodeList {
             identifier_length: settings.identifier_length(),
             endpoints: Vec::new(),
         };
-        let reader = subscriber.create_simple_datareader_no_key(&topic, Some(of_others))?;
+        let reader = subscriber.create_simple_datareader_no_key(&topic, Some(reader_qos))?;
         Ok((Self { writer: publisher.create_datawriter_no_key(&topic, Some(qos))?, entry }, reader))
     }
 }
 
 fn participant_builder(settings: &Ros2Settings, interfaces: &Interfaces) -> DomainParticipantBuilder {
     let builder = DomainParticipantBuilder::new(settings.domain_id.unwrap_or(0))
-        .same_host_loopback(interfaces.have_loopback())
+        .same_host_loopback(interfaces.include_loopback())
         .socket_receive_buffer_size(settings.socket_buffer_bytes)
         .socket_send_buffer_size(settings.socket_buffer_bytes);
     if interfaces.addresses.is_empty() {
@@ -352,17 +360,16 @@ fn participant_builder(settings: &Ros2Settings, interfaces: &Interfaces) -> Doma
 async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<NodeState>) {
     let mut events = listener.as_async_status_stream();
     while let Some(Some(event)) = state.closed.run_until_cancelled(events.next()).await {
-        if let Some(event) = translate(event) {
+        if let Some(event) = discovery_event(event) {
             tracing::debug!(?event, "discovery of ROS 2");
             let mut discovery = state.discovery();
-            let before = discovery.ignored();
+            let ignored_before = discovery.ignored();
             discovery.apply(event);
             let ignored = discovery.ignored();
-            if ignored > before && ignored.is_power_of_two() {
+            if ignored > ignored_before && ignored.is_power_of_two() {
                 tracing::warn!(
                     ignored,
-                    "the ROS 2 domain {} has more participants or topics than are remembered; messages of the others may be taken \
-                     for those of unknown nodes",
+                    "the ROS 2 domain {} has more participants or topics than are stored; the nodes of the others remain unknown",
                     state.domain_id
                 );
             }
@@ -381,7 +388,7 @@ async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
             match ListEntry::decode(&message.into_value().0) {
                 // A participant may only list its own nodes; otherwise it could rename those of others.
                 Ok(entry) if entry.participant == writer => Ok(entry),
-                Ok(_) => Err(format!("participant {writer} lists nodes of another one")),
+                Ok(_) => Err(format!("participant {writer} lists nodes of another participant")),
                 Err(error) => Err(format!("the entry of participant {writer} cannot be read: {error}")),
             }
         });
@@ -393,7 +400,7 @@ async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
                     tracing::warn!(
                         error,
                         dropped,
-                        "dropped an entry of the node list of ROS 2; its nodes go by the identities of their participant"
+                        "ignoring an entry of the ROS 2 node list; its nodes are named by the identity of their participant"
                     );
                 }
             }
@@ -401,23 +408,23 @@ async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
     }
 }
 
-fn translate(event: DomainParticipantStatusEvent) -> Option<DiscoveryEvent> {
+fn discovery_event(event: DomainParticipantStatusEvent) -> Option<DiscoveryEvent> {
     use DomainParticipantStatusEvent as Event;
     let participant = |prefix: &[u8]| prefix.try_into().ok().map(ParticipantId);
     Some(match event {
         Event::ParticipantDiscovered { dpd } => {
-            DiscoveryEvent::ParticipantFound(endpoint_id(dpd.guid).participant())
+            DiscoveryEvent::ParticipantDiscovered(endpoint_id(dpd.guid).participant())
         }
-        Event::ParticipantLost { id, .. } => DiscoveryEvent::ParticipantGone(participant(id.as_ref())?),
+        Event::ParticipantLost { id, .. } => DiscoveryEvent::ParticipantLost(participant(id.as_ref())?),
         Event::ReaderDetected { reader: endpoint } | Event::WriterDetected { writer: endpoint } => {
-            DiscoveryEvent::EndpointFound {
+            DiscoveryEvent::EndpointDiscovered {
                 id: endpoint_id(endpoint.guid),
                 topic: endpoint.topic_name,
                 type_name: endpoint.type_name,
             }
         }
         Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
-            DiscoveryEvent::EndpointGone(endpoint_id(guid))
+            DiscoveryEvent::EndpointLost(endpoint_id(guid))
         }
         Event::RemoteReaderMatched { local_writer, remote_reader } => {
             DiscoveryEvent::Matched { local: endpoint_id(local_writer), remote: endpoint_id(remote_reader) }

@@ -23,9 +23,9 @@ pub struct Ros2Publisher {
     pub(super) endpoint: Endpoint,
     pub(super) qos: QosProfile,
     /// Bytes published since everything was acknowledged; approximate if several tasks publish at once.
-    pub(super) unacknowledged: AtomicUsize,
-    /// Largest value of `unacknowledged`.
-    pub(super) most_unacknowledged: usize,
+    pub(super) unacknowledged_bytes: AtomicUsize,
+    /// Largest value of `unacknowledged_bytes`.
+    pub(super) max_unacknowledged_bytes: usize,
 }
 
 impl Ros2Publisher {
@@ -53,9 +53,9 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if there is none within `patience`; it says what was tried.
-    pub async fn await_peer(&self, patience: Duration) -> Result<(), Ros2Error> {
-        self.endpoint.await_peer(patience).await
+    /// [`Ros2Error::NoPeer`] if there is none within `time_limit`, with what was tried.
+    pub async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
+        self.endpoint.wait_for_peer(time_limit).await
     }
 
     /// Publishes a message and returns its sequence number. The payload begins with the encapsulation header (`00 01 00
@@ -78,7 +78,7 @@ impl Ros2Publisher {
         let waited = Duration::from_millis(u64::from(self.qos.max_blocking_ms));
         let in_time = tokio::time::timeout(waited, written);
         match self.endpoint.node.closed.run_until_cancelled(in_time).await {
-            None => Err(self.endpoint.shut_down()),
+            None => Err(self.endpoint.shut_down_error()),
             Some(Ok(Ok(identity))) => Ok(i64::from(identity.sequence_number)),
             Some(Err(_) | Ok(Err(WriteError::WouldBlock { .. }))) => Err(Ros2Error::PublishTimeout {
                 topic: topic(),
@@ -99,7 +99,7 @@ impl Ros2Publisher {
     pub fn try_publish(&self, payload: Bytes, source_time: WallTime) -> Result<Option<i64>, Ros2Error> {
         let topic = || self.endpoint.topic.clone();
         if self.endpoint.node.closed.is_cancelled() {
-            return Err(self.endpoint.shut_down());
+            return Err(self.endpoint.shut_down_error());
         }
         let message =
             RawMessage::from_payload(payload).ok_or_else(|| Ros2Error::NotCdr { topic: topic() })?;
@@ -116,7 +116,7 @@ impl Ros2Publisher {
     /// Counts all messages so far as acknowledged, so that a slow subscription does not stop later messages. Messages
     /// that it lacks are still kept for it.
     pub fn forget_unacknowledged(&self) {
-        self.unacknowledged.store(0, Ordering::Relaxed);
+        self.unacknowledged_bytes.store(0, Ordering::Relaxed);
     }
 
     async fn write(
@@ -125,15 +125,16 @@ impl Ros2Publisher {
         options: WriteOptions,
     ) -> WriteResult<SampleIdentity, RawMessage> {
         let size = message.0.len();
-        if self.unacknowledged.load(Ordering::Relaxed).saturating_add(size) > self.most_unacknowledged
-            && self.unacknowledged.load(Ordering::Relaxed) > 0
+        if self.unacknowledged_bytes.load(Ordering::Relaxed).saturating_add(size)
+            > self.max_unacknowledged_bytes
+            && self.unacknowledged_bytes.load(Ordering::Relaxed) > 0
         {
             // Fails only for reasons for which the write fails as well.
             let _acknowledged = self.writer.async_wait_for_acknowledgments().await;
-            self.unacknowledged.store(0, Ordering::Relaxed);
+            self.unacknowledged_bytes.store(0, Ordering::Relaxed);
         }
         let identity = self.writer.async_write_with_options(message, options).await?;
-        self.unacknowledged.fetch_add(size, Ordering::Relaxed);
+        self.unacknowledged_bytes.fetch_add(size, Ordering::Relaxed);
         Ok(identity)
     }
 
@@ -141,14 +142,14 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::Unacknowledged`] if they do not within `patience`.
-    pub async fn await_acknowledgment(&self, patience: Duration) -> Result<(), Ros2Error> {
-        let acknowledged = tokio::time::timeout(patience, self.writer.async_wait_for_acknowledgments());
+    /// [`Ros2Error::Unacknowledged`] if they do not within `time_limit`.
+    pub async fn wait_for_acknowledgment(&self, time_limit: Duration) -> Result<(), Ros2Error> {
+        let acknowledged = tokio::time::timeout(time_limit, self.writer.async_wait_for_acknowledgments());
         match self.endpoint.node.closed.run_until_cancelled(acknowledged).await {
-            None => Err(self.endpoint.shut_down()),
+            None => Err(self.endpoint.shut_down_error()),
             Some(Ok(Ok(true))) => Ok(()),
             Some(Err(_) | Ok(Ok(false))) => {
-                Err(Ros2Error::Unacknowledged { topic: self.endpoint.topic.clone(), waited: patience })
+                Err(Ros2Error::Unacknowledged { topic: self.endpoint.topic.clone(), waited: time_limit })
             }
             Some(Ok(Err(error))) => {
                 Err(Ros2Error::Publish { topic: self.endpoint.topic.clone(), reason: error.to_string() })

@@ -49,9 +49,9 @@ impl Ros2Subscription {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if there is none within `patience`; it says what was tried.
-    pub async fn await_peer(&self, patience: Duration) -> Result<(), Ros2Error> {
-        self.endpoint.await_peer(patience).await
+    /// [`Ros2Error::NoPeer`] if there is none within `time_limit`, with what was tried.
+    pub async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
+        self.endpoint.wait_for_peer(time_limit).await
     }
 
     /// Waits for the next message. Its payload was copied once, out of the cache of `rustdds`.
@@ -69,7 +69,7 @@ impl Ros2Subscription {
                 self.endpoint.node.closed.run_until_cancelled(messages.next()).await
             };
             let message = match next.flatten() {
-                None => return Err(self.endpoint.shut_down()),
+                None => return Err(self.endpoint.shut_down_error()),
                 Some(Ok(message)) => message,
                 Some(Err(ReadError::Deserialization { .. })) => {
                     self.counts.undecodable += 1;
@@ -83,7 +83,7 @@ impl Ros2Subscription {
                 }
             };
             let writer = endpoint_id(message.writer_guid());
-            if self.endpoint.node.discovery().is_other_type(self.endpoint.id, writer) {
+            if self.endpoint.node.discovery().has_other_type(self.endpoint.id, writer) {
                 self.counts.other_type += 1;
                 continue;
             }

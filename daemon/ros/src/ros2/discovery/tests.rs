@@ -16,23 +16,23 @@ fn state() -> (DiscoveryState, watch::Receiver<PeerTable>) {
 }
 
 fn found(type_name: &str) -> DiscoveryEvent {
-    DiscoveryEvent::EndpointFound { id: REMOTE, topic: "rt/chatter".into(), type_name: type_name.into() }
+    DiscoveryEvent::EndpointDiscovered { id: REMOTE, topic: "rt/chatter".into(), type_name: type_name.into() }
 }
 
 #[test]
 fn peer_is_matched_until_its_participant_is_gone() {
     let (mut state, peers) = state();
-    state.apply(DiscoveryEvent::ParticipantFound(ParticipantId([2; 12])));
-    state.apply(DiscoveryEvent::ParticipantFound(ParticipantId([1; 12])));
-    assert_eq!(state.participants(), 1, "our own participant is no other one");
+    state.apply(DiscoveryEvent::ParticipantDiscovered(ParticipantId([2; 12])));
+    state.apply(DiscoveryEvent::ParticipantDiscovered(ParticipantId([1; 12])));
+    assert_eq!(state.participant_count(), 1, "our own participant is not counted");
     state.apply(found("std_msgs::msg::dds_::String_"));
     state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
     assert!(peers.borrow().matched.contains(&REMOTE));
     assert_eq!(state.topics(), ["/chatter"]);
-    state.apply(DiscoveryEvent::ParticipantGone(ParticipantId([2; 12])));
+    state.apply(DiscoveryEvent::ParticipantLost(ParticipantId([2; 12])));
     let expected = PeerTable { matched_total: 1, unmatched_total: 1, ..PeerTable::default() };
     assert_eq!((*peers.borrow()).clone(), expected);
-    assert_eq!((state.participants(), state.topics().len()), (0, 0));
+    assert_eq!((state.participant_count(), state.topics().len()), (0, 0));
 }
 
 #[test]
@@ -43,8 +43,8 @@ fn peer_of_another_type_is_refused() {
     let refusal = Refusal::OtherType { type_name: "std_msgs/msg/Int32".into() };
     assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
     assert!(peers.borrow().matched.is_empty());
-    assert!(state.is_other_type(LOCAL, REMOTE));
-    state.apply(DiscoveryEvent::EndpointGone(REMOTE));
+    assert!(state.has_other_type(LOCAL, REMOTE));
+    state.apply(DiscoveryEvent::EndpointLost(REMOTE));
     assert!(peers.borrow().refused.is_empty());
 }
 
@@ -79,12 +79,12 @@ fn endpoint_has_the_name_of_its_node() {
     let nodes = vec![listed("/camera2", &[REMOTE])];
     state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
     assert_eq!(state.node_of(other), Some("/camera2"), "the only node of its participant");
-    state.apply(DiscoveryEvent::ParticipantGone(participant));
+    state.apply(DiscoveryEvent::ParticipantLost(participant));
     assert_eq!(state.node_of(REMOTE), None);
 }
 
 #[test]
-fn invented_node_lists_make_room_for_real_ones() {
+fn forged_node_lists_are_removed_before_real_ones() {
     let (mut state, _) = state();
     let list = |number: u32, state: &mut DiscoveryState| {
         let mut participant = [7; 12];
@@ -97,7 +97,7 @@ fn invented_node_lists_make_room_for_real_ones() {
         list(number, &mut state);
     }
     let real = ParticipantId([2; 12]);
-    state.apply(DiscoveryEvent::ParticipantFound(real));
+    state.apply(DiscoveryEvent::ParticipantDiscovered(real));
     state.apply(DiscoveryEvent::NodesListed(ListEntry {
         participant: real,
         nodes: vec![listed("/camera", &[REMOTE])],
@@ -117,8 +117,12 @@ fn endpoints_of_others_are_found_by_topic_and_role() {
         id.0[15] = last;
         id.0[14] = topic.as_bytes()[3];
         let (topic, type_name) = (topic.to_owned(), "std_msgs::msg::dds_::String_".to_owned());
-        state.apply(DiscoveryEvent::EndpointFound { id, topic: topic.clone(), type_name: type_name.clone() });
-        state.apply(DiscoveryEvent::EndpointFound { id: LOCAL, topic, type_name });
+        state.apply(DiscoveryEvent::EndpointDiscovered {
+            id,
+            topic: topic.clone(),
+            type_name: type_name.clone(),
+        });
+        state.apply(DiscoveryEvent::EndpointDiscovered { id: LOCAL, topic, type_name });
     }
     let found = state.endpoints_of("rt/a");
     assert!(found.iter().all(|endpoint| endpoint.type_name == "std_msgs/msg/String"));
@@ -168,12 +172,12 @@ fn any_entry() -> impl Strategy<Value = ListEntry> {
 fn any_event() -> impl Strategy<Value = DiscoveryEvent> {
     let local = || prop_oneof![4 => Just(LOCAL), 1 => any_endpoint()];
     prop_oneof![
-        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantFound(own(participant))),
-        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantGone(own(participant))),
+        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantDiscovered(own(participant))),
+        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantLost(own(participant))),
         3 => (any_endpoint(), any_name(), any_name()).prop_map(|(id, topic, type_name)| {
-            DiscoveryEvent::EndpointFound { id, topic, type_name }
+            DiscoveryEvent::EndpointDiscovered { id, topic, type_name }
         }),
-        1 => any_endpoint().prop_map(DiscoveryEvent::EndpointGone),
+        1 => any_endpoint().prop_map(DiscoveryEvent::EndpointLost),
         2 => any_entry().prop_map(DiscoveryEvent::NodesListed),
         2 => (local(), any_endpoint())
             .prop_map(|(local, remote)| DiscoveryEvent::Matched { local, remote }),
@@ -209,10 +213,10 @@ proptest! {
         let peers = state.add_local(LOCAL, EndpointRole::Subscription, "a::b_");
         for event in events {
             let (ignored, count) = (state.ignored(), *state.changes().borrow());
-            let is_too_long = matches!(&event, DiscoveryEvent::EndpointFound { topic, type_name, .. }
+            let is_too_long = matches!(&event, DiscoveryEvent::EndpointDiscovered { topic, type_name, .. }
                 if topic.len().max(type_name.len()) > DiscoveryState::MAX_NAME_BYTES);
-            let asked = match &event {
-                DiscoveryEvent::EndpointFound { id, .. } | DiscoveryEvent::EndpointGone(id) => *id,
+            let queried = match &event {
+                DiscoveryEvent::EndpointDiscovered { id, .. } | DiscoveryEvent::EndpointLost(id) => *id,
                 DiscoveryEvent::Matched { remote, .. } | DiscoveryEvent::Incompatible { remote, .. } => *remote,
                 _ => REMOTE,
             };
@@ -221,14 +225,14 @@ proptest! {
             prop_assert!(!is_too_long || state.ignored() == ignored + 1, "what is not remembered is counted");
             check_bounds(&state, &peers.borrow());
             // Every query must return.
-            let _ = (state.node_of(asked), state.nodes_of(asked.participant()), state.topics());
-            let _ = (state.endpoints_of("rt/a"), state.is_other_type(LOCAL, asked));
+            let _ = (state.node_of(queried), state.nodes_of(queried.participant()), state.topics());
+            let _ = (state.endpoints_of("rt/a"), state.has_other_type(LOCAL, queried));
         }
         for participant in ANNOUNCING_PARTICIPANTS {
-            state.apply(DiscoveryEvent::ParticipantGone(own(participant)));
+            state.apply(DiscoveryEvent::ParticipantLost(own(participant)));
         }
-        let left = peers.borrow();
-        prop_assert!(left.matched.is_empty() && left.refused.is_empty() && left.matched_total == left.unmatched_total);
+        let remaining = peers.borrow();
+        prop_assert!(remaining.matched.is_empty() && remaining.refused.is_empty() && remaining.matched_total == remaining.unmatched_total);
         prop_assert!(state.endpoints.is_empty() && state.nodes.is_empty() && state.participants.is_empty());
     }
 }

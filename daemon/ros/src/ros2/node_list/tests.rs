@@ -35,10 +35,14 @@ fn entry_is_read_as_written_with_both_lengths() {
 fn entry_with_foreign_endpoints_or_names_is_refused() {
     let mut foreign = entry(16);
     foreign.endpoints[0].1.0[0] = 2;
-    assert_eq!(ListEntry::decode(&foreign.to_payload()), Err(ListError::ForeignEndpoint));
+    assert_eq!(ListEntry::decode(&foreign.to_payload()), Err(NodeListError::ForeignEndpoint));
     for (namespace, name) in [("/", ""), ("robot", "camera"), ("/", "a\nb"), ("/", &*"n".repeat(600))] {
         let other = NodeEntry { namespace: namespace.into(), name: name.into(), ..entry(16) };
-        assert_eq!(ListEntry::decode(&other.to_payload()), Err(ListError::InvalidName), "{namespace} {name}");
+        assert_eq!(
+            ListEntry::decode(&other.to_payload()),
+            Err(NodeListError::InvalidName),
+            "{namespace} {name}"
+        );
     }
     let root = NodeEntry { namespace: "/".into(), ..entry(16) };
     assert_eq!(ListEntry::decode(&root.to_payload()).unwrap().nodes[0].name, "/camera");
@@ -72,7 +76,7 @@ fn announcement_has_the_form_of_rmw_dds_common() {
 }
 
 /// Returns an entry of several nodes, made of the nodes of single ones.
-fn several(entries: &[NodeEntry]) -> Vec<u8> {
+fn multi_node_entry(entries: &[NodeEntry]) -> Vec<u8> {
     let Some(first) = entries.first() else { return Vec::new() };
     let start = 4 + first.identifier_length;
     let mut cdr = first.to_payload()[..start].to_vec();
@@ -104,7 +108,7 @@ fn any_entry(length: usize) -> impl Strategy<Value = NodeEntry> {
 fn any_payload() -> impl Strategy<Value = Vec<u8>> {
     let entries = |length| prop::collection::vec(any_entry(length), 0..4);
     prop_oneof![entries(IDENTIFIER_LENGTHS[0]), entries(IDENTIFIER_LENGTHS[1])]
-        .prop_map(|entries| several(&entries))
+        .prop_map(|entries| multi_node_entry(&entries))
 }
 
 proptest! {

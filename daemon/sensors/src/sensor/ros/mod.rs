@@ -10,8 +10,8 @@ use peernet_clock::{OneWayDelay, SharedClock, Stamp, WallTime};
 use peernet_logger::{Measure, Name, Recorder, Unit};
 use peernet_ros::ros2::{QosProfile, Reliability};
 use peernet_ros::topics::{
-    MessageType, ReaderOptions, RosVersion, TopicError, TopicMessage, TopicReader, TopicUse, check_topic,
-    survey_topic,
+    MessageType, ReaderOptions, RosVersion, TopicAccess, TopicError, TopicMessage, TopicReader, check_topic,
+    check_topic_at_master,
 };
 use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
@@ -100,8 +100,8 @@ impl SensorKind for RosSensorConfig {
     // These conditions are not errors, because they may change without an action: an agent that is started at boot, before
     // the master, must not be refused.
     fn remarks(&self) -> Vec<String> {
-        let Ok(version) = self.validated_version() else { return Vec::new() };
-        match survey_topic(version, &self.topic, self.message_type.as_ref(), TopicUse::Read) {
+        let Ok(version) = self.validated() else { return Vec::new() };
+        match check_topic_at_master(version, &self.topic, self.message_type.as_ref(), TopicAccess::Read) {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],
         }
@@ -133,7 +133,7 @@ impl Ros {
         };
         let read = reader.read(Duration::from_millis(config.timeout_ms.get()));
         if let Err(error) = &read
-            && error.is_end()
+            && error.needs_reopening()
         {
             // The next sample starts another node and subscribes again.
             self.reader = None;
@@ -163,7 +163,7 @@ impl Sensor for Ros {
         log.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),
-            of: message.of.to_string(),
+            of: message.type_name.to_string(),
             reason: error.to_string(),
         })?;
         if let Some(stamp) = payload.stamp {

@@ -31,7 +31,7 @@ impl Payload {
     /// Reads a message by the type that its publisher names. A message of an unknown type becomes its serialised
     /// bytes.
     pub(super) fn decode(message: &TopicMessage) -> Result<Self, PayloadError> {
-        let of = &*message.of;
+        let of = &*message.type_name;
         if of == Image::DEFINITION.name {
             let image: Image = read(message)?;
             let stamp = stamp(image.header.stamp);
@@ -136,8 +136,8 @@ mod tests {
     fn pass<M: Message>(message: &M, form: WireForm) -> Payload {
         let bytes = message.encode(form).expect("can be encoded").into_bytes();
         let received = WallTime::from_unix_nanos(0);
-        let of: Arc<str> = M::DEFINITION.name.into();
-        Payload::decode(&TopicMessage { form, of, bytes, received, dropped: 0 }).expect("is a sample")
+        let type_name: Arc<str> = M::DEFINITION.name.into();
+        Payload::decode(&TopicMessage { form, type_name, bytes, received, dropped: 0 }).expect("is a sample")
     }
 
     fn header() -> Header {
@@ -193,13 +193,13 @@ mod tests {
     #[test]
     fn message_of_other_type_is_passed_as_bytes() {
         let (form, bytes) = (WireForm::Ros1, Bytes::from_static(&[1, 2, 3]));
-        let of: Arc<str> = "nav_msgs/Odometry".into();
+        let type_name: Arc<str> = "nav_msgs/Odometry".into();
         let received = WallTime::from_unix_nanos(0);
-        let message = TopicMessage { form, of, bytes: bytes.clone(), received, dropped: 0 };
+        let message = TopicMessage { form, type_name, bytes: bytes.clone(), received, dropped: 0 };
         let payload = Payload::decode(&message).expect("is a sample");
         assert_eq!((&payload.parts[0].description, &payload.parts[0].bytes), (&Description::bytes(), &bytes));
         // The same bytes are not a valid picture.
-        let message = TopicMessage { of: "sensor_msgs/Image".into(), ..message };
+        let message = TopicMessage { type_name: "sensor_msgs/Image".into(), ..message };
         assert!(matches!(Payload::decode(&message), Err(PayloadError::Decode(_))));
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use peernet_clock::{SharedClock, Span, Stamp, WallTime};
 use peernet_ros::messages::WireForm;
 use peernet_ros::ros2::{
-    FoundPublisher, QosProfile, ReceivedSample, Reliability, Ros2Node, Ros2Subscription, absolute_topic,
+    DiscoveredPublisher, QosProfile, ReceivedSample, Reliability, Ros2Node, Ros2Subscription, absolute_topic,
 };
 use peernet_ros::topics::TopicError;
 use tokio::sync::watch;
@@ -87,7 +87,7 @@ impl Ros2Topic {
             // Best-effort matches best-effort publishers as well, and no publisher waits for the agent.
             let qos =
                 QosProfile { reliability: Reliability::BestEffort, depth: DEPTH, ..QosProfile::default() };
-            let ends = self.node.subscription(&self.name, type_name, &qos)?;
+            let ends = self.node.create_subscription(&self.name, type_name, &qos)?;
             self.subscription = Some(TypedSubscription { ends, type_name: type_name.to_owned() });
         }
         self.report_other_types(&publishers);
@@ -95,7 +95,7 @@ impl Ros2Topic {
     }
 
     /// Logs publishers whose messages are not received because of their type.
-    fn report_other_types(&mut self, publishers: &[FoundPublisher]) {
+    fn report_other_types(&mut self, publishers: &[DiscoveredPublisher]) {
         let Some(TypedSubscription { type_name, .. }) = &self.subscription else { return };
         let others = publishers.iter().filter(|publisher| publisher.type_name != *type_name);
         for other in others {
@@ -141,11 +141,11 @@ impl Ros2Topic {
     }
 
     pub(super) fn publishers(&self) -> Vec<PublisherPlace> {
-        let of_type = |publisher: &FoundPublisher| {
+        let of_type = |publisher: &DiscoveredPublisher| {
             self.subscription.as_ref().is_some_and(|own| own.type_name == publisher.type_name)
         };
         let found = self.node.publishers_of(&self.name).into_iter().filter(of_type);
-        let place = |publisher: FoundPublisher| PublisherPlace {
+        let place = |publisher: DiscoveredPublisher| PublisherPlace {
             node: publisher.name(),
             host: publisher.host.map(|host| host.to_string()),
         };
@@ -168,7 +168,7 @@ async fn changed(discovery: &mut watch::Receiver<u64>) {
 
 /// Returns the type to subscribe with; `None` if the current one still has a publisher, or if the topic has no
 /// publisher.
-fn type_to_subscribe<'a>(publishers: &'a [FoundPublisher], current: Option<&str>) -> Option<&'a str> {
+fn type_to_subscribe<'a>(publishers: &'a [DiscoveredPublisher], current: Option<&str>) -> Option<&'a str> {
     let types = || publishers.iter().map(|publisher| publisher.type_name.as_str());
     if types().any(|type_name| Some(type_name) == current) { None } else { types().next() }
 }
@@ -199,9 +199,9 @@ mod tests {
 
     use super::*;
 
-    fn publisher(type_name: &str) -> FoundPublisher {
+    fn publisher(type_name: &str) -> DiscoveredPublisher {
         let type_name = type_name.to_owned();
-        FoundPublisher { id: EndpointId([1; 16]), type_name, host: None, node: None }
+        DiscoveredPublisher { id: EndpointId([1; 16]), type_name, host: None, node: None }
     }
 
     #[test]

@@ -6,8 +6,8 @@ use crate::transport::datagram::packet::Packet;
 use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 
-/// Largest number of waiting packets. More wait only if nothing can be sent. Dropping further ones is safe, because all
-/// of them are repeated.
+/// Largest number of queued packets. The limit is reached only while nothing can be sent. Dropping further packets is
+/// safe, because all of them are repeated.
 const MAX_PACKETS: usize = 256;
 
 /// Packets of a connection that are sent before its messages.
@@ -22,7 +22,7 @@ impl ControlQueue {
         Self { writer, packets: VecDeque::new() }
     }
 
-    /// Queues a packet. A packet that finds no room is dropped.
+    /// Queues a packet. Drops it if the queue is full.
     pub(super) fn push(&mut self, packet: Packet<'static>) {
         if self.packets.len() < MAX_PACKETS {
             self.packets.push_back(packet);

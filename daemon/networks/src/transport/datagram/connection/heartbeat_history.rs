@@ -2,11 +2,11 @@
 
 use crate::transport::datagram::packet::Heartbeat;
 
-/// Number of successive contradicting heartbeats at which the connection ends. The connection would not recover,
-/// because the other end treats messages that are still to be sent as settled.
+/// Number of successive contradicting heartbeats at which the connection ends.
+// The connection would not recover, because the other end treats messages as settled that are still to be sent.
 const MAX_CONTRADICTIONS: u32 = 3;
 
-/// Detects duplicated heartbeats, and tells ends that disagree permanently from a single altered packet.
+/// Detects duplicated heartbeats, and distinguishes ends that disagree permanently from a single altered packet.
 #[derive(Debug, Default)]
 pub(super) struct HeartbeatHistory {
     last: Heartbeat,
@@ -15,18 +15,18 @@ pub(super) struct HeartbeatHistory {
 }
 
 impl HeartbeatHistory {
-    /// Handles a heartbeat. Returns whether it is new; the network may have duplicated the last one.
-    pub(super) fn receive(&mut self, heartbeat: &Heartbeat) -> bool {
+    /// Stores a heartbeat. Returns whether it differs from the last one, which the network may have duplicated.
+    pub(super) fn record_if_new(&mut self, heartbeat: &Heartbeat) -> bool {
         std::mem::replace(&mut self.last, *heartbeat) != *heartbeat
     }
 
     /// Notes that the heartbeat agrees with what was sent.
-    pub(super) fn agree(&mut self) {
+    pub(super) fn record_agreement(&mut self) {
         self.contradictions = 0;
     }
 
     /// Notes that the heartbeat contradicts what was sent. Returns whether too many successive ones do.
-    pub(super) fn contradict(&mut self) -> bool {
+    pub(super) fn record_contradiction(&mut self) -> bool {
         self.contradictions += 1;
         self.contradictions >= MAX_CONTRADICTIONS
     }
@@ -39,16 +39,20 @@ mod tests {
     #[test]
     fn only_successive_contradictions_reach_limit() {
         let mut heartbeats = HeartbeatHistory::default();
-        assert!(!heartbeats.contradict() && !heartbeats.contradict());
-        heartbeats.agree();
-        assert!(!heartbeats.contradict() && !heartbeats.contradict() && heartbeats.contradict());
+        assert!(!heartbeats.record_contradiction() && !heartbeats.record_contradiction());
+        heartbeats.record_agreement();
+        assert!(
+            !heartbeats.record_contradiction()
+                && !heartbeats.record_contradiction()
+                && heartbeats.record_contradiction()
+        );
     }
 
     #[test]
     fn doubled_heartbeat_is_not_new() {
         let (mut heartbeats, heartbeat) =
             (HeartbeatHistory::default(), Heartbeat { time: 1, ..Heartbeat::default() });
-        assert!(heartbeats.receive(&heartbeat) && !heartbeats.receive(&heartbeat));
-        assert!(heartbeats.receive(&Heartbeat { time: 2, ..heartbeat }));
+        assert!(heartbeats.record_if_new(&heartbeat) && !heartbeats.record_if_new(&heartbeat));
+        assert!(heartbeats.record_if_new(&Heartbeat { time: 2, ..heartbeat }));
     }
 }

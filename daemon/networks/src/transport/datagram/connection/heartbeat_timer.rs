@@ -2,11 +2,11 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Pause between a message and the heartbeat that asks whether it has arrived.
-const ASK_PAUSE: Span = Span::from_millis(50);
+/// Time from a message to the ping whose answer says whether the message has arrived.
+const PING_DELAY: Span = Span::from_millis(50);
 
-/// Longest time between heartbeats while messages follow each other. The answers carry statistics.
-const ASK_PERIOD: Span = Span::from_seconds(1);
+/// Longest interval between pings while messages are sent continuously. The answers carry statistics.
+const PING_INTERVAL: Span = Span::from_seconds(1);
 
 /// Heartbeat timers of a connection.
 #[derive(Debug)]
@@ -39,19 +39,19 @@ impl HeartbeatTimer {
         self.pinged_at = now;
     }
 
-    /// Returns the time at which the other end is to be asked next.
+    /// Returns the time of the next ping.
     ///
-    /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The other end
-    /// is then asked sooner, because its answer says which messages never arrived.
+    /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The ping is then
+    /// sent sooner, because its answer says which messages never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
         let idle = self.received_at.max(self.pinged_at) + self.interval;
-        let asks =
-            sent_at.map(|sent| (sent.max(self.pinged_at) + ASK_PAUSE).min(self.pinged_at + ASK_PERIOD));
-        asks.map_or(idle, |at| idle.min(at))
+        let after_message =
+            sent_at.map(|sent| (sent.max(self.pinged_at) + PING_DELAY).min(self.pinged_at + PING_INTERVAL));
+        after_message.map_or(idle, |at| idle.min(at))
     }
 
     /// Returns the time at which the other end counts as gone if nothing arrives until then.
-    pub(super) fn ends_at(&self) -> MonoTime {
+    pub(super) fn expires_at(&self) -> MonoTime {
         self.received_at + self.timeout
     }
 }
@@ -64,9 +64,9 @@ mod tests {
     fn heartbeat_is_due_when_idle_and_after_messages() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut heartbeat = HeartbeatTimer::new(Span::from_seconds(2), Span::from_seconds(5), at(0));
-        assert_eq!((heartbeat.ping_at(None), heartbeat.ends_at()), (at(2_000), at(5_000)));
+        assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (at(2_000), at(5_000)));
         heartbeat.receive(at(500));
-        assert_eq!((heartbeat.ping_at(None), heartbeat.ends_at()), (at(2_500), at(5_500)));
+        assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (at(2_500), at(5_500)));
         assert_eq!(heartbeat.ping_at(Some(at(600))), at(650), "after the last message");
         assert_eq!(heartbeat.ping_at(Some(at(990))), at(1_000), "once a second while they follow each other");
         heartbeat.ping(at(1_000));

@@ -2,19 +2,20 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Pause between goodbyes.
-const BYE_PAUSE: Span = Span::from_millis(50);
+/// Interval between goodbyes.
+const BYE_INTERVAL: Span = Span::from_millis(50);
 
-/// Number of goodbyes during which unfinished messages are still awaited, and the largest number of goodbyes.
-const PATIENT_BYES: u32 = 2;
-const LAST_BYE: u32 = 8;
+/// Number of received goodbyes from which on unfinished messages are given up.
+const BYES_UNTIL_GIVING_UP: u32 = 2;
+/// Largest number of goodbyes.
+const MAX_BYES: u32 = 8;
 
 /// State of a connection's shutdown.
 #[derive(Debug)]
 pub(super) struct Shutdown {
     phase: Phase,
     /// Number of goodbyes that arrived.
-    byes: u32,
+    received_byes: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +27,7 @@ enum Phase {
 
 impl Shutdown {
     pub(super) const fn new() -> Self {
-        Self { phase: Phase::Open, byes: 0 }
+        Self { phase: Phase::Open, received_byes: 0 }
     }
 
     pub(super) fn is_open(&self) -> bool {
@@ -39,7 +40,7 @@ impl Shutdown {
     }
 
     /// Starts to say goodbye.
-    pub(super) fn begin(&mut self, now: MonoTime) {
+    pub(super) fn start(&mut self, now: MonoTime) {
         if self.is_open() {
             self.phase = Phase::Closing { next_bye: now };
         }
@@ -55,7 +56,7 @@ impl Shutdown {
 
     /// Notes that a goodbye is sent.
     pub(super) fn send_bye(&mut self, now: MonoTime) {
-        self.phase = Phase::Closing { next_bye: now + BYE_PAUSE };
+        self.phase = Phase::Closing { next_bye: now + BYE_INTERVAL };
     }
 
     /// Handles the confirmation of the goodbye.
@@ -67,18 +68,18 @@ impl Shutdown {
 
     /// Handles a goodbye of the other end. Returns the number of goodbyes so far.
     pub(super) fn receive_bye(&mut self) -> u32 {
-        self.byes += 1;
-        self.byes
+        self.received_byes += 1;
+        self.received_byes
     }
 
     /// Returns whether the other end has said goodbye so often that its unfinished messages are no longer awaited.
-    pub(super) const fn gives_up_messages(&self) -> bool {
-        self.byes >= PATIENT_BYES
+    pub(super) const fn must_give_up_messages(&self) -> bool {
+        self.received_byes >= BYES_UNTIL_GIVING_UP
     }
 
     /// Returns whether the other end has sent its last goodbye.
     pub(super) const fn is_last_bye(&self) -> bool {
-        self.byes >= LAST_BYE
+        self.received_byes >= MAX_BYES
     }
 
     /// Ends the connection. Returns whether it was open or closing before.
@@ -97,22 +98,22 @@ mod tests {
         let mut shutdown = Shutdown::new();
         shutdown.confirm();
         assert!(shutdown.is_open() && shutdown.bye_at().is_none(), "nothing was said yet");
-        shutdown.begin(at(10));
+        shutdown.start(at(10));
         assert_eq!(shutdown.bye_at(), Some(at(10)));
         shutdown.send_bye(at(20));
-        shutdown.begin(at(30));
+        shutdown.start(at(30));
         assert_eq!(shutdown.bye_at(), Some(at(70)));
         shutdown.confirm();
         assert!(shutdown.is_closed() && shutdown.bye_at().is_none() && !shutdown.close());
     }
 
     #[test]
-    fn patience_ends_before_the_last_goodbye() {
+    fn messages_are_given_up_before_last_goodbye() {
         let mut shutdown = Shutdown::new();
         let mut states = Vec::new();
         for _ in 0..8 {
             shutdown.receive_bye();
-            states.push((shutdown.gives_up_messages(), shutdown.is_last_bye()));
+            states.push((shutdown.must_give_up_messages(), shutdown.is_last_bye()));
         }
         assert_eq!(states[..2], [(false, false), (true, false)]);
         assert_eq!(states[6..], [(true, false), (true, true)]);

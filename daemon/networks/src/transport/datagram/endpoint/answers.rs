@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::Route;
 use crate::transport::datagram::packet::{Packet, Role};
 
-/// Largest number of waiting answers. A sender without an answer repeats its request.
+/// Largest number of queued answers. A sender that gets no answer repeats its request.
 const MAX_ANSWERS: usize = 256;
 
 /// Answers that wait to be sent.
@@ -25,7 +25,7 @@ impl AnswerQueue {
         self.answers.is_empty()
     }
 
-    /// Queues an answer. An answer that finds no room is dropped.
+    /// Queues an answer. Drops it if the queue is full.
     pub(super) fn push(&mut self, route: Route, packet: &Packet<'_>) {
         self.push_padded(route, packet, 0);
     }

@@ -5,7 +5,8 @@ use std::collections::VecDeque;
 use crate::transport::Arrival;
 use crate::transport::memory::Reservation;
 
-/// Number of arrivals from which on dispensable ones are dropped. It is reached if the layer above does not take them.
+/// Number of queued arrivals from which on losses and invalid data are dropped. It is reached if the layer above does not
+/// receive the arrivals.
 const MAX_ARRIVALS: usize = 1_024;
 
 /// An arrival, and the reservation of its memory.
@@ -25,7 +26,7 @@ pub(super) struct ArrivalQueue {
 impl ArrivalQueue {
     pub(super) fn push(&mut self, arrival: Arrival, reserved: Option<Reservation>) {
         let is_droppable =
-            matches!(arrival, Arrival::Garbage(..) | Arrival::Incomplete(..) | Arrival::Lost(..));
+            matches!(arrival, Arrival::InvalidData(..) | Arrival::Incomplete(..) | Arrival::Lost(..));
         if !is_droppable || self.deliveries.len() < MAX_ARRIVALS {
             self.deliveries.push_back(Delivery { arrival, _reserved: reserved });
         }
@@ -45,7 +46,7 @@ mod tests {
     fn full_arrival_queue_admits_connection_ends_only() {
         let mut queue = ArrivalQueue::default();
         for _ in 0..2 * MAX_ARRIVALS {
-            queue.push(Arrival::Garbage(None, String::new()), None);
+            queue.push(Arrival::InvalidData(None, String::new()), None);
         }
         queue.push(Arrival::Gone(ConnectionId(1), String::new()), None);
         let all: Vec<Delivery> = std::iter::from_fn(|| queue.pop()).collect();

@@ -6,13 +6,13 @@ use std::net::{IpAddr, SocketAddr};
 use super::entry::{Admission, Entry};
 use crate::transport::AddressGroup;
 
-/// Room for one more connection.
+/// Whether one more connection may be opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Capacity {
     Free,
-    /// There is room if this connection, which has no session, is closed.
-    Replaces(u64),
-    Exhausted,
+    /// One more may be opened after this connection, which has no session, is closed.
+    FreeAfterClosing(u64),
+    Full,
 }
 
 /// All connections. Each is found by its number, and by the reply address and the nonce of its hello.
@@ -21,7 +21,7 @@ pub(super) struct ConnectionTable {
     entries: HashMap<u64, Entry>,
     by_nonce: HashMap<(SocketAddr, u64), u64>,
     /// Number of connections ever opened.
-    opened: u64,
+    opened_count: u64,
 }
 
 impl ConnectionTable {
@@ -30,8 +30,8 @@ impl ConnectionTable {
     }
 
     /// Returns the number of connections ever opened.
-    pub(super) const fn opened(&self) -> u64 {
-        self.opened
+    pub(super) const fn opened_count(&self) -> u64 {
+        self.opened_count
     }
 
     pub(super) fn contains(&self, id: u64) -> bool {
@@ -56,7 +56,7 @@ impl ConnectionTable {
     }
 
     pub(super) fn insert(&mut self, id: u64, entry: Entry) {
-        self.opened += 1;
+        self.opened_count += 1;
         self.by_nonce.insert((entry.reply_address(), entry.nonce), id);
         self.entries.insert(id, entry);
     }
@@ -86,31 +86,32 @@ impl ConnectionTable {
         let max = max.max(1);
         let mut groups: HashMap<AddressGroup, (usize, usize)> = HashMap::new();
         for entry in self.entries.values() {
-            let (all, unadmitted) = groups.entry(AddressGroup::of(entry.source)).or_default();
+            let (all, unadmitted) = groups.entry(AddressGroup::from_address(entry.source)).or_default();
             *all += 1;
             *unadmitted += usize::from(matches!(entry.admission, Admission::Unadmitted { .. }));
         }
-        let of_group = groups.get(&group).copied().unwrap_or_default();
+        let group_counts = groups.get(&group).copied().unwrap_or_default();
         let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
         let half = (max / 2).max(1);
-        let crowded = if (!group.is_loopback() && of_group.0 >= half) || of_group.1 >= (max / 4).max(1) {
-            group
-        } else if self.entries.len() >= max || unadmitted >= half {
-            let most = groups.iter().max_by_key(|(_, (_, unadmitted))| *unadmitted);
-            most.map_or(group, |(group, _)| *group)
-        } else {
-            return Capacity::Free;
-        };
+        let most_crowded =
+            if (!group.is_loopback() && group_counts.0 >= half) || group_counts.1 >= (max / 4).max(1) {
+                group
+            } else if self.entries.len() >= max || unadmitted >= half {
+                let largest = groups.iter().max_by_key(|(_, (_, unadmitted))| *unadmitted);
+                largest.map_or(group, |(group, _)| *group)
+            } else {
+                return Capacity::Free;
+            };
         let oldest = self
             .entries
             .iter()
-            .filter(|(_, entry)| AddressGroup::of(entry.source) == crowded)
+            .filter(|(_, entry)| AddressGroup::from_address(entry.source) == most_crowded)
             .filter_map(|(id, entry)| match entry.admission {
                 Admission::Unadmitted { since } => Some((since, *id)),
                 _ => None,
             })
             .min();
-        oldest.map_or(Capacity::Exhausted, |(_, id)| Capacity::Replaces(id))
+        oldest.map_or(Capacity::Full, |(_, id)| Capacity::FreeAfterClosing(id))
     }
 }
 
@@ -153,20 +154,21 @@ mod tests {
         table.relocate(7, address(2, 8), None);
         assert_eq!((table.find(address(1, 9), 3), table.find(address(2, 8), 3)), (None, Some(7)));
         table.remove(7);
-        assert_eq!((table.find(address(2, 8), 3), table.len(), table.opened()), (None, 0, 1));
+        assert_eq!((table.find(address(2, 8), 3), table.len(), table.opened_count()), (None, 0, 1));
     }
 
     #[test]
     fn oldest_connection_without_session_is_replaced() {
         let mut table = ConnectionTable::default();
-        let (one, other) = (AddressGroup::of(address(1, 1)), AddressGroup::of(address(2, 1)));
+        let (one, other) =
+            (AddressGroup::from_address(address(1, 1)), AddressGroup::from_address(address(2, 1)));
         table.insert(1, entry(address(1, 1), 1, Admission::Admitted));
         assert_eq!(table.capacity(one, 8), Capacity::Free);
         table.insert(2, entry(address(1, 2), 2, unadmitted(5)));
         table.insert(3, entry(address(1, 3), 3, unadmitted(4)));
-        assert_eq!(table.capacity(one, 8), Capacity::Replaces(3), "a quarter is of this address");
+        assert_eq!(table.capacity(one, 8), Capacity::FreeAfterClosing(3), "a quarter is of this address");
         assert_eq!(table.capacity(other, 8), Capacity::Free);
-        assert_eq!(table.capacity(other, 3), Capacity::Replaces(3), "all are taken");
+        assert_eq!(table.capacity(other, 3), Capacity::FreeAfterClosing(3), "all are taken");
         assert_eq!(table.capacity(one, 1_000), Capacity::Free);
     }
 
@@ -176,6 +178,6 @@ mod tests {
         for n in 1..=4 {
             table.insert(n, entry(address(n as u8, 1), n, Admission::Admitted));
         }
-        assert_eq!(table.capacity(AddressGroup::of(address(9, 1)), 4), Capacity::Exhausted);
+        assert_eq!(table.capacity(AddressGroup::from_address(address(9, 1)), 4), Capacity::Full);
     }
 }

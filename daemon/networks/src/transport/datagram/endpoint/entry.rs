@@ -26,7 +26,7 @@ pub(super) struct Entry {
     pub(super) nonce: u64,
     pub(super) datagram: u16,
     pub(super) admission: Admission,
-    pub(super) path_asked: Option<MonoTime>,
+    pub(super) path_challenged_at: Option<MonoTime>,
     pub(super) has_delivered: bool,
     pub(super) is_ready: bool,
 }
@@ -49,7 +49,7 @@ impl Entry {
             nonce,
             datagram,
             admission,
-            path_asked: None,
+            path_challenged_at: None,
             has_delivered: false,
             is_ready: false,
         }
@@ -61,7 +61,7 @@ impl Entry {
     }
 
     /// Returns whether the connection has been without a hello for too long.
-    pub(super) fn is_late(&self, hello_timeout: Span, now: MonoTime) -> bool {
+    pub(super) fn has_missed_hello_timeout(&self, hello_timeout: Span, now: MonoTime) -> bool {
         matches!(self.admission, Admission::Unadmitted { since } if now - since >= hello_timeout)
     }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::transport::datagram::partial_message::PEAK_COST;
+use crate::transport::datagram::partial_message::PEAK_MEMORY_FACTOR;
 use crate::transport::datagram::reassembly::ReassemblyLimits;
 use crate::transport::memory::MemoryBudget;
 
@@ -29,7 +29,7 @@ impl ReassemblyBudgets {
     /// Creates the budgets. `limits` applies to each connection with a session, `max_bytes` to all of them together.
     pub(super) fn new(limits: ReassemblyLimits, max_bytes: u64) -> Self {
         // A single message of the largest length always fits, in whatever order its fragments arrive.
-        let largest = u64::from(limits.max_message_bytes) * PEAK_COST;
+        let largest = u64::from(limits.max_message_bytes) * PEAK_MEMORY_FACTOR;
         Self {
             limits,
             unadmitted: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
@@ -52,8 +52,8 @@ impl ReassemblyBudgets {
         (limits, Arc::clone(&self.unadmitted))
     }
 
-    /// Returns the memory of unfinished messages and of messages that were not handed on yet. Bytes.
-    pub(super) fn held(&self) -> u64 {
-        self.admitted.held() + self.unadmitted.held()
+    /// Returns the memory of unfinished messages and of messages that were not handed up yet. Bytes.
+    pub(super) fn reserved_bytes(&self) -> u64 {
+        self.admitted.reserved_bytes() + self.unadmitted.reserved_bytes()
     }
 }

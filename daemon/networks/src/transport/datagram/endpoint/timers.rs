@@ -8,19 +8,19 @@ use peernet_clock::MonoTime;
 /// One time for each connection, in order.
 #[derive(Debug, Default)]
 pub(crate) struct Timers {
-    ordered: BTreeSet<(MonoTime, u64)>,
+    by_time: BTreeSet<(MonoTime, u64)>,
     by_connection: HashMap<u64, MonoTime>,
 }
 
 impl Timers {
     /// Sets the time of a connection unless it has an earlier one. A timer call that is too early has no effect.
-    pub(crate) fn bring_forward(&mut self, connection: u64, at: MonoTime) {
+    pub(crate) fn schedule(&mut self, connection: u64, at: MonoTime) {
         match self.by_connection.get(&connection) {
             Some(earlier) if *earlier <= at => {}
             _ => {
                 self.remove(connection);
                 self.by_connection.insert(connection, at);
-                self.ordered.insert((at, connection));
+                self.by_time.insert((at, connection));
             }
         }
     }
@@ -28,20 +28,20 @@ impl Timers {
     /// Removes a connection that is over.
     pub(crate) fn remove(&mut self, connection: u64) {
         if let Some(at) = self.by_connection.remove(&connection) {
-            self.ordered.remove(&(at, connection));
+            self.by_time.remove(&(at, connection));
         }
     }
 
     /// Removes and returns a connection that is due. It has no time afterwards.
     pub(crate) fn take_due(&mut self, now: MonoTime) -> Option<u64> {
-        let (_, connection) = *self.ordered.first().filter(|(at, _)| *at <= now)?;
+        let (_, connection) = *self.by_time.first().filter(|(at, _)| *at <= now)?;
         self.remove(connection);
         Some(connection)
     }
 
     /// Returns the earliest time of all connections.
-    pub(crate) fn next(&self) -> Option<MonoTime> {
-        self.ordered.first().map(|(at, _)| *at)
+    pub(crate) fn next_time(&self) -> Option<MonoTime> {
+        self.by_time.first().map(|(at, _)| *at)
     }
 }
 
@@ -56,13 +56,13 @@ mod tests {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut timers = Timers::default();
         for (connection, millis) in [(1, 30), (2, 20), (3, 10), (1, 5), (2, 40), (4, 1)] {
-            timers.bring_forward(connection, at(millis));
+            timers.schedule(connection, at(millis));
         }
         timers.remove(4);
         timers.remove(4);
-        assert_eq!(timers.next(), Some(at(5)));
+        assert_eq!(timers.next_time(), Some(at(5)));
         let due: Vec<u64> = std::iter::from_fn(|| timers.take_due(at(10))).collect();
         assert_eq!(due, [1, 3]);
-        assert_eq!((timers.take_due(at(19)), timers.next()), (None, Some(at(20))));
+        assert_eq!((timers.take_due(at(19)), timers.next_time()), (None, Some(at(20))));
     }
 }

@@ -1,6 +1,6 @@
 //! Totals of this end's datagrams that the other end reports.
 
-use crate::transport::datagram::counting::{ArrivalTotals, MAX_GAP};
+use crate::transport::datagram::arrival_counter::{ArrivalTotals, MAX_GAP};
 use crate::transport::datagram::false_claim::FalseClaim;
 
 /// Largest plausible number of copies that a network makes of each datagram, on average.
@@ -21,7 +21,7 @@ impl ReportedTotals {
     ///
     /// # Errors
     /// If the totals are higher than `sent` allows.
-    pub(super) fn report(&mut self, totals: ArrivalTotals, sent: u64) -> Result<(), FalseClaim> {
+    pub(super) fn receive(&mut self, totals: ArrivalTotals, sent: u64) -> Result<(), FalseClaim> {
         let ArrivalTotals { lost, duplicated, reordered } = totals;
         // The other end may have believed one altered number. Its report is then slightly wrong, and not a false claim.
         if lost.max(reordered) > sent.saturating_add(MAX_GAP) || duplicated > sent.saturating_mul(MAX_COPIES)
@@ -52,15 +52,15 @@ mod tests {
     #[test]
     fn totals_follow_what_is_reported_twice() {
         let mut reported = ReportedTotals::default();
-        assert_eq!(reported.report(totals(1, 2, 3), 10), Ok(()));
+        assert_eq!(reported.receive(totals(1, 2, 3), 10), Ok(()));
         assert_eq!(reported.totals(), None);
-        assert_eq!(reported.report(totals(2, 2, 4), 10), Ok(()));
+        assert_eq!(reported.receive(totals(2, 2, 4), 10), Ok(()));
         assert_eq!(reported.totals(), Some(totals(1, 2, 3)));
-        assert_eq!(reported.report(totals(9, 9, 9), 10), Ok(()));
+        assert_eq!(reported.receive(totals(9, 9, 9), 10), Ok(()));
         assert_eq!(reported.totals(), Some(totals(2, 2, 4)), "one packet alone is not believed");
-        assert_eq!(reported.report(totals(2, 3, 4), 10), Ok(()));
+        assert_eq!(reported.receive(totals(2, 3, 4), 10), Ok(()));
         assert_eq!(reported.totals(), Some(totals(2, 3, 4)));
-        assert_eq!(reported.report(totals(1, 1, 1), 10), Ok(()));
+        assert_eq!(reported.receive(totals(1, 1, 1), 10), Ok(()));
         assert_eq!(reported.totals(), Some(totals(2, 3, 4)), "no total falls");
     }
 
@@ -68,7 +68,7 @@ mod tests {
     fn totals_above_what_was_sent_are_refused() {
         let mut reported = ReportedTotals::default();
         for absurd in [totals(75, 0, 0), totals(0, 161, 0), totals(0, 0, 75), totals(u64::MAX, 0, 0)] {
-            assert_eq!(reported.report(absurd, 10), Err(FalseClaim::Totals));
+            assert_eq!(reported.receive(absurd, 10), Err(FalseClaim::Totals));
         }
         assert_eq!(reported.totals(), None);
     }
@@ -77,7 +77,7 @@ mod tests {
     fn totals_slightly_above_what_was_sent_are_cut() {
         let mut reported = ReportedTotals::default();
         for _ in 0..2 {
-            assert_eq!(reported.report(totals(11, 0, 12), 10), Ok(()));
+            assert_eq!(reported.receive(totals(11, 0, 12), 10), Ok(()));
         }
         assert_eq!(reported.totals(), Some(totals(10, 0, 10)));
     }

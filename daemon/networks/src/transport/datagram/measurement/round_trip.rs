@@ -6,48 +6,49 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::statistics::TransportRoundTrip;
 
-/// Length of a period. The minimum covers the last one to two periods, because paths change.
-const MIN_PERIOD: Span = Span::from_seconds(150);
+/// Length of a period of the minimum.
+// The reported minimum is that of the current and the previous period, because a path may change.
+const MINIMUM_PERIOD: Span = Span::from_seconds(150);
 
-/// Largest number of heartbeats whose answers are awaited: those of a second at the highest rate.
-const MAX_ASKED: usize = 64;
+/// Largest number of unanswered heartbeats that are stored: those of a second at the highest rate.
+const MAX_UNANSWERED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).
 #[derive(Debug, Default)]
 pub(crate) struct RoundTripEstimator {
     smoothed: Option<(Span, Span)>,
-    /// Shortest round trips of the present and the previous period.
-    shortest: (Option<Span>, Option<Span>),
-    period_began: MonoTime,
+    /// Shortest round trips of the current and the previous period.
+    minima: (Option<Span>, Option<Span>),
+    period_started_at: MonoTime,
     /// Departures of the unanswered heartbeats, oldest first.
-    asked: VecDeque<MonoTime>,
+    unanswered: VecDeque<MonoTime>,
 }
 
 impl RoundTripEstimator {
     /// Notes that a heartbeat is sent.
-    pub(crate) fn ask(&mut self, now: MonoTime) {
-        if self.asked.len() >= MAX_ASKED {
-            self.asked.pop_front();
+    pub(crate) fn record_ping(&mut self, now: MonoTime) {
+        if self.unanswered.len() >= MAX_UNANSWERED {
+            self.unanswered.pop_front();
         }
-        self.asked.push_back(now);
+        self.unanswered.push_back(now);
     }
 
-    /// Handles an answer to the heartbeat that was sent at `asked`. An answer to no such heartbeat is not measured,
+    /// Records the answer to the heartbeat that was sent at `sent_at`. Ignores an answer without an unanswered heartbeat,
     /// because it was duplicated or altered on the way.
-    pub(crate) fn answer(&mut self, asked: MonoTime, now: MonoTime) {
-        if let Some(at) = self.asked.iter().position(|time| *time == asked) {
-            self.asked.remove(at);
-            self.measure(now - asked, now);
+    pub(crate) fn record_pong(&mut self, sent_at: MonoTime, now: MonoTime) {
+        if let Some(at) = self.unanswered.iter().position(|time| *time == sent_at) {
+            self.unanswered.remove(at);
+            self.measure(now - sent_at, now);
         }
     }
 
-    fn measure(&mut self, trip: Span, now: MonoTime) {
-        if now - self.period_began >= MIN_PERIOD {
-            self.shortest = (None, self.shortest.0);
-            self.period_began = now;
+    fn measure(&mut self, round_trip: Span, now: MonoTime) {
+        if now - self.period_started_at >= MINIMUM_PERIOD {
+            self.minima = (None, self.minima.0);
+            self.period_started_at = now;
         }
-        self.shortest.0 = Some(self.shortest.0.map_or(trip, |shortest| shortest.min(trip)));
-        let nanos = trip.nanos();
+        self.minima.0 = Some(self.minima.0.map_or(round_trip, |minimum| minimum.min(round_trip)));
+        let nanos = round_trip.nanos();
         let (smoothed, variation) = match self.smoothed {
             None => (nanos, nanos / 2),
             Some((smoothed, variation)) => {
@@ -62,8 +63,8 @@ impl RoundTripEstimator {
     /// Returns the estimate; `None` before the first answer.
     pub(crate) fn estimate(&self) -> Option<TransportRoundTrip> {
         let (smoothed, variation) = self.smoothed?;
-        let (this, before) = self.shortest;
-        Some(TransportRoundTrip { min: this.into_iter().chain(before).min(), smoothed, variation })
+        let (current, previous) = self.minima;
+        Some(TransportRoundTrip { min: current.into_iter().chain(previous).min(), smoothed, variation })
     }
 }
 
@@ -75,13 +76,13 @@ mod tests {
     fn only_matching_heartbeat_replies_are_measured() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut estimator = RoundTripEstimator::default();
-        estimator.ask(at(10));
-        estimator.answer(at(11), at(30));
+        estimator.record_ping(at(10));
+        estimator.record_pong(at(11), at(30));
         assert_eq!(estimator.estimate(), None);
-        estimator.answer(at(10), at(30));
+        estimator.record_pong(at(10), at(30));
         let first = estimator.estimate().expect("it was answered");
         assert_eq!(first.min, Some(Span::from_millis(20)));
-        estimator.answer(at(10), at(40));
+        estimator.record_pong(at(10), at(40));
         assert_eq!(estimator.estimate(), Some(first), "an answer counts once");
     }
 

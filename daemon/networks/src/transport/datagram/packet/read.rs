@@ -109,7 +109,7 @@ fn fields<'a>(
         }
         (8, _) => {
             let (connection, sequence) = (reader.u64()?, reader.u64()?);
-            Ok(Packet::LostKnown { connection, sequence, tag: reader.u64()?, total: reader.u32()? })
+            Ok(Packet::LostAck { connection, sequence, tag: reader.u64()?, total: reader.u32()? })
         }
         (9 | 10, _) => {
             let (connection, heartbeat) = (reader.u64()?, reader.heartbeat()?);
@@ -120,9 +120,9 @@ fn fields<'a>(
             })
         }
         (11, _) => Ok(Packet::Bye { connection: reader.u64()?, next: reader.u64()? }),
-        (12, _) => Ok(Packet::ByeHeard { connection: reader.u64()? }),
-        (13, _) => Ok(Packet::Path { connection: reader.u64()?, token: reader.u64()? }),
-        (14, _) => Ok(Packet::PathConfirmed { connection: reader.u64()?, token: reader.u64()? }),
+        (12, _) => Ok(Packet::ByeAck { connection: reader.u64()? }),
+        (13, _) => Ok(Packet::PathChallenge { connection: reader.u64()?, token: reader.u64()? }),
+        (14, _) => Ok(Packet::PathResponse { connection: reader.u64()?, token: reader.u64()? }),
         (15, Role::Edge) => {
             let id = reader.u64()?;
             let reason = match reader.u8()? {

@@ -39,15 +39,15 @@ fn encoded_packets_decode_to_same_packets() {
         assert_eq!(data, DATA_HEADER_BYTES + bytes.len());
         both_ways(from, Packet::Progress { connection, sequence: 3, end: 4 });
         both_ways(from, Packet::Lost { connection, sequence: 3, received: 1, total: 2 });
-        both_ways(from, Packet::LostKnown { connection, sequence: 3, tag: 1, total: 2 });
+        both_ways(from, Packet::LostAck { connection, sequence: 3, tag: 1, total: 2 });
         let arrivals = ArrivalTotals { lost: 5, duplicated: 6, reordered: 7 };
         let heartbeat = Heartbeat { time: 1, next: 2, settled: 3, number: 4, arrivals };
         let ping = both_ways(from, Packet::Ping { connection, heartbeat });
         both_ways(from, Packet::Pong { connection, heartbeat });
         let bye = both_ways(from, Packet::Bye { connection, next: 2 });
-        let heard = both_ways(from, Packet::ByeHeard { connection });
-        both_ways(from, Packet::Path { connection, token: 2 });
-        both_ways(from, Packet::PathConfirmed { connection, token: 2 });
+        let heard = both_ways(from, Packet::ByeAck { connection });
+        both_ways(from, Packet::PathChallenge { connection, token: 2 });
+        both_ways(from, Packet::PathResponse { connection, token: 2 });
         assert!(heard <= bye && reset <= ping && reset <= data);
     }
 }

@@ -48,12 +48,12 @@ fn missing_fragment_loses_message_with_counts() {
     }
     reassembly.tick(at(1_000));
     assert_eq!(reassembly.take_lost(), [], "the rest may not have left yet");
-    reassembly.expect(1, at(1_000));
+    reassembly.note_sent(1, at(1_000));
     reassembly.tick(at(1_099));
     assert_eq!(reassembly.take_lost(), []);
     reassembly.tick(at(1_100));
     assert_eq!(reassembly.take_lost(), [LostMessage { sequence: 0, tag: Some(1), received: 9, total: 10 }]);
-    assert_eq!((reassembly.floor(), reassembly.budget.held()), (1, 0));
+    assert_eq!((reassembly.floor(), reassembly.budget.reserved_bytes()), (1, 0));
     let late = reassembly.receive(&fragments(0, &bytes, 100)[3], at(1_101));
     assert!(matches!(late, ReassemblyOutcome::Duplicate), "{late:?}");
 }
@@ -85,7 +85,7 @@ fn deadline_ends_message_before_timeout() {
 #[test]
 fn missing_message_is_lost_with_zero_fragments() {
     let mut reassembly = new(1 << 20);
-    reassembly.expect(2, at(0));
+    reassembly.note_sent(2, at(0));
     let later = reassembly.receive(&fragments(2, &[1, 2, 3], 100)[0], at(1));
     assert!(matches!(later, ReassemblyOutcome::Message { .. }), "{later:?}");
     reassembly.tick(at(100));
@@ -129,7 +129,7 @@ fn damaged_bytes_are_no_message() {
     let damaged = Fragment { bytes: &[9; 30], ..fragments(1, &[7; 30], 100)[0] };
     assert!(matches!(reassembly.receive(&damaged, at(0)), ReassemblyOutcome::Inconsistent));
     assert_eq!(reassembly.take_lost().len(), 2);
-    assert_eq!(reassembly.budget.held(), 0);
+    assert_eq!(reassembly.budget.reserved_bytes(), 0);
 }
 
 #[test]
@@ -140,7 +140,7 @@ fn claimed_length_takes_no_memory_of_others() {
         reassembly.receive(&fragments(sequence, &bytes, 1_000)[usize::from(sequence % 2 == 1) * 50], at(0));
     }
     assert_eq!(reassembly.take_lost(), [], "eight messages of 90 kB are claimed, of 8 kB there are");
-    assert!(reassembly.budget.held() <= 9_000, "{}", reassembly.budget.held());
+    assert!(reassembly.budget.reserved_bytes() <= 9_000, "{}", reassembly.budget.reserved_bytes());
 }
 
 #[test]
@@ -150,7 +150,7 @@ fn memory_and_messages_are_bounded() {
     for sequence in 0..6 {
         for fragment in &fragments(sequence, &bytes, 1_000)[..19] {
             reassembly.receive(fragment, at(0));
-            assert!(reassembly.budget.held() <= 50_000);
+            assert!(reassembly.budget.reserved_bytes() <= 50_000);
         }
     }
     assert_eq!(reassembly.take_lost().len(), 4, "two find room");
@@ -175,12 +175,12 @@ fn message_number_far_ahead_takes_no_memory() {
         assert!(matches!(far, ReassemblyOutcome::TooFarAhead), "{far:?}");
     }
     assert_eq!((reassembly.take_lost(), reassembly.floor()), (Vec::new(), 0));
-    reassembly.expect(u64::MAX, at(0));
+    reassembly.note_sent(u64::MAX, at(0));
     assert_eq!(reassembly.take_lost().len(), 1, "only what had begun to arrive is told");
     assert!(reassembly.slots.len() as u64 <= MAX_SPAN);
     reassembly.give_up_all();
     assert_eq!(reassembly.floor(), u64::MAX);
-    assert_eq!(reassembly.budget.held(), 0);
+    assert_eq!(reassembly.budget.reserved_bytes(), 0);
 }
 
 /// Returns a plan of fragments: number of the message, index of the fragment, and pause before it.
@@ -205,15 +205,15 @@ proptest! {
             }
             reassembly.tick(at(now));
             lost.extend(reassembly.take_lost().iter().map(|lost| lost.sequence));
-            prop_assert!(reassembly.budget.held() <= 8_000);
+            prop_assert!(reassembly.budget.reserved_bytes() <= 8_000);
         }
-        reassembly.expect(6, at(now));
+        reassembly.note_sent(6, at(now));
         reassembly.tick(at(now + 1_000));
         lost.extend(reassembly.take_lost().iter().map(|lost| lost.sequence));
         let mut settled = [delivered, lost].concat();
         settled.sort_unstable();
         prop_assert_eq!(settled, (0..6).collect::<Vec<u64>>());
-        prop_assert_eq!(reassembly.budget.held(), 0);
+        prop_assert_eq!(reassembly.budget.reserved_bytes(), 0);
     }
 
     #[test]

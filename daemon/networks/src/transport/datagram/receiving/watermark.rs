@@ -4,8 +4,8 @@ use peernet_clock::MonoTime;
 
 /// The number below which the peer has sent all messages.
 ///
-/// A single packet does not move it, because it follows the lower one of the last two claims. RTP also waits for a
-/// second packet before it believes a jump (RFC 3550, appendix A.1).
+/// It is the highest number that two successive packets agreed on, so that a single altered packet does not move it. RTP
+/// also requires a second packet after a jump (RFC 3550, appendix A.1).
 #[derive(Debug, Default)]
 pub(super) struct SentWatermark {
     confirmed: u64,
@@ -75,11 +75,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn single_false_claim_moves_nothing(count in 2_u64..60, place: prop::sample::Index, claimed: u64) {
+        fn single_false_claim_moves_nothing(count in 2_u64..60, false_claim_at: prop::sample::Index, claimed: u64) {
             let mut sent = SentWatermark::default();
-            let place = place.index(count as usize) as u64;
+            let false_claim_at = false_claim_at.index(count as usize) as u64;
             for number in 0..count {
-                if number == place
+                if number == false_claim_at
                     && let Some((next, _)) = sent.claim(claimed, u64::MAX, at(number as i64))
                 {
                     prop_assert!(next <= number);

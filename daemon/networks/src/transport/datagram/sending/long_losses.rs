@@ -1,10 +1,11 @@
-//! Detection of a path that does not carry long datagrams any more while short ones arrive.
+//! Detection of a path that no longer carries long datagrams while short ones arrive.
 
 use peernet_clock::{MonoTime, Span};
 
-/// Number of successive messages, and their shortest duration, that must lose all long datagrams before these count as
-/// not passing. With 30 % random loss and messages of two datagrams, this happens by chance once in 40,000 times.
+/// Number of successive messages that must lose all their long datagrams before the path counts as broken for them.
+// With 30 % random loss and messages of two datagrams, this happens by chance once in 40,000 times.
 const MIN_MESSAGES: u32 = 16;
+/// Shortest time over which these messages must extend.
 const MIN_DURATION: Span = Span::from_seconds(1);
 
 /// Observes messages of several datagrams, all but the last of which have the largest length.
@@ -18,14 +19,14 @@ pub(super) struct LongLossDetector {
 struct LongLosses {
     messages: u32,
     /// Number of datagrams that the other end had reported as lost before.
-    before: u64,
+    lost_before: u64,
     /// Time at which the first of these losses was reported.
     since: MonoTime,
 }
 
 impl LongLossDetector {
     /// Notes that a message of `fragments` fragments arrived.
-    pub(super) fn arrive(&mut self, fragments: u32) {
+    pub(super) fn record_arrival(&mut self, fragments: u32) {
         if fragments > 1 {
             self.losses = None;
         }
@@ -33,22 +34,22 @@ impl LongLossDetector {
 
     /// Notes that a message was lost of which `received` fragments arrived. `lost` is the number of datagrams that the
     /// other end has reported as lost.
-    pub(super) fn lose(&mut self, fragments: u32, received: u32, lost: u64, now: MonoTime) {
+    pub(super) fn record_loss(&mut self, fragments: u32, received: u32, lost: u64, now: MonoTime) {
         // A single fragment that arrived may be the last one, which is shorter than the others.
         if received > 1 {
             self.losses = None;
         } else if fragments > 1 {
-            let losses = self.losses.get_or_insert(LongLosses { messages: 0, before: lost, since: now });
+            let losses = self.losses.get_or_insert(LongLosses { messages: 0, lost_before: lost, since: now });
             losses.messages += 1;
         }
     }
 
-    /// Returns whether the longest datagrams do not arrive any more. `lost` is the number of lost datagrams that the
-    /// other end has reported. It is needed because the other end may give messages up for other reasons, too.
+    /// Returns whether the longest datagrams no longer arrive. `lost` is the number of lost datagrams that the other end
+    /// has reported; the other end may give up messages for other reasons than lost datagrams.
     pub(super) fn loses_all(&self, lost: u64, now: MonoTime) -> bool {
         self.losses.is_some_and(|losses| {
             losses.messages >= MIN_MESSAGES
-                && lost.saturating_sub(losses.before) >= u64::from(MIN_MESSAGES)
+                && lost.saturating_sub(losses.lost_before) >= u64::from(MIN_MESSAGES)
                 && now - losses.since >= MIN_DURATION
         })
     }
@@ -65,7 +66,7 @@ mod tests {
     fn after_losses(count: i64) -> LongLossDetector {
         let mut detector = LongLossDetector::default();
         for n in 0..count {
-            detector.lose(5, u32::from(n % 2 == 0), 0, at(n));
+            detector.record_loss(5, u32::from(n % 2 == 0), 0, at(n));
         }
         detector
     }
@@ -81,13 +82,13 @@ mod tests {
     #[test]
     fn arrived_long_datagram_resets_losses() {
         let mut detector = after_losses(16);
-        detector.arrive(1);
-        detector.lose(1, 0, 0, at(500));
+        detector.record_arrival(1);
+        detector.record_loss(1, 0, 0, at(500));
         assert!(detector.loses_all(16, at(1_000)), "messages of one datagram say nothing");
-        detector.arrive(2);
+        detector.record_arrival(2);
         assert!(!detector.loses_all(16, at(1_000)));
         let mut detector = after_losses(16);
-        detector.lose(5, 2, 0, at(500));
+        detector.record_loss(5, 2, 0, at(500));
         assert!(!detector.loses_all(16, at(1_000)));
     }
 }

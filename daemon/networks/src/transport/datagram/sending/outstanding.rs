@@ -11,14 +11,14 @@ pub(super) struct OutstandingMessage {
     /// Tag in its wire form: the sender's number plus one, 0 for none.
     pub(super) tag: u64,
     pub(super) fragments: u32,
-    /// The message, if it has to be retransmitted when it is lost.
-    pub(super) kept: Option<Frames>,
+    /// Frames of the message, if it is retransmitted when it is lost.
+    pub(super) retransmission: Option<Frames>,
     /// `true` if the message is known to be lost.
     pub(super) is_lost: bool,
 }
 
 /// The messages with the numbers from [`first`](Self::first) on, without a gap. At most [`MAX_SPAN`], because the other
-/// end keeps no more states.
+/// end stores no more states.
 #[derive(Debug, Default)]
 pub(super) struct OutstandingMessages {
     first: u64,
@@ -26,13 +26,13 @@ pub(super) struct OutstandingMessages {
 }
 
 /// Returns the wire form of a tag, in which 0 means no tag.
-pub(super) fn written_tag(tag: Option<u64>) -> u64 {
+pub(super) fn encode_tag(tag: Option<u64>) -> u64 {
     tag.map_or(0, |tag| tag.wrapping_add(1))
 }
 
 /// Returns the tag of a wire form.
-pub(in crate::transport::datagram) fn read_tag(written: u64) -> Option<u64> {
-    written.checked_sub(1)
+pub(in crate::transport::datagram) fn decode_tag(encoded: u64) -> Option<u64> {
+    encoded.checked_sub(1)
 }
 
 impl OutstandingMessages {
@@ -42,17 +42,17 @@ impl OutstandingMessages {
     }
 
     /// Returns the number of the next message.
-    pub(super) fn next(&self) -> u64 {
+    pub(super) fn next_sequence(&self) -> u64 {
         self.first + self.messages.len() as u64
     }
 
-    /// Adds a message, which gets the number [`next`](Self::next).
-    pub(super) fn push(&mut self, tag: u64, fragments: u32, kept: Option<Frames>) {
+    /// Adds a message, which gets the number [`next_sequence`](Self::next_sequence).
+    pub(super) fn push(&mut self, tag: u64, fragments: u32, retransmission: Option<Frames>) {
         if self.messages.len() as u64 >= MAX_SPAN {
             self.messages.pop_front();
             self.first += 1;
         }
-        self.messages.push_back(OutstandingMessage { tag, fragments, kept, is_lost: false });
+        self.messages.push_back(OutstandingMessage { tag, fragments, retransmission, is_lost: false });
     }
 
     /// Returns the message with this number unless it is settled.
@@ -72,7 +72,7 @@ impl OutstandingMessages {
     pub(super) fn expire(&mut self, sequence: u64) -> Option<MessageLoss> {
         let message = self.get_mut(sequence)?;
         message.is_lost = true;
-        Some(MessageLoss { tag: read_tag(message.tag), received: 0, total: message.fragments })
+        Some(MessageLoss { tag: decode_tag(message.tag), received: 0, total: message.fragments })
     }
 }
 
@@ -84,17 +84,17 @@ mod tests {
     fn message_numbers_continue_after_settled_messages() {
         let mut outstanding = OutstandingMessages::default();
         for tag in [None, Some(0), Some(7)] {
-            outstanding.push(written_tag(tag), 2, None);
+            outstanding.push(encode_tag(tag), 2, None);
         }
         let expired = MessageLoss { tag: Some(0), received: 0, total: 2 };
         assert_eq!(outstanding.expire(1), Some(expired));
         assert_eq!(outstanding.expire(3), None);
         assert_eq!(outstanding.settle(2).count(), 1, "the lost one did not arrive");
-        assert_eq!((outstanding.first(), outstanding.next()), (2, 3));
+        assert_eq!((outstanding.first(), outstanding.next_sequence()), (2, 3));
         assert!(outstanding.get_mut(1).is_none());
-        assert_eq!(outstanding.get_mut(2).and_then(|message| read_tag(message.tag)), Some(7));
+        assert_eq!(outstanding.get_mut(2).and_then(|message| decode_tag(message.tag)), Some(7));
         assert_eq!(outstanding.settle(9).count(), 1);
-        assert_eq!((outstanding.first(), outstanding.next()), (3, 3));
+        assert_eq!((outstanding.first(), outstanding.next_sequence()), (3, 3));
     }
 
     #[test]
@@ -103,7 +103,7 @@ mod tests {
         for tag in 0..=MAX_SPAN {
             outstanding.push(tag, 1, None);
         }
-        assert_eq!((outstanding.first(), outstanding.next()), (1, MAX_SPAN + 1));
+        assert_eq!((outstanding.first(), outstanding.next_sequence()), (1, MAX_SPAN + 1));
         assert_eq!(outstanding.get_mut(1).map(|message| message.tag), Some(1));
     }
 }

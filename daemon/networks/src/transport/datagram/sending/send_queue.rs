@@ -34,7 +34,7 @@ impl SendQueue {
     }
 
     /// Returns whether a message of `bytes` bytes may be queued.
-    pub(super) fn has_room(&self, bytes: u64) -> bool {
+    pub(super) fn accepts(&self, bytes: u64) -> bool {
         let is_full = self.messages.len() >= self.limits.messages || self.bytes + bytes > self.limits.bytes;
         self.messages.is_empty() || !is_full
     }
@@ -50,11 +50,11 @@ impl SendQueue {
         self.messages.front()
     }
 
-    /// Appends at most `most` of the next bytes of the first message to `out`. Returns the number of the message and
+    /// Appends at most `max_bytes` of the next bytes of the first message to `out`. Returns the number of the message and
     /// the offset of their end in it.
-    pub(super) fn take(&mut self, most: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
+    pub(super) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
         let message = self.messages.front_mut()?;
-        let (_, taken) = message.take(most, out);
+        let (_, taken) = message.take(max_bytes, out);
         self.bytes -= u64::from(taken);
         let end = (message.sequence, message.offset);
         if message.is_done() {
@@ -74,12 +74,12 @@ impl SendQueue {
     pub(super) fn expire(&mut self, now: MonoTime) -> Vec<u64> {
         let (mut expired, bytes) = (Vec::new(), &mut self.bytes);
         self.messages.retain(|message| {
-            let is_kept = message.deadline.is_none_or(|deadline| now < deadline);
-            if !is_kept {
+            let is_pending = message.deadline.is_none_or(|deadline| now < deadline);
+            if !is_pending {
                 *bytes -= u64::from(message.remaining());
                 expired.push(message.sequence);
             }
-            is_kept
+            is_pending
         });
         expired
     }
@@ -100,15 +100,15 @@ mod tests {
     fn bytes_follow_what_is_queued_taken_and_expired() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut queue = SendQueue::new(QueueLimits { messages: 3, bytes: 1_000 });
-        assert!(queue.has_room(5_000), "a single message is always taken");
+        assert!(queue.accepts(5_000), "a single message is always taken");
         // The wire form adds six bytes to each message.
         queue.push(message(0, 94, None));
         queue.push(message(1, 494, Some(at(10))));
-        assert!(queue.has_room(400) && !queue.has_room(401));
+        assert!(queue.accepts(400) && !queue.accepts(401));
         assert_eq!(queue.take(60, &mut Vec::new()), Some((0, 60)));
-        assert!(queue.has_room(460) && !queue.has_room(461));
+        assert!(queue.accepts(460) && !queue.accepts(461));
         assert_eq!((queue.expire(at(9)), queue.expire(at(10))), (vec![], vec![1]));
-        assert!(queue.has_room(960) && !queue.has_room(961));
+        assert!(queue.accepts(960) && !queue.accepts(961));
         assert_eq!(queue.take(60, &mut Vec::new()), Some((0, 100)));
         assert!(queue.is_empty() && queue.front().is_none());
         queue.push(message(2, 94, None));
@@ -116,7 +116,7 @@ mod tests {
         queue.take(60, &mut Vec::new());
         queue.drop_front();
         assert_eq!(queue.front().map(|message| message.sequence), Some(3));
-        assert!(queue.has_room(900) && !queue.has_room(901));
+        assert!(queue.accepts(900) && !queue.accepts(901));
         queue.drop_front();
         assert_eq!(queue.take(60, &mut Vec::new()), None);
     }
@@ -125,8 +125,8 @@ mod tests {
     fn number_of_messages_is_bounded() {
         let mut queue = SendQueue::new(QueueLimits { messages: 2, bytes: 1_000 });
         queue.push(message(0, 1, None));
-        assert!(queue.has_room(1));
+        assert!(queue.accepts(1));
         queue.push(message(1, 1, None));
-        assert!(!queue.has_room(1));
+        assert!(!queue.accepts(1));
     }
 }

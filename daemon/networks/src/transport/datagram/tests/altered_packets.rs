@@ -202,7 +202,7 @@ fn reports_of_unsent_messages_count_as_garbage() {
         packet.write(Role::Edge, &mut body);
         network.cloud.receive(network.edge_address, None, &body, network.now);
         network.steps(1);
-        let is_garbage = |arrival: &Arrival| matches!(arrival, Arrival::Garbage(Some(_), _));
+        let is_garbage = |arrival: &Arrival| matches!(arrival, Arrival::InvalidData(Some(_), _));
         assert_eq!(network.arrivals.iter().filter(|arrival| is_garbage(arrival)).count(), 1, "{packet:?}");
         assert!(network.exchange(id, 200), "{packet:?}");
     }

@@ -9,7 +9,7 @@ use super::in_flight::FLIGHT_TIMEOUT;
 pub(super) const MIN_WINDOW: u32 = 4 * PROGRESS_BYTES;
 
 /// Initial size. Bytes.
-pub(super) const FIRST_WINDOW: u32 = 256 * 1024;
+pub(super) const INITIAL_WINDOW: u32 = 256 * 1024;
 
 /// Relative growth per second after a loss: the size doubles in about three seconds.
 const GROWTH_AFTER_LOSS: f64 = 0.25;
@@ -17,21 +17,27 @@ const GROWTH_AFTER_LOSS: f64 = 0.25;
 /// A size between [`MIN_WINDOW`] and the other end's limit. It grows with arrivals and is halved at losses.
 #[derive(Debug)]
 pub(super) struct CongestionWindow {
-    most: u32,
+    max_window: u32,
     size: u32,
     /// Size below which the window doubles with each round trip.
     threshold: u32,
     /// Time of the last arrival.
-    progressed: MonoTime,
+    progress_at: MonoTime,
     /// Number of bytes that had been sent at the last loss. Losses among them do not shrink the window again.
-    recovery: u64,
+    recovery_point: u64,
 }
 
 impl CongestionWindow {
-    /// Creates a window. `most` is the other end's limit.
-    pub(super) fn new(most: u32, now: MonoTime) -> Self {
-        let most = most.max(MIN_WINDOW);
-        Self { most, size: FIRST_WINDOW.min(most), threshold: most, progressed: now, recovery: 0 }
+    /// Creates a window. `max_window` is the other end's limit.
+    pub(super) fn new(max_window: u32, now: MonoTime) -> Self {
+        let max_window = max_window.max(MIN_WINDOW);
+        Self {
+            max_window,
+            size: INITIAL_WINDOW.min(max_window),
+            threshold: max_window,
+            progress_at: now,
+            recovery_point: 0,
+        }
     }
 
     /// Returns the number of bytes that may be in flight.
@@ -47,20 +53,20 @@ impl CongestionWindow {
             arrived
         } else {
             // A pause of the sender is not counted as time in which the path could carry more.
-            let elapsed = (now - self.progressed).min(FLIGHT_TIMEOUT).seconds();
+            let elapsed = (now - self.progress_at).min(FLIGHT_TIMEOUT).seconds();
             (f64::from(self.size) * GROWTH_AFTER_LOSS * elapsed).round() as u64
         };
-        self.progressed = now;
-        self.size = u64::from(self.size).saturating_add(growth).min(u64::from(self.most)) as u32;
+        self.progress_at = now;
+        self.size = u64::from(self.size).saturating_add(growth).min(u64::from(self.max_window)) as u32;
     }
 
     /// Shrinks after the loss of a message. `sent` is the number of bytes sent so far, `arrived` the number of those
     /// that are no longer in flight.
     pub(super) fn shrink(&mut self, sent: u64, arrived: u64) {
-        if arrived < self.recovery {
+        if arrived < self.recovery_point {
             return;
         }
-        self.recovery = sent;
+        self.recovery_point = sent;
         self.size = (self.size / 2).max(MIN_WINDOW);
         self.threshold = self.size;
     }

@@ -49,12 +49,12 @@ impl BytesInFlight {
     }
 
     /// Returns the time at which the bytes in flight are treated as arrived or lost.
-    pub(super) fn ends_at(&self) -> MonoTime {
+    pub(super) fn expires_at(&self) -> MonoTime {
         self.progress_at + FLIGHT_TIMEOUT
     }
 
     /// Notes that a datagram was sent. `end` is the end of its part of a message.
-    pub(super) fn send(&mut self, end: (u64, u32), bytes: u32, now: MonoTime) {
+    pub(super) fn record_sent(&mut self, end: (u64, u32), bytes: u32, now: MonoTime) {
         // Silence is only measured while something is in flight.
         if self.bytes() == 0 {
             self.progress_at = now;
@@ -64,7 +64,7 @@ impl BytesInFlight {
     }
 
     /// Handles a report of progress. Returns the number of bytes that arrived since the last one.
-    pub(super) fn progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
+    pub(super) fn record_progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let before = self.arrived;
         // Reports are cumulative: progress up to `end` includes all datagrams sent before.
         while let Some(mark) = self.datagrams.pop_front_if(|mark| mark.end <= end) {
@@ -79,7 +79,7 @@ impl BytesInFlight {
 
     /// Treats the bytes in flight as arrived or lost after a long silence.
     pub(super) fn tick(&mut self, now: MonoTime) {
-        if self.bytes() > 0 && now >= self.ends_at() {
+        if self.bytes() > 0 && now >= self.expires_at() {
             self.arrived = self.sent;
             self.datagrams.clear();
         }
@@ -98,24 +98,24 @@ mod tests {
     fn progress_report_removes_all_datagrams_before_it() {
         let mut in_flight = BytesInFlight::new(at(0));
         for end in [(0, 100), (0, 200), (1, 50)] {
-            in_flight.send(end, 110, at(0));
+            in_flight.record_sent(end, 110, at(0));
         }
-        assert_eq!(in_flight.progress((0, 99), at(1)), 0);
-        assert_eq!(in_flight.progress((0, 300), at(2)), 220);
-        assert_eq!(in_flight.progress((0, 300), at(3)), 0, "an older one changes nothing");
-        assert_eq!((in_flight.bytes(), in_flight.ends_at()), (110, at(202)));
-        assert_eq!(in_flight.progress((1, 50), at(4)), 110);
+        assert_eq!(in_flight.record_progress((0, 99), at(1)), 0);
+        assert_eq!(in_flight.record_progress((0, 300), at(2)), 220);
+        assert_eq!(in_flight.record_progress((0, 300), at(3)), 0, "an older one changes nothing");
+        assert_eq!((in_flight.bytes(), in_flight.expires_at()), (110, at(202)));
+        assert_eq!(in_flight.record_progress((1, 50), at(4)), 110);
         assert_eq!((in_flight.sent(), in_flight.arrived()), (330, 330));
     }
 
     #[test]
     fn silence_removes_datagrams_in_flight() {
         let mut in_flight = BytesInFlight::new(at(0));
-        in_flight.send((0, 1), 10, at(100));
+        in_flight.record_sent((0, 1), 10, at(100));
         in_flight.tick(at(299));
         assert_eq!(in_flight.bytes(), 10);
         in_flight.tick(at(300));
         assert_eq!(in_flight.bytes(), 0);
-        assert_eq!(in_flight.progress((0, 1), at(301)), 0, "late word");
+        assert_eq!(in_flight.record_progress((0, 1), at(301)), 0, "a late report");
     }
 }

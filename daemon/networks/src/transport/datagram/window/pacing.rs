@@ -25,7 +25,7 @@ impl Pacer {
     }
 
     /// Notes that a datagram of `bytes` bytes was sent.
-    pub(super) fn sent(&mut self, bytes: u32, now: MonoTime) {
+    pub(super) fn record_sent(&mut self, bytes: u32, now: MonoTime) {
         if let Some(rate) = self.bytes_per_second {
             let nanos = u64::from(bytes).saturating_mul(1_000_000_000) / rate;
             self.next = self.next.max(now) + Span::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX));
@@ -41,13 +41,13 @@ mod tests {
     fn pause_allows_one_burst_only() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut pacer = Pacer::new(Some(8_000_000), at(0));
-        pacer.sent(1_000, at(5_000));
+        pacer.record_sent(1_000, at(5_000));
         assert_eq!(pacer.opens_at(), at(4_999));
-        pacer.sent(1_000, at(5_000));
-        pacer.sent(1_000, at(5_000));
+        pacer.record_sent(1_000, at(5_000));
+        pacer.record_sent(1_000, at(5_000));
         assert_eq!(pacer.opens_at(), at(5_001));
         let mut unpaced = Pacer::new(None, at(0));
-        unpaced.sent(u32::MAX, at(0));
+        unpaced.record_sent(u32::MAX, at(0));
         assert_eq!(unpaced.opens_at(), at(-2));
     }
 }

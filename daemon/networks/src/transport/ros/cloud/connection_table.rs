@@ -1,7 +1,7 @@
 //! The connections of a cloud, and the rules by which it opens more, without I/O.
 //!
-//! A pipeline has one connection, and a new one of the same host replaces it. If several robots shared topics, each
-//! would receive the answers to the others.
+//! A pipeline has one connection, and a new one of the same host replaces it. Another host is refused: if several robots
+//! shared topics, each would receive the answers to the others.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -35,7 +35,7 @@ pub(super) struct ConnectionTable {
 
 #[derive(Debug, Default)]
 struct Table {
-    next: u64,
+    next_id: u64,
     /// Connections by the global names of their pipelines.
     connections: BTreeMap<String, Arc<CloudConnection>>,
 }
@@ -47,7 +47,7 @@ pub(super) enum OpenOutcome {
     Repeated,
     /// The connection may not be opened now, for this reason.
     Refused(&'static str),
-    Begun {
+    Started {
         connection: Arc<CloudConnection>,
         /// The pipeline's earlier connection, which was aborted.
         replaced: Option<Arc<CloudConnection>>,
@@ -76,11 +76,11 @@ impl ConnectionTable {
         if replaced.as_ref().is_some_and(|earlier| earlier.identifier == hello.header.frame_id) {
             return OpenOutcome::Repeated;
         }
-        if let Some(reason) = self.reason_to_refuse(&table, replaced.as_deref(), &hello.host, group) {
+        if let Some(reason) = self.check_limits(&table, replaced.as_deref(), &hello.host, group) {
             return OpenOutcome::Refused(reason);
         }
         let connection = Arc::new(CloudConnection {
-            id: ConnectionId(table.next),
+            id: ConnectionId(table.next_id),
             identifier: hello.header.frame_id.clone(),
             host: hello.host.clone(),
             group,
@@ -89,16 +89,16 @@ impl ConnectionTable {
             abort,
             ended: CancellationToken::new(),
         });
-        table.next += 1;
+        table.next_id += 1;
         table.connections.insert(hello.pipeline.clone(), Arc::clone(&connection));
         if let Some(replaced) = &replaced {
             replaced.abort.cancel();
         }
-        OpenOutcome::Begun { connection, replaced }
+        OpenOutcome::Started { connection, replaced }
     }
 
-    /// Returns the reason to refuse a connection now, if there is one.
-    fn reason_to_refuse(
+    /// Returns the limit that one more connection would exceed, as a text for the refusal. `None` if it may be opened.
+    fn check_limits(
         &self,
         table: &Table,
         replaced: Option<&CloudConnection>,
@@ -106,7 +106,7 @@ impl ConnectionTable {
         group: AddressGroup,
     ) -> Option<&'static str> {
         if let Some(earlier) = replaced {
-            // A host may replace its connection only from the same address, because its name alone proves nothing.
+            // A host may replace its connection only from the same address, because any node can claim its id.
             let is_same = earlier.host == host && earlier.group == group;
             return (!is_same).then_some(
                 "another host uses the topics of this pipeline, and keeps them until its connection has ended; give one of \
@@ -115,16 +115,17 @@ impl ConnectionTable {
         }
         let is_unadmitted =
             |connection: &&Arc<CloudConnection>| *connection.admission.borrow() != Admission::Admitted;
-        let (mut all, mut of_group) = (0, 0);
-        for unadmitted in table.connections.values().filter(is_unadmitted) {
+        let (mut all, mut unadmitted_in_group) = (0, 0);
+        for connection in table.connections.values().filter(is_unadmitted) {
             all += 1;
-            of_group += usize::from(unadmitted.group == group);
+            unadmitted_in_group += usize::from(connection.group == group);
         }
         if table.connections.len() >= self.max_connections {
-            Some("there are too many; raise the limit of open files (LimitNOFILE)")
-        } else if all >= self.max_unadmitted.max(1) || of_group >= (self.max_unadmitted / 2).max(1) {
-            // One address may hold half of these places, so that others find one.
-            Some("too many others have no session yet")
+            Some("the cloud has too many connections; raise its limit of open files (LimitNOFILE)")
+        } else if all >= self.max_unadmitted.max(1) || unadmitted_in_group >= (self.max_unadmitted / 2).max(1)
+        {
+            // One address may have half of the connections without a session, so that others can open some.
+            Some("too many other connections have no session yet; try again later")
         } else {
             None
         }
@@ -231,12 +232,12 @@ mod tests {
         let (host, pipeline) = (host.to_owned(), pipeline.to_owned());
         let hello = SessionHello { header, host, pipeline, ..SessionHello::default() };
         let address: SocketAddr = format!("{address}:1").parse().expect("an address");
-        table.open(&hello, AddressGroup::of(address), CancellationToken::new())
+        table.open(&hello, AddressGroup::from_address(address), CancellationToken::new())
     }
 
-    fn begun(opening: OpenOutcome) -> Arc<CloudConnection> {
-        match opening {
-            OpenOutcome::Begun { connection, .. } => connection,
+    fn started(outcome: OpenOutcome) -> Arc<CloudConnection> {
+        match outcome {
+            OpenOutcome::Started { connection, .. } => connection,
             other => panic!("{other:?}"),
         }
     }
@@ -245,15 +246,15 @@ mod tests {
     fn new_connection_of_same_host_replaces_earlier_one() {
         let table = ConnectionTable::new(10, 10);
         let robot = ("a", "192.0.2.1");
-        let first = begun(open(&table, "1", robot, "/line"));
+        let first = started(open(&table, "1", robot, "/line"));
         assert!(matches!(open(&table, "1", robot, "/line"), OpenOutcome::Repeated));
         for (host, address) in [("b", "192.0.2.1"), ("a", "198.51.100.1")] {
-            let opening = open(&table, "2", (host, address), "/line");
-            assert!(matches!(opening, OpenOutcome::Refused(_)), "{host} at {address}: {opening:?}");
+            let outcome = open(&table, "2", (host, address), "/line");
+            assert!(matches!(outcome, OpenOutcome::Refused(_)), "{host} at {address}: {outcome:?}");
         }
         assert!(!first.abort_token().is_cancelled());
         let second = open(&table, "2", robot, "/line");
-        let OpenOutcome::Begun { connection: second, replaced: Some(replaced) } = second else {
+        let OpenOutcome::Started { connection: second, replaced: Some(replaced) } = second else {
             panic!("{second:?}")
         };
         assert!(Arc::ptr_eq(&first, &replaced) && first.abort_token().is_cancelled());
@@ -271,14 +272,14 @@ mod tests {
             OpenOutcome::Refused(reason) => reason,
             other => panic!("{other:?}"),
         };
-        let first = begun(open("/1", "192.0.2.1"));
-        let unadmitted = "too many others have no session yet";
-        assert_eq!(refusal("/2", "192.0.2.1"), unadmitted, "half of the places is for other addresses");
-        begun(open("/2", "198.51.100.1"));
+        let first = started(open("/1", "192.0.2.1"));
+        let unadmitted = "too many other connections have no session yet; try again later";
+        assert_eq!(refusal("/2", "192.0.2.1"), unadmitted, "half is for other addresses");
+        started(open("/2", "198.51.100.1"));
         assert_eq!(refusal("/3", "203.0.113.1"), unadmitted);
         first.set_admission(Admission::Admitted);
-        let third = begun(open("/3", "203.0.113.1"));
+        let third = started(open("/3", "203.0.113.1"));
         third.set_admission(Admission::Admitted);
-        assert!(refusal("/4", "203.0.113.1").starts_with("there are too many"));
+        assert!(refusal("/4", "203.0.113.1").starts_with("the cloud has too many"));
     }
 }

@@ -8,8 +8,8 @@ use tokio::time::sleep;
 use tokio_util::task::AbortOnDropHandle;
 
 use crate::transport::ros::channel::Channel;
-use crate::transport::ros::interface::{SessionNode, SessionSubscriber, TopicUse};
-use crate::transport::ros::payload_topic::{MASTER_RETRY, payload_topic_closed};
+use crate::transport::ros::interface::{SessionNode, SessionSubscriber, TopicPurpose};
+use crate::transport::ros::payload_topic::{MASTER_RETRY_INTERVAL, describe_open_failure};
 
 /// Subscription to the payloads of one connection. It is made once and in the background, because it asks the master,
 /// which may not be reachable.
@@ -30,7 +30,7 @@ pub(super) enum PayloadSubscription {
 
 impl PayloadSubscription {
     /// Starts to subscribe, unless that was started earlier.
-    pub(super) fn begin(&mut self, channel: &Arc<Channel>) {
+    pub(super) fn start(&mut self, channel: &Arc<Channel>) {
         if let Self::Unused { node, topic, options } = self {
             let (node, topic, options) = (Arc::clone(node), std::mem::take(topic), options.clone());
             let channel = Arc::clone(channel);
@@ -41,11 +41,11 @@ impl PayloadSubscription {
     }
 
     /// Waits until the topic is subscribed to, which happens once.
-    pub(super) async fn opened(&mut self) -> Result<Box<dyn SessionSubscriber>, JoinError> {
+    pub(super) async fn wait_until_open(&mut self) -> Result<Box<dyn SessionSubscriber>, JoinError> {
         let Self::Opening(subscribing) = self else { return std::future::pending().await };
-        let opened = subscribing.await;
+        let result = subscribing.await;
         *self = Self::Ended;
-        opened
+        result
     }
 }
 
@@ -58,14 +58,14 @@ async fn subscribe(
 ) -> Box<dyn SessionSubscriber> {
     let mut is_reported = false;
     loop {
-        match node.subscribe(topic, (TopicUse::Payloads, TopicType::any()), options.clone()).await {
+        match node.subscribe(topic, (TopicPurpose::Payloads, TopicType::any()), options.clone()).await {
             Ok(subscriber) => return subscriber,
             Err(error) if !is_reported => {
-                channel.remark(&mut channel.lock(), payload_topic_closed(topic, &error));
+                channel.remark(&mut channel.lock(), describe_open_failure(topic, &error));
                 is_reported = true;
             }
             Err(_) => {}
         }
-        sleep(MASTER_RETRY).await;
+        sleep(MASTER_RETRY_INTERVAL).await;
     }
 }

@@ -16,10 +16,12 @@ use super::tasks::CloudTasks;
 use crate::SessionSettings;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::ros::channel::Channel;
-use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicUse};
+use crate::transport::ros::connection_task::ConnectionTask;
+use crate::transport::ros::interface::{
+    NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicPurpose,
+};
 use crate::transport::ros::limits::{INFO_OVERHEAD_BYTES, ReceiveLimits, largest_message, queue_limits};
 use crate::transport::ros::names::TopicPair;
-use crate::transport::ros::serving::ConnectionTask;
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Peer};
 
 /// Largest companion before a session. Bytes.
@@ -77,20 +79,20 @@ impl Peers {
     }
 
     /// Hands up that a node sent invalid data.
-    pub(super) fn garbage(&self, from: SocketAddr, problem: &str) {
-        let garbage = Arrival::Garbage(Some(from), peernet_sample::printable_line(problem).into_owned());
-        if self.deliveries.try_send((garbage, Vec::new())).is_err() {
-            tracing::debug!(%from, problem, "a message that makes no sense is not counted, because nobody receives");
+    pub(super) fn report_invalid(&self, from: SocketAddr, problem: &str) {
+        let arrival = Arrival::InvalidData(Some(from), peernet_sample::printable_line(problem).into_owned());
+        if self.deliveries.try_send((arrival, Vec::new())).is_err() {
+            tracing::debug!(%from, problem, "an invalid message is not counted, because the queue of arrivals is full");
         }
     }
 
     /// Opens a connection that an edge asks for. An edge repeats its request until it is answered.
     pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
-        let group = AddressGroup::of(edge.remote);
+        let group = AddressGroup::from_address(edge.remote);
         let (connection, replaced) = match self.table.open(&hello, group, self.tasks.abort_token()) {
             OpenOutcome::Repeated => return,
             OpenOutcome::Refused(reason) => return self.refusals.refuse(&hello, edge, reason),
-            OpenOutcome::Begun { connection, replaced } => (connection, replaced),
+            OpenOutcome::Started { connection, replaced } => (connection, replaced),
         };
         let (peers, edge) = (Arc::clone(self), edge.clone());
         self.tasks.spawn(async move {
@@ -116,7 +118,7 @@ impl Peers {
         edge: &RemoteNode,
     ) -> Result<(), NodeFailure> {
         let (request, response) = (TopicPair::request(pipeline), TopicPair::response(pipeline));
-        let kind = (TopicUse::Companions, TopicType::of::<MessageInfo>());
+        let kind = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
         let publisher = self.node.publish(&response.info, kind.clone(), queue_limits(&self.settings)).await?;
         // A budget for this connection alone, so that an edge without a session takes no memory from sessions or from
         // other edges without one.
@@ -142,7 +144,7 @@ impl Peers {
             (unadmitted, self.admitted.clone()),
             payloads,
         );
-        let serving = ConnectionTask {
+        let connection_task = ConnectionTask {
             channel,
             info,
             payload: None,
@@ -151,7 +153,7 @@ impl Peers {
             stop: self.tasks.stop_token(),
             abort: connection.abort_token(),
         };
-        serving.run("the cloud shuts down").await;
+        connection_task.run("the cloud shuts down").await;
         Ok(())
     }
 }

@@ -10,8 +10,8 @@ use super::peers::Delivery;
 use crate::transport::Arrival;
 use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
 
-/// Publishes the reasons of refusals for edges, and hands refusals up. An edge repeats its request and is refused each
-/// time.
+/// Publishes the reasons of refusals for edges, and hands refusals up. An edge repeats its request, so the same refusal
+/// may occur often.
 #[derive(Debug)]
 pub(super) struct Refusals {
     node: Arc<dyn SessionNode>,
@@ -60,7 +60,7 @@ impl Refusals {
         let encoded = goodbye.encode(self.node.form()).map_err(|error| NodeFailure(error.to_string()));
         if let Err(error) = encoded.and_then(|message| self.publisher.publish(message)) {
             let topic = self.publisher.topic();
-            tracing::debug!(%error, topic, "an edge is not told why it gets no connection");
+            tracing::debug!(%error, topic, "cannot publish the reason of a refusal");
         }
     }
 

@@ -12,8 +12,8 @@ use super::payload_subscription::PayloadSubscription;
 use super::peers::Delivery;
 use crate::transport::ros::channel::Channel;
 use crate::transport::ros::connection::Event;
+use crate::transport::ros::connection_task::{Directive, Sink};
 use crate::transport::ros::limits::ReceiveLimits;
-use crate::transport::ros::serving::{Directive, Sink};
 use crate::transport::{Arrival, Peer};
 
 /// Hands up the events of a connection, and sets its limits according to its admission.
@@ -40,12 +40,12 @@ impl CloudSink {
         Self { peer, admission, hello_timeout, deadline, unadmitted, admitted, payloads }
     }
 
-    fn follow(&mut self, admission: Admission, channel: &Arc<Channel>) -> Directive {
+    fn apply_admission(&mut self, admission: Admission, channel: &Arc<Channel>) -> Directive {
         self.deadline = (admission == Admission::Unadmitted).then(|| Instant::now() + self.hello_timeout);
         if admission != Admission::Admitted {
             return Directive::Limit(self.unadmitted.clone());
         }
-        self.payloads.begin(channel);
+        self.payloads.start(channel);
         Directive::Limit(self.admitted.clone())
     }
 }
@@ -53,7 +53,7 @@ impl CloudSink {
 impl Sink for CloudSink {
     type Delivery = Delivery;
 
-    fn take(&mut self, channel: &Channel, event: Event) -> Option<Delivery> {
+    fn handle_event(&mut self, channel: &Channel, event: Event) -> Option<Delivery> {
         let connection = self.peer.connection;
         let (arrival, reserved) = match event {
             Event::Hello => {
@@ -64,34 +64,34 @@ impl Sink for CloudSink {
             Event::Message(frames, reserved) => (Arrival::Message(self.peer.clone(), frames), reserved),
             Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), Vec::new()),
             Event::Lost(loss) => (Arrival::Lost(connection, loss), Vec::new()),
-            Event::Garbage(problem) => (Arrival::Garbage(self.peer.address, problem), Vec::new()),
+            Event::InvalidData(problem) => (Arrival::InvalidData(self.peer.address, problem), Vec::new()),
             Event::Remark(text) => (Arrival::Remark(connection, text), Vec::new()),
             Event::Gone(reason) => (Arrival::Gone(connection, reason), Vec::new()),
         };
         Some((arrival, reserved))
     }
 
-    async fn wait(&mut self, channel: &Arc<Channel>) -> Directive {
+    async fn next_directive(&mut self, channel: &Arc<Channel>) -> Directive {
         let deadline = self.deadline;
-        let too_late = async move {
+        let hello_timeout_passed = async move {
             match deadline {
                 Some(deadline) => sleep_until(deadline).await,
                 None => std::future::pending().await,
             }
         };
         tokio::select! {
-            subscriber = self.payloads.opened() => match subscriber {
+            subscriber = self.payloads.wait_until_open() => match subscriber {
                 Ok(subscriber) => Directive::Admit(subscriber),
                 Err(error) => Directive::End(error.to_string()),
             },
             changed = self.admission.changed() => {
                 let admission = *self.admission.borrow_and_update();
                 match changed {
-                    Ok(()) => self.follow(admission, channel),
+                    Ok(()) => self.apply_admission(admission, channel),
                     Err(_) => Directive::End("the connection was closed here".to_owned()),
                 }
             }
-            () = too_late => Directive::End("no session was opened in time".to_owned()),
+            () = hello_timeout_passed => Directive::End("no session was opened in time".to_owned()),
         }
     }
 }

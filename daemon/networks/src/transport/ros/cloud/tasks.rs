@@ -36,12 +36,12 @@ impl CloudTasks {
     }
 
     /// Waits until the tasks are aborted.
-    pub(super) async fn aborted(&self) {
+    pub(super) async fn wait_for_abort(&self) {
         self.abort.cancelled().await;
     }
 
     /// Waits until the tasks are asked to stop or are aborted.
-    pub(super) async fn ending(&self) {
+    pub(super) async fn wait_for_stop(&self) {
         tokio::select! {
             () = self.stop.cancelled() => {}
             () = self.abort.cancelled() => {}
@@ -65,11 +65,11 @@ mod tests {
     #[tokio::test]
     async fn task_that_does_not_stop_is_aborted() {
         let tasks = CloudTasks::default();
-        let (polite, stubborn) = (tasks.stop_token(), tasks.abort_token());
-        tasks.spawn(async move { polite.cancelled().await });
-        tasks.spawn(async move { stubborn.cancelled().await });
+        let (stoppable, unstoppable) = (tasks.stop_token(), tasks.abort_token());
+        tasks.spawn(async move { stoppable.cancelled().await });
+        tasks.spawn(async move { unstoppable.cancelled().await });
         tasks.close(Duration::from_millis(20)).await;
-        tasks.aborted().await;
+        tasks.wait_for_abort().await;
         tasks.tracker.wait().await;
     }
 
@@ -77,7 +77,7 @@ mod tests {
     async fn tasks_that_stop_are_not_aborted() {
         let tasks = CloudTasks::default();
         let other = tasks.clone();
-        tasks.spawn(async move { other.ending().await });
+        tasks.spawn(async move { other.wait_for_stop().await });
         tasks.close(Duration::from_secs(60)).await;
         assert!(!tasks.abort_token().is_cancelled());
     }

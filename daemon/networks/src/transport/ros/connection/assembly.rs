@@ -11,8 +11,8 @@ use super::events::{Event, EventQueue};
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::ros::frames;
-use crate::transport::ros::pairing::{Half, Pairing, request_of};
-use crate::transport::ros::parts::Parts;
+use crate::transport::ros::pairing::{Half, Pairing, request_number};
+use crate::transport::ros::parts::PartialFrames;
 
 /// Messages that have arrived in part. Their memory is reserved, and each waits for a limited time.
 #[derive(Debug)]
@@ -20,30 +20,30 @@ pub(super) struct MessageAssembly {
     /// Largest sum of the lengths of all frames of a message. Bytes.
     max_message_bytes: u64,
     /// `true` if a payload may arrive although its companion had all frames.
-    repeats_payloads: bool,
+    may_get_payload_twice: bool,
     /// Time limit for the next part of a message.
     part_timeout: Span,
     budget: Arc<MemoryBudget>,
     pairing: Pairing,
     /// First bytes of a message whose companion has not arrived.
-    parts: Option<Parts>,
+    parts: Option<PartialFrames>,
     /// Stamp of the last companion with all frames of its message.
-    last_whole: i64,
+    last_whole_stamp: i64,
     /// Messages about the session itself that wait for earlier payloads which they overtook.
-    overtaking: Vec<(MessageInfo, Reservation)>,
+    overtaking_messages: Vec<(MessageInfo, Reservation)>,
 }
 
 impl MessageAssembly {
     pub(super) fn new(limits: &ConnectionLimits, budget: Arc<MemoryBudget>) -> Self {
         Self {
             max_message_bytes: limits.max_message_bytes,
-            repeats_payloads: limits.confirms_payloads,
+            may_get_payload_twice: limits.confirms_payloads,
             part_timeout: limits.pairing_timeout,
             budget,
             pairing: Pairing::new(limits.max_incomplete, limits.pairing_timeout),
             parts: None,
-            last_whole: i64::MIN,
-            overtaking: Vec::new(),
+            last_whole_stamp: i64::MIN,
+            overtaking_messages: Vec::new(),
         }
     }
 
@@ -55,22 +55,22 @@ impl MessageAssembly {
     /// Handles the first bytes of a message.
     pub(super) fn receive_part(&mut self, part: &MessageInfo, now: MonoTime) {
         let parts = self.parts.take();
-        self.parts = Parts::extended(parts, (part, now), &self.budget, self.max_message_bytes);
+        self.parts = PartialFrames::with_part(parts, (part, now), &self.budget, self.max_message_bytes);
     }
 
     /// Handles the companion of a message.
     pub(super) fn receive_data(&mut self, mut info: MessageInfo, now: MonoTime, events: &mut EventQueue) {
-        // Parts of another message belong to a message that was given up. The memory of the whole message is reserved
-        // below.
-        if let Some(parts) = self.parts.take().filter(|parts| parts.is_of(&info)) {
-            info.frames = parts.joined(&info.frames);
+        // Parts of another message are dropped, because that message was given up. The memory of the whole message is
+        // reserved below.
+        if let Some(parts) = self.parts.take().filter(|parts| parts.belong_to(&info)) {
+            info.frames = parts.join(&info.frames);
         }
-        if let Err(problem) = frames::check(&info, self.max_message_bytes) {
-            events.push(Event::Garbage(problem.to_string()));
+        if let Err(problem) = frames::check_lengths(&info, self.max_message_bytes) {
+            events.push(Event::InvalidData(problem.to_string()));
             return;
         }
         let Some(reserved) = self.reserve(info.frames.len()) else {
-            events.push_incomplete(vec![MessageLoss { tag: request_of(&info), received: 1, total: 2 }]);
+            events.push_incomplete(vec![MessageLoss { tag: request_number(&info), received: 1, total: 2 }]);
             return;
         };
         let stamp = info.header.stamp.as_nanos();
@@ -79,14 +79,14 @@ impl MessageAssembly {
             return;
         }
         // The payload may arrive as well, until the other end knows that payloads do.
-        self.last_whole = stamp.max(self.last_whole);
+        self.last_whole_stamp = stamp.max(self.last_whole_stamp);
         self.pairing.drop_payload(stamp);
         let mut lost = Vec::new();
-        self.pairing.skip(stamp, &mut lost);
+        self.pairing.note_message_without_payload(stamp, &mut lost);
         events.push_incomplete(lost);
-        // The message may end the session, and answers whose payloads come later would then be lost.
+        // A message about the session may end it. Answers whose payloads arrive later would then be lost.
         if info.request == MessageInfo::NO_REQUEST && self.pairing.awaits_payloads() {
-            self.overtaking.push((info, reserved));
+            self.overtaking_messages.push((info, reserved));
         } else {
             deliver(&info, None, vec![reserved], events);
         }
@@ -100,13 +100,17 @@ impl MessageAssembly {
         now: MonoTime,
         events: &mut EventQueue,
     ) {
-        // The companion had all frames.
-        if self.repeats_payloads && stamp <= self.last_whole && !self.pairing.awaits_payload(stamp) {
+        // The payload was also in its companion, which has arrived.
+        if self.may_get_payload_twice && stamp <= self.last_whole_stamp && !self.pairing.awaits_payload(stamp)
+        {
             return;
         }
         let length = payload.len() as u64;
         if length > self.max_message_bytes {
-            events.push(Event::Garbage(format!("a payload of {length} bytes")));
+            events.push(Event::InvalidData(format!(
+                "a payload has {length} bytes, more than max_message_bytes, {}",
+                self.max_message_bytes
+            )));
             return;
         }
         // If memory is short, the companion reports the loss, because it has the number of the request and is still to
@@ -131,11 +135,11 @@ impl MessageAssembly {
         }
     }
 
-    /// Gives up messages that have waited too long.
+    /// Gives up messages whose time limit has passed.
     pub(super) fn expire(&mut self, now: MonoTime, events: &mut EventQueue) {
         let mut lost = Vec::new();
         self.pairing.expire(now, &mut lost);
-        // Their companion was lost, which the gap in the numbers of companions shows.
+        // The companion of expired parts was lost. The gap in the numbers of companions counts it already.
         let timeout = self.part_timeout;
         self.parts = self.parts.take().filter(|parts| !parts.is_overdue(now, timeout));
         events.push_incomplete(lost);
@@ -143,11 +147,11 @@ impl MessageAssembly {
 
     /// Returns whether no companion waits for its payload any more. In this case delivers the messages that had
     /// overtaken payloads.
-    pub(super) fn deliver_overtaking(&mut self, events: &mut EventQueue) -> bool {
+    pub(super) fn deliver_overtaking_messages(&mut self, events: &mut EventQueue) -> bool {
         if self.pairing.awaits_payloads() {
             return false;
         }
-        for (info, reserved) in std::mem::take(&mut self.overtaking) {
+        for (info, reserved) in std::mem::take(&mut self.overtaking_messages) {
             deliver(&info, None, vec![reserved], events);
         }
         true
@@ -160,14 +164,14 @@ impl MessageAssembly {
 
     fn reserve(&self, bytes: usize) -> Option<Reservation> {
         let mut reserved = Reservation::empty(&self.budget);
-        reserved.set(&self.budget, bytes as u64).ok().map(|()| reserved)
+        reserved.resize(&self.budget, bytes as u64).ok().map(|()| reserved)
     }
 }
 
 fn deliver(info: &MessageInfo, payload: Option<&Bytes>, reserved: Vec<Reservation>, events: &mut EventQueue) {
     events.push(match frames::unpack(info, payload) {
         Ok(frames) => Event::Message(frames, reserved),
-        Err(problem) => Event::Garbage(problem.to_string()),
+        Err(problem) => Event::InvalidData(problem.to_string()),
     });
 }
 
@@ -203,7 +207,7 @@ mod tests {
         assert!(matches!(&first, Some(Event::Message(..))), "{first:?}");
         assert!(matches!(events.pop(), Some(Event::Incomplete(MessageLoss { tag: Some(2), .. }))));
         drop(first);
-        assert_eq!(budget.held(), 0);
+        assert_eq!(budget.reserved_bytes(), 0);
     }
 
     #[test]
@@ -215,7 +219,7 @@ mod tests {
         let large = MemoryBudget::new(10);
         assembly.set_budget(Arc::clone(&large));
         assembly.receive_payload(2, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
-        assert_eq!((small.held(), large.held()), (0, 2));
+        assert_eq!((small.reserved_bytes(), large.reserved_bytes()), (0, 2));
         assert!(assembly.next_timer().is_some() && events.pop().is_none());
     }
 }

@@ -24,7 +24,7 @@ impl PayloadConfirmation {
     }
 
     /// Returns whether the confirmation is due. It counts as sent afterwards.
-    pub(super) fn take_due(&mut self) -> bool {
+    pub(super) fn take_if_due(&mut self) -> bool {
         let is_due = *self == Self::Due;
         if is_due {
             *self = Self::Sent;
@@ -41,11 +41,11 @@ mod tests {
     fn first_payload_is_confirmed_once_if_that_is_needed() {
         for (is_needed, expected) in [(true, [false, true, false]), (false, [false; 3])] {
             let mut confirmation = PayloadConfirmation::new(is_needed);
-            let before = confirmation.take_due();
+            let before = confirmation.take_if_due();
             confirmation.note_payload();
-            let after_first = confirmation.take_due();
+            let after_first = confirmation.take_if_due();
             confirmation.note_payload();
-            assert_eq!([before, after_first, confirmation.take_due()], expected);
+            assert_eq!([before, after_first, confirmation.take_if_due()], expected);
         }
     }
 }

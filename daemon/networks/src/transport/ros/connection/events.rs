@@ -19,7 +19,7 @@ pub(in crate::transport::ros) enum Event {
     /// A message to the peer did not arrive as a whole.
     Lost(MessageLoss),
     /// The peer sent invalid data, for this reason.
-    Garbage(String),
+    InvalidData(String),
     /// The connection is worse than it could be; the text names the object and says what to do.
     Remark(String),
     /// The connection ended, for this reason.

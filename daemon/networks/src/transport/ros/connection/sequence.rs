@@ -25,10 +25,10 @@ impl OutgoingSequence {
     }
 
     /// Returns the companion of a message that departs at `wall`, in nanoseconds since the Unix epoch.
-    pub(super) fn begin(&mut self, kind: u8, wall: i64) -> MessageInfo {
+    pub(super) fn new_companion(&mut self, kind: u8, wall: i64) -> MessageInfo {
         // Stamps increase even if the wall clock is set back, because a payload is identified by its stamp.
-        let least = self.last_stamp + 1;
-        self.last_stamp = if wall <= MAX_STAMP { wall.max(least) } else { least };
+        let min_stamp = self.last_stamp + 1;
+        self.last_stamp = if wall <= MAX_STAMP { wall.max(min_stamp) } else { min_stamp };
         let sequence = self.next_number();
         let stamp = Time::from_nanos(self.last_stamp);
         let seq = u32::try_from(sequence & u64::from(u32::MAX)).unwrap_or_default();
@@ -37,7 +37,7 @@ impl OutgoingSequence {
     }
 
     /// Returns a companion for the first bytes of a message, and gives the message the next number.
-    pub(super) fn begin_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
+    pub(super) fn new_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
         let sequence = std::mem::replace(&mut message.sequence, self.next_number());
         MessageInfo {
             header: message.header.clone(),
@@ -59,22 +59,22 @@ impl OutgoingSequence {
 #[derive(Debug, Default)]
 pub(super) struct IncomingSequence {
     /// Number of the next companion; unknown before the first one.
-    expected: Option<u64>,
-    missed: u64,
+    next_expected: Option<u64>,
+    missing: u64,
 }
 
 impl IncomingSequence {
     /// Counts the companions that are missing before the one that arrived. A number that is lower than expected counts
     /// none.
     pub(super) fn receive(&mut self, number: u64) {
-        let expected = self.expected.unwrap_or(number);
-        self.missed += number.saturating_sub(expected);
-        self.expected = Some(number.saturating_add(1).max(expected));
+        let next_expected = self.next_expected.unwrap_or(number);
+        self.missing += number.saturating_sub(next_expected);
+        self.next_expected = Some(number.saturating_add(1).max(next_expected));
     }
 
     /// Returns the number of companions that never arrived.
     pub(super) fn missing_companions(&self) -> u64 {
-        self.missed
+        self.missing
     }
 }
 
@@ -86,19 +86,20 @@ mod tests {
     fn stamps_increase_when_wall_clock_is_set_back() {
         let mut sequence = OutgoingSequence::new("ab".into());
         let stamps = [5_000, 4_000, 4_000, i64::MIN, i64::MAX, 9_000];
-        let stamps = stamps.map(|wall| sequence.begin(MessageInfo::HEARTBEAT, wall).header.stamp.as_nanos());
+        let stamps =
+            stamps.map(|wall| sequence.new_companion(MessageInfo::HEARTBEAT, wall).header.stamp.as_nanos());
         assert_eq!(stamps, [5_000, 5_001, 5_002, 5_003, 5_004, 9_000]);
     }
 
     #[test]
     fn parts_are_numbered_before_their_message() {
         let mut sequence = OutgoingSequence::new("ab".into());
-        let mut message = MessageInfo { request: 7, ..sequence.begin(MessageInfo::DATA, 5) };
-        let parts = [sequence.begin_part(&mut message), sequence.begin_part(&mut message)];
+        let mut message = MessageInfo { request: 7, ..sequence.new_companion(MessageInfo::DATA, 5) };
+        let parts = [sequence.new_part(&mut message), sequence.new_part(&mut message)];
         assert_eq!((parts[0].sequence, parts[1].sequence, message.sequence), (0, 1, 2));
         let is_of_message = |part: &MessageInfo| part.header == message.header && part.request == 7;
         assert!(parts.iter().all(is_of_message));
-        assert_eq!(sequence.begin(MessageInfo::HEARTBEAT, 5).sequence, 3);
+        assert_eq!(sequence.new_companion(MessageInfo::HEARTBEAT, 5).sequence, 3);
     }
 
     #[test]

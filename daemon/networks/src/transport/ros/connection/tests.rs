@@ -27,7 +27,7 @@ fn at(seconds: i64) -> MonoTime {
 
 /// Returns a message of three frames as it is sent: its companion and its payload.
 fn message(end: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes) {
-    let mut info = MessageInfo { request, ..end.begin(MessageInfo::DATA, wall, at(0)) };
+    let mut info = MessageInfo { request, ..end.new_companion(MessageInfo::DATA, wall, at(0)) };
     let payload = Bytes::from_static(b"payload");
     let frames = [Bytes::from_static(b"header"), Bytes::from_static(b"tree"), payload.clone()];
     assert!(frames::pack(&mut info, &frames, true));
@@ -69,7 +69,7 @@ fn heartbeats_keep_connection_and_silence_ends_it() {
 #[test]
 fn goodbye_ends_connection_with_its_reason() {
     let (mut near, mut far) = (end(), end());
-    let goodbye = near.begin(MessageInfo::GOODBYE, 0, at(0));
+    let goodbye = near.new_companion(MessageInfo::GOODBYE, 0, at(0));
     far.receive_info(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, at(0));
     assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "it shuts down"));
     assert!(far.next_notice(0, at(100)).is_none());
@@ -79,7 +79,7 @@ fn goodbye_ends_connection_with_its_reason() {
 fn goodbye_waits_for_payload_that_it_overtook() {
     let (mut near, mut far) = (end(), end());
     let (info, payload) = message(&mut near, 7, 10);
-    let goodbye = near.begin(MessageInfo::GOODBYE, 20, at(0));
+    let goodbye = near.new_companion(MessageInfo::GOODBYE, 20, at(0));
     far.receive_info(info.clone(), at(0));
     far.receive_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
     assert!(far.next_event().is_none() && far.peer().has_left);
@@ -92,7 +92,7 @@ fn goodbye_waits_for_payload_that_it_overtook() {
 fn session_message_waits_for_payload_that_it_overtook() {
     let (mut near, mut far) = (end(), end());
     let (info, payload) = message(&mut near, 7, 10);
-    let mut session = near.begin(MessageInfo::DATA, 20, at(0));
+    let mut session = near.new_companion(MessageInfo::DATA, 20, at(0));
     assert!(frames::pack(&mut session, &[Bytes::from_static(b"close")], false));
     far.receive_info(info.clone(), at(0));
     far.receive_info(session, at(0));
@@ -107,7 +107,7 @@ fn session_message_waits_for_payload_that_it_overtook() {
 fn goodbye_without_payload_still_ends_connection() {
     let (mut near, mut far) = (end(), end());
     let (info, _) = message(&mut near, 7, 10);
-    let goodbye = near.begin(MessageInfo::GOODBYE, 20, at(0));
+    let goodbye = near.new_companion(MessageInfo::GOODBYE, 20, at(0));
     far.receive_info(info, at(0));
     far.receive_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
     far.tick(at(5));
@@ -120,7 +120,7 @@ fn payload_that_travels_twice_is_taken_once_and_confirmed() {
     let confirming = || Connection::new("ab".into(), limits, MemoryBudget::new(10_000), MonoTime::default());
     for is_payload_first in [true, false] {
         let (mut near, mut far) = (confirming(), confirming());
-        let mut info = MessageInfo { request: 7, ..near.begin(MessageInfo::DATA, 10, at(0)) };
+        let mut info = MessageInfo { request: 7, ..near.new_companion(MessageInfo::DATA, 10, at(0)) };
         let payload = Bytes::from_static(b"payload");
         let frames = [Bytes::from_static(b"header"), Bytes::from_static(b"tree"), payload.clone()];
         assert!(frames::pack(&mut info, &frames, false));
@@ -149,9 +149,9 @@ fn parts_are_assembled_and_unfinished_messages_dropped() {
     for is_whole in [false, true] {
         let (mut info, payload) = message(&mut near, 7, 10);
         let stamp = info.header.stamp.as_nanos();
-        let pieces = crate::transport::ros::parts::split(&mut info.frames, 4);
+        let pieces = crate::transport::ros::parts::split_frames(&mut info.frames, 4);
         let parts: Vec<MessageInfo> =
-            pieces.into_iter().map(|frames| MessageInfo { frames, ..near.begin_part(&mut info) }).collect();
+            pieces.into_iter().map(|frames| MessageInfo { frames, ..near.new_part(&mut info) }).collect();
         assert_eq!(parts.len(), 2);
         parts.into_iter().for_each(|part| far.receive_info(part, at(0)));
         if is_whole {
@@ -297,7 +297,7 @@ proptest! {
         }
         let whole = fates.iter().filter(|fate| matches!(fate, Fate::Arrives)).count();
         prop_assert_eq!((arrived, arrived + incomplete), (whole, fates.len()));
-        prop_assert_eq!(budget.held(), 0);
+        prop_assert_eq!(budget.reserved_bytes(), 0);
     }
 
     #[test]
@@ -313,7 +313,7 @@ proptest! {
         for step in steps {
             apply_step(step, &mut near, &mut far, &mut now);
             far.tick(now);
-            prop_assert!(budget.held() <= 10_000);
+            prop_assert!(budget.reserved_bytes() <= 10_000);
             let mut events = 0;
             while let Some(event) = far.next_event() {
                 events += 1;
@@ -326,6 +326,6 @@ proptest! {
             while far.next_notice(0, now).is_some() {}
         }
         far.tick(now + Span::from_seconds(40));
-        prop_assert_eq!(budget.held(), 0, "nothing waits for ever");
+        prop_assert_eq!(budget.reserved_bytes(), 0, "nothing waits for ever");
     }
 }

@@ -10,7 +10,7 @@ use futures::future::BoxFuture;
 use peernet_ros::messages::{EncodedMessage, WireForm};
 use peernet_ros::ros1::{Delivery, QueueLimits, SubscriberOptions, TopicType};
 
-use super::{EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicUse};
+use super::{EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicPurpose};
 
 /// Largest payload that fits into the node's sockets. Bytes.
 pub(in crate::transport::ros) const RECEIVE_BUFFER_BYTES: usize = 10;
@@ -46,7 +46,7 @@ impl SessionPublisher for TestNode {
 
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.published.fetch_add(messages.len(), Ordering::Relaxed);
-        Ok(Delivery::Taken)
+        Ok(Delivery::Accepted)
     }
 
     fn refusal(&self, node: &str) -> Option<String> {
@@ -91,7 +91,7 @@ impl SessionNode for TestNode {
         usize::MAX
     }
 
-    fn payload_patience(&self) -> Option<Duration> {
+    fn payload_timeout(&self) -> Option<Duration> {
         None
     }
 
@@ -102,7 +102,7 @@ impl SessionNode for TestNode {
     fn publish<'a>(
         &'a self,
         _topic: &'a str,
-        _of: (TopicUse, TopicType),
+        _kind: (TopicPurpose, TopicType),
         _queue: QueueLimits,
     ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>> {
         std::future::ready(Ok(Box::new(self.clone()) as Box<dyn SessionPublisher>)).boxed()
@@ -111,13 +111,13 @@ impl SessionNode for TestNode {
     fn subscribe<'a>(
         &'a self,
         topic: &'a str,
-        _of: (TopicUse, TopicType),
+        _kind: (TopicPurpose, TopicType),
         _options: SubscriberOptions,
     ) -> BoxFuture<'a, Result<Box<dyn SessionSubscriber>, NodeFailure>> {
         std::future::ready(Err(NodeFailure(format!("{topic} is only published")))).boxed()
     }
 
-    fn end(&self, _patience: Duration) -> BoxFuture<'_, ()> {
+    fn end(&self, _time_limit: Duration) -> BoxFuture<'_, ()> {
         std::future::ready(()).boxed()
     }
 

@@ -8,40 +8,40 @@ use peernet_ros::messages::{Message, MessageInfo, SessionHello};
 use peernet_ros::ros2::{EndpointRole, ParticipantId, Ros2Node};
 use tokio::time::{sleep, timeout};
 
-use super::participant::{Participant, is_of_this_process};
+use super::participant::{Participant, is_local_participant};
 use super::ros2_name;
 use crate::transport::ros::interface::{EdgeTopics, NodeFailure};
 use crate::transport::ros::names::sessions_topic;
 
 /// Time for which another cloud with the same name is searched.
-const FIND_OTHER_CLOUD: Duration = Duration::from_secs(1);
+const OTHER_CLOUD_SEARCH_TIME: Duration = Duration::from_secs(1);
 
 /// Time for which other programs that use the topics of a pipeline are searched after the cloud was found.
-const FIND_OTHERS: Duration = Duration::from_millis(250);
+const OTHER_PROGRAM_SEARCH_TIME: Duration = Duration::from_millis(250);
 
 /// Waits until discovery has found the cloud of an edge, and checks that no other program uses the topics. Returns the
 /// name of the cloud's participant.
 pub(super) async fn find_cloud(
     participant: &Participant,
     topics: &EdgeTopics,
-    patience: Duration,
+    time_limit: Duration,
 ) -> Result<Arc<str>, NodeFailure> {
     let node = participant.node()?;
     let sessions = sessions_topic(&topics.cloud);
-    let clouds = || clouds_of(&node, &sessions);
+    let clouds = || visible_clouds(&node, &sessions);
     // A cloud that has just ended may still be visible.
-    let found = await_discovery(&node, patience, || clouds().len() == 1).await;
+    let found = wait_for_discovery(&node, time_limit, || clouds().len() == 1).await;
     if found.is_err() && clouds().is_empty() {
         return Err(NodeFailure(format!(
             "{} has no cloud with the name {}: nobody subscribes to {sessions} within {} s; {}",
             node.describe_domain(),
             topics.cloud,
-            patience.as_secs_f64(),
+            time_limit.as_secs_f64(),
             node.advise(),
         )));
     }
     // DDS does not report the end of discovery, and other programs may be found slightly later than the cloud.
-    sleep(FIND_OTHERS).await;
+    sleep(OTHER_PROGRAM_SEARCH_TIME).await;
     check_topics(&node, topics)?;
     let clouds = clouds();
     match clouds.first() {
@@ -61,16 +61,16 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
     let expected = ros2_name(MessageInfo::DEFINITION.name);
     for topic in [&topics.request.info, &topics.response.info] {
         if let Some(other) = node.endpoints_of(topic).iter().find(|found| found.type_name != expected) {
-            let of = other.node.as_ref().map(|name| format!(" for node {name}")).unwrap_or_default();
+            let of_node = other.node.as_ref().map(|name| format!(" for node {name}")).unwrap_or_default();
             return Err(NodeFailure(format!(
-                "topic {topic} has the message type {}{of} and would need {expected}; {remedy}",
+                "topic {topic} has the message type {}{of_node} and would need {expected}; {remedy}",
                 other.type_name
             )));
         }
     }
     for topic in [&topics.request.info, &topics.request.payload] {
         let publishers = node.publishers_of(topic);
-        if let Some(other) = publishers.iter().find(|found| !is_of_this_process(found.id.participant())) {
+        if let Some(other) = publishers.iter().find(|found| !is_local_participant(found.id.participant())) {
             let host = other.host.map_or_else(|| "this host".to_owned(), |host| format!("host {host}"));
             let publisher = match &other.node {
                 Some(name) => format!("node {name}"),
@@ -91,8 +91,8 @@ pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> 
     let node = participant.node()?;
     let sessions = sessions_topic(cloud);
     // Waits for the whole time even if a cloud is visible, because that one may just be ending.
-    sleep(FIND_OTHER_CLOUD).await;
-    match clouds_of(&node, &sessions).is_empty() {
+    sleep(OTHER_CLOUD_SEARCH_TIME).await;
+    match visible_clouds(&node, &sessions).is_empty() {
         true => Ok(()),
         false => Err(NodeFailure(format!(
             "another cloud serves the name {cloud} in {} already; stop it, or end the address with another name",
@@ -102,7 +102,7 @@ pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> 
 }
 
 /// Returns the other participants that subscribe to requests for connections.
-fn clouds_of(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
+fn visible_clouds(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
     let expected = ros2_name(SessionHello::DEFINITION.name);
     let is_cloud = |role, kind: &str| role == EndpointRole::Subscription && kind == expected;
     let found = node.endpoints_of(sessions).into_iter();
@@ -110,9 +110,9 @@ fn clouds_of(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
 }
 
 /// Waits until a condition holds for the state of discovery.
-async fn await_discovery(
+async fn wait_for_discovery(
     node: &Ros2Node,
-    patience: Duration,
+    time_limit: Duration,
     is_found: impl Fn() -> bool,
 ) -> Result<(), tokio::time::error::Elapsed> {
     let mut changes = node.discovery_changes();
@@ -123,5 +123,5 @@ async fn await_discovery(
             }
         }
     };
-    timeout(patience, found).await
+    timeout(time_limit, found).await
 }

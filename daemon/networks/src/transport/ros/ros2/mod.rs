@@ -3,15 +3,15 @@
 //! ROS 2 needs more than ROS 1, because DDS has no connections:
 //!
 //! - Each connection of an edge is a separate participant, by which its messages are recognized. A cloud has one
-//!   participant for all connections. Companions are always reliable, payloads as configured: a lost payload is noticed
-//!   by its companion.
-//! - `rustdds` 0.15.1 sends all fragments of a message at once and repairs 8 fragments of 256 bytes in 10 ms. Bytes
+//!   participant for all connections. Companions are always reliable, payloads as configured. The loss of a payload is
+//!   detected by its companion.
+//! - `rustdds` 0.15.1 sends all fragments of a message at once and retransmits 8 fragments of 256 bytes in 10 ms. Bytes
 //!   that do not fit into the receiver's socket buffer therefore arrive at 200 kB/s, if at all. Over loopback with
 //!   `net.core.rmem_max` at 4 MiB (of which the kernel makes 8 MiB), messages of 8 MB arrive at once, and messages of
 //!   10 MB and more do not arrive within 5 s. Each end therefore states the size of its socket buffers in hello and
 //!   welcome. A larger payload is sent as companions of 64 KiB ([`PART`](peernet_ros::messages::MessageInfo::PART)), of
-//!   which at most 1 MiB is unacknowledged. Other programs do not see it as a picture, but it arrives as fast. A slow
-//!   or lossy repair of one large message would delay all later ones.
+//!   which at most 1 MiB is unacknowledged. Other programs do not see it as a picture, but it arrives as fast. Otherwise
+//!   the slow retransmission of one large message would delay all later ones.
 //! - An end that closes a connection waits for the other end's goodbye before it leaves, because `rustdds` drops unread
 //!   messages of a publisher that has left.
 
@@ -43,12 +43,14 @@ use self::publisher::Ros2SessionPublisher;
 use self::publishing_tasks::PublishingTasks;
 use self::qos::SessionQos;
 use self::subscriber::Ros2SessionSubscriber;
-use super::interface::{EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicUse};
+use super::interface::{
+    EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicPurpose,
+};
 use crate::{Address, SessionSettings};
 
-/// Time for which a cloud is searched. Discovery takes less than a second where multicast works, and an edge tries
-/// again.
-const FIND_CLOUD: Duration = Duration::from_secs(2);
+/// Time limit of the search for a cloud. Discovery takes less than a second where multicast works, and an edge repeats the
+/// search.
+const MAX_CLOUD_SEARCH_TIME: Duration = Duration::from_secs(2);
 
 /// Largest number of bytes of frames in a companion. Longer frames are split, so that each companion fits into any
 /// socket buffer.
@@ -59,7 +61,7 @@ pub(super) struct Ros2SessionNode {
     participant: Participant,
     namespace: String,
     qos: SessionQos,
-    find_cloud_timeout: Duration,
+    cloud_search_timeout: Duration,
     publishing: PublishingTasks,
     clock: SharedClock,
 }
@@ -102,7 +104,7 @@ impl Ros2SessionNode {
             namespace,
             qos: SessionQos::new(&settings.ros2),
             // The other half of the time is for the handshake.
-            find_cloud_timeout: FIND_CLOUD.min(settings.open_timeout() / 2),
+            cloud_search_timeout: MAX_CLOUD_SEARCH_TIME.min(settings.open_timeout() / 2),
             publishing: PublishingTasks::default(),
             clock: SharedClock::clone(clock),
         })
@@ -124,13 +126,17 @@ impl SessionNode for Ros2SessionNode {
     }
 
     fn describe(&self, node: &str) -> String {
-        let Ok(own) = self.participant.node() else { return format!("participant {node}") };
-        remote::describe(&own, node)
+        let Ok(local_node) = self.participant.node() else { return format!("participant {node}") };
+        remote::describe(&local_node, node)
     }
 
     fn names(&self, node: &str) -> Vec<String> {
-        let (own, id) = (self.participant.node(), node.parse());
-        own.ok().zip(id.ok()).map(|(own, id): (_, ParticipantId)| own.nodes_of(id)).unwrap_or_default()
+        let (local_node, id) = (self.participant.node(), node.parse());
+        local_node
+            .ok()
+            .zip(id.ok())
+            .map(|(local_node, id): (_, ParticipantId)| local_node.nodes_of(id))
+            .unwrap_or_default()
     }
 
     fn resolve(&self, name: &str) -> Result<String, NodeFailure> {
@@ -138,7 +144,7 @@ impl SessionNode for Ros2SessionNode {
     }
 
     fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
-        find_cloud(&self.participant, topics, self.find_cloud_timeout).boxed()
+        find_cloud(&self.participant, topics, self.cloud_search_timeout).boxed()
     }
 
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>> {
@@ -153,7 +159,7 @@ impl SessionNode for Ros2SessionNode {
         MAX_COMPANION_BYTES
     }
 
-    fn payload_patience(&self) -> Option<Duration> {
+    fn payload_timeout(&self) -> Option<Duration> {
         self.qos.payload_timeout()
     }
 
@@ -164,12 +170,12 @@ impl SessionNode for Ros2SessionNode {
     fn publish<'a>(
         &'a self,
         topic: &'a str,
-        (topic_use, kind): (TopicUse, TopicType),
+        (purpose, kind): (TopicPurpose, TopicType),
         queue: QueueLimits,
     ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>> {
         let open = || {
-            let qos = self.qos.profile(EndpointRole::Publisher, topic_use);
-            let publisher = self.participant.node()?.publisher(topic, &ros2_name(&kind.name), &qos)?;
+            let qos = self.qos.profile(EndpointRole::Publisher, purpose);
+            let publisher = self.participant.node()?.create_publisher(topic, &ros2_name(&kind.name), &qos)?;
             let clock = SharedClock::clone(&self.clock);
             let publisher = Ros2SessionPublisher::new(publisher, queue.bytes, clock, &self.publishing);
             Ok(Box::new(publisher) as Box<dyn SessionPublisher>)
@@ -180,17 +186,17 @@ impl SessionNode for Ros2SessionNode {
     fn subscribe<'a>(
         &'a self,
         topic: &'a str,
-        (topic_use, kind): (TopicUse, TopicType),
+        (purpose, kind): (TopicPurpose, TopicType),
         options: SubscriberOptions,
     ) -> BoxFuture<'a, Result<Box<dyn SessionSubscriber>, NodeFailure>> {
         let open = || {
             let (node, qos) =
-                (self.participant.node()?, self.qos.profile(EndpointRole::Subscription, topic_use));
+                (self.participant.node()?, self.qos.profile(EndpointRole::Subscription, purpose));
             let subscriber = match kind.is_any() {
-                true => Ros2SessionSubscriber::of_any_type(&node, topic, qos, &options),
+                true => Ros2SessionSubscriber::with_any_type(&node, topic, qos, &options),
                 false => {
-                    let subscription = node.subscription(topic, &ros2_name(&kind.name), &qos)?;
-                    Ros2SessionSubscriber::of(&node, subscription, kind.name, &options)
+                    let subscription = node.create_subscription(topic, &ros2_name(&kind.name), &qos)?;
+                    Ros2SessionSubscriber::from_subscription(&node, subscription, kind.name, &options)
                 }
             };
             Ok(Box::new(subscriber) as Box<dyn SessionSubscriber>)
@@ -198,11 +204,11 @@ impl SessionNode for Ros2SessionNode {
         std::future::ready(open()).boxed()
     }
 
-    fn end(&self, patience: Duration) -> BoxFuture<'_, ()> {
+    fn end(&self, time_limit: Duration) -> BoxFuture<'_, ()> {
         let end = async move {
-            if !self.publishing.finish(patience).await {
+            if !self.publishing.finish(time_limit).await {
                 let node = self.participant.name();
-                tracing::debug!(node, "the last messages of a node of ROS 2 were not acknowledged");
+                tracing::debug!(node, "a ROS 2 node ends before its last messages were acknowledged");
             }
             self.participant.leave();
         };

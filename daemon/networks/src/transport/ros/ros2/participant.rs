@@ -8,15 +8,15 @@ use peernet_ros::ros2::{ParticipantId, Ros2Node, Ros2Settings};
 use crate::transport::ros::interface::NodeFailure;
 
 /// Participants of this process. Their publishers on the topics of a pipeline belong to its earlier connections.
-static OF_THIS_PROCESS: Mutex<BTreeSet<ParticipantId>> = Mutex::new(BTreeSet::new());
+static LOCAL_PARTICIPANTS: Mutex<BTreeSet<ParticipantId>> = Mutex::new(BTreeSet::new());
 
-fn of_this_process() -> MutexGuard<'static, BTreeSet<ParticipantId>> {
-    OF_THIS_PROCESS.lock().unwrap_or_else(PoisonError::into_inner)
+fn local_participants() -> MutexGuard<'static, BTreeSet<ParticipantId>> {
+    LOCAL_PARTICIPANTS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Returns whether a participant belongs to this process.
-pub(super) fn is_of_this_process(id: ParticipantId) -> bool {
-    of_this_process().contains(&id)
+pub(super) fn is_local_participant(id: ParticipantId) -> bool {
+    local_participants().contains(&id)
 }
 
 /// A participant of this process. It is registered as such until it has left its domain.
@@ -37,7 +37,7 @@ impl Participant {
     pub(super) async fn join(settings: Ros2Settings) -> Result<Self, NodeFailure> {
         let node = Ros2Node::new(settings).await?;
         let id = node.id();
-        of_this_process().insert(id);
+        local_participants().insert(id);
         Ok(Self {
             id,
             name: id.to_string(),
@@ -69,7 +69,7 @@ impl Participant {
         self.receive_buffer_bytes
     }
 
-    /// Returns a limit of this host that makes connections worse, with its remedy.
+    /// Returns a warning about a limit of this host that slows connections down, and what to do about it.
     pub(super) fn caveat(&self) -> Option<&str> {
         self.caveat.as_deref()
     }
@@ -77,7 +77,7 @@ impl Participant {
     /// Leaves the domain at once.
     pub(super) fn leave(&self) {
         let node = self.lock().take();
-        of_this_process().remove(&self.id);
+        local_participants().remove(&self.id);
         // Dropping the node leaves the domain on a separate thread.
         drop(node);
     }

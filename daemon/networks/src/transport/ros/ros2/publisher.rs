@@ -1,13 +1,13 @@
 //! Publisher that keeps the order of messages and never waits.
 //!
-//! `rustdds` sends a message as fast as it can, and repairs slowly what does not fit into a receive buffer. Therefore
-//! only little may be unacknowledged. Messages that find no room wait in a queue for a task.
+//! `rustdds` sends a message as fast as it can, and slowly retransmits what does not fit into a receive buffer. The
+//! number of unacknowledged bytes is therefore limited. Further messages wait in a queue for a task.
 //!
-//! A reliable subscription that does not keep up must not stop the others. `rustdds` keeps what it lacks, up to 1,024
-//! messages, and does not write any more then. If other programs subscribe as well, acknowledgments are awaited for at
-//! most 50 ms. The topic is given up after 5 s without room, or with 256 MiB kept; the edge then opens another session.
-//! Messages that a viewer misses are only its own loss. A viewer with *keep last*, the default in ROS 2, acknowledges
-//! what arrived whether or not its program reads it.
+//! A reliable subscription that does not keep up must not stop the others. `rustdds` stores up to 1,024 messages that
+//! such a subscription has not acknowledged, and then refuses further ones. If other programs subscribe as well, the task
+//! waits at most 50 ms for acknowledgments. The topic ends if a message waits for 5 s, or if 256 MiB are unacknowledged;
+//! the edge then opens another session. Messages that only a viewer misses do not matter to the session. A viewer with
+//! *keep last*, the default in ROS 2, acknowledges what arrives, whether or not its program reads it.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -27,20 +27,20 @@ use super::publishing_tasks::PublishingTasks;
 use crate::transport::ros::interface::{NodeFailure, SessionPublisher};
 
 /// Time limit for acknowledgments while other programs, which may be slow, subscribe as well.
-const WAIT_BESIDE_OTHERS: Duration = Duration::from_millis(50);
+const SHARED_TOPIC_TIMEOUT: Duration = Duration::from_millis(50);
 
-/// Longest time without an acknowledgment.
-const MAX_STALL: Duration = Duration::from_secs(5);
+/// Longest time for which a message may wait because earlier ones are not acknowledged.
+const MAX_UNACKNOWLEDGED_TIME: Duration = Duration::from_secs(5);
 
-/// Largest number of bytes that are kept for subscriptions that do not acknowledge.
-const MAX_KEPT_BYTES: usize = 256 * 1024 * 1024;
+/// Largest number of bytes that are stored for subscriptions that do not acknowledge them.
+const MAX_UNACKNOWLEDGED_BYTES: usize = 256 * 1024 * 1024;
 
 /// A publisher and its queue.
 pub(super) struct Ros2SessionPublisher {
-    shared: Arc<Shared>,
+    shared: Arc<PublisherState>,
 }
 
-struct Shared {
+struct PublisherState {
     publisher: Ros2Publisher,
     topic: String,
     clock: SharedClock,
@@ -53,11 +53,11 @@ struct Shared {
 struct Queue {
     messages: VecDeque<Bytes>,
     bytes: usize,
-    most_bytes: usize,
-    /// `true` while the task publishes the oldest message.
+    max_bytes: usize,
+    /// `true` while the task waits to publish the oldest message.
     is_busy: bool,
     /// Bytes published since everything was acknowledged.
-    kept_bytes: usize,
+    unacknowledged_bytes: usize,
     is_closed: bool,
     failure: Option<NodeFailure>,
 }
@@ -65,13 +65,13 @@ struct Queue {
 impl Ros2SessionPublisher {
     pub(super) fn new(
         publisher: Ros2Publisher,
-        most_bytes: usize,
+        max_bytes: usize,
         clock: SharedClock,
         tasks: &PublishingTasks,
     ) -> Self {
-        let queue = Mutex::new(Queue { most_bytes, ..Queue::default() });
+        let queue = Mutex::new(Queue { max_bytes, ..Queue::default() });
         let topic = publisher.topic().to_owned();
-        let shared = Arc::new(Shared { publisher, topic, clock, queue, changed: Notify::new() });
+        let shared = Arc::new(PublisherState { publisher, topic, clock, queue, changed: Notify::new() });
         let publishing = Arc::clone(&shared);
         tasks.spawn(|stop| publishing.run(stop));
         Self { shared }
@@ -86,12 +86,12 @@ impl Ros2SessionPublisher {
         let bytes: usize = messages.iter().map(EncodedMessage::len).sum();
         let is_empty = queue.messages.is_empty() && !queue.is_busy;
         // One message alone always fits, whatever the limit.
-        if !is_empty && queue.bytes.saturating_add(bytes) > queue.most_bytes {
+        if !is_empty && queue.bytes.saturating_add(bytes) > queue.max_bytes {
             return Ok(Delivery::Full);
         }
         for message in messages {
             let message = message.clone().into_bytes();
-            // The sending task publishes at once if there is room, because a switch to another task would take time.
+            // Published at once if nothing is queued, because a switch to another task would take time.
             if queue.messages.is_empty() && !queue.is_busy && shared.publish(&mut queue, &message)? {
                 continue;
             }
@@ -99,20 +99,20 @@ impl Ros2SessionPublisher {
             queue.messages.push_back(message);
             shared.changed.notify_one();
         }
-        Ok(Delivery::Taken)
+        Ok(Delivery::Accepted)
     }
 }
 
-impl Shared {
+impl PublisherState {
     fn queue(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Publishes a message if there is room. Returns whether it was published.
+    /// Publishes a message if `rustdds` accepts it now. Returns whether it was published.
     fn publish(&self, queue: &mut Queue, message: &Bytes) -> Result<bool, Ros2Error> {
         let published = self.publisher.try_publish(message.clone(), self.clock.wall())?.is_some();
         if published {
-            queue.kept_bytes += message.len();
+            queue.unacknowledged_bytes += message.len();
         }
         Ok(published)
     }
@@ -132,8 +132,8 @@ impl Shared {
             };
             match next {
                 Ok(message) => {
-                    if let Err(failure) = self.publish_in_time(&message).await {
-                        tracing::warn!(topic = self.topic, %failure, "a topic of ROS 2 is given up");
+                    if let Err(failure) = self.publish_when_accepted(&message).await {
+                        tracing::warn!(topic = self.topic, %failure, "stopped publishing a ROS 2 topic");
                         let mut queue = self.queue();
                         *queue = Queue { failure: Some(failure), ..Queue::default() };
                         return;
@@ -148,29 +148,29 @@ impl Shared {
                 }
             }
         }
-        if let Err(error) = self.publisher.await_acknowledgment(MAX_STALL).await {
-            tracing::debug!(topic = self.topic, %error, "a topic of ROS 2 ended before all was acknowledged");
+        if let Err(error) = self.publisher.wait_for_acknowledgment(MAX_UNACKNOWLEDGED_TIME).await {
+            tracing::debug!(topic = self.topic, %error, "a ROS 2 topic ended before all messages were acknowledged");
         }
     }
 
-    async fn publish_in_time(&self, message: &Bytes) -> Result<(), NodeFailure> {
-        let begin = Instant::now();
+    async fn publish_when_accepted(&self, message: &Bytes) -> Result<(), NodeFailure> {
+        let started_at = Instant::now();
         loop {
             if self.publish(&mut self.queue(), message)? {
                 return Ok(());
             }
             let others = self.publisher.peers().borrow().matched.len();
-            let wait = if others > 1 { WAIT_BESIDE_OTHERS } else { MAX_STALL };
-            match timeout(wait, self.publisher.await_acknowledgment(wait)).await {
-                Ok(Ok(())) => self.queue().kept_bytes = 0,
+            let wait = if others > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
+            match timeout(wait, self.publisher.wait_for_acknowledgment(wait)).await {
+                Ok(Ok(())) => self.queue().unacknowledged_bytes = 0,
                 // Messages that another program misses are kept for it, but do not stop the others.
                 Ok(Err(Ros2Error::Unacknowledged { .. })) | Err(_) => self.publisher.forget_unacknowledged(),
                 Ok(Err(error)) => return Err(error.into()),
             }
-            let kept = self.queue().kept_bytes;
-            if begin.elapsed() >= MAX_STALL || kept > MAX_KEPT_BYTES {
+            let unacknowledged = self.queue().unacknowledged_bytes;
+            if started_at.elapsed() >= MAX_UNACKNOWLEDGED_TIME || unacknowledged > MAX_UNACKNOWLEDGED_BYTES {
                 return Err(NodeFailure(format!(
-                    "{others} subscriptions of topic {} do not acknowledge what was published ({kept} bytes); stop programs that \
+                    "{others} subscriptions of topic {} do not acknowledge what was published ({unacknowledged} bytes); stop programs that \
                      only watch it and do not keep up, or raise net.core.rmem_max on their hosts",
                     self.topic
                 )));
@@ -179,7 +179,7 @@ impl Shared {
     }
 }
 
-fn is_of(id: EndpointId, node: &str) -> bool {
+fn is_endpoint_of(id: EndpointId, node: &str) -> bool {
     id.participant().to_string() == node
 }
 
@@ -208,8 +208,8 @@ impl SessionPublisher for Ros2SessionPublisher {
         }
     }
 
-    // Always taken. DDS does not say whether the other end has found the publisher as well. A payload topic is used
-    // when companions confirm it, and a node that is gone is noticed by its own topics.
+    // Never `Absent`: DDS does not report whether the other end has found this publisher. Payload topics are used only
+    // after companions have confirmed them, and the end of a node is noticed by the end of its own topics.
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.offer(messages)
     }
@@ -217,7 +217,7 @@ impl SessionPublisher for Ros2SessionPublisher {
     fn refusal(&self, node: &str) -> Option<String> {
         let peers = self.shared.publisher.peers();
         let peers = peers.borrow();
-        let (_, refusal) = peers.refused.iter().find(|(id, _)| is_of(**id, node))?;
+        let (_, refusal) = peers.refused.iter().find(|(id, _)| is_endpoint_of(**id, node))?;
         Some(format!(
             "the other end does not receive topic {}: {refusal}; give both ends the same keys in session.ros2",
             self.shared.topic

@@ -22,11 +22,11 @@ impl PublishingTasks {
         self.tracker.spawn(task(self.stop.clone()));
     }
 
-    /// Asks all tasks to end. Returns whether they have sent everything within `patience`.
-    pub(super) async fn finish(&self, patience: Duration) -> bool {
+    /// Asks all tasks to end. Returns whether they have sent everything within `time_limit`.
+    pub(super) async fn finish(&self, time_limit: Duration) -> bool {
         self.stop.cancel();
         self.tracker.close();
-        timeout(patience, self.tracker.wait()).await.is_ok()
+        timeout(time_limit, self.tracker.wait()).await.is_ok()
     }
 }
 

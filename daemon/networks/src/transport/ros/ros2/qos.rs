@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_ros::ros2::{EndpointRole, QosProfile, Reliability};
 
 use crate::settings::Ros2SessionSettings;
-use crate::transport::ros::interface::TopicUse;
+use crate::transport::ros::interface::TopicPurpose;
 
 /// Number of companions that may be received and not yet handed on. Those of a large payload come in many parts.
 const COMPANION_DEPTH: u32 = 256;
@@ -28,20 +28,20 @@ impl SessionQos {
     }
 
     /// Returns the profile of an endpoint.
-    pub(super) fn profile(&self, role: EndpointRole, topic_use: TopicUse) -> QosProfile {
-        match (topic_use, role) {
+    pub(super) fn profile(&self, role: EndpointRole, purpose: TopicPurpose) -> QosProfile {
+        match (purpose, role) {
             // Companions are always reliable, because they detect the loss of payloads.
-            (TopicUse::Sessions | TopicUse::Companions, _) => {
+            (TopicPurpose::Sessions | TopicPurpose::Companions, _) => {
                 QosProfile { depth: COMPANION_DEPTH, ..QosProfile::default() }
             }
-            (TopicUse::Payloads, EndpointRole::Publisher) => QosProfile {
+            (TopicPurpose::Payloads, EndpointRole::Publisher) => QosProfile {
                 reliability: self.reliability,
                 depth: self.depth,
                 deadline_ms: self.deadline_ms.map(|ms| ms as f64),
                 ..QosProfile::default()
             },
             // The deadline is offered and not requested, so that the two ends need not agree on one.
-            (TopicUse::Payloads, EndpointRole::Subscription) => {
+            (TopicPurpose::Payloads, EndpointRole::Subscription) => {
                 QosProfile { reliability: self.reliability, depth: self.depth, ..QosProfile::default() }
             }
         }
@@ -68,12 +68,12 @@ mod tests {
     fn settings_concern_payloads_and_deadline_is_only_offered() {
         let qos = qos(Reliability::BestEffort, Some(50));
         for role in [EndpointRole::Publisher, EndpointRole::Subscription] {
-            let companions = qos.profile(role, TopicUse::Companions);
+            let companions = qos.profile(role, TopicPurpose::Companions);
             assert_eq!((companions.reliability, companions.deadline_ms), (Reliability::Reliable, None));
-            assert_eq!(qos.profile(role, TopicUse::Payloads).reliability, Reliability::BestEffort);
+            assert_eq!(qos.profile(role, TopicPurpose::Payloads).reliability, Reliability::BestEffort);
         }
-        assert_eq!(qos.profile(EndpointRole::Publisher, TopicUse::Payloads).deadline_ms, Some(50.0));
-        assert_eq!(qos.profile(EndpointRole::Subscription, TopicUse::Payloads).deadline_ms, None);
+        assert_eq!(qos.profile(EndpointRole::Publisher, TopicPurpose::Payloads).deadline_ms, Some(50.0));
+        assert_eq!(qos.profile(EndpointRole::Subscription, TopicPurpose::Payloads).deadline_ms, None);
     }
 
     #[test]

@@ -1,6 +1,4 @@
-//! Subscriber that takes messages out of the cache of `rustdds` at once.
-//!
-//! `rustdds` drops messages that are not read soon, so a task takes them as they arrive.
+//! Subscriber with a task that reads messages from `rustdds` as they arrive, because `rustdds` soon drops unread ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -12,7 +10,7 @@ use futures::future::BoxFuture;
 use peernet_ros::messages::{CompressedImage, Image, Message, UInt8MultiArray};
 use peernet_ros::ros1::{MemoryLimit, MessageMemory, SubscriberOptions};
 use peernet_ros::ros2::{
-    EndpointId, EndpointRole, FoundEndpoint, ParticipantId, QosProfile, Ros2Node, Ros2Subscription,
+    DiscoveredEndpoint, EndpointId, EndpointRole, ParticipantId, QosProfile, Ros2Node, Ros2Subscription,
 };
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
@@ -24,12 +22,12 @@ use crate::transport::ros::interface::{
     NodeFailure, PublisherChanges, RemoteNode, SessionSubscriber, TopicMessage,
 };
 
-/// Largest number of bytes of waiting messages. A ROS 2 publisher cannot be slowed down, so further messages are
-/// dropped.
-const MAX_WAITING_BYTES: usize = 128 * 1024 * 1024;
+/// Largest number of bytes of queued messages. Further messages are dropped, because a ROS 2 publisher cannot be slowed
+/// down.
+const MAX_QUEUED_BYTES: usize = 128 * 1024 * 1024;
 
-/// Largest number of waiting messages.
-const MAX_WAITING_MESSAGES: usize = 8_192;
+/// Largest number of queued messages.
+const MAX_QUEUED_MESSAGES: usize = 8_192;
 
 /// Largest number of publishers that have sent messages and that discovery has not found yet.
 const MAX_UNMATCHED_WRITERS: usize = 64;
@@ -39,40 +37,42 @@ pub(super) struct Ros2SessionSubscriber {
     topic: String,
     messages: mpsc::Receiver<Result<TopicMessage, NodeFailure>>,
     publishers: Publishers,
-    bounds: Arc<SubscriberLimits>,
+    limits: Arc<SubscriberLimits>,
     _task: AbortOnDropHandle<()>,
 }
 
 #[derive(Debug, Default)]
 struct SubscriberLimits {
     max_message_bytes: AtomicUsize,
-    waiting_bytes: AtomicUsize,
+    queued_bytes: AtomicUsize,
 }
 
 /// Reason why a subscription ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SubscriptionEnd {
-    ForGood,
-    OtherType,
+    /// The subscriber was dropped, or the subscription failed.
+    Closed,
+    /// There are only publishers of another type.
+    TypeChanged,
 }
 
 /// State of a subscriber's task.
 struct SubscriberTask {
     node: Arc<Ros2Node>,
     topic: String,
-    /// The only participant whose messages are wanted, if it is known.
+    /// The only participant whose messages are received, if it is known.
     publisher: Option<Arc<str>>,
     takes_any_type: bool,
     messages: mpsc::Sender<Result<TopicMessage, NodeFailure>>,
     publishers: watch::Sender<BTreeSet<Arc<str>>>,
-    bounds: Arc<SubscriberLimits>,
+    limits: Arc<SubscriberLimits>,
     /// Participants whose messages arrived.
-    known: BTreeMap<ParticipantId, RemoteNode>,
+    remote_nodes: BTreeMap<ParticipantId, RemoteNode>,
 }
 
 impl Ros2SessionSubscriber {
     /// Receives the messages of a subscription.
-    pub(super) fn of(
+    pub(super) fn from_subscription(
         node: &Arc<Ros2Node>,
         subscription: Ros2Subscription,
         type_name: Arc<str>,
@@ -84,8 +84,8 @@ impl Ros2SessionSubscriber {
         })
     }
 
-    /// Receives messages of the type that the publisher gives the topic, once the publisher is there.
-    pub(super) fn of_any_type(
+    /// Receives messages of the type that the publisher gives the topic, once discovery has found the publisher.
+    pub(super) fn with_any_type(
         node: &Arc<Ros2Node>,
         topic: &str,
         qos: QosProfile,
@@ -96,9 +96,9 @@ impl Ros2SessionSubscriber {
             // The next connection of a pipeline may give its topic another type.
             loop {
                 let type_name = receiving.payload_type().await;
-                match receiving.node.subscription(&receiving.topic, &ros2_name(type_name), &qos) {
+                match receiving.node.create_subscription(&receiving.topic, &ros2_name(type_name), &qos) {
                     Ok(subscription) => {
-                        if receiving.run(subscription, type_name.into()).await == SubscriptionEnd::ForGood {
+                        if receiving.run(subscription, type_name.into()).await == SubscriptionEnd::Closed {
                             return;
                         }
                     }
@@ -115,9 +115,9 @@ impl Ros2SessionSubscriber {
         run: impl FnOnce(SubscriberTask) -> F,
     ) -> Self {
         let ((sender, messages), (found, publishers)) =
-            (mpsc::channel(MAX_WAITING_MESSAGES), watch::channel(BTreeSet::new()));
-        let bounds = Arc::new(SubscriberLimits::default());
-        bounds.max_message_bytes.store(options.max_message_bytes, Ordering::Relaxed);
+            (mpsc::channel(MAX_QUEUED_MESSAGES), watch::channel(BTreeSet::new()));
+        let limits = Arc::new(SubscriberLimits::default());
+        limits.max_message_bytes.store(options.max_message_bytes, Ordering::Relaxed);
         let receiving = SubscriberTask {
             node: Arc::clone(node),
             topic: topic.clone(),
@@ -125,16 +125,19 @@ impl Ros2SessionSubscriber {
             takes_any_type: false,
             messages: sender,
             publishers: found,
-            bounds: Arc::clone(&bounds),
-            known: BTreeMap::new(),
+            limits: Arc::clone(&limits),
+            remote_nodes: BTreeMap::new(),
         };
         let task = AbortOnDropHandle::new(tokio::spawn(run(receiving)));
-        Self { topic, messages, publishers, bounds, _task: task }
+        Self { topic, messages, publishers, limits, _task: task }
     }
 
-    fn taken(&self, message: Result<TopicMessage, NodeFailure>) -> Result<TopicMessage, NodeFailure> {
+    fn release_memory(
+        &self,
+        message: Result<TopicMessage, NodeFailure>,
+    ) -> Result<TopicMessage, NodeFailure> {
         let bytes = message.as_ref().map_or(0, |message| message.bytes.len());
-        self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
+        self.limits.queued_bytes.fetch_sub(bytes, Ordering::Relaxed);
         message
     }
 }
@@ -144,13 +147,13 @@ impl SubscriberTask {
     fn payload_types(&self) -> Vec<&'static str> {
         let types =
             [Image::DEFINITION.name, CompressedImage::DEFINITION.name, UInt8MultiArray::DEFINITION.name];
-        let is_wanted = |found: &&FoundEndpoint| {
+        let is_from_publisher = |found: &&DiscoveredEndpoint| {
             let wanted = self.publisher.as_deref();
             found.role == EndpointRole::Publisher
                 && wanted.is_none_or(|wanted| found.id.participant().to_string() == wanted)
         };
         let found = self.node.endpoints_of(&self.topic);
-        let found = found.iter().filter(is_wanted);
+        let found = found.iter().filter(is_from_publisher);
         found.filter_map(|found| types.into_iter().find(|kind| ros2_name(kind) == found.type_name)).collect()
     }
 
@@ -181,67 +184,71 @@ impl SubscriberTask {
             if matched.is_empty() && is_refused && self.takes_any_type {
                 let types = self.payload_types();
                 if !types.is_empty() && !types.contains(&&*type_name) {
-                    return SubscriptionEnd::OtherType;
+                    return SubscriptionEnd::TypeChanged;
                 }
             }
             unmatched_writers.retain(|id| !matched.contains(id));
             let names: BTreeSet<Arc<str>> = matched
                 .iter()
                 .chain(&unmatched_writers)
-                .map(|id| self.remote(id.participant()).node)
+                .map(|id| self.remote_node(id.participant()).node)
                 .collect();
-            self.publishers.send_if_modified(|known| {
-                let is_changed = *known != names;
-                *known = names;
+            self.publishers.send_if_modified(|current| {
+                let is_changed = *current != names;
+                *current = names;
                 is_changed
             });
             let message = tokio::select! {
                 message = subscription.receive() => message,
                 changed = peers.changed() => match changed {
                     Ok(()) => continue,
-                    Err(_) => return SubscriptionEnd::ForGood,
+                    Err(_) => return SubscriptionEnd::Closed,
                 },
             };
             let message = match message {
                 Ok(message) => message,
                 Err(error) => {
                     self.fail(error.into()).await;
-                    return SubscriptionEnd::ForGood;
+                    return SubscriptionEnd::Closed;
                 }
             };
             if !matched.contains(&message.writer) && unmatched_writers.len() < MAX_UNMATCHED_WRITERS {
                 unmatched_writers.insert(message.writer);
             }
-            let (bytes, waiting) = (message.payload.len(), self.bounds.waiting_bytes.load(Ordering::Relaxed));
-            let longest = self.bounds.max_message_bytes.load(Ordering::Relaxed);
-            // Dropped: a ROS 2 publisher cannot be slowed down, and the queue must not grow.
-            if bytes > longest || waiting.saturating_add(bytes) > MAX_WAITING_BYTES {
+            let (bytes, queued) = (message.payload.len(), self.limits.queued_bytes.load(Ordering::Relaxed));
+            let longest = self.limits.max_message_bytes.load(Ordering::Relaxed);
+            // A ROS 2 publisher cannot be slowed down, and the queue must not grow without limit.
+            if bytes > longest || queued.saturating_add(bytes) > MAX_QUEUED_BYTES {
                 tracing::debug!(
                     topic = subscription.topic(),
                     bytes,
-                    waiting,
-                    "a message of ROS 2 is dropped"
+                    waiting = queued,
+                    "dropped a ROS 2 message: it is too long, or too many messages are queued"
                 );
                 continue;
             }
-            self.bounds.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
-            let publisher = self.remote(message.writer.participant());
+            self.limits.queued_bytes.fetch_add(bytes, Ordering::Relaxed);
+            let publisher = self.remote_node(message.writer.participant());
             let memory = MessageMemory::default();
             let received =
                 TopicMessage { bytes: message.payload, publisher, type_name: Arc::clone(&type_name), memory };
             match self.messages.try_send(Ok(received)) {
                 Ok(()) => {}
                 Err(TrySendError::Full(_)) => {
-                    self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
-                    tracing::debug!(topic = subscription.topic(), bytes, "a message of ROS 2 is dropped");
+                    self.limits.queued_bytes.fetch_sub(bytes, Ordering::Relaxed);
+                    tracing::debug!(
+                        topic = subscription.topic(),
+                        bytes,
+                        "dropped a ROS 2 message: too many messages are queued"
+                    );
                 }
-                Err(TrySendError::Closed(_)) => return SubscriptionEnd::ForGood,
+                Err(TrySendError::Closed(_)) => return SubscriptionEnd::Closed,
             }
         }
     }
 
-    fn remote(&mut self, id: ParticipantId) -> RemoteNode {
-        self.known.entry(id).or_insert_with(|| remote_node(&self.node, id)).clone()
+    fn remote_node(&mut self, id: ParticipantId) -> RemoteNode {
+        self.remote_nodes.entry(id).or_insert_with(|| remote_node(&self.node, id)).clone()
     }
 
     async fn fail(&self, failure: NodeFailure) {
@@ -265,14 +272,14 @@ impl SessionSubscriber for Ros2SessionSubscriber {
         let receive = async {
             let ended = || Err(NodeFailure(format!("topic {} has ended", self.topic)));
             let message = self.messages.recv().await.unwrap_or_else(ended);
-            self.taken(message)
+            self.release_memory(message)
         };
         receive.boxed()
     }
 
     fn try_recv(&mut self) -> Option<TopicMessage> {
         let message = self.messages.try_recv().ok()?;
-        self.taken(message).ok()
+        self.release_memory(message).ok()
     }
 
     fn is_connected(&self, node: &str) -> bool {
@@ -285,9 +292,9 @@ impl SessionSubscriber for Ros2SessionSubscriber {
         Box::new(WatchedPublishers(publishers))
     }
 
-    // The memory is reserved when frames are made of a message; `rustdds` has no limit that could be set.
+    // The memory limit is ignored: `rustdds` has none that could be set, and the connection reserves the memory later.
     fn set_message_limits(&self, max_message_bytes: usize, _memory: Option<Arc<dyn MemoryLimit>>) {
-        self.bounds.max_message_bytes.store(max_message_bytes, Ordering::Relaxed);
+        self.limits.max_message_bytes.store(max_message_bytes, Ordering::Relaxed);
     }
 }
 

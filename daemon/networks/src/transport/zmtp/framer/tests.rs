@@ -17,7 +17,7 @@ fn allowance(stage: Stage) -> Allowance {
 fn greeted(allowance: &Allowance) -> Framer {
     let mut framer = Framer::new(allowance);
     let mut out = Vec::new();
-    framer.input(&[7; GREETING_BYTES], allowance, &mut out).expect("a greeting is let through");
+    framer.receive(&[7; GREETING_BYTES], allowance, &mut out).expect("a greeting is let through");
     assert_eq!(out.iter().map(|piece| piece.bytes.len()).sum::<usize>(), GREETING_BYTES);
     framer
 }
@@ -40,22 +40,22 @@ fn header(flags: u8, claimed: u64) -> Vec<u8> {
 fn claimed_length_reserves_no_memory() {
     let allowance = allowance(Stage::Admitted);
     let mut framer = greeted(&allowance);
-    framer.input(&header(0, 1_000_000), &allowance, &mut Vec::new()).expect("is allowed");
-    assert!(allowance.admitted.held() <= (FIRST_BYTES + FRAME_OVERHEAD_BYTES) as u64);
+    framer.receive(&header(0, 1_000_000), &allowance, &mut Vec::new()).expect("is allowed");
+    assert!(allowance.admitted.reserved_bytes() <= (FIRST_BYTES + FRAME_OVERHEAD_BYTES) as u64);
     drop(framer);
-    assert_eq!(allowance.admitted.held(), 0);
+    assert_eq!(allowance.admitted.reserved_bytes(), 0);
 }
 
 #[test]
 fn claims_before_the_hello_are_refused_above_64_kib() {
     let allowance = allowance(Stage::Unadmitted);
     for claimed in [MAX_UNADMITTED_BYTES as u64, 60_000_000, u64::MAX] {
-        let result = greeted(&allowance).input(&header(0, claimed), &allowance, &mut Vec::new());
+        let result = greeted(&allowance).receive(&header(0, claimed), &allowance, &mut Vec::new());
         assert_eq!(result.expect_err("is too much").0, Rejection::LargeBeforeHello);
     }
     let mut framer = greeted(&allowance);
     let part = frame(MORE, &[0; 1_000]);
-    let many = (0..100).map_while(|_| framer.input(&part, &allowance, &mut Vec::new()).ok()).count();
+    let many = (0..100).map_while(|_| framer.receive(&part, &allowance, &mut Vec::new()).ok()).count();
     assert_eq!(
         many,
         MAX_UNADMITTED_BYTES / (1_000 + FRAME_OVERHEAD_BYTES),
@@ -70,12 +70,12 @@ fn exhausted_budget_ends_connection_needing_more() {
     let unfinished = [header(0, 1_000_000), vec![1; 999_999]].concat();
     let failed = framers
         .iter_mut()
-        .filter_map(|framer| framer.input(&unfinished, &allowance, &mut Vec::new()).err())
+        .filter_map(|framer| framer.receive(&unfinished, &allowance, &mut Vec::new()).err())
         .collect::<Vec<_>>();
     assert!(matches!(&failed[..], [(Rejection::NoMemory, _)]), "{failed:?}");
     framers.truncate(1);
     let mut out = Vec::new();
-    framers[0].input(&[1], &allowance, &mut out).expect("the others go on");
+    framers[0].receive(&[1], &allowance, &mut out).expect("the others go on");
     assert!(out[0].message.is_some());
 }
 
@@ -85,11 +85,11 @@ fn memory_is_reserved_until_message_is_dropped() {
     let mut framer = greeted(&allowance);
     let mut out = Vec::new();
     let bytes = [frame(MORE, &[1; 10]), frame(0, &[2; 200_000])].concat();
-    framer.input(&bytes, &allowance, &mut out).expect("is allowed");
+    framer.receive(&bytes, &allowance, &mut out).expect("is allowed");
     drop(framer);
-    assert_eq!(allowance.admitted.held(), 200_010 + 2 * FRAME_OVERHEAD_BYTES as u64);
+    assert_eq!(allowance.admitted.reserved_bytes(), 200_010 + 2 * FRAME_OVERHEAD_BYTES as u64);
     out.clear();
-    assert_eq!(allowance.admitted.held(), 0);
+    assert_eq!(allowance.admitted.reserved_bytes(), 0);
 }
 
 #[test]
@@ -97,18 +97,18 @@ fn long_frame_is_read_into_own_buffer() {
     let allowance = allowance(Stage::Admitted);
     let mut framer = greeted(&allowance);
     let mut out = Vec::new();
-    framer.input(&[header(0, 300_000), vec![1; 100]].concat(), &allowance, &mut out).expect("is allowed");
+    framer.receive(&[header(0, 300_000), vec![1; 100]].concat(), &allowance, &mut out).expect("is allowed");
     let mut reads = 0;
     while let Some(mut buffer) = framer.direct_buffer(&allowance).expect("there is memory") {
         let room = buffer.remaining_mut();
         buffer.put_bytes(1, room);
-        framer.filled(&allowance, &mut out).expect("is allowed");
+        framer.complete_direct_read(&allowance, &mut out).expect("is allowed");
         reads += 1;
     }
     assert_eq!(out.last().map(|piece| (piece.bytes.len(), piece.message.is_some())), Some((300_000, true)));
     assert_eq!(reads, 5, "64 KiB each");
     // The next frame of this length gets its whole buffer at once.
-    framer.input(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
+    framer.receive(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
     let room =
         framer.direct_buffer(&allowance).expect("there is memory").map(|buffer| buffer.remaining_mut());
     assert_eq!((room, framer.reserved_bytes() >= 300_000), (Some(64 << 10), true));
@@ -129,7 +129,7 @@ proptest! {
         let (mut rest, mut out, mut cuts) = (&bytes[..], Vec::new(), cuts.iter().cycle());
         while !rest.is_empty() {
             let cut = rest.len().min(*cuts.next().expect("cycles"));
-            framer.input(&rest[..cut], &allowance, &mut out).expect("is allowed");
+            framer.receive(&rest[..cut], &allowance, &mut out).expect("is allowed");
             rest = &rest[cut..];
         }
         let joined: Vec<u8> = out.iter().flat_map(|piece| piece.bytes.to_vec()).collect();
@@ -147,10 +147,10 @@ proptest! {
         let mut framer = greeted(&allowance);
         let mut out = Vec::new();
         for chunk in chunks {
-            if framer.input(&chunk, &allowance, &mut out).is_err() {
+            if framer.receive(&chunk, &allowance, &mut out).is_err() {
                 break;
             }
-            let held = allowance.admitted.held() + allowance.unadmitted.held();
+            let held = allowance.admitted.reserved_bytes() + allowance.unadmitted.reserved_bytes();
             prop_assert!(held <= BUDGET);
             if stage == Stage::Unadmitted {
                 let unfinished = framer.reserved_bytes();
@@ -158,6 +158,6 @@ proptest! {
             }
         }
         drop((framer, out));
-        prop_assert_eq!(allowance.admitted.held() + allowance.unadmitted.held(), 0);
+        prop_assert_eq!(allowance.admitted.reserved_bytes() + allowance.unadmitted.reserved_bytes(), 0);
     }
 }

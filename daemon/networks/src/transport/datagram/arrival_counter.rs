@@ -1,8 +1,8 @@
 //! Counts the datagrams of one direction of a connection: arrived, duplicated, reordered and lost ones.
 //!
 //! Every datagram with data has a number, the next one of its connection and direction. A retransmission gets a new
-//! number (as packet numbers in RFC 9000, section 12.3). A missing number is waited for before it counts as lost, so
-//! that no total ever decreases.
+//! number (as packet numbers in RFC 9000, section 12.3). A missing number counts as lost only after a delay, so that a
+//! late datagram does not decrease a total.
 
 mod gap_check;
 
@@ -15,8 +15,8 @@ use crate::statistics::DatagramStatistics;
 /// Shortest time after which a missing number counts as lost. The longest is twice that.
 const LOSS_DELAY: Span = Span::from_seconds(1);
 
-/// Number of numbers below the highest one for which it is remembered whether they arrived. A datagram with an older
-/// number is not counted, because it may be a duplicate.
+/// Number of the latest datagram numbers for which it is stored whether they arrived. A datagram with an older number is
+/// not counted, because it may be a duplicate.
 const REMEMBERED_NUMBERS: u64 = 4_096;
 
 /// Totals that the receiving end of a direction reports to its sending end.
@@ -33,19 +33,19 @@ pub(crate) struct ArrivalTotals {
 impl ArrivalTotals {
     /// Returns the larger value of each total. Reports may arrive out of order.
     pub(crate) fn max(self, other: Self) -> Self {
-        self.of_each(other, u64::max)
+        self.map_totals(other, u64::max)
     }
 
     /// Returns the smaller value of each total.
     pub(crate) fn min(self, other: Self) -> Self {
-        self.of_each(other, u64::min)
+        self.map_totals(other, u64::min)
     }
 
-    fn of_each(self, other: Self, choose: fn(u64, u64) -> u64) -> Self {
+    fn map_totals(self, other: Self, select: fn(u64, u64) -> u64) -> Self {
         Self {
-            lost: choose(self.lost, other.lost),
-            duplicated: choose(self.duplicated, other.duplicated),
-            reordered: choose(self.reordered, other.reordered),
+            lost: select(self.lost, other.lost),
+            duplicated: select(self.duplicated, other.duplicated),
+            reordered: select(self.reordered, other.reordered),
         }
     }
 }
@@ -56,16 +56,16 @@ pub(crate) struct ArrivalCounter {
     /// Number of datagrams that arrived, including duplicates.
     datagrams: u64,
     totals: ArrivalTotals,
-    /// Numbers below this one have been sent, as far as is known.
+    /// Numbers below this one are known to have been sent.
     next: u64,
     /// One bit for each remembered number, at the number modulo [`REMEMBERED_NUMBERS`].
     present: Vec<u64>,
-    /// Numbers below this one have arrived or count as lost.
-    decided: u64,
-    /// Numbers below this one were sent before `since`. They are decided when the wait is over.
-    waiting: u64,
-    since: MonoTime,
-    /// Arrived numbers from `decided` to `waiting`, and from `waiting` on.
+    /// Numbers below this one have been counted: they have arrived or are lost.
+    counted_below: u64,
+    /// Numbers below this one were sent before `pending_since`. Those that are missing after [`LOSS_DELAY`] count as lost.
+    pending_below: u64,
+    pending_since: MonoTime,
+    /// Number of arrived numbers from `counted_below` to `pending_below`, and from `pending_below` on.
     arrived: (u64, u64),
     gaps: GapCheck,
 }
@@ -77,66 +77,66 @@ impl ArrivalCounter {
             totals: ArrivalTotals::default(),
             next: 0,
             present: vec![0; (REMEMBERED_NUMBERS / 64) as usize],
-            decided: 0,
-            waiting: 0,
-            since: now,
+            counted_below: 0,
+            pending_below: 0,
+            pending_since: now,
             arrived: (0, 0),
             gaps: GapCheck::new(now),
         }
     }
 
     /// Counts a datagram that arrived. `number` is the lower half of its number.
-    pub(crate) fn arrive(&mut self, number: u32, now: MonoTime) {
-        self.decide(now);
+    pub(crate) fn record_arrival(&mut self, number: u32, now: MonoTime) {
+        self.count_losses(now);
         self.datagrams += 1;
-        let ahead = self.ahead(number);
-        if ahead >= 0 {
-            let number = self.next + ahead.unsigned_abs();
-            if self.is_believed(NextNumber { number, has_arrived: true }, now) {
-                self.arrive_next(number);
+        let distance = self.distance_to(number);
+        if distance >= 0 {
+            let number = self.next + distance.unsigned_abs();
+            if self.is_plausible(NextNumber { number, has_arrived: true }, now) {
+                self.record_next_arrival(number);
             }
             return;
         }
-        let Some(number) = self.next.checked_add_signed(ahead) else { return };
+        let Some(number) = self.next.checked_add_signed(distance) else { return };
         if self.next - number > REMEMBERED_NUMBERS {
             return;
         }
-        if !self.mark(number) {
+        if !self.set_arrived(number) {
             self.totals.duplicated += 1;
             return;
         }
         self.totals.reordered += 1;
-        if number >= self.waiting {
+        if number >= self.pending_below {
             self.arrived.1 += 1;
-        } else if number >= self.decided {
+        } else if number >= self.counted_below {
             self.arrived.0 += 1;
         }
     }
 
     /// Notes that the other end has sent all numbers below `next`, of which only the lower half is known.
-    pub(crate) fn expect(&mut self, next: u32, now: MonoTime) {
-        self.decide(now);
-        let number = self.next + self.ahead(next).max(0).unsigned_abs();
-        if self.is_believed(NextNumber { number, has_arrived: false }, now) {
+    pub(crate) fn note_sent(&mut self, next: u32, now: MonoTime) {
+        self.count_losses(now);
+        let number = self.next + self.distance_to(next).max(0).unsigned_abs();
+        if self.is_plausible(NextNumber { number, has_arrived: false }, now) {
             self.advance(number.saturating_sub(self.next));
         }
     }
 
-    /// Returns whether a number is believed. If it confirms a number beyond a gap that was held back, the datagram of
-    /// that number is counted now.
-    fn is_believed(&mut self, found: NextNumber, now: MonoTime) -> bool {
+    /// Returns whether a number is plausible. If it confirms an earlier number beyond a gap, which was not counted yet,
+    /// the datagram of that number is counted now.
+    fn is_plausible(&mut self, found: NextNumber, now: MonoTime) -> bool {
         let Some(confirmed) = self.gaps.check(self.next, found, now) else { return false };
         let held_back = confirmed.filter(|held| held.has_arrived && held.number < found.number);
         if let Some(held_back) = held_back {
-            self.arrive_next(held_back.number);
+            self.record_next_arrival(held_back.number);
         }
         true
     }
 
     /// Counts a datagram whose number is not below the next one.
-    fn arrive_next(&mut self, number: u64) {
+    fn record_next_arrival(&mut self, number: u64) {
         self.advance(number + 1 - self.next);
-        self.mark(number);
+        self.set_arrived(number);
         self.arrived.1 += 1;
     }
 
@@ -145,14 +145,14 @@ impl ArrivalCounter {
         self.next += count;
         // A larger jump reuses all bits, which need to be cleared only once.
         for number in self.next - count.min(REMEMBERED_NUMBERS)..self.next {
-            let (word, bit) = place(number);
+            let (word, bit) = bit_position(number);
             self.present[word] &= !bit;
         }
     }
 
     /// Returns the totals that are reported to the other end.
     pub(crate) fn totals(&mut self, now: MonoTime) -> ArrivalTotals {
-        self.decide(now);
+        self.count_losses(now);
         self.totals
     }
 
@@ -164,39 +164,39 @@ impl ArrivalCounter {
             lost: Some(lost),
             duplicated: Some(duplicated),
             reordered: Some(reordered),
-            // Known to the sending end only.
+            // Only the sending end knows which datagrams it retransmitted.
             retransmitted: None,
         }
     }
 
-    /// Returns the distance of a number from the next one, negative for numbers below it. Its absolute value is at most
-    /// half of all 32-bit numbers.
-    fn ahead(&self, number: u32) -> i64 {
+    /// Returns the distance from the next number to `number`; negative for lower numbers. Its absolute value is at most
+    /// half of the 32-bit range.
+    fn distance_to(&self, number: u32) -> i64 {
         i64::from(number.wrapping_sub(self.next as u32) as i32)
     }
 
     /// Notes that a remembered number arrived. Returns whether it had not arrived before.
-    fn mark(&mut self, number: u64) -> bool {
-        let (word, bit) = place(number);
+    fn set_arrived(&mut self, number: u64) -> bool {
+        let (word, bit) = bit_position(number);
         let is_new = self.present[word] & bit == 0;
         self.present[word] |= bit;
         is_new
     }
 
-    /// Counts as lost the numbers that have been missing for long enough.
-    fn decide(&mut self, now: MonoTime) {
-        if now - self.since < LOSS_DELAY {
+    /// Counts the numbers as lost that have been missing for longer than [`LOSS_DELAY`].
+    fn count_losses(&mut self, now: MonoTime) {
+        if now - self.pending_since < LOSS_DELAY {
             return;
         }
         let (before, after) = self.arrived;
-        self.totals.lost += (self.waiting - self.decided).saturating_sub(before);
-        (self.decided, self.waiting) = (self.waiting, self.next);
-        (self.arrived, self.since) = ((after, 0), now);
+        self.totals.lost += (self.pending_below - self.counted_below).saturating_sub(before);
+        (self.counted_below, self.pending_below) = (self.pending_below, self.next);
+        (self.arrived, self.pending_since) = ((after, 0), now);
     }
 }
 
 /// Returns the word and the bit of a remembered number.
-const fn place(number: u64) -> (usize, u64) {
+const fn bit_position(number: u64) -> (usize, u64) {
     let at = number % REMEMBERED_NUMBERS;
     ((at / 64) as usize, 1 << (at % 64))
 }
@@ -219,14 +219,14 @@ mod tests {
     fn missing_number_is_lost_after_wait_and_late_one_is_not() {
         let mut counter = ArrivalCounter::new(at(0));
         for number in [0, 1, 4, 5, 4] {
-            counter.arrive(number, at(10));
+            counter.record_arrival(number, at(10));
         }
         assert_eq!(counter.totals(at(900)), totals(0, 1, 0));
-        counter.arrive(2, at(950));
+        counter.record_arrival(2, at(950));
         // The first call starts the wait for what was sent before it, the second one ends it.
         assert_eq!(counter.totals(at(1_000)), totals(0, 1, 1));
         assert_eq!(counter.totals(at(2_000)), totals(1, 1, 1));
-        counter.arrive(3, at(2_100));
+        counter.record_arrival(3, at(2_100));
         assert_eq!(counter.totals(at(9_000)), totals(1, 1, 2), "no total falls");
         assert_eq!(counter.statistics(at(9_000)).datagrams, Some(7));
     }
@@ -234,25 +234,25 @@ mod tests {
     #[test]
     fn lost_tail_is_counted_by_reported_number() {
         let mut counter = ArrivalCounter::new(at(0));
-        counter.arrive(0, at(0));
-        counter.expect(10, at(10));
-        counter.expect(3, at(10));
+        counter.record_arrival(0, at(0));
+        counter.note_sent(10, at(10));
+        counter.note_sent(3, at(10));
         counter.totals(at(1_000));
         assert_eq!(counter.totals(at(2_000)), totals(9, 0, 0));
     }
 
     #[test]
     fn single_number_far_ahead_counts_nothing_as_lost() {
-        for far in [100, 1 << 20, i32::MAX as u32] {
+        for far_number in [100, 1 << 20, i32::MAX as u32] {
             let mut counter = ArrivalCounter::new(at(0));
-            for number in [0, 1, far, far, 3, 2, 4] {
-                counter.arrive(number, at(10));
+            for number in [0, 1, far_number, far_number, 3, 2, 4] {
+                counter.record_arrival(number, at(10));
             }
-            counter.expect(far, at(20));
-            counter.expect(5, at(30));
+            counter.note_sent(far_number, at(20));
+            counter.note_sent(5, at(30));
             counter.totals(at(1_000));
             counter.totals(at(2_000));
-            assert_eq!(counter.totals(at(3_000)), totals(0, 0, 1), "{far}");
+            assert_eq!(counter.totals(at(3_000)), totals(0, 0, 1), "{far_number}");
         }
     }
 
@@ -260,10 +260,10 @@ mod tests {
     fn long_gap_is_counted_when_next_packet_confirms_it() {
         let mut counter = ArrivalCounter::new(at(0));
         for number in [0, 2_000, 2_001, 2_003] {
-            counter.arrive(number, at(10));
+            counter.record_arrival(number, at(10));
         }
         for _ in 0..2 {
-            counter.expect(3_000, at(20));
+            counter.note_sent(3_000, at(20));
         }
         counter.totals(at(1_000));
         assert_eq!(counter.totals(at(2_000)), totals(3_000 - 4, 0, 0));
@@ -275,12 +275,12 @@ mod tests {
         let numbers = [i32::MAX as u32 - 1, i32::MAX as u32, u32::MAX - 2, u32::MAX - 1, u32::MAX, 0, 2];
         // The numbers are a day apart, so that the peer can have sent all datagrams in between.
         for (day, number) in numbers.into_iter().enumerate() {
-            counter.arrive(number, at(day as i64 * 86_400_000));
+            counter.record_arrival(number, at(day as i64 * 86_400_000));
         }
         assert_eq!(counter.next, (1 << 32) + 3);
         let reordered = |counter: &ArrivalCounter| counter.totals.reordered;
         assert_eq!(reordered(&counter), 0);
-        counter.arrive(1, at(0));
+        counter.record_arrival(1, at(0));
         assert_eq!(reordered(&counter), 1);
     }
 
@@ -288,10 +288,10 @@ mod tests {
     fn number_slightly_ahead_distorts_totals_by_its_gap_only() {
         let mut counter = ArrivalCounter::new(at(0));
         for number in [0, 1, 1 + MAX_GAP as u32] {
-            counter.arrive(number, at(10));
+            counter.record_arrival(number, at(10));
         }
         for number in 2..100 {
-            counter.arrive(number, at(i64::from(number) * 100));
+            counter.record_arrival(number, at(i64::from(number) * 100));
         }
         let totals = counter.totals(at(20_000));
         assert!(
@@ -325,9 +325,9 @@ mod tests {
             wire.sort_by_key(|(when, _)| *when);
             let mut counter = ArrivalCounter::new(at(0));
             for (when, number) in &wire {
-                counter.arrive(*number, at(*when as i64 / 10));
+                counter.record_arrival(*number, at(*when as i64 / 10));
             }
-            counter.expect(count, at(1_000));
+            counter.note_sent(count, at(1_000));
             counter.totals(at(2_000));
             let totals = counter.totals(at(3_000));
             prop_assert_eq!(totals.lost, lost);
@@ -342,7 +342,7 @@ mod tests {
             let mut before = counter.totals(at(0));
             for (now, (number, arrives)) in numbers.into_iter().enumerate() {
                 let now = at(now as i64 * 300);
-                if arrives { counter.arrive(number, now) } else { counter.expect(number, now) }
+                if arrives { counter.record_arrival(number, now) } else { counter.note_sent(number, now) }
                 let totals = counter.totals(now);
                 prop_assert_eq!(totals.max(before), totals);
                 before = totals;

@@ -6,7 +6,7 @@ use super::{EndpointId, EndpointRole};
 
 /// A publisher of another participant.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FoundPublisher {
+pub struct DiscoveredPublisher {
     /// Identity.
     pub id: EndpointId,
     /// Message type, such as `std_msgs/msg/String`.
@@ -19,7 +19,7 @@ pub struct FoundPublisher {
 
 /// A publisher or subscription of another participant.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FoundEndpoint {
+pub struct DiscoveredEndpoint {
     /// Identity.
     pub id: EndpointId,
     /// Role on the topic.
@@ -30,7 +30,7 @@ pub struct FoundEndpoint {
     pub node: Option<String>,
 }
 
-impl FoundPublisher {
+impl DiscoveredPublisher {
     /// Returns the name of its node, or its identity if the name is unknown.
     pub fn name(&self) -> String {
         self.node.clone().unwrap_or_else(|| format!("publisher {}", self.id))

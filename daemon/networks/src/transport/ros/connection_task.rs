@@ -21,14 +21,14 @@ pub(super) trait Sink: Send {
     /// Form in which events are handed up.
     type Delivery: Send;
 
-    /// Handles an event. Returns it in the form in which it is handed up, if it is.
-    fn take(&mut self, channel: &Channel, event: Event) -> Option<Self::Delivery>;
+    /// Handles an event. Returns what is handed up, if anything is.
+    fn handle_event(&mut self, channel: &Channel, event: Event) -> Option<Self::Delivery>;
 
-    /// Waits for a directive from this side.
-    fn wait(&mut self, channel: &Arc<Channel>) -> impl Future<Output = Directive> + Send;
+    /// Waits for the next directive of this end.
+    fn next_directive(&mut self, channel: &Arc<Channel>) -> impl Future<Output = Directive> + Send;
 }
 
-/// Directive of an edge or a cloud to the task of its connection.
+/// Request of an edge or a cloud to the task of its connection.
 pub(super) enum Directive {
     /// Receive payloads from this subscriber.
     Admit(Box<dyn SessionSubscriber>),
@@ -64,27 +64,27 @@ impl<S: Sink> ConnectionTask<S> {
     /// Runs until the connection has ended and all events were handed up.
     pub(super) async fn run(self, goodbye: &str) {
         let channel = Arc::clone(&self.channel);
-        self.drive(goodbye).await;
+        self.run_until_end(goodbye).await;
         channel.lock().end("the connection was closed here".to_owned());
     }
 
-    async fn drive(mut self, goodbye: &str) {
-        let mut waiting = VecDeque::new();
+    async fn run_until_end(mut self, goodbye: &str) {
+        let mut queued = VecDeque::new();
         let mut others = SecondPublishers::default();
         let mut connected = BTreeSet::new();
         let mut is_closing = false;
-        let mut left = None;
+        let mut departure = None;
         loop {
             self.send_due();
             self.remark_named_publishers(&mut others);
-            self.collect(&mut waiting);
-            while !waiting.is_empty()
+            self.collect_events(&mut queued);
+            while !queued.is_empty()
                 && let Ok(permit) = self.deliveries.try_reserve()
-                && let Some(delivery) = waiting.pop_front()
+                && let Some(delivery) = queued.pop_front()
             {
                 permit.send(delivery);
             }
-            if self.channel.lock().is_closed() && waiting.is_empty() {
+            if self.channel.lock().is_closed() && queued.is_empty() {
                 if self.answers_goodbye() && !is_closing {
                     self.channel.send_goodbye("");
                 }
@@ -93,20 +93,21 @@ impl<S: Sink> ConnectionTask<S> {
             // Created before the publishers are checked, so that no change in between is missed.
             let info_publishers = self.info.watch();
             let payload_publishers = self.payload.as_ref().map(|payload| payload.watch());
-            let changed = changed(&*info_publishers, payload_publishers.as_deref());
-            // Kept even if the peer returns to the topic, because messages in transfer may have been lost.
-            left = left.or_else(|| {
+            let publisher_change =
+                wait_for_publisher_change(&*info_publishers, payload_publishers.as_deref());
+            // Not reset if the peer returns to the topic, because messages may have been lost in between.
+            departure = departure.or_else(|| {
                 self.disconnected_topic(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
             });
-            if let Some((topic, until)) = &left
+            if let Some((topic, until)) = &departure
                 && !self.channel.lock().is_closed()
             {
-                // The messages that it published before it left have arrived, possibly with the reason.
+                // Messages that the peer published before it left may still be queued here, possibly with its goodbye.
                 while let Some(message) = self.info.try_recv() {
-                    self.take(Step::Info(Ok(message)), &mut others);
+                    self.handle_step(Step::Info(Ok(message)), &mut others);
                 }
                 while let Some(message) = self.payload.as_mut().and_then(|payload| payload.try_recv()) {
-                    self.take(Step::Payload(Ok(message)), &mut others);
+                    self.handle_step(Step::Payload(Ok(message)), &mut others);
                 }
                 let peer = self.channel.peer().map_or("", |peer| &peer.node).to_owned();
                 if !self.has_connected_topic() || Instant::now() >= *until {
@@ -114,16 +115,21 @@ impl<S: Sink> ConnectionTask<S> {
                     continue;
                 }
             }
-            let next =
-                self.channel.next_timer().into_iter().chain(left.as_ref().map(|(_, until)| *until)).min();
-            let is_idle = waiting.is_empty();
+            let next = self
+                .channel
+                .next_timer()
+                .into_iter()
+                .chain(departure.as_ref().map(|(_, until)| *until))
+                .min();
+            let is_idle = queued.is_empty();
             let Self { channel, info, payload, sink, deliveries, stop, abort } = &mut self;
             let step = tokio::select! {
                 biased;
                 () = abort.cancelled() => {
-                    // A later connection may have the same topics and nodes, so that their end would prove nothing.
+                    // The other end cannot notice the end by the topics and nodes, because a later connection may use the
+                    // same ones.
                     if channel.node.receive_buffer_bytes().is_some() {
-                        channel.send_goodbye("the other end has given up the connection");
+                        channel.send_goodbye("the other end ended the connection without waiting");
                     }
                     return;
                 }
@@ -139,32 +145,32 @@ impl<S: Sink> ConnectionTask<S> {
                 }
                 permit = deliveries.reserve(), if !is_idle => {
                     match permit {
-                        Ok(permit) => if let Some(delivery) = waiting.pop_front() {
+                        Ok(permit) => if let Some(delivery) = queued.pop_front() {
                             permit.send(delivery);
                         },
                         // Nothing receives the events any more.
-                        Err(_) => waiting.clear(),
+                        Err(_) => queued.clear(),
                     }
                     Step::Other
                 }
                 // Messages that are not taken stay in the topic's queue, and then with the publisher.
                 message = info.recv(), if is_idle => Step::Info(message),
                 message = receive(payload), if is_idle => Step::Payload(message),
-                directive = sink.wait(channel) => Step::Directive(directive),
+                directive = sink.next_directive(channel) => Step::Directive(directive),
                 () = channel.wait_for_remark() => Step::Other,
                 kind = channel.wait_for_payload_type() => {
                     let channel = Arc::clone(channel);
                     tokio::spawn(async move { channel.publish_payload_topic(kind).await });
                     Step::Other
                 }
-                () = changed => Step::Publishers,
+                () = publisher_change => Step::Publishers,
                 () = sleep_until(next.unwrap_or_else(Instant::now)), if next.is_some() => Step::Other,
             };
-            self.take(step, &mut others);
+            self.handle_step(step, &mut others);
         }
     }
 
-    fn take(&mut self, step: Step, others: &mut SecondPublishers) {
+    fn handle_step(&mut self, step: Step, others: &mut SecondPublishers) {
         match step {
             Step::Info(Ok(message)) => {
                 if self.is_of_peer(&message, self.info.topic(), others) {
@@ -209,7 +215,7 @@ impl<S: Sink> ConnectionTask<S> {
 
     /// Returns a topic on which messages of the peer arrived until now and do not arrive any more.
     fn disconnected_topic(&self, connected: &mut BTreeSet<String>) -> Option<String> {
-        // Where payloads are confirmed, their topic may also be that of an earlier connection that ends.
+        // Where payloads are confirmed, the publisher of the payload topic may belong to an earlier connection that ends.
         let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
         let topics = [Some(&self.info), self.payload.as_ref().filter(|_| !is_confirmed)];
         topics.into_iter().flatten().find_map(|subscriber| {
@@ -237,19 +243,19 @@ impl<S: Sink> ConnectionTask<S> {
 
     fn remark_second_publisher(&self, second: &Arc<str>, topic: &str, others: &mut SecondPublishers) {
         let Some(peer) = self.channel.peer() else { return };
-        if let Some(remark) = others.note(second, topic, (&peer.node, &*self.channel.node), Instant::now()) {
+        if let Some(remark) = others.check(second, topic, (&peer.node, &*self.channel.node), Instant::now()) {
             self.channel.lock().remark(remark);
         }
     }
 
     fn remark_named_publishers(&self, others: &mut SecondPublishers) {
         let Some(peer) = self.channel.peer() else { return };
-        for remark in others.note_names((&peer.node, &*self.channel.node), Instant::now()) {
+        for remark in others.check_unnamed((&peer.node, &*self.channel.node), Instant::now()) {
             self.channel.lock().remark(remark);
         }
     }
 
-    // A message returns its memory before the connection reserves it for the frames, which are the same bytes.
+    // The memory of the message is released first, because the connection reserves memory for the same bytes.
     fn receive_info(&self, TopicMessage { bytes, memory, .. }: TopicMessage) {
         drop(memory);
         let now = self.channel.now();
@@ -258,7 +264,7 @@ impl<S: Sink> ConnectionTask<S> {
             // The companion belongs to an earlier or later connection between the same nodes.
             Ok(info) if info.header.frame_id != state.id() => {}
             Ok(info) => state.receive_info(info, now),
-            Err(error) => state.garbage(format!("a companion cannot be read: {error}")),
+            Err(error) => state.report_invalid(format!("cannot decode a companion: {error}")),
         }
     }
 
@@ -270,7 +276,7 @@ impl<S: Sink> ConnectionTask<S> {
         match decoded {
             Ok((connection, _, _)) if connection != state.id() => {}
             Ok((_, stamp, payload)) => state.receive_payload(stamp, payload, now),
-            Err(error) => state.garbage(format!("a payload cannot be read: {error}")),
+            Err(error) => state.report_invalid(format!("cannot decode a payload: {error}")),
         }
     }
 
@@ -280,12 +286,12 @@ impl<S: Sink> ConnectionTask<S> {
         self.channel.send_notices();
     }
 
-    fn collect(&mut self, waiting: &mut VecDeque<S::Delivery>) {
+    fn collect_events(&mut self, queued: &mut VecDeque<S::Delivery>) {
         loop {
             // A separate statement, so that the lock is released before the event is handled.
             let event = self.channel.lock().next_event();
             let Some(event) = event else { return };
-            waiting.extend(self.sink.take(&self.channel, event));
+            queued.extend(self.sink.handle_event(&self.channel, event));
         }
     }
 }
@@ -302,7 +308,7 @@ async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<
 }
 
 /// Waits until the publishers of a topic have changed after this call.
-fn changed<'a>(
+fn wait_for_publisher_change<'a>(
     info: &'a dyn PublisherChanges,
     payload: Option<&'a dyn PublisherChanges>,
 ) -> impl Future<Output = ()> + 'a {

@@ -8,14 +8,15 @@ pub(in crate::transport::datagram) const MAX_GAP: u64 = 64;
 /// Largest number of datagrams that a peer can send in a millisecond: more than 16 Gbit/s in datagrams of 512 bytes.
 const MAX_PER_MILLISECOND: u64 = 4_000;
 
-/// Decides whether a number beyond a gap is believed.
+/// Decides whether a number beyond a gap is plausible.
 ///
-/// A long gap is believed if the next packet has a number beyond it as well (RFC 3550, appendix A.1), and if the other
-/// end can have sent so much since the last number that was believed.
+/// A long gap is plausible if the next packet has a number beyond it as well (RFC 3550, appendix A.1), and if the other
+/// end can have sent that many datagrams since the last plausible number.
 #[derive(Debug)]
 pub(super) struct GapCheck {
+    /// Last number that was not plausible. The next packet may confirm it.
     suspect: Option<NextNumber>,
-    believed_at: MonoTime,
+    accepted_at: MonoTime,
 }
 
 /// A number that is not below the next one.
@@ -28,30 +29,30 @@ pub(super) struct NextNumber {
 
 impl GapCheck {
     pub(super) const fn new(now: MonoTime) -> Self {
-        Self { suspect: None, believed_at: now }
+        Self { suspect: None, accepted_at: now }
     }
 
-    /// Checks a number; numbers below `next` are known. Returns `None` if the number is held back. Otherwise returns
-    /// the number that was held back before and that this one confirms, if there is one.
+    /// Checks a number; numbers below `next` are known. Returns `None` if the number is not plausible yet. Otherwise
+    /// returns the earlier number that this one confirms, if there is one.
     pub(super) fn check(
         &mut self,
         next: u64,
-        found: NextNumber,
+        candidate: NextNumber,
         now: MonoTime,
     ) -> Option<Option<NextNumber>> {
-        let gap = found.number - next;
+        let gap = candidate.number - next;
         if gap <= MAX_GAP {
-            (self.suspect, self.believed_at) = (None, now);
+            (self.suspect, self.accepted_at) = (None, now);
             return Some(None);
         }
-        let elapsed = u64::try_from((now - self.believed_at).nanos() / 1_000_000).unwrap_or(0);
+        let elapsed = u64::try_from((now - self.accepted_at).nanos() / 1_000_000).unwrap_or(0);
         let is_possible = gap <= (elapsed + 1).saturating_mul(MAX_PER_MILLISECOND);
-        let confirmed = self.suspect.filter(|suspect| is_possible && found.confirms(suspect));
+        let confirmed = self.suspect.filter(|suspect| is_possible && candidate.confirms(suspect));
         if confirmed.is_none() {
-            self.suspect = Some(found);
+            self.suspect = Some(candidate);
             return None;
         }
-        (self.suspect, self.believed_at) = (None, now);
+        (self.suspect, self.accepted_at) = (None, now);
         Some(confirmed)
     }
 }

@@ -8,25 +8,25 @@ use tokio::sync::watch;
 use super::conversions::endpoint_id;
 use super::interfaces::own_addresses;
 use super::node::Ros2Node;
+use crate::ros2::discovered::other_host;
 use crate::ros2::error::advise;
-use crate::ros2::found::other_host;
 use crate::ros2::names::{dds_topic, ros_type};
-use crate::ros2::{EndpointId, FoundEndpoint, FoundPublisher, ParticipantId};
+use crate::ros2::{DiscoveredEndpoint, DiscoveredPublisher, EndpointId, ParticipantId};
 
 impl Ros2Node {
     /// Returns the publishers that other participants have of a topic, by its absolute name, in the order of their
     /// identities.
-    pub fn publishers_of(&self, topic: &str) -> Vec<FoundPublisher> {
-        let Some(parts) = &self.parts else { return Vec::new() };
+    pub fn publishers_of(&self, topic: &str) -> Vec<DiscoveredPublisher> {
+        let Some(entities) = &self.entities else { return Vec::new() };
         let topic = dds_topic(topic);
         let own = own_addresses().unwrap_or_else(|error| {
-            tracing::warn!(%error, "the addresses of this host are not known; publishers on it count as on another host");
+            tracing::warn!(%error, "cannot list the addresses of this host; its publishers count as those of another host");
             Vec::new()
         });
-        let found = parts.participant.discovered_writers().into_iter();
+        let found = entities.participant.discovered_writers().into_iter();
         let of_topic = found.filter(|writer| writer.publication_topic_data.topic_name == topic);
-        let mut publishers: Vec<FoundPublisher> =
-            of_topic.map(|writer| found_publisher(&writer, &own)).collect();
+        let mut publishers: Vec<DiscoveredPublisher> =
+            of_topic.map(|writer| discovered_publisher(&writer, &own)).collect();
         publishers.sort_by_key(|publisher| publisher.id);
         for publisher in &mut publishers {
             publisher.node = self.node_of(publisher.id);
@@ -45,7 +45,7 @@ impl Ros2Node {
     }
 
     /// Returns the endpoints that other participants have of a topic, by its absolute name.
-    pub fn endpoints_of(&self, topic: &str) -> Vec<FoundEndpoint> {
+    pub fn endpoints_of(&self, topic: &str) -> Vec<DiscoveredEndpoint> {
         self.state.discovery().endpoints_of(&dds_topic(topic))
     }
 
@@ -53,11 +53,11 @@ impl Ros2Node {
     /// participant that is unknown.
     pub fn host_of(&self, participant: ParticipantId) -> Option<IpAddr> {
         let own = own_addresses().unwrap_or_default();
-        let found = self.parts.as_ref()?.participant.discovered_writers().into_iter();
+        let found = self.entities.as_ref()?.participant.discovered_writers().into_iter();
         let mut of_participant = found.filter(|writer| {
             endpoint_id(writer.writer_proxy.remote_writer_guid).participant() == participant
         });
-        of_participant.find_map(|writer| found_publisher(&writer, &own).host)
+        of_participant.find_map(|writer| discovered_publisher(&writer, &own).host)
     }
 
     /// Returns a receiver of a number that changes with every event of discovery.
@@ -73,17 +73,17 @@ impl Ros2Node {
     /// Returns advice for a topic without a publisher.
     pub fn advise(&self) -> String {
         let discovery = self.state.discovery();
-        let (participants, topics) = (discovery.participants(), discovery.topics());
+        let (participants, topics) = (discovery.participant_count(), discovery.topics());
         advise(self.state.domain_id, &self.state.interfaces, participants, &topics)
     }
 }
 
-fn found_publisher(writer: &DiscoveredWriterData, own: &[IpAddr]) -> FoundPublisher {
+fn discovered_publisher(writer: &DiscoveredWriterData, own: &[IpAddr]) -> DiscoveredPublisher {
     let proxy = &writer.writer_proxy;
     // Locators of shared memory, which is on this host, become the unspecified address.
     let addresses: Vec<IpAddr> =
         proxy.unicast_locator_list.iter().map(|locator| SocketAddr::from(*locator).ip()).collect();
-    FoundPublisher {
+    DiscoveredPublisher {
         id: endpoint_id(proxy.remote_writer_guid),
         type_name: ros_type(&writer.publication_topic_data.type_name),
         host: other_host(&addresses, own),

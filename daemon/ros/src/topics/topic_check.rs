@@ -9,7 +9,7 @@ use crate::ros2::{self, Ros2Error, Ros2Settings};
 
 /// Purpose for which a topic is opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TopicUse {
+pub enum TopicAccess {
     /// Messages are read.
     Read,
     /// Messages are published.
@@ -24,11 +24,11 @@ pub enum TopicUse {
 pub fn check_topic(
     configured: Option<RosVersion>,
     topic: &str,
-    of: Option<&MessageType>,
+    message_type: Option<&MessageType>,
 ) -> Result<RosVersion, TopicError> {
     let version = RosVersion::resolve(configured, |name| env::var(name).ok())?;
     let topic = check_name(version, topic)?;
-    if version == RosVersion::Ros2 && of.is_none() {
+    if version == RosVersion::Ros2 && message_type.is_none() {
         return Err(TopicError::TypeRequired { topic });
     }
     Ok(version)
@@ -55,16 +55,16 @@ pub fn check_name(version: RosVersion, topic: &str) -> Result<String, TopicError
     }
 }
 
-/// Asks the ROS 1 master about a topic. Returns the reason why messages would not pass at present, if there is one. ROS
-/// 2 has no master, and nothing is checked. Blocks for some seconds at most.
+/// Asks the ROS 1 master about a topic. Returns the reason why no messages would be exchanged at present, if there is
+/// one. ROS 2 has no master, so nothing is checked. Blocks for a few seconds at most.
 ///
 /// # Errors
 /// If the environment cannot be used, or no master answers.
-pub fn survey_topic(
+pub fn check_topic_at_master(
     version: RosVersion,
     topic: &str,
-    of: Option<&MessageType>,
-    for_use: TopicUse,
+    message_type: Option<&MessageType>,
+    access: TopicAccess,
 ) -> Result<Option<String>, TopicError> {
     if version == RosVersion::Ros2 {
         return Ok(None);
@@ -72,14 +72,14 @@ pub fn survey_topic(
     let environment = Environment::from_process()?;
     let topic = NodeName::new(&environment.namespace, "peernet")?.resolve(topic)?;
     let topics = runtime()?.block_on(ros1::topic_types(&environment))?;
-    let known = topics.iter().find(|(name, _)| *name == topic).map(|(_, kind)| kind.as_str());
+    let known_type = topics.iter().find(|(name, _)| *name == topic).map(|(_, kind)| kind.as_str());
     let master = environment.master;
-    Ok(match (known, of) {
+    Ok(match (known_type, message_type) {
         // The master knows the type as `*` if a node has subscribed to any type.
-        (Some(kind), Some(of)) if kind != of.as_str() && kind != "*" => {
-            Some(format!("topic {topic} has the type {kind}, not {of}, says the ROS master at {master}"))
-        }
-        (None, _) if for_use == TopicUse::Read => Some(format!(
+        (Some(kind), Some(message_type)) if kind != message_type.as_str() && kind != "*" => Some(format!(
+            "topic {topic} has the type {kind}, not {message_type}, according to the ROS master at {master}"
+        )),
+        (None, _) if access == TopicAccess::Read => Some(format!(
             "the ROS master at {master} does not know topic {topic} yet; {}",
             list_topics(topics.iter().map(|(name, _)| name.as_str()))
         )),
@@ -92,12 +92,12 @@ const MAX_LISTED_TOPICS: usize = 8;
 
 /// Returns a text that lists the existing topics.
 pub(super) fn list_topics<'a>(topics: impl Iterator<Item = &'a str>) -> String {
-    let mut all: Vec<&str> = topics.collect();
-    if all.is_empty() {
+    let mut names: Vec<&str> = topics.collect();
+    if names.is_empty() {
         return "it knows no topic at all".to_owned();
     }
-    all.sort_unstable();
-    let more = if all.len() > MAX_LISTED_TOPICS { ", …" } else { "" };
-    all.truncate(MAX_LISTED_TOPICS);
-    format!("it knows {}{more}", all.join(", "))
+    names.sort_unstable();
+    let more = if names.len() > MAX_LISTED_TOPICS { ", …" } else { "" };
+    names.truncate(MAX_LISTED_TOPICS);
+    format!("it knows {}{more}", names.join(", "))
 }
