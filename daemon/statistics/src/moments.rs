@@ -9,7 +9,7 @@ use crate::Merge;
 /// Updated by Welford's method (1962), merged by that of Chan, Golub and LeVeque (1979).
 // Sums of squares would lose precision where the mean is much larger than the deviation, as with durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Received")]
+#[serde(try_from = "UncheckedMoments")]
 pub struct Moments {
     /// Number of values.
     pub count: u64,

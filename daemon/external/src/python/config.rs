@@ -35,7 +35,7 @@ pub struct PythonConfig {
     pub images: Images,
     /// Longest time for one call, milliseconds, up to one day. Afterwards the process is killed and restarted.
     /// Default: 60000.
-    #[serde(default = "a_minute")]
+    #[serde(default = "one_minute")]
     pub timeout_ms: NonZeroU64,
     /// Longest time for importing the module and creating the object, milliseconds, up to one day. Default: 300000.
     #[serde(default = "five_minutes")]

@@ -254,7 +254,7 @@ impl SenderState {
 
     /// Returns the time at which the next probe will be lost if it is not answered.
     pub fn deadline(&self) -> Option<MonoTime> {
-        let waiting = self.pending.iter().find_probe(|pending| pending.answer.is_none())?;
+        let waiting = self.pending.iter().find(|pending| pending.answer.is_none())?;
         Some(waiting.departure.sent.mono + self.timeout)
     }
 
@@ -427,7 +427,7 @@ fn refine_departure(
     let earlier = pending.iter_mut().rev().filter(|pending| pending.departure.sequence != now);
     let answered = earlier
         .filter_map(|pending| pending.answer.as_mut())
-        .find_probe(|answered| answered.sequence == sequence)?;
+        .find(|answered| answered.sequence == sequence)?;
     let observation = answered.observation.as_mut()?;
     let later = departure - observation.exchange.replied;
     if later <= Span::ZERO || later > MAX_DEPARTURE_DELAY || observation.cloud_epoch != epoch {
