@@ -26,8 +26,8 @@ const STEAL_BAD: f64 = 0.05;
 pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "competing load";
     let mut sum = 0;
-    let looks = settings.looks.max(1);
-    for nth in 0..looks {
+    let thread_counts = settings.thread_counts.max(1);
+    for nth in 0..thread_counts {
         if nth > 0 {
             thread::sleep(COUNT_INTERVAL);
         }
@@ -36,7 +36,7 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
         };
         sum += running.saturating_sub(own_threads(settings));
     }
-    let others = f64::from(sum) / f64::from(looks);
+    let others = f64::from(sum) / f64::from(thread_counts);
     let cores = processors(&settings.sys).len().max(1) as f64;
     let pressure = pressure(settings).map_or_else(String::new, |percent| {
         format!("; within the last 10 s something had to wait for a processor {percent:.0} % of the time")

@@ -41,7 +41,7 @@ pub struct InspectionSettings {
     /// `true` if the run uses a network: without one wireless interfaces do not matter.
     pub network: bool,
     /// Number of counts of the competing threads, at least 1; 8 ms pass between two counts.
-    pub looks: u32,
+    pub thread_counts: u32,
 }
 
 impl Default for InspectionSettings {
@@ -53,7 +53,7 @@ impl Default for InspectionSettings {
             folders: Vec::new(),
             iw: ["iw", "/usr/sbin/iw", "/sbin/iw"].map(PathBuf::from).to_vec(),
             network: true,
-            looks: 5,
+            thread_counts: 5,
         }
     }
 }

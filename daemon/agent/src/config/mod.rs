@@ -68,11 +68,10 @@ impl AgentConfig {
     /// Returns a copy without the values of `env`, which may be secret, for `run.json`. The arguments of programs,
     /// which may be secret as well, are still in it: they are serialised only within
     /// [`with_arguments`](peernet_external::exec::with_arguments).
-    pub fn publishable(&self) -> Self {
+    pub fn redacted(&self) -> Self {
         let mut without_secrets = self.clone();
         without_secrets.models.iter_mut().for_each(ModelConfig::hide_secrets);
-        without_secrets.pipelines =
-            without_secrets.pipelines.iter().map(PipelineConfig::publishable).collect();
+        without_secrets.pipelines = without_secrets.pipelines.iter().map(PipelineConfig::redacted).collect();
         without_secrets
     }
 }

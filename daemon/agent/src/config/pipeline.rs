@@ -65,7 +65,7 @@ pub struct PipelineConfig {
 
 impl PipelineConfig {
     /// Returns a copy without the values of `env`, which may be secret. The arguments of programs are still in it.
-    pub(crate) fn publishable(&self) -> Self {
+    pub(crate) fn redacted(&self) -> Self {
         let mut without_secrets = self.clone();
         if let Some(sensor) = &mut without_secrets.sensor {
             sensor.hide_secrets();

@@ -75,12 +75,12 @@ pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue,
 
 impl EventQueue {
     /// Returns a queue that discards its events, for an agent without an aggregator.
-    pub(crate) const fn nowhere() -> Self {
+    pub(crate) const fn discarding() -> Self {
         Self { outbox: None, tap: None }
     }
 
     /// Returns the same queue, whose events also go to `tap`.
-    pub(crate) fn tapped(self, tap: Option<EventTap>) -> Self {
+    pub(crate) fn with_tap(self, tap: Option<EventTap>) -> Self {
         Self { tap, ..self }
     }
 
@@ -136,7 +136,7 @@ pub(crate) fn create(
     counter: EventCounter,
 ) -> (EventQueue, Option<QueueReceiver>) {
     if config.aggregator.is_none() {
-        return (EventQueue::nowhere(), None);
+        return (EventQueue::discarding(), None);
     }
     let (event_queue, receiver) = channel(SharedClock::clone(clock), counter);
     (event_queue, Some(receiver))

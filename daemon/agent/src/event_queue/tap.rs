@@ -51,7 +51,7 @@ mod tests {
     fn overflow_is_counted() {
         let (sender, mut listener) = mpsc::channel(1);
         let tap = EventTap::new(sender);
-        let event_queue = EventQueue::nowhere().tapped(Some(tap.clone()));
+        let event_queue = EventQueue::discarding().with_tap(Some(tap.clone()));
         let (first, second) = (ended(), ended());
         event_queue.event(None, first.clone());
         event_queue.event(None, second.clone());
@@ -66,7 +66,7 @@ mod tests {
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
         let (event_queue, mut receiver) = super::super::channel(clock, super::super::EventCounter::default());
         let (sender, mut listener) = mpsc::channel(4);
-        let event_queue = event_queue.tapped(Some(EventTap::new(sender)));
+        let event_queue = event_queue.with_tap(Some(EventTap::new(sender)));
         let event = ended();
         event_queue.event(None, event.clone());
         assert_eq!(listener.try_recv().ok().as_ref(), Some(&event));

@@ -4,7 +4,7 @@ use peernet_clock::{ClockWatch, Disturbance, MonoTime, SharedClock, Span};
 use peernet_stream::IncidentKind;
 
 use super::{Clocksource, Vmclock};
-use crate::incidents::{IncidentContext, Incidents, step_size_text};
+use crate::incidents::{IncidentSubject, Incidents, format_step_size};
 
 /// Shortest time between two incidents about a slew, because a clock with a wrong rate is disturbed at every check.
 const SLEW_REPORT_INTERVAL: Span = Span::from_seconds(60);
@@ -75,7 +75,7 @@ impl HostClockMonitor {
         texts.extend(self.check_clocksource());
         texts.extend(self.check_vmclock());
         for text in texts {
-            incidents.report(IncidentKind::ClockStep, IncidentContext::default(), text);
+            incidents.report(IncidentKind::ClockStep, IncidentSubject::default(), text);
         }
     }
 
@@ -119,7 +119,7 @@ impl HostClockMonitor {
                 let direction = if by.is_negative() { "back" } else { "forward" };
                 Some(format!(
                     "this host's wall clock was set {direction} by {}; {WALL_CONSEQUENCE}",
-                    step_size_text(by)
+                    format_step_size(by)
                 ))
             }
             Disturbance::Slew(ppm) => {
@@ -177,7 +177,7 @@ mod tests {
             let inner = Arc::clone(&manual) as SharedClock;
             let clock: SharedClock = Arc::new(FaultyClock::new(inner, identity, drifts));
             let (listener, events) = mpsc::channel(100);
-            let event_queue = EventQueue::nowhere().tapped(Some(EventTap::new(listener)));
+            let event_queue = EventQueue::discarding().with_tap(Some(EventTap::new(listener)));
             let incidents = Incidents::new(Arc::clone(&clock), event_queue);
             let sys = tempfile::tempdir().expect("a folder");
             let clocksource = Clocksource::below(sys.path());

@@ -4,7 +4,7 @@ use peernet_clock::Doubt;
 use peernet_logger::Slug;
 
 use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
-use crate::incidents::step_size_text;
+use crate::incidents::format_step_size;
 
 /// Returns the text of a restart: whose clock was stepped, and by how much.
 pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
@@ -19,7 +19,7 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
         let own = restart.edge && !restart.cloud;
         let (moved, mover, other) = if own { (-moved, edge, cloud) } else { (moved, cloud, edge) };
         let way = if moved.is_negative() { "back" } else { "forward" };
-        let far = step_size_text(moved);
+        let far = format_step_size(moved);
         format!("; the clock of {mover} went {far} {way} against that of {other}")
     });
     let outlook = match restart.doubt {
@@ -48,7 +48,7 @@ pub(super) fn wall_set_text(cloud: &Slug) -> String {
 /// Returns the text of a suspected jump, with both possible causes.
 pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
     let way = if jump.moved.is_negative() { "back" } else { "forward" };
-    let far = step_size_text(jump.moved);
+    let far = format_step_size(jump.moved);
     let others = unreported_text(jump.unreported);
     format!(
         "the clock of {cloud} seems to have gone {far} {way} against that of {edge} at once{others}: either the path between \

@@ -23,7 +23,7 @@ use super::knowledge::{Knowledge, KnowledgeChanges, MessageDelay};
 use super::named_reflector::NamedReflector;
 use super::probe_pace::ProbePace;
 use super::shared::{Session, Shared, lock};
-use crate::incidents::IncidentContext;
+use crate::incidents::IncidentSubject;
 use crate::same_clock::NotProven;
 
 /// Longest wait of a session for the proof that both ends read one clock. A cloud that has connected answers within a
@@ -306,8 +306,8 @@ impl Link {
             changes.lost_proof.map(|lost| lost_proof_text(&lost, edge, cloud)),
         ];
         for text in texts.into_iter().flatten() {
-            let what = IncidentContext { peer: Some(self.cloud.id), ..IncidentContext::default() };
-            host.incidents.report(IncidentKind::ClockStep, what, text);
+            let subject = IncidentSubject { peer: Some(self.cloud.id), ..IncidentSubject::default() };
+            host.incidents.report(IncidentKind::ClockStep, subject, text);
         }
     }
 }

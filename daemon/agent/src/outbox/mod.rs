@@ -24,7 +24,7 @@ mod spool;
 pub(crate) use live_sources::LiveSources;
 pub(crate) use spool::{FileKind, OpenSpool};
 pub use spool::{
-    InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect, waiting_events,
+    InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect, pending_events,
 };
 
 use peernet_clock::{SharedClock, Span};

@@ -9,7 +9,7 @@ use peernet_stream::{Accounting, IncidentKind};
 
 use super::dropping::{DroppingReport, DroppingWatch};
 use super::spool::QuarantinedSpool;
-use crate::incidents::{IncidentContext, Incidents};
+use crate::incidents::{IncidentSubject, Incidents};
 use crate::reconnect_backoff::ReconnectBackoff;
 
 /// Formats a number with commas between thousands.
@@ -82,7 +82,7 @@ impl Reports {
             ),
         };
         let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}{unreported}");
-        self.incidents.report(IncidentKind::Connected, IncidentContext::default(), text);
+        self.incidents.report(IncidentKind::Connected, IncidentSubject::default(), text);
     }
 
     /// Reports that the aggregator has no secret of this host and is sent it.
@@ -105,8 +105,8 @@ impl Reports {
             let text = format!(
                 "no connection to the aggregator at {address}: {reason}; measuring goes on, events wait, and it is \
                  tried again every {} to {} s",
-                ReconnectBackoff::SHORTEST.as_secs_f64(),
-                ReconnectBackoff::LONGEST.as_secs()
+                ReconnectBackoff::MIN_PAUSE.as_secs_f64(),
+                ReconnectBackoff::MAX_PAUSE.as_secs()
             );
             self.connection(IncidentKind::Disconnected, text);
         }
@@ -127,25 +127,25 @@ impl Reports {
             "the aggregator has batches up to {stored} of a stream that ends at {newest} here, or others under the \
              same numbers: the spool is a copy or a restored one; what it holds goes on in a new stream"
         );
-        self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
+        self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
 
     /// Reports that the spool cannot be written or read.
     pub(super) fn spool_failed(&self, reason: &str) {
         let text = format!("{reason}; measuring goes on, and it is tried again");
-        self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
+        self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
 
     /// Reports that the spool can be used again.
     pub(super) fn spool_recovered(&self) {
         let text = "the spool can be used again".to_owned();
-        self.incidents.note(IncidentKind::Gap, IncidentContext::default(), text);
+        self.incidents.report_info(IncidentKind::Gap, IncidentSubject::default(), text);
     }
 
     /// Reports damage in the spool.
     pub(super) fn damage(&mut self, text: String) {
         if self.damage.as_ref() != Some(&text) {
-            self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text.clone());
+            self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text.clone());
             self.damage = Some(text);
         }
     }
@@ -158,7 +158,7 @@ impl Reports {
             aside.reason,
             aside.kept.display()
         );
-        self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
+        self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
 
     /// Logs whether events are being dropped. The gaps in the stream tell the aggregator; the log is for people on
@@ -183,7 +183,7 @@ impl Reports {
 
     fn connection(&mut self, kind: IncidentKind, text: String) {
         if self.reported_trouble.as_ref() != Some(&text) {
-            self.incidents.report(kind, IncidentContext::default(), text.clone());
+            self.incidents.report(kind, IncidentSubject::default(), text.clone());
             self.reported_trouble = Some(text);
         }
     }

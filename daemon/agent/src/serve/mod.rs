@@ -12,7 +12,7 @@ mod served;
 mod service;
 
 pub(crate) use endpoints::{ServeEndpoints, calibration};
-pub use served::Served;
+pub use served::ServedCounts;
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -39,7 +39,7 @@ use self::request_counts::RequestCounts;
 use self::service::{Refusal, Service};
 use crate::conditions::InspectionSettings;
 use crate::host::Host;
-use crate::incidents::{IncidentContext, Incidents, remark};
+use crate::incidents::{IncidentSubject, Incidents, remark};
 use crate::observed::ObservedPipelines;
 use crate::same_clock::ClockWitness;
 use crate::telemetry;
@@ -74,7 +74,7 @@ pub(crate) enum ServeError {
 pub(crate) async fn run(
     endpoints: ServeEndpoints,
     context: ServeContext,
-    served: watch::Sender<Served>,
+    served: watch::Sender<ServedCounts>,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
     let serve_identity = ServeIdentity {
@@ -176,8 +176,8 @@ async fn sessions(
                 }
                 Some(Incoming::Remark { session, text }) => server.remark(session, &text),
                 Some(Incoming::Refused { host, text }) => {
-                    let what = IncidentContext { peer: host, ..IncidentContext::default() };
-                    server.context.incidents.remark(IncidentKind::Refused, what, text);
+                    let subject = IncidentSubject { peer: host, ..IncidentSubject::default() };
+                    server.context.incidents.remark(IncidentKind::Refused, subject, text);
                 }
                 None => return Err(ServeError::PortLost(listeners.address(listener).clone())),
             },
@@ -233,7 +233,7 @@ struct Peer {
     address: Option<IpAddr>,
     service: Service,
     /// Counters of its requests and their answers; `None` if they are not counted.
-    counted: Option<(Arc<AtomicU64>, Arc<watch::Sender<Served>>)>,
+    counted: Option<(Arc<AtomicU64>, Arc<watch::Sender<ServedCounts>>)>,
     /// Task that proves to the peer that both processes read one clock, if they do. It ends with the session; if it
     /// ends before, the peer notices.
     _witness: Option<AbortOnDropHandle<()>>,
@@ -244,7 +244,7 @@ struct Server {
     serve_identity: ServeIdentity,
     /// Hardware of this host.
     hardware: Hardware,
-    served: Arc<watch::Sender<Served>>,
+    served: Arc<watch::Sender<ServedCounts>>,
     peers: HashMap<SessionId, Peer>,
     /// Channels that give each reflector the addresses of the peers with a session.
     probing: Vec<watch::Sender<Vec<IpAddr>>>,
@@ -366,14 +366,14 @@ impl Server {
         let peer = session.and_then(|session| self.peers.get(&session));
         let of =
             peer.map(|peer| format!("the session of {} for its pipeline {}: ", peer.name, peer.pipeline));
-        let what = IncidentContext { peer: peer.map(|peer| peer.host), ..IncidentContext::default() };
+        let subject = IncidentSubject { peer: peer.map(|peer| peer.host), ..IncidentSubject::default() };
         let text = format!("{}{text}", of.unwrap_or_default());
-        self.context.incidents.remark(IncidentKind::Connected, what, text);
+        self.context.incidents.remark(IncidentKind::Connected, subject, text);
     }
 
     fn report(&self, kind: IncidentKind, peer: HostId, text: String) {
-        let what = IncidentContext { peer: Some(peer), ..IncidentContext::default() };
-        self.context.incidents.report(kind, what, text);
+        let subject = IncidentSubject { peer: Some(peer), ..IncidentSubject::default() };
+        self.context.incidents.report(kind, subject, text);
     }
 }
 

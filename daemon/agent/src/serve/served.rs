@@ -5,7 +5,7 @@ use peernet_statistics::Summary;
 
 /// Sessions, and answers since the agent started. Answers of the built-in model `calibration` do not count.
 #[derive(Clone, Debug, Default)]
-pub struct Served {
+pub struct ServedCounts {
     /// Number of open sessions.
     pub sessions: usize,
     /// Number of answers, including failures.
@@ -18,7 +18,7 @@ pub struct Served {
     pub inference: Summary,
 }
 
-impl Served {
+impl ServedCounts {
     /// Adds an answer with the duration of its `inference` in seconds.
     pub(super) fn add(&mut self, is_error: bool, inference: Option<f64>) {
         self.answers += 1;
@@ -43,7 +43,7 @@ mod tests {
         // The buckets of a sketch are 1 % wide. Some of these values are above the middle of their bucket, some
         // below.
         for value in (1..=50).map(|n| f64::from(n) * 1.03e-3) {
-            let mut served = Served::default();
+            let mut served = ServedCounts::default();
             served.add(false, Some(value));
             assert_eq!(served.inference.quantile(0.5), Some(value));
         }

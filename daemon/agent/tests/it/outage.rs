@@ -51,7 +51,7 @@ async fn edge_waits_for_cloud_that_is_not_up() {
     assert!(reason.contains(&port.to_string()), "{reason}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
     let reported = seen.incidents(IncidentKind::Disconnected)[0].text.clone();
-    assert!(reported.contains("the pipeline goes on by itself"), "{reported}");
+    assert!(reported.contains("the pipeline continues automatically"), "{reported}");
     assert!(seen.runs().is_empty(), "nothing to run yet");
 
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
@@ -166,7 +166,7 @@ async fn wrong_device_is_refused_with_models_device() {
 async fn only_lost_edge_is_incident() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
-    let mut served = cloud.running.served();
+    let mut served = cloud.running.served_counts();
     let limited = format!("{}limit = {{ iterations = 5 }}\n", edge(port, "slow"));
     let first = TestAgent::start("first", None, &limited).await;
     served.wait_for(|served| served.answers >= 5 && served.sessions == 0).await.expect("serves");

@@ -33,7 +33,7 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
     assert_eq!(seen.iterations().len(), 305);
     assert!(seen.gaps().is_empty());
     assert!(seen.hellos >= 3);
-    assert_eq!(agent.running.live().accounting.dropped, 0);
+    assert_eq!(agent.running.live_update().accounting.dropped, 0);
     agent.stop().await.expect("stops well");
 }
 

@@ -13,7 +13,7 @@ async fn iterations_in_flight_are_finished_before_stop() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), SLOW).await;
     aggregator.until(|seen| seen.iterations().len() >= 4).await;
-    let host = agent.running.live().host;
+    let host = agent.running.live_update().host;
     agent.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     assert_eq!(seen.goodbyes, [host]);

@@ -53,7 +53,7 @@ impl EventIntake {
     /// Offers the starts of the runs in progress again. The aggregator lacks what it once stored, and an iteration is
     /// of little use without the start of its run.
     pub(super) fn repeat_run_starts(&self, machine: &mut Sending, now: Stamp) {
-        for event in self.runs.run_starts() {
+        for event in self.runs.start_events() {
             let pipeline =
                 if let Event::RunStarted(started) = &event { Some(&started.pipeline) } else { None };
             self.receiver.counter.count(pipeline, event.run(), now.wall);

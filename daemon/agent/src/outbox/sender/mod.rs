@@ -122,13 +122,13 @@ impl Sender {
                     ConnectionEvent::Failed(reason) => {
                         self.lost();
                         self.reports.away(&address, &reason);
-                        connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
+                        connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
                     }
                     ConnectionEvent::Gone(reason) => {
                         unanswered = false;
                         self.lost();
                         self.reports.away(&address, &reason);
-                        connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
+                        connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
                     }
                     ConnectionEvent::Message(frame) => {
                         // Only a valid message proves that an aggregator answers: other programs may accept
@@ -145,7 +145,7 @@ impl Sender {
                     unanswered = false;
                     self.lost();
                     self.reports.silent(&address);
-                    connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
+                    connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
                 }
                 _ = polls.tick(), if !quiet => self.take(),
                 Some(event) = self.intake.next(), if quiet => {

@@ -123,7 +123,7 @@ pub async fn inspect(path: &Path) -> Result<Inspection, InspectError> {
 ///
 /// # Errors
 /// When the spool cannot be read.
-pub async fn waiting_events(path: &Path) -> Result<u64, SpoolReadError> {
+pub async fn pending_events(path: &Path) -> Result<u64, SpoolReadError> {
     let mut connection = reading(path).connect().await?;
     let events: i64 =
         sqlx::query_scalar("SELECT COALESCE(SUM(events), 0) FROM batch").fetch_one(&mut connection).await?;

@@ -27,6 +27,6 @@ mod tests;
 pub(in crate::outbox) use aside::QuarantinedSpool;
 pub use error::{SpoolDefect, SpoolError};
 pub(crate) use file_kind::FileKind;
-pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, waiting_events};
+pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, pending_events};
 pub(crate) use open::OpenSpool;
 pub(in crate::outbox) use task::{Done, Order, SpoolTask, SpoolTaskError};

@@ -63,7 +63,7 @@ impl OpenSpool {
         fs::create_dir_all(folder).map_err(io("make", folder))?;
         // A separate file, because closing a second descriptor of the spool would release SQLite's locks on it.
         let lock_file = beside(path, "-lock");
-        let lock = FileLock::take(&lock_file).map_err(io("lock", &lock_file))?;
+        let lock = FileLock::try_acquire(&lock_file).map_err(io("lock", &lock_file))?;
         let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
 
         // Recognised before SQLite opens the file, which may change it.

@@ -10,7 +10,7 @@ use super::session::{Observation, SessionEnded};
 use super::source::{Source, SourceError, node_name};
 use super::topic::{PublisherPlace, Topic};
 use crate::config::ObserveConfig;
-use crate::pipeline::placement::{conditions, observed};
+use crate::pipeline::placement::{conditions, describe_observed};
 use crate::pipeline::run::Run;
 use crate::pipeline::runner::{PipelineError, Runner};
 use crate::reconnect_backoff::ReconnectBackoff;
@@ -23,7 +23,10 @@ const PUBLISHER_TIMEOUT: Duration = Duration::from_secs(10);
 ///
 /// # Errors
 /// When the configuration or the types of the topics have to be changed first.
-pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -> Result<(), PipelineError> {
+pub(in crate::pipeline) async fn run_to_end(
+    runner: &Runner,
+    config: &ObserveConfig,
+) -> Result<(), PipelineError> {
     config.check_peer().map_err(SourceError::from)?;
     let mut underway: Option<(Run, Observation<'_>)> = None;
     loop {
@@ -92,9 +95,9 @@ async fn begin(
     )
     .await;
     let description =
-        observed(config, peer_description.map(|peer_description| peer_description.name.clone()));
+        describe_observed(config, peer_description.map(|peer_description| peer_description.name.clone()));
     runner.display.set_placement(description.clone());
-    runner.begin_run(facts(config, source, peer_description), description, conditions, warm)
+    runner.start_run(facts(config, source, peer_description), description, conditions, warm)
 }
 
 /// Returns the facts about the observed system for the run's page.
@@ -154,7 +157,8 @@ async fn connect(
             reported.clone_from(&text);
         }
         runner.display.set_state(PipelineState::Waiting(text));
-        if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.grow())).await.is_none() {
+        if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.next_pause())).await.is_none()
+        {
             return Ok(None);
         }
     }

@@ -23,5 +23,5 @@ mod source;
 mod stamps;
 mod topic;
 
-pub(super) use life::live;
+pub(super) use life::run_to_end;
 pub(super) use source::SourceError;

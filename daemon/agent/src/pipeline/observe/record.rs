@@ -153,7 +153,7 @@ fn age(message: &TopicMessage) -> Option<Span> {
 }
 
 const fn pending(position: Position, begun: Stamp) -> PendingIteration {
-    PendingIteration { position, start: Start { intended: begun.mono, skipped: 0 }, began_at: begun.mono }
+    PendingIteration { position, start: Start { intended: begun.mono, skipped: 0 }, started_at: begun.mono }
 }
 
 #[cfg(test)]

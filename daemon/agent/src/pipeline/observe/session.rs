@@ -108,7 +108,7 @@ impl<'a> Observation<'a> {
                 report_dropped(source, &mut dropped);
             }
             if ending.is_none() {
-                if run.is_over(now) {
+                if run.is_limit_reached(now) {
                     ending = Some(SessionEnded::Limit);
                 } else if run.is_from_previous_day(clock.wall()) {
                     ending = Some(SessionEnded::Midnight);
@@ -177,7 +177,7 @@ impl<'a> Observation<'a> {
     fn take_arrived(&mut self, input: &mut Topic, run: &mut Run, runner: &Runner) {
         // An error is returned again when the next message is waited for.
         while let Some(Ok(message)) = input.next().now_or_never() {
-            if !run.is_over(message.received.mono) {
+            if !run.is_limit_reached(message.received.mono) {
                 self.take_input(message, run, runner);
             }
         }
@@ -191,7 +191,7 @@ impl<'a> Observation<'a> {
         let arrival = self.input.record(at);
         self.uncounted.input_missing += message.missing;
         // The input message numbers the iteration, so that an input without an output is counted as well.
-        let position = run.place(at);
+        let position = run.assign_position(at);
         let key = message.key(self.config.pair_by);
         let at_host = self.stamps.take(Side::Input, &message, key.ok().flatten());
         let received = Received { message, arrival, at: at_host };

@@ -100,7 +100,7 @@ fn context(
         inspection: Arc::default(),
     };
     let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
-    let placement = crate::pipeline::intended(&pipeline.placement);
+    let placement = crate::pipeline::describe_planned(&pipeline.placement);
     let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
     (context, pipeline, display, receiver.expect("there is an aggregator"))
 }
@@ -152,7 +152,7 @@ async fn panic_fails_pipeline_with_reason_and_ends_run() {
 #[tokio::test]
 async fn dead_sensor_thread_ends_pipeline_and_is_named() {
     let reason = broken("{ kind = 'text', length = 5000 }", Reader::Sensor).await;
-    assert!(reason.contains("the sensor's thread has died"), "{reason}");
+    assert!(reason.contains("the sensor's thread has panicked"), "{reason}");
 }
 
 /// Returns the outcomes recorded after a connection came back, when the sensor gave a sample meanwhile that the run
@@ -168,15 +168,15 @@ async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
         &context.fingerprints,
     )
     .expect("sound");
-    let description = crate::pipeline::intended(&pipeline.placement);
-    let mut run = Run::begin(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &display);
+    let description = crate::pipeline::describe_planned(&pipeline.placement);
+    let mut run = Run::start(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &display);
 
     let start = Start { intended: clock.mono(), skipped: 0 };
-    let (log, began_at) = iteration::begin(&clock, context.host.id, start.intended);
+    let (log, started_at) = iteration::start(&clock, context.host.id, start.intended);
     let (tell, sample) = oneshot::channel();
     let came = Sample::of(Description::bytes(), "x".into());
     assert!(tell.send(SensorOutput { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
-    resources.sensing = Some(PendingSample { run: requesting_run(run.id()), start, began_at, sample });
+    resources.sensing = Some(PendingSample { run: requesting_run(run.id()), start, started_at, sample });
     drop(PipelineLoop::new(&mut resources, &mut run, &context));
     assert!(resources.sensing.is_none());
     run.end(EndReason::Stopped, &context);

@@ -13,7 +13,7 @@ use peernet_stream::{IncidentKind, Outcome, PipelineState};
 use super::PeerDescription;
 use crate::config::{ObserveConfig, PairBy, RemoteConfig};
 use crate::host::Host;
-use crate::incidents::IncidentContext;
+use crate::incidents::IncidentSubject;
 use crate::link::Crossing;
 use crate::observed::{MODEL, StampAnswer, StampRequest};
 use crate::pipeline::context::PipelineContext;
@@ -62,9 +62,9 @@ impl PeerTrouble {
     /// Returns the trouble and the time of the next attempt, for people.
     pub(super) fn describe(&self) -> String {
         let (shortest, longest) =
-            (ReconnectBackoff::SHORTEST.as_secs_f64(), ReconnectBackoff::LONGEST.as_secs());
+            (ReconnectBackoff::MIN_PAUSE.as_secs_f64(), ReconnectBackoff::MAX_PAUSE.as_secs());
         let again = match self.is_refusal {
-            true => format!("every {} s", ReconnectBackoff::REFUSED.as_secs()),
+            true => format!("every {} s", ReconnectBackoff::PAUSE_AFTER_REFUSAL.as_secs()),
             false => format!("every {shortest} to {longest} s"),
         };
         format!("{} (trying again {again})", self.text)
@@ -81,7 +81,7 @@ impl PeerTrouble {
 
     /// Returns the pause before the next attempt.
     pub(super) fn pause(&self, reconnect_backoff: &mut ReconnectBackoff) -> Duration {
-        if self.is_refusal { reconnect_backoff.refused() } else { reconnect_backoff.grow() }
+        if self.is_refusal { reconnect_backoff.refusal_pause() } else { reconnect_backoff.next_pause() }
     }
 }
 
@@ -165,7 +165,7 @@ impl PeerConnector {
 
     fn trouble(&self, failure: OpenFailure) -> PeerTrouble {
         match failure {
-            OpenFailure::Away(error) => PeerTrouble { is_refusal: false, text: error.to_string() },
+            OpenFailure::Unreachable(error) => PeerTrouble { is_refusal: false, text: error.to_string() },
             OpenFailure::Refused(error) => PeerTrouble { is_refusal: true, text: advised(error.to_string()) },
             // Cannot happen: this session uses no model of this host.
             OpenFailure::Model(_) | OpenFailure::Panicked => {
@@ -178,8 +178,8 @@ impl PeerConnector {
     /// Reports an incident of the pipeline, and of its run if one is in progress.
     pub(super) fn report(&self, kind: IncidentKind, peer: Option<HostId>, text: String) {
         let events = &self.context.events;
-        let run = events.runs.current(&self.pipeline);
-        events.incidents.report(kind, IncidentContext { pipeline: Some(&self.pipeline), run, peer }, text);
+        let run = events.runs.current_run(&self.pipeline);
+        events.incidents.report(kind, IncidentSubject { pipeline: Some(&self.pipeline), run, peer }, text);
     }
 
     pub(super) const fn host(&self) -> &Host {
