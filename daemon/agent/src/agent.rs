@@ -30,7 +30,7 @@ use crate::identity::{StateLock, host_id, host_secret};
 use crate::incidents::{IncidentSubject, Incidents};
 use crate::io::IoThreads;
 use crate::link::{Cloud, LinkContext, Links, ProbeSettings};
-use crate::live::{Display, LiveStatistics};
+use crate::live::{LiveStatistics, PipelineLiveState};
 use crate::observed::ObservedPipelines;
 use crate::outbox::{LiveSources, Outbox, OutboxContext};
 use crate::pipeline::PipelineContext;
@@ -136,12 +136,12 @@ async fn start(
     let link_context = LinkContext {
         name: name.clone(),
         clock: Arc::clone(&clock),
-        own: host_clock.clone(),
+        host_clock: host_clock.clone(),
         event_queue: event_queue.clone(),
         incidents: incidents.clone(),
     };
     let links = Links::new(link_context, &config.clock, probes.clone());
-    let inspection = Arc::new(InspectionSettings::of(&config));
+    let inspection = Arc::new(InspectionSettings::from_config(&config));
     let host = Host { id, name, version, clock };
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
@@ -157,7 +157,7 @@ async fn start(
     let metrics = start_observing_host(&mut tasks, &config, &host, events.incidents.clone(), publish_clock);
     tasks.spawn_required_fallible(io.handle(), "links", links.clone().run(tasks.stop_token()));
     let pipelines = TaskTracker::new();
-    let observed = ObservedPipelines::of(&config);
+    let observed = ObservedPipelines::from_config(&config);
     let context = PipelineContext {
         host: host.clone(),
         events: events.clone(),
@@ -172,7 +172,7 @@ async fn start(
     let (count, served) = watch::channel(ServedCounts::default());
     if let Some(endpoints) = endpoints {
         let (host, incidents, bank) = (host.clone(), events.incidents.clone(), Arc::clone(&bank));
-        let context = ServeContext { host, incidents, bank, observed, own: host_clock, inspection };
+        let context = ServeContext { host, incidents, bank, observed, host_clock, inspection };
         start_serving(&mut tasks, io.handle(), pipelines, |ended| {
             serve::run(endpoints, context, count, ended)
         });
@@ -388,10 +388,11 @@ fn start_pipelines(
     let drain_timeout = config.agent.stop_timeout() / 2;
     let start = |pipeline: &PipelineConfig| {
         let placement = pipeline::describe_planned(&pipeline.placement);
-        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load_text(), placement));
+        let live_state =
+            Arc::new(PipelineLiveState::new(pipeline.name.clone(), pipeline.load_text(), placement));
         match pipeline.start {
             StartMode::Boot => {
-                let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&display));
+                let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&live_state));
                 let running =
                     pipeline::run(config, shown, context.clone(), tasks.stop_token(), drain_timeout);
                 tasks.spawn_finite(
@@ -402,10 +403,10 @@ fn start_pipelines(
             }
             StartMode::Manual => {
                 let reason = "not started: its configuration says start = \"manual\"";
-                display.set_state(PipelineState::Waiting(reason.to_owned()));
+                live_state.set_state(PipelineState::Waiting(reason.to_owned()));
             }
         }
-        display
+        live_state
     };
     LiveStatistics::new(config.pipelines.iter().map(start).collect())
 }

@@ -183,7 +183,7 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, is_empty: bool) {
         report.add("serve", text);
     }
     report.settings("serve.session", &serve.session);
-    for address in serve.listen.all() {
+    for address in serve.listen.as_slice() {
         report.unless_ok("serve.network", address.check_network(serve.network));
         report.unless_ok("serve.listen", address.check_host());
         check_listen(report, address);
@@ -295,7 +295,7 @@ fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, obse
     if let Some(peer) = &observed.peer {
         report.unless_ok(format!("{at}.placement.peer"), peer.check_host());
     }
-    match observed.version(|name| std::env::var(name).ok()) {
+    match observed.resolve_version(|name| std::env::var(name).ok()) {
         Ok(version) => {
             for (key, topic) in [("input", &observed.input), ("output", &observed.output)] {
                 report.unless_ok(format!("{at}.placement.{key}"), check_name(version, topic));

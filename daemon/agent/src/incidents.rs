@@ -78,6 +78,6 @@ impl Incidents {
             peer: subject.peer,
             text,
         };
-        self.event_queue.event(subject.pipeline, Event::Incident(incident));
+        self.event_queue.push_event(subject.pipeline, Event::Incident(incident));
     }
 }

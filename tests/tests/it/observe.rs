@@ -158,7 +158,7 @@ fn observation_continues_after_ros_restart() {
     until("iterations after the master was restarted", || (ok() > before).then_some(()));
     let incidents = api.json("/api/v1/incidents").to_string();
     for part in
-        ["the run goes on when there are messages again", "both observed topics have a publisher again"]
+        ["the run continues when messages arrive again", "both observed topics have a publisher again"]
     {
         assert!(incidents.contains(part), "{part} is missing in {incidents}");
     }

@@ -261,7 +261,7 @@ fn missing_peer_or_pipeline_is_named() {
 
     let other = rack(&model("/camera", "/result").replace("\"model\"", "\"planner\""));
     state(&[
-        "no pipeline of host rack that observes is named model; there is planner; set peer_pipeline to it",
+        "host rack has no observing pipeline named model; its observing pipelines: planner; set peer_pipeline to one of them",
     ]);
     assert_eq!(other.stop().code(), 0);
 
@@ -283,7 +283,7 @@ fn missing_peer_or_pipeline_is_named() {
     });
     let incidents = api.json("/api/v1/incidents").to_string();
     for part in [
-        "lost rack",
+        "lost the connection to rack",
         "peer-unanswered",
         "connected to rack, which observes the same messages with its pipeline model",
     ] {

@@ -115,7 +115,7 @@ pub(super) fn check_probes(report: &mut Report, probes: &ProbesConfig, serve: Op
         report.unless_ok("probes.key_file", Key::read(path));
     }
     if let (Some(port), true, Some(serve)) = (probes.port, probes.reflect, serve) {
-        serve.listen.all().iter().for_each(|address| check_port(report, &address.host(), port));
+        serve.listen.as_slice().iter().for_each(|address| check_port(report, &address.host(), port));
     }
 }
 

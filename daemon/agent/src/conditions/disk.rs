@@ -31,8 +31,8 @@ pub(super) fn free_space_of(purpose: &str, folder: &Path) -> Finding {
     let found = format!("{:.1} GiB for the {purpose}", free as f64 / f64::from(1 << 30));
     let advice = format!("make room at {}", folder.display());
     match free {
-        ..BAD_BELOW_BYTES => Finding::worse(ABOUT, Grade::Bad, found, advice),
-        BAD_BELOW_BYTES..DOUBTFUL_BELOW_BYTES => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
+        ..BAD_BELOW_BYTES => Finding::graded(ABOUT, Grade::Bad, found, advice),
+        BAD_BELOW_BYTES..DOUBTFUL_BELOW_BYTES => Finding::graded(ABOUT, Grade::Doubtful, found, advice),
         DOUBTFUL_BELOW_BYTES.. => Finding::good(ABOUT, found),
     }
 }

@@ -42,7 +42,7 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
         (false, true) => {
             Finding::good(ABOUT, format!("{names}, with the lowest frequency raised to the highest"))
         }
-        (false, false) => Finding::worse(
+        (false, false) => Finding::graded(
             ABOUT,
             Grade::Doubtful,
             format!("{names}: the frequency follows the load, so latency depends on how busy the host is"),

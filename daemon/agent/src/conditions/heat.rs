@@ -57,7 +57,7 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     }
     let finding = || {
         let found = format!("the kernel slows the host down now ({})", active.join(", "));
-        Finding::worse(ABOUT, Grade::Bad, found, COOLING_ADVICE)
+        Finding::graded(ABOUT, Grade::Bad, found, COOLING_ADVICE)
     };
     known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
 }
@@ -80,9 +80,9 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
         let name = text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
         let heat = format!("{name} is at {celsius:.0} °C, and from {point:.0} °C on the host is slowed down");
         if celsius >= point {
-            found.push(Finding::worse(ABOUT, Grade::Bad, heat, COOLING_ADVICE));
+            found.push(Finding::graded(ABOUT, Grade::Bad, heat, COOLING_ADVICE));
         } else if celsius >= point - TRIP_POINT_MARGIN_CELSIUS {
-            found.push(Finding::worse(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
+            found.push(Finding::graded(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
         }
     }
     known.then_some(found)
@@ -101,10 +101,10 @@ fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
     let (now, before) = (named(0), named(16));
     Some(if !now.is_empty() {
         let advice = "use the power supply meant for the board, cool it, and repeat the run";
-        vec![Finding::worse(ABOUT, Grade::Bad, format!("the firmware reports {now} now"), advice)]
+        vec![Finding::graded(ABOUT, Grade::Bad, format!("the firmware reports {now} now"), advice)]
     } else if !before.is_empty() {
         let found = format!("the firmware reports {before} since the board was started");
-        vec![Finding::worse(ABOUT, Grade::Doubtful, found, OBSERVING_ADVICE)]
+        vec![Finding::graded(ABOUT, Grade::Doubtful, found, OBSERVING_ADVICE)]
     } else {
         Vec::new()
     })
@@ -124,6 +124,6 @@ fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
     Some(if most == 0 {
         Vec::new()
     } else {
-        vec![Finding::worse(ABOUT, Grade::Doubtful, found(), OBSERVING_ADVICE)]
+        vec![Finding::graded(ABOUT, Grade::Doubtful, found(), OBSERVING_ADVICE)]
     })
 }

@@ -44,8 +44,8 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     let found = format!("{others:.1} other threads want to run, on {cores:.0} processors{pressure}");
     let advice = "stop what else runs on this host and repeat the run; `top` names it";
     match others / cores {
-        share if share >= COMPETING_BAD => Finding::worse(ABOUT, Grade::Bad, found, advice),
-        share if share >= COMPETING_DOUBTFUL => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
+        share if share >= COMPETING_BAD => Finding::graded(ABOUT, Grade::Bad, found, advice),
+        share if share >= COMPETING_DOUBTFUL => Finding::graded(ABOUT, Grade::Doubtful, found, advice),
         _ => Finding::good(ABOUT, found),
     }
 }
@@ -85,7 +85,7 @@ pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
     let (quota, period) = max.split_once(' ')?;
     let (quota, period): (f64, f64) = (quota.parse().ok()?, period.parse().ok()?);
     (period > 0.0).then(|| {
-        Finding::worse(
+        Finding::graded(
             "CPU quota",
             Grade::Doubtful,
             format!(
@@ -114,8 +114,8 @@ pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
     let advice = "measure on a machine of its own, or on one with processors reserved";
     let about = "stolen time";
     Some(match share {
-        share if share >= STEAL_BAD => Finding::worse(about, Grade::Bad, found, advice),
-        share if share >= STEAL_DOUBTFUL => Finding::worse(about, Grade::Doubtful, found, advice),
+        share if share >= STEAL_BAD => Finding::graded(about, Grade::Bad, found, advice),
+        share if share >= STEAL_DOUBTFUL => Finding::graded(about, Grade::Doubtful, found, advice),
         _ => Finding::good(about, found),
     })
 }

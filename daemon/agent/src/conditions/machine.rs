@@ -37,7 +37,7 @@ const VIRTUAL_PRODUCTS: [&str; 17] = [
 
 /// Judges the kind of the machine. A virtual machine or container is graded as unknown: it shares its hardware with
 /// others that it cannot see.
-pub(super) fn kind(settings: &InspectionSettings) -> Finding {
+pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "machine";
     let products = products(&settings.sys);
     let product = if products.is_empty() { String::new() } else { format!(" ({})", products.join(" ")) };

@@ -23,7 +23,7 @@ pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
     Some(if used as f64 / memory as f64 >= DOUBTFUL_SHARE {
         let advice =
             "free memory: stop other programs, or start anew so that nothing of the run lies in the swap";
-        Finding::worse(ABOUT, Grade::Doubtful, found, advice)
+        Finding::graded(ABOUT, Grade::Doubtful, found, advice)
     } else {
         Finding::good(ABOUT, found)
     })

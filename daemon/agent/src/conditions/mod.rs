@@ -63,7 +63,7 @@ impl InspectionSettings {
     pub(crate) const SYSFS: &str = "/sys";
 
     /// Returns the settings for this host, with the folders to which an agent with this configuration writes.
-    pub(crate) fn of(config: &AgentConfig) -> Self {
+    pub(crate) fn from_config(config: &AgentConfig) -> Self {
         let spool = config.agent.aggregator.as_ref().map(|_| config.spool.path(&config.agent.state_dir));
         let folders = spool.into_iter().map(|file| ("spool".to_owned(), file)).collect();
         Self { folders, ..Self::default() }
@@ -72,7 +72,7 @@ impl InspectionSettings {
 
 /// Judges the free space at a path, which need not exist yet.
 pub fn free_space(purpose: &str, path: &Path, host: &str) -> Condition {
-    disk::free_space_of(purpose, path).of(host)
+    disk::free_space_of(purpose, path).with_host(host)
 }
 
 /// Inspects the host that is called `host`. Blocks, for less than 50 ms on most hosts.
@@ -88,8 +88,8 @@ pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition>
     if settings.network {
         found.extend(wireless::power_save(settings));
     }
-    found.push(machine::kind(settings));
-    found.into_iter().map(|finding| finding.of(host)).collect()
+    found.push(machine::machine_kind(settings));
+    found.into_iter().map(|finding| finding.with_host(host)).collect()
 }
 
 /// Inspects the host without blocking. If that takes too long, the result has a single condition that says so.
@@ -101,7 +101,7 @@ pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: Str
         Ok(Err(_)) => "looking at the host panicked; the log says where".to_owned(),
         Err(_) => format!("the host did not answer within {} ms", TIMEOUT.as_millis()),
     };
-    vec![Finding::unknown("host", why).of(&host)]
+    vec![Finding::unknown("host", why).with_host(host)]
 }
 
 /// A condition without the name of the host.
@@ -122,11 +122,16 @@ impl Finding {
         Self { about, found: found.into(), grade: Grade::Unknown, advice: String::new() }
     }
 
-    fn worse(about: &'static str, grade: Grade, found: impl Into<String>, advice: impl Into<String>) -> Self {
+    fn graded(
+        about: &'static str,
+        grade: Grade,
+        found: impl Into<String>,
+        advice: impl Into<String>,
+    ) -> Self {
         Self { about, found: found.into(), grade, advice: advice.into() }
     }
 
-    fn of(self, host: &str) -> Condition {
+    fn with_host(self, host: &str) -> Condition {
         let Self { about, found, grade, advice } = self;
         Condition { host: host.to_owned(), about: about.to_owned(), found, grade, advice }
     }

@@ -26,7 +26,7 @@ fn of(settings: &InspectionSettings, interface: &Path) -> Finding {
     let name = interface.file_name().unwrap_or_default().to_string_lossy().into_owned();
     match settings.iw.iter().find_map(|iw| ask(iw, &name)).as_deref() {
         Some("Power save: off") => Finding::good(ABOUT, format!("off on {name}")),
-        Some("Power save: on") => Finding::worse(
+        Some("Power save: on") => Finding::graded(
             ABOUT,
             Grade::Doubtful,
             format!("on at {name}: what arrives can wait for the next beacon, 0.1 s and more"),

@@ -54,7 +54,7 @@ impl Default for ClockConfig {
 
 impl ClockConfig {
     /// Returns the settings of the clock relations.
-    pub fn relation(&self) -> RelationSettings {
+    pub fn relation_settings(&self) -> RelationSettings {
         RelationSettings {
             max_drift_ppm: self.max_drift_ppm,
             max_drift_change_ppm_per_s: self.max_drift_change_ppm_per_s,

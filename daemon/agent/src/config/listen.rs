@@ -51,7 +51,7 @@ impl ListenAddresses {
     }
 
     /// Returns all addresses, in the order of the configuration.
-    pub fn all(&self) -> &[Address] {
+    pub fn as_slice(&self) -> &[Address] {
         &self.0
     }
 

@@ -75,7 +75,10 @@ impl ObserveConfig {
     ///
     /// # Errors
     /// When the version is unknown, is not in this build, or has no sequence numbers to pair by.
-    pub fn version(&self, variable: impl Fn(&str) -> Option<String>) -> Result<RosVersion, ObserveError> {
+    pub fn resolve_version(
+        &self,
+        variable: impl Fn(&str) -> Option<String>,
+    ) -> Result<RosVersion, ObserveError> {
         let version = RosVersion::resolve(self.ros_version, variable)?;
         if version == RosVersion::Ros2 {
             if self.pair_by == PairBy::Sequence {
@@ -155,18 +158,18 @@ mod tests {
 
     #[test]
     fn sequence_numbers_of_ros_2_are_refused_with_the_alternatives() {
-        let error = config(PairBy::Sequence).version(|_| None).expect_err("there are none");
+        let error = config(PairBy::Sequence).resolve_version(|_| None).expect_err("there are none");
         assert_eq!(error.key(), "pair_by");
         for part in ["no sequence number", "pair_by = \"stamp\"", "\"order\""] {
             assert!(error.to_string().contains(part), "{error}");
         }
         let of_ros1 = ObserveConfig { ros_version: Some(RosVersion::Ros1), ..config(PairBy::Sequence) };
-        assert_eq!(of_ros1.version(|_| None).ok(), Some(RosVersion::Ros1));
+        assert_eq!(of_ros1.resolve_version(|_| None).ok(), Some(RosVersion::Ros1));
     }
 
     #[test]
     fn build_without_ros_2_names_the_feature() {
-        match config(PairBy::Stamp).version(|_| None) {
+        match config(PairBy::Stamp).resolve_version(|_| None) {
             Ok(version) => assert!(ros2::IS_BUILT && version == RosVersion::Ros2),
             Err(error) => {
                 assert!(!ros2::IS_BUILT && error.to_string().contains("cargo feature `ros2`"), "{error}");

@@ -72,7 +72,7 @@ impl Tracking {
     /// The documented bound of the clock's error is `|system time| + root dispersion + root delay / 2`. The sign of
     /// the first term is known, and chrony slews the clock towards zero. So the interval reaches from the estimate to
     /// zero, and by the other two terms beyond both.
-    pub(super) fn answer(&self, at: MonoTime) -> SourceReport {
+    pub(super) fn to_report(&self, at: MonoTime) -> SourceReport {
         let claim = (self.synchronised && !self.local).then(|| Claim {
             at,
             error: Interval {
@@ -91,28 +91,28 @@ impl Tracking {
 }
 
 /// Returns the report of chrony without a claim; `reason` says why.
-pub(super) fn silent(reason: &impl fmt::Display) -> SourceReport {
+pub(super) fn report_without_claim(reason: &impl fmt::Display) -> SourceReport {
     SourceReport { source: DelaySource::Chrony, claim: None, text: format!("chrony, {reason}") }
 }
 
 /// Decides whether chrony's answers are current. After a step of the clock chrony repeats its last measurement until
 /// it measures again.
 #[derive(Debug, Default)]
-pub(super) struct Trust {
+pub(super) struct CurrentAnswers {
     epoch: u32,
     /// Time of the last measurement before the step; `Some(None)` before the first answer after it, `None` if answers
     /// are current.
     outdated: Option<Option<String>>,
 }
 
-impl Trust {
+impl CurrentAnswers {
     /// Accepts answers in `epoch` of the clock.
     pub(super) const fn new(epoch: u32) -> Self {
         Self { epoch, outdated: None }
     }
 
     /// Returns whether `tracking`, read in `epoch` at the latest, was measured since the last step.
-    pub(super) fn allows(&mut self, tracking: &Tracking, epoch: u32) -> bool {
+    pub(super) fn accepts(&mut self, tracking: &Tracking, epoch: u32) -> bool {
         if self.epoch != epoch {
             self.epoch = epoch;
             self.outdated = Some(None);
@@ -185,11 +185,11 @@ mod tests {
     fn only_measurements_after_step_count() {
         let before = Tracking::parse(BIASED).expect("chronyc printed it");
         let after = Tracking { measured: "1795179453.193074185".to_owned(), ..before.clone() };
-        let mut trust = Trust::new(0);
-        assert!(trust.allows(&before, 0));
-        assert!(!trust.allows(&before, 1), "the clock was stepped");
-        assert!(!trust.allows(&before, 1));
-        assert!(trust.allows(&after, 1));
-        assert!(trust.allows(&after, 1));
+        let mut current_answers = CurrentAnswers::new(0);
+        assert!(current_answers.accepts(&before, 0));
+        assert!(!current_answers.accepts(&before, 1), "the clock was stepped");
+        assert!(!current_answers.accepts(&before, 1));
+        assert!(current_answers.accepts(&after, 1));
+        assert!(current_answers.accepts(&after, 1));
     }
 }

@@ -8,7 +8,7 @@ use peernet_clock::SharedClock;
 use tokio::io::{AsyncRead, AsyncReadExt};
 use tokio::process::Command;
 
-use super::chrony::{Tracking, TrackingError, Trust, silent};
+use super::chrony::{CurrentAnswers, Tracking, TrackingError, report_without_claim};
 use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
@@ -41,33 +41,33 @@ pub(super) struct Chronyc {
     command: String,
     arguments: Vec<String>,
     clock: SharedClock,
-    trust: Trust,
+    current_answers: CurrentAnswers,
     /// `true` once it was logged that chrony is not installed.
-    is_absence_logged: bool,
+    has_logged_absence: bool,
 }
 
 impl Chronyc {
     pub(super) fn new(config: &ClockConfig, clock: SharedClock) -> Self {
-        let trust = Trust::new(clock.wall_epoch());
+        let current_answers = CurrentAnswers::new(clock.wall_epoch());
         let (command, arguments) = (config.chronyc.clone(), config.chronyc_arguments.clone());
-        Self { command, arguments, clock, trust, is_absence_logged: false }
+        Self { command, arguments, clock, current_answers, has_logged_absence: false }
     }
 
     /// Queries chrony; `None` if it is not installed on this host.
-    pub(super) async fn ask(&mut self) -> Option<SourceReport> {
+    pub(super) async fn query(&mut self) -> Option<SourceReport> {
         match self.track().await {
             Ok(answer) => Some(answer),
             Err(ChronycError::Run { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
-                if !self.is_absence_logged {
+                if !self.has_logged_absence {
                     tracing::info!(
                         "{} is not installed: chrony is not asked about this host's clock",
                         self.command
                     );
-                    self.is_absence_logged = true;
+                    self.has_logged_absence = true;
                 }
                 None
             }
-            Err(error) => Some(silent(&error)),
+            Err(error) => Some(report_without_claim(&error)),
         }
     }
 
@@ -87,8 +87,8 @@ impl Chronyc {
         }
         let tracking = Tracking::parse(&output);
         let tracking = tracking.map_err(|source| ChronycError::Output { command: command(), source })?;
-        if self.trust.allows(&tracking, self.clock.wall_epoch()) {
-            Ok(tracking.answer(at))
+        if self.current_answers.accepts(&tracking, self.clock.wall_epoch()) {
+            Ok(tracking.to_report(at))
         } else {
             Err(ChronycError::Outdated)
         }

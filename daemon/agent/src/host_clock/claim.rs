@@ -38,7 +38,7 @@ impl Claim {
 
 /// Combination of the reports of all sources.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Summary {
+pub(super) struct ClaimSummary {
     /// The intersection of all claims (Marzullo's algorithm, with no claim allowed to be wrong); `None` when there is
     /// none, or when they exclude each other.
     pub(super) discipline: Option<Discipline>,
@@ -50,7 +50,7 @@ pub(super) struct Summary {
 
 /// Combines reports into the summary that holds at `until`. That is later than now, because a claim must hold until
 /// the next one replaces it.
-pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> Summary {
+pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> ClaimSummary {
     let claims: Vec<(&SourceReport, Interval)> =
         reports.iter().filter_map(|report| Some((report, report.claim?.at(until)))).collect();
     let words = |reports: &mut dyn Iterator<Item = &SourceReport>| {
@@ -64,7 +64,7 @@ pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> Summary {
             [] => "nobody is asked how well the clock is set".to_owned(),
             reports => words(&mut reports.iter()),
         };
-        return Summary { text, ..Summary::default() };
+        return ClaimSummary { text, ..ClaimSummary::default() };
     };
     let Some(error) = common else {
         let each: Vec<String> = claims
@@ -72,9 +72,9 @@ pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> Summary {
             .map(|(report, error)| format!("{}: error {} to {}", report.text, error.lo, error.hi))
             .collect();
         let text = format!("claims exclude each other, none is used ({})", each.join("; "));
-        return Summary { discipline: None, text, is_contradictory: true };
+        return ClaimSummary { discipline: None, text, is_contradictory: true };
     };
-    Summary {
+    ClaimSummary {
         discipline: Some(Discipline { source: narrowest.source, error }),
         text: words(&mut claims.iter().map(|(report, _)| *report)),
         is_contradictory: false,
@@ -94,7 +94,7 @@ mod tests {
         SourceReport { source, claim, text: source.to_string() }
     }
 
-    fn combined(kernel: Option<(i64, i64)>, chrony: Option<(i64, i64)>) -> Summary {
+    fn combined(kernel: Option<(i64, i64)>, chrony: Option<(i64, i64)>) -> ClaimSummary {
         let reports = [report(DelaySource::Kernel, kernel), report(DelaySource::Chrony, chrony)];
         combine(&reports, MonoTime::from_nanos(0))
     }

@@ -11,11 +11,11 @@ use super::timex::{self, Timex};
 const KERNEL_GROWTH_US: i64 = 500;
 
 /// Queries the kernel.
-pub(super) fn ask(now: MonoTime) -> SourceReport {
-    answer(timex::read(), now)
+pub(super) fn query(now: MonoTime) -> SourceReport {
+    report_from(timex::read(), now)
 }
 
-fn answer(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
+fn report_from(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
     let (bound, text) = match state {
         Err(error) => (None, format!("kernel: adjtimex: {error}")),
         Ok(state) => judge(state),
@@ -54,7 +54,7 @@ mod tests {
 
     fn judged(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
         let state = Timex { synchronised, max_error_us, estimated_error_us };
-        let answer = answer(Ok(state), MonoTime::from_nanos(0));
+        let answer = report_from(Ok(state), MonoTime::from_nanos(0));
         (answer.claim.map(|claim| claim.error.hi), answer.text)
     }
 

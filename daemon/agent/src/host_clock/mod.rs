@@ -41,7 +41,7 @@ use crate::config::{ClockConfig, RehearsalConfig};
 use crate::incidents::Incidents;
 pub(crate) use clocksource::Clocksource;
 use monitor::HostClockMonitor;
-use sources::Sources;
+use sources::ClaimSources;
 use vmclock::Vmclock;
 
 /// Interval at which the clocks are checked.
@@ -63,7 +63,7 @@ pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
 }
 
 /// Returns the shown state of a host's clocks.
-pub(crate) fn shown(clock: &PeerClock) -> HostClock {
+pub(crate) fn describe_clock(clock: &PeerClock) -> HostClock {
     let PeerClock { epoch, discipline, text, rehearsal, raw } = clock.clone();
     let clocksource = raw.map(|raw| raw.clocksource).filter(|name| !name.is_empty());
     HostClock { discipline, text, epoch, rehearsal, clocksource }
@@ -89,7 +89,7 @@ pub(crate) async fn run(
     let clocksource = Clocksource::below(Path::new(InspectionSettings::SYSFS));
     let vmclock = Vmclock::below(Path::new("/dev"));
     let mut monitor = HostClockMonitor::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
-    let looking = async {
+    let checking = async {
         let mut ticks = interval(CHECK_INTERVAL);
         let mut checks = 0_u32;
         loop {
@@ -116,14 +116,14 @@ pub(crate) async fn run(
             });
         }
     };
-    let asking = async {
+    let querying = async {
         let truth = Arc::new(SystemClock::new(clock.identity().clone()));
-        let mut sources = Sources::new(&config, rehearsal.as_ref(), clock.clone(), truth);
-        let mut ticks = interval(sources.period());
+        let mut sources = ClaimSources::new(&config, rehearsal.as_ref(), clock.clone(), truth);
+        let mut ticks = interval(sources.interval());
         loop {
             ticks.tick().await;
             let before = (clock.wall_epoch(), clock.epoch());
-            let summary = sources.ask().await;
+            let summary = sources.query().await;
             // An answer from before a step is void.
             if (clock.wall_epoch(), clock.epoch()) == before {
                 publish.send_if_modified(|known| {
@@ -142,7 +142,7 @@ pub(crate) async fn run(
             }
         }
     };
-    stop.run_until_cancelled(async { tokio::join!(looking, asking) }).await;
+    stop.run_until_cancelled(async { tokio::join!(checking, querying) }).await;
 }
 
 fn interval(period: Duration) -> tokio::time::Interval {

@@ -17,7 +17,7 @@ use super::judged_stamps::{Crossing, HostStamp};
 use super::network_sessions::NetworkSessions;
 use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
 use super::second::Second;
-use crate::host_clock::shown;
+use crate::host_clock::describe_clock;
 use crate::same_clock::NotProven;
 
 /// Longest time between the end of a second and the time at which it counts as closed, unless exchanges stopped or
@@ -292,7 +292,7 @@ impl Knowledge {
 
     /// Returns the shown state of the clocks of the edge and the cloud.
     pub(super) fn clocks(&self) -> (HostClock, HostClock) {
-        (shown(self.edge.clock()), shown(self.cloud.clock()))
+        (describe_clock(self.edge.clock()), describe_clock(self.cloud.clock()))
     }
 
     /// Adds an exchange to the relation. Returns whether it was accepted.

@@ -65,7 +65,7 @@ impl Link {
         let now = clock.stamp();
         let settings = RelationSettings { clocks, ..shared.relation };
         let relation = Relation::new(settings);
-        let announcements = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
+        let announcements = (shared.host.host_clock.borrow().clone(), accepted.host_clock.clone());
         let mut knowledge =
             Knowledge::new((accepted.host, accepted.name.clone()), relation, announcements, now);
         // The announcement of the latest interruption may not have arrived yet.
@@ -295,7 +295,7 @@ impl Link {
     fn report(&self, changes: KnowledgeChanges) {
         let host = &self.shared.host;
         for sample in changes.samples {
-            host.event_queue.event(None, Event::Clock(Box::new(sample)));
+            host.event_queue.push_event(None, Event::Clock(Box::new(sample)));
         }
         let (edge, cloud) = (&host.name, &self.cloud.name);
         let texts = [

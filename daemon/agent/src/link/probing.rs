@@ -36,7 +36,7 @@ pub(super) async fn maintain(link: Arc<Link>) {
 async fn maintain_over(link: &Arc<Link>, session: Session, sessions: &mut watch::Receiver<Vec<Session>>) {
     let id = session.id;
     let authenticated = link.shared.probes.key_for(&session).is_some();
-    let (mut peer, mut own) = (session.clock.clone(), link.shared.host.own.clone());
+    let (mut peer, mut own) = (session.clock.clone(), link.shared.host.host_clock.clone());
     peer.mark_changed();
     own.mark_changed();
     let (results, mut arriving) = mpsc::channel(RESULTS);

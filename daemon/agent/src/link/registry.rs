@@ -69,7 +69,7 @@ pub(crate) struct Attached {
 impl Links {
     /// Creates an empty registry.
     pub(crate) fn new(host: LinkContext, clock: &ClockConfig, probes: ProbeSettings) -> Self {
-        let shared = Arc::new(Shared { host, relation: clock.relation(), probes });
+        let shared = Arc::new(Shared { host, relation: clock.relation_settings(), probes });
         Self(Arc::new(Inner {
             shared,
             open: Mutex::default(),

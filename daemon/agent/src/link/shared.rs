@@ -21,7 +21,7 @@ pub(crate) struct LinkContext {
     pub(crate) name: Slug,
     pub(crate) clock: SharedClock,
     /// State of this host's clocks.
-    pub(crate) own: watch::Receiver<PeerClock>,
+    pub(crate) host_clock: watch::Receiver<PeerClock>,
     pub(crate) event_queue: EventQueue,
     pub(crate) incidents: Incidents,
 }

@@ -21,7 +21,7 @@ pub(crate) struct LiveSources {
 }
 
 impl LiveSources {
-    /// Returns a live update of the current state. The caller passes the receipt to [`LiveStatistics::delivered`]
+    /// Returns a live update of the current state. The caller passes the receipt to [`LiveStatistics::mark_sent`]
     /// after sending.
     pub(crate) fn update(
         &self,
@@ -35,7 +35,7 @@ impl LiveSources {
             sent,
             pipelines,
             links: self.links.live(),
-            clock: host_clock::shown(&self.clock.borrow()),
+            clock: host_clock::describe_clock(&self.clock.borrow()),
             metrics: self.metrics.borrow().clone(),
             accounting,
         };

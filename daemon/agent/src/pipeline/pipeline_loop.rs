@@ -105,7 +105,7 @@ impl<'a> PipelineLoop<'a> {
         let since =
             self.resources.sensing.as_ref().filter(|_| arrived.is_none()).map(|awaited| awaited.started_at);
         // The wait for the sensor continues over a reconnect, so the live state keeps the time of the request.
-        self.resources.display.set_sensor_busy_since(since);
+        self.resources.live_state.set_sensor_busy_since(since);
         let Some(SensorOutput { log, sample }) = arrived else { return };
         let Some(PendingSample { run, start, started_at, .. }) = self.resources.sensing.take() else {
             return;
@@ -157,7 +157,7 @@ impl<'a> PipelineLoop<'a> {
             SensorResponse::Pending(sample) => {
                 self.resources.sensing =
                     Some(PendingSample { run: self.run.id(), start, started_at, sample });
-                self.resources.display.set_sensor_busy_since(Some(started_at));
+                self.resources.live_state.set_sensor_busy_since(Some(started_at));
             }
         }
         true
@@ -189,7 +189,7 @@ impl<'a> PipelineLoop<'a> {
     /// Handles the output of the sensor's thread.
     pub(super) fn handle_sensed(&mut self, sensed: SensorOutput) {
         if let Some(PendingSample { run, start, started_at, .. }) = self.resources.sensing.take() {
-            self.resources.display.set_sensor_busy_since(None);
+            self.resources.live_state.set_sensor_busy_since(None);
             self.accept_sample(run, (start, started_at), sensed);
         }
     }
@@ -197,7 +197,7 @@ impl<'a> PipelineLoop<'a> {
     /// Handles the unexpected end of the sensor's thread.
     pub(super) fn handle_sensor_death(&mut self) {
         self.resources.sensing = None;
-        self.resources.display.set_sensor_busy_since(None);
+        self.resources.live_state.set_sensor_busy_since(None);
         self.end(LoopEnd::Broken(LoopError::SensorDied));
     }
 
@@ -298,7 +298,7 @@ impl<'a> PipelineLoop<'a> {
             self.backoff.record_outcome(&outcome, ended.mono);
         }
         let tree = iteration::close(log, &pending, ended.mono, closed_loop, transport);
-        self.run.record(pending.position, outcome, tree, ended, self.context, &self.resources.display);
+        self.run.record(pending.position, outcome, tree, ended, self.context, &self.resources.live_state);
     }
 }
 

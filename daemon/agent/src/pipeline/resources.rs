@@ -15,7 +15,7 @@ use super::pipeline_loop::PendingSample;
 use super::sensing::{SensorChain, SensorExecutor};
 use super::start_timer::StartTimer;
 use crate::config::PipelineConfig;
-use crate::live::Display;
+use crate::live::PipelineLiveState;
 
 /// Reason why a pipeline cannot be assembled.
 #[derive(Debug, thiserror::Error)]
@@ -43,7 +43,7 @@ pub(super) enum AssembleError {
 /// The parts of a pipeline except its placement.
 pub(super) struct PipelineResources {
     pub(super) config: Arc<PipelineConfig>,
-    pub(super) display: Arc<Display>,
+    pub(super) live_state: Arc<PipelineLiveState>,
     pub(super) sensor: SensorExecutor,
     /// The requested sample. A request cannot be cancelled, so it may outlive the connection.
     pub(super) sensing: Option<PendingSample>,
@@ -62,7 +62,7 @@ impl PipelineResources {
     /// When one of them cannot be set up.
     pub(super) fn assemble(
         config: Arc<PipelineConfig>,
-        display: Arc<Display>,
+        live_state: Arc<PipelineLiveState>,
         clock: SharedClock,
         fingerprints: &FingerprintKey,
     ) -> Result<Self, AssembleError> {
@@ -87,7 +87,7 @@ impl PipelineResources {
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
             start_timer: StartTimer::new(clock).map_err(AssembleError::Timer)?,
             config,
-            display,
+            live_state,
             sensor,
             sensing: None,
             facts,

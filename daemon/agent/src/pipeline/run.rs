@@ -12,7 +12,7 @@ use super::failure_log::FailureLog;
 use super::pipeline_loop::LoopEnd;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
-use crate::live::Display;
+use crate::live::PipelineLiveState;
 
 const SECONDS_PER_DAY: i64 = 86_400;
 
@@ -37,7 +37,7 @@ impl Run {
         (mut facts, conditions): (Vec<(String, String)>, Vec<Condition>),
         is_continuation: bool,
         context: &PipelineContext,
-        display: &Display,
+        live_state: &PipelineLiveState,
     ) -> Self {
         let id = RunId::random();
         facts.extend(config.deadline_ms.map(|deadline| ("Deadline".to_owned(), format!("{deadline} ms"))));
@@ -54,8 +54,8 @@ impl Run {
             conditions,
         };
         context.events.runs.record_start(description.clone());
-        context.events.event_queue.event(Some(&config.name), Event::RunStarted(description));
-        display.set_run(id);
+        context.events.event_queue.push_event(Some(&config.name), Event::RunStarted(description));
+        live_state.set_run(id);
         Self {
             id,
             pipeline: config.name.clone(),
@@ -111,21 +111,21 @@ impl Run {
         mut tree: Tree,
         ended: Stamp,
         context: &PipelineContext,
-        display: &Display,
+        live_state: &PipelineLiveState,
     ) {
         if let Some(deadline) = self.deadline {
             deadline::record_deadline(&mut tree, &outcome, deadline);
         }
         // Warm-up iterations are stored, but left out of all statistics.
         if !position.warm_up {
-            display.record(ended.wall.unix_seconds(), &outcome, &tree);
+            live_state.record(ended.wall.unix_seconds(), &outcome, &tree);
         }
         let Position { number, episode, step, warm_up } = position;
         for line in self.failures.record(number, &outcome, ended.mono) {
             tracing::warn!(pipeline = %self.pipeline, "{line}");
         }
         let iteration = Iteration { run: self.id, number, episode, step, warm_up, outcome, tree };
-        context.events.event_queue.iteration(&self.pipeline, iteration);
+        context.events.event_queue.push_iteration(&self.pipeline, iteration);
     }
 
     /// Reports the end of the run.
@@ -148,7 +148,7 @@ fn end(pipeline: &Slug, run: RunId, reason: EndReason, context: &PipelineContext
     let ended = RunEnded { run, ended: context.host.clock.wall(), reason };
     // Recorded before the event is queued, so that the outbox does not send the start of the run again after its end.
     context.events.runs.record_end(pipeline, run);
-    context.events.event_queue.event(Some(pipeline), Event::RunEnded(ended));
+    context.events.event_queue.push_event(Some(pipeline), Event::RunEnded(ended));
 }
 
 fn day(at: WallTime) -> i64 {

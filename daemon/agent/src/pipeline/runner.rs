@@ -23,25 +23,25 @@ use super::resources::{AssembleError, PipelineResources};
 use super::run::{Run, end_orphaned_run};
 use crate::config::{PipelineConfig, PlacementConfig};
 use crate::incidents::{IncidentSubject, remark};
-use crate::live::Display;
+use crate::live::PipelineLiveState;
 use crate::reconnect_backoff::ReconnectBackoff;
 
 /// Runs one pipeline until it finishes, fails, or the agent stops. A failure or panic ends this pipeline only.
 pub(crate) async fn run(
     config: Arc<PipelineConfig>,
-    display: Arc<Display>,
+    live_state: Arc<PipelineLiveState>,
     context: PipelineContext,
     stop: CancellationToken,
     drain_timeout: Duration,
 ) {
-    let runner = Runner { config, display, context, stop, drain_timeout };
+    let runner = Runner { config, live_state, context, stop, drain_timeout };
     let outcome = AssertUnwindSafe(runner.run_to_end()).catch_unwind().await;
     match outcome.unwrap_or_else(|panic| Err(runner.handle_panic(panic.as_ref()))) {
-        Ok(()) => runner.display.set_state(PipelineState::Finished),
+        Ok(()) => runner.live_state.set_state(PipelineState::Finished),
         Err(error) => {
             let reason = error.to_string();
             runner.report(IncidentKind::PipelineFailed, None, reason.clone());
-            runner.display.set_state(PipelineState::Failed(reason));
+            runner.live_state.set_state(PipelineState::Failed(reason));
         }
     }
 }
@@ -68,7 +68,7 @@ pub(super) enum PipelineError {
 /// A pipeline and the parts of the agent that it reports to.
 pub(super) struct Runner {
     pub(super) config: Arc<PipelineConfig>,
-    pub(super) display: Arc<Display>,
+    pub(super) live_state: Arc<PipelineLiveState>,
     pub(super) context: PipelineContext,
     pub(super) stop: CancellationToken,
     /// Time that iterations in flight have to complete when the agent stops.
@@ -157,12 +157,12 @@ impl Runner {
 
     /// Sets up sensor, transforms and actuator on a blocking thread.
     async fn assemble(&self) -> Result<PipelineResources, AssembleError> {
-        let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
+        let (config, live_state) = (Arc::clone(&self.config), Arc::clone(&self.live_state));
         let (clock, fingerprints) = (Arc::clone(&self.context.host.clock), self.context.fingerprints.clone());
-        self.display.set_sensor_busy_since(Some(clock.mono()));
-        let assembling = move || PipelineResources::assemble(config, display, clock, &fingerprints);
+        self.live_state.set_sensor_busy_since(Some(clock.mono()));
+        let assembling = move || PipelineResources::assemble(config, live_state, clock, &fingerprints);
         let assembled = tokio::task::spawn_blocking(assembling).await;
-        self.display.set_sensor_busy_since(None);
+        self.live_state.set_sensor_busy_since(None);
         assembled.unwrap_or_else(|panic| Err(panic.into()))
     }
 
@@ -174,7 +174,7 @@ impl Runner {
         run: &mut Run,
         placement: &Placement,
     ) -> LoopEnd {
-        self.display.set_state(PipelineState::Running);
+        self.live_state.set_state(PipelineState::Running);
         loop {
             let ended = drive(resources, run, placement, &self.context, &self.stop, self.drain_timeout).await;
             if !matches!(ended, LoopEnd::Midnight) {
@@ -218,7 +218,7 @@ impl Runner {
             (facts, conditions),
             is_continuation,
             &self.context,
-            &self.display,
+            &self.live_state,
         )
     }
 
@@ -263,7 +263,7 @@ impl Runner {
                 self.report(problem.kind(), run, format!("{error} ({})", problem.retry_text()));
                 reported = Some(problem);
             }
-            self.display.set_state(PipelineState::Waiting(error));
+            self.live_state.set_state(PipelineState::Waiting(error));
             if self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_none() {
                 return Ok(None);
             }
@@ -284,7 +284,7 @@ impl Runner {
             self.context.events.incidents.report(IncidentKind::Connected, subject, text);
             self.follow_remarks(placement, peer);
         }
-        self.display.set_placement(description);
+        self.live_state.set_placement(description);
     }
 
     /// Reports the transport's remarks about the connection while it is open.
@@ -316,7 +316,7 @@ impl Runner {
         );
         let subject = IncidentSubject { pipeline: Some(&self.config.name), run: Some(run), peer: Some(peer) };
         self.context.events.incidents.report(IncidentKind::Disconnected, subject, text);
-        self.display.set_state(PipelineState::Waiting(reason));
+        self.live_state.set_state(PipelineState::Waiting(reason));
     }
 
     fn peer_address(&self) -> Option<&Address> {

@@ -12,7 +12,7 @@ pub struct ServedCounts {
     pub answers: u64,
     /// Number of failures.
     pub errors: u64,
-    /// Number of planned iterations that never arrived, of runs that are over, as their edge reported.
+    /// Number of planned iterations of ended runs whose requests never arrived.
     pub missed: u64,
     /// Duration of the stage `inference`, of the answers that have it, in seconds.
     pub inference: Summary,
@@ -30,7 +30,7 @@ impl ServedCounts {
 }
 
 /// Returns the duration of the stage `inference` in seconds.
-pub(super) fn inference(tree: &Tree) -> Option<f64> {
+pub(super) fn inference_duration(tree: &Tree) -> Option<f64> {
     tree.find(&[stage::INFERENCE.as_str()])?.1.measure.value()
 }
 

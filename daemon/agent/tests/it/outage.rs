@@ -179,7 +179,7 @@ async fn only_lost_edge_is_incident() {
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
     let lost: Vec<&str> =
         seen.incidents(IncidentKind::Disconnected).iter().map(|it| it.text.as_str()).collect();
-    assert!(matches!(lost[..], [text] if text.starts_with("lost second: ")), "{lost:?}");
+    assert!(matches!(lost[..], [text] if text.starts_with("lost the connection to second: ")), "{lost:?}");
     assert_eq!(served.borrow().sessions, 0);
     second.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");

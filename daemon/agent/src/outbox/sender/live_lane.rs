@@ -51,8 +51,8 @@ impl LiveLane {
     }
 
     /// Marks all seconds as not sent, because the aggregator may have been restarted.
-    pub(super) fn start_over(&self) {
-        self.sources.live_statistics.start_over();
+    pub(super) fn mark_all_unsent(&self) {
+        self.sources.live_statistics.mark_all_unsent();
     }
 
     /// Sends a live update if one may be sent, before everything else that waits, because it is useless later. On a
@@ -81,7 +81,7 @@ impl LiveLane {
         if !self.is_blocked {
             (self.is_due, self.told_ends) = (false, ends);
             machine.shown(bytes);
-            self.sources.live_statistics.delivered(&receipt);
+            self.sources.live_statistics.mark_sent(&receipt);
         }
     }
 

@@ -105,7 +105,7 @@ impl Sender {
                     unreported_ends: self.live.unreported_ends(),
                 };
                 self.reports.welcomed(&aggregator, &welcome);
-                self.live.start_over();
+                self.live.mark_all_unsent();
                 if lacks {
                     self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
                 }

@@ -183,7 +183,7 @@ async fn prepare(
     let state = row.state(held, reached);
     let mut state = state.map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })?;
     state.unreported = tail::unreported(connection).await.map_err(cannot_open)?;
-    let own = CountOwner::at(path).map_err(|source| SpoolError::Io {
+    let own = CountOwner::from_path(path).map_err(|source| SpoolError::Io {
         action: "look at",
         path: path.to_owned(),
         source,

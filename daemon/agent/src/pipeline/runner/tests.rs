@@ -65,7 +65,7 @@ impl Clock for PanickingClock {
 fn context(
     sensor: &str,
     clock: SharedClock,
-) -> (PipelineContext, Arc<PipelineConfig>, Arc<Display>, QueueReceiver) {
+) -> (PipelineContext, Arc<PipelineConfig>, Arc<PipelineLiveState>, QueueReceiver) {
     let tables = format!(
         "[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = '{PIPELINE}'\nsensor = {sensor}\n\
@@ -76,11 +76,11 @@ fn context(
     let of_host = HostConfig { aggregator, ..HostConfig::default() };
     let (event_queue, receiver) = crate::event_queue::create(&of_host, &clock, EventCounter::default());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
-    let (_own, own) = watch::channel(PeerClock::default());
+    let (_publish, host_clock) = watch::channel(PeerClock::default());
     let link_context = LinkContext {
         name: "edge".parse().expect("a name"),
         clock: Arc::clone(&clock),
-        own,
+        host_clock,
         event_queue: event_queue.clone(),
         incidents: incidents.clone(),
     };
@@ -101,8 +101,9 @@ fn context(
     };
     let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
     let placement = crate::pipeline::describe_planned(&pipeline.placement);
-    let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
-    (context, pipeline, display, receiver.expect("there is an aggregator"))
+    let live_state =
+        Arc::new(PipelineLiveState::new(pipeline.name.clone(), pipeline.load.describe(), placement));
+    (context, pipeline, live_state, receiver.expect("there is an aggregator"))
 }
 
 /// Runs a pipeline until the clock panics for this reader. Returns the reason of the run's end, after checking that
@@ -111,9 +112,9 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     let system = SystemClock::new(ClockIdentity::new("boot", "system"));
     let fragile = Arc::new(PanickingClock { clock: system, broken: AtomicBool::new(false), reader });
     let clock: SharedClock = Arc::<PanickingClock>::clone(&fragile);
-    let (context, pipeline, display, mut receiver) = context(sensor, clock);
+    let (context, pipeline, live_state, mut receiver) = context(sensor, clock);
     let running =
-        run(pipeline, Arc::clone(&display), context, CancellationToken::new(), Duration::from_secs(1));
+        run(pipeline, Arc::clone(&live_state), context, CancellationToken::new(), Duration::from_secs(1));
     let running = tokio::spawn(running);
     let mut started = None;
     while let Some(event) = receiver.next().await {
@@ -138,7 +139,7 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     assert_eq!(Some(ended.run), started);
     let reason = ended.reason.failure().expect("it broke off").to_owned();
     assert_eq!(incident.expect("seen").text, reason);
-    let (shown, _) = crate::live::LiveStatistics::new(vec![display]).snapshot();
+    let (shown, _) = crate::live::LiveStatistics::new(vec![live_state]).snapshot();
     assert_eq!(shown[0].state, PipelineState::Failed(reason.clone()));
     reason
 }
@@ -160,16 +161,16 @@ async fn dead_sensor_thread_ends_pipeline_and_is_named() {
 async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
-    let (context, pipeline, display, mut receiver) = context(sensor, Arc::clone(&clock));
+    let (context, pipeline, live_state, mut receiver) = context(sensor, Arc::clone(&clock));
     let mut resources = PipelineResources::assemble(
         Arc::clone(&pipeline),
-        Arc::clone(&display),
+        Arc::clone(&live_state),
         Arc::clone(&clock),
         &context.fingerprints,
     )
     .expect("sound");
     let description = crate::pipeline::describe_planned(&pipeline.placement);
-    let mut run = Run::start(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &display);
+    let mut run = Run::start(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &live_state);
 
     let start = Start { intended: clock.mono(), skipped: 0 };
     let (log, started_at) = iteration::start(&clock, context.host.id, start.intended);
