@@ -232,9 +232,9 @@ fn observed_pipeline_refuses_keys_of_active_one() {
     let ended = deployment.peernetd(&["check", "it.toml"]).ended();
     assert_eq!(ended.code(), 78, "{}", ended.log);
     for part in [
-        "pipeline[0].sensor: a system that is only observed has its own",
+        "pipeline[0].sensor: a pipeline that observes does not use sensor",
         "pipeline[0].load: a system that is only observed",
-        "pipeline[0].placement.output: it is the topic of input, too",
+        "pipeline[0].placement.output: output is the same topic as input",
     ] {
         assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
     }

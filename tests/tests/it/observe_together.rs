@@ -310,5 +310,5 @@ fn check_refuses_peer_without_message_key() {
     }
     let (code, log) = check(&with_peer.replace("peer = \"tcp://rack:5551\", ", ""));
     assert_eq!(code, 78, "{log}");
-    assert!(log.contains("pipeline[0].placement.peer_pipeline: there is no peer"), "{log}");
+    assert!(log.contains("pipeline[0].placement.peer_pipeline: peer_pipeline needs a peer"), "{log}");
 }

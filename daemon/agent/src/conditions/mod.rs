@@ -1,8 +1,8 @@
-//! Conditions of this host that are inspected before a run, because they can distort its measurements.
+//! Conditions of this host that can distort measurements. They are inspected before each run.
 //!
-//! Each subject has one file, which reads the kernel's files below configurable roots. A condition that cannot be
-//! determined is reported as unknown. The cloud's conditions arrive with its acceptance of the session and are in the
-//! same list of the run's description. `docs/trust.md` gives the thresholds and their sources.
+//! Each condition has one file, which reads the kernel's files below configurable roots. A condition that cannot be
+//! determined has the grade unknown. The cloud sends its conditions when it accepts the session; the run's description
+//! contains those of both hosts. `docs/trust.md` lists the thresholds and their sources.
 
 mod disk;
 mod files;
@@ -32,15 +32,15 @@ pub struct InspectionSettings {
     pub sys: PathBuf,
     /// Root of procfs.
     pub proc: PathBuf,
-    /// Root of the file system, where container managers leave their marks.
+    /// Root of the file system, in which container managers create marker files.
     pub root: PathBuf,
     /// Folders that are written to during a run, with their purposes: `results`, `spool`.
     pub folders: Vec<(String, PathBuf)>,
     /// Possible paths of the command `iw`, which reports the power save of a wireless interface.
     pub iw: Vec<PathBuf>,
-    /// `true` if the run uses a network: without one wireless interfaces do not matter.
+    /// `true` if the run uses a network; otherwise wireless interfaces are not inspected.
     pub network: bool,
-    /// Number of counts of the competing threads, at least 1; 8 ms pass between two counts.
+    /// Number of times that competing threads are counted, at least 1, at intervals of 8 ms.
     pub thread_counts: u32,
 }
 
@@ -70,12 +70,12 @@ impl InspectionSettings {
     }
 }
 
-/// Judges the free space at a path, which need not exist yet.
+/// Grades the free space at a path, which need not exist yet. `purpose` says what is written there.
 pub fn free_space(purpose: &str, path: &Path, host: &str) -> Condition {
     disk::free_space_of(purpose, path).with_host(host)
 }
 
-/// Inspects the host that is called `host`. Blocks, for less than 50 ms on most hosts.
+/// Inspects this host, whose name is `host`. Blocks, for less than 50 ms on most hosts.
 pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition> {
     let mut found = Vec::new();
     found.extend(frequency::governor(settings));
@@ -92,16 +92,16 @@ pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition>
     found.into_iter().map(|finding| finding.with_host(host)).collect()
 }
 
-/// Inspects the host without blocking. If that takes too long, the result has a single condition that says so.
+/// Inspects this host without blocking. If that takes longer than [`TIMEOUT`], the result is a single unknown condition.
 pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: String) -> Vec<Condition> {
     let name = host.clone();
     let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));
-    let why = match tokio::time::timeout(TIMEOUT, inspection).await {
+    let reason = match tokio::time::timeout(TIMEOUT, inspection).await {
         Ok(Ok(found)) => return found,
-        Ok(Err(_)) => "looking at the host panicked; the log says where".to_owned(),
-        Err(_) => format!("the host did not answer within {} ms", TIMEOUT.as_millis()),
+        Ok(Err(_)) => "the inspection of the host panicked; see the log for the place".to_owned(),
+        Err(_) => format!("the inspection of the host took longer than {} ms", TIMEOUT.as_millis()),
     };
-    vec![Finding::unknown("host", why).with_host(host)]
+    vec![Finding::unknown("host", reason).with_host(host)]
 }
 
 /// A condition without the name of the host.

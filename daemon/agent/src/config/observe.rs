@@ -42,20 +42,18 @@ pub enum ObserveError {
     NotBuilt(Ros2Error),
     /// Messages of ROS 2 have no sequence number to be paired by.
     #[error(
-        "the headers of ROS 2 have no sequence number to pair messages by; write pair_by = \"stamp\", or \"order\" where \
-         the observed nodes do not copy header.stamp"
+        "the headers of ROS 2 have no sequence number to pair messages by; set pair_by = \"stamp\", or \"order\" if the \
+         observed nodes do not copy header.stamp"
     )]
     NoSequence,
     /// Two hosts cannot pair their messages by order, because they may receive them in different orders.
     #[error(
-        "two hosts need not receive the same messages in the same order, so that their stamps cannot be paired by it; write \
+        "two hosts may receive the messages in different orders, so their stamps cannot be paired by order; set \
          pair_by = \"stamp\", or \"sequence\" in ROS 1, or remove peer"
     )]
     PeerByOrder,
     /// `peer_pipeline` is set without `peer`.
-    #[error(
-        "there is no peer whose pipeline this is; add peer = \"tcp://HOST:PORT\", or remove peer_pipeline"
-    )]
+    #[error("peer_pipeline needs a peer; add peer = \"tcp://HOST:PORT\", or remove peer_pipeline")]
     PipelineWithoutPeer,
 }
 
@@ -120,7 +118,7 @@ pub enum PairBy {
 }
 
 impl PairBy {
-    /// Returns the rule in words, for the page of a run.
+    /// Returns the rule as a text, for the page of a run.
     pub fn describe(self) -> &'static str {
         match self {
             Self::Stamp => "header.stamp",

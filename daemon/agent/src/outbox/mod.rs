@@ -66,8 +66,8 @@ pub(crate) async fn open_spool(
         return Ok(None);
     }
     let path = config.spool.path(&config.agent.state_dir);
-    let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
-    OpenSpool::open(&path, host, kept_by_agent, clock).await.map(Some)
+    let is_default_path = path == SpoolConfig::default().path(&config.agent.state_dir);
+    OpenSpool::open(&path, host, is_default_path, clock).await.map(Some)
 }
 
 /// The parts of the agent that the outbox uses.

@@ -39,7 +39,7 @@ pub(crate) async fn run(
                 metrics_sender.send_replace(metrics);
             }
             Err(error) => {
-                tracing::error!(%error, "host metrics could not be read and end here");
+                tracing::error!(%error, "reading the host's metrics panicked; they are no longer updated");
                 return;
             }
         }

@@ -6,22 +6,20 @@ use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
 
 use super::process_usage::ProcessUsage;
 
-/// State between two readings; shares of time need the previous one.
-///
-/// Readers of accelerators and power belong here as well, each `None` if the host has no such device.
+/// Reads the metrics. It keeps state, because a share of CPU time is a difference between two readings.
 #[derive(Debug)]
 pub(super) struct Sampler {
     system: Option<System>,
     temperatures: Option<Components>,
     process_usage: ProcessUsage,
-    /// `true` after the first reading. The first share of CPU time has nothing to compare with.
+    /// `true` after the first reading. A share of CPU time needs a previous reading.
     has_previous: bool,
 }
 
 impl Sampler {
     pub(super) fn new(clock: SharedClock) -> Self {
         let log_unavailable = |what: &str, error: sysinfo::Error| {
-            tracing::info!(%error, "{what} cannot be read on this host and will not be shown");
+            tracing::info!(%error, "cannot read {what} on this host; it is not shown");
         };
         Self {
             system: System::new().map_err(|error| log_unavailable("processor and memory load", error)).ok(),

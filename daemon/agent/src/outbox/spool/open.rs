@@ -51,7 +51,7 @@ impl OpenSpool {
     pub(crate) async fn open(
         path: &Path,
         host: HostId,
-        kept_by_agent: bool,
+        is_default_path: bool,
         clock: &SharedClock,
     ) -> Result<Self, SpoolError> {
         let io = |action, path: &Path| {
@@ -68,7 +68,7 @@ impl OpenSpool {
 
         // Recognised before SQLite opens the file, which may change it.
         let file_kind = FileKind::at(path).map_err(io("read", path))?;
-        if !(kept_by_agent && file_kind == FileKind::Other)
+        if !(is_default_path && file_kind == FileKind::Other)
             && let Some(objection) = file_kind.objection()
         {
             return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
