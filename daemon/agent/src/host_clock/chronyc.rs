@@ -1,4 +1,4 @@
-//! Runs `chronyc`. The library for chrony's protocol is not used, because it is GPL.
+//! Queries chrony by running `chronyc`. The library for chrony's protocol is not used, because its licence is the GPL.
 
 use std::io;
 use std::process::{ExitStatus, Stdio};
@@ -12,12 +12,12 @@ use super::chrony::{CurrentAnswers, Tracking, TrackingError, report_without_clai
 use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
-/// Longest time that `chronyc` may take. It gives up after some seconds itself if chronyd does not answer.
+/// Longest time that `chronyc` may take. Its own timeout, if chronyd does not answer, is longer.
 pub(super) const CHRONYC_TIMEOUT: Duration = Duration::from_secs(2);
 /// Largest number of bytes of its output that are read; a line has about 150.
 const MAX_OUTPUT: u64 = 4096;
 
-/// Reason why there is no answer of chrony.
+/// Reason why chrony cannot be queried.
 #[derive(Debug, thiserror::Error)]
 enum ChronycError {
     #[error("cannot run {command}: {source}")]
@@ -26,12 +26,12 @@ enum ChronycError {
     Timeout,
     /// Error text that `chronyc` printed.
     #[error("{0}")]
-    Complaint(String),
+    Printed(String),
     #[error("{command}: {status}")]
     Failed { command: String, status: ExitStatus },
-    #[error("{command} printed what cannot be understood: {source}")]
+    #[error("cannot read the output of {command}: {source}")]
     Output { command: String, source: TrackingError },
-    #[error("has not measured since the clock was stepped")]
+    #[error("no measurement since the clock was stepped")]
     Outdated,
 }
 
@@ -60,7 +60,7 @@ impl Chronyc {
             Err(ChronycError::Run { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
                 if !self.has_logged_absence {
                     tracing::info!(
-                        "{} is not installed: chrony is not asked about this host's clock",
+                        "{} is not installed; chrony is not queried about this host's clock",
                         self.command
                     );
                     self.has_logged_absence = true;
@@ -79,9 +79,9 @@ impl Chronyc {
             .map_err(|_| ChronycError::Timeout)?
             .map_err(|source| ChronycError::Run { command: command(), source })?;
         if !status.success() {
-            let complaint = [errors, output].into_iter().find(|line| !line.is_empty());
-            return Err(match complaint {
-                Some(complaint) => ChronycError::Complaint(complaint),
+            let printed = [errors, output].into_iter().find(|line| !line.is_empty());
+            return Err(match printed {
+                Some(printed) => ChronycError::Printed(printed),
                 None => ChronycError::Failed { command: command(), status },
             });
         }

@@ -1,4 +1,4 @@
-//! The kernel's claim about the wall clock, which time daemons maintain: `adjtimex(2)`.
+//! The kernel's claim about the wall clock, `adjtimex(2)`, which time daemons maintain.
 
 use std::io;
 
@@ -18,7 +18,7 @@ pub(super) fn query(now: MonoTime) -> SourceReport {
 fn report_from(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
     let (bound, text) = match state {
         Err(error) => (None, format!("kernel: adjtimex: {error}")),
-        Ok(state) => judge(state),
+        Ok(state) => error_bound(state),
     };
     let claim = bound.map(|bound| Claim {
         at: now,
@@ -28,8 +28,8 @@ fn report_from(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
     SourceReport { source: DelaySource::Kernel, claim, text }
 }
 
-/// Returns the bound of the error, and the state in words.
-fn judge(state: Timex) -> (Option<Span>, String) {
+/// Returns the bound of the error, and the state as a text.
+fn error_bound(state: Timex) -> (Option<Span>, String) {
     let Timex { synchronised, max_error_us, estimated_error_us } = state;
     if !synchronised {
         return (None, "kernel, not synchronised".to_owned());

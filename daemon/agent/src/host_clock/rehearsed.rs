@@ -5,8 +5,8 @@ use peernet_clock::{ClockFaults, DelaySource, Discipline, Interval, Span, WallTi
 /// Half the width of the claim.
 const BOUND: Span = Span::from_micros(1);
 
-/// Returns a claim that contains the clock's error at `truth` and, unless the clock is stepped, from `around` before
-/// to `around` after, because messages stamped before the claim are judged by it, too.
+/// Returns a claim that contains the clock's error at `truth`. Unless the clock is stepped, it also contains the error at
+/// any time from `around` before to `around` after, because messages that were stamped before the claim use it, too.
 pub(super) fn exact_claim(description: &ClockFaults, truth: WallTime, around: Span) -> Discipline {
     let now = description.error_at(truth);
     let drift = Span::from_nanos((around.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);

@@ -9,10 +9,9 @@ use super::claim::{ClaimSummary, combine};
 use super::{kernel, rehearsed};
 use crate::config::{ClockConfig, DisciplineSource, RehearsalConfig, RehearsedDiscipline};
 
-/// Time that a claim must hold after the next query is due, because the query takes time, and so does the
-/// announcement to a peer.
+/// Time that a claim must hold after the next query is due: that of the query and of the announcement to a peer.
 const CLAIM_MARGIN: Duration = CHRONYC_TIMEOUT.saturating_add(Duration::from_secs(1));
-/// Longest interval between exact claims. It is short, because the clock may drift fast.
+/// Longest interval between exact claims. It is short, because an injected drift may be fast.
 const EXACT_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The sources that are queried.
@@ -64,7 +63,7 @@ impl ClaimSources {
         self.period
     }
 
-    /// Queries all sources. The summary holds until the next query, and for the time that its announcement may take.
+    /// Queries all sources. The summary holds until the next one is announced.
     pub(super) async fn query(&mut self) -> ClaimSummary {
         let ahead = Span::from(self.period + CLAIM_MARGIN);
         let summary = match &mut self.claims {

@@ -386,7 +386,7 @@ mod tests {
             ":10: model[0].kind: unknown variant `nonsense`",
             ":14: pipeline[0].placement.kind: unknown variant `nowhere`",
             ":19: pipeline[1].load.hz: ",
-            ":21: pipeline[2].name: another pipeline is named two already",
+            ":21: pipeline[2].name: another pipeline is named two",
             ":22: pipeline[2].sensor: ",
             ":24: pipeline[2].warm_up.iteration: unknown field",
         ] {
