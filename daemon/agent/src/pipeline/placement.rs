@@ -16,7 +16,7 @@ use tokio::sync::{oneshot, watch};
 use super::context::PipelineContext;
 use crate::conditions::{InspectionSettings, inspect_host_in_time};
 use crate::config::{ObserveConfig, PipelineConfig, PlacementConfig, RemoteConfig};
-use crate::link::{Attached, Crossing};
+use crate::link::{Crossing, LinkedSession};
 use crate::same_clock::ClockSocket;
 
 /// An open placement: a loaded model, a session with a peer, or nothing.
@@ -25,7 +25,7 @@ pub(super) enum Placement {
     Local(Arc<Pool>),
     Remote {
         session: Session,
-        link: Attached,
+        link: LinkedSession,
         config: Box<RemoteConfig>,
     },
     /// A sensor alone: samples get no answer.
@@ -105,7 +105,7 @@ impl Placement {
         let session = Session::open(&remote.peer, hello, settings, clock).await?;
         let link = context.links.attach(&session, &remote.peer, pipeline, clock_socket);
         // Without this wait the delays of the first iterations would be judged before the clocks are related.
-        link.first_proof().await;
+        link.wait_for_first_proof().await;
         Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
     }
 

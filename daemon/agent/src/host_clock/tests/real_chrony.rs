@@ -40,8 +40,7 @@ async fn daemon_without_other_source_claims_nothing() {
     let (server, lonely) = (Chronyd::server(), Chronyd::lonely());
     // The server answers commands once a client is synchronised to it.
     let _client = Chronyd::client(&server, 0.0);
-    let expected =
-        [(&server, "chrony, local reference only"), (&lonely, "chrony, not synchronised")];
+    let expected = [(&server, "chrony, local reference only"), (&lonely, "chrony, not synchronised")];
     for (daemon, text) in expected {
         let clock = system_clock();
         let (mut published, _running) = watched(daemon.clock_config(), None, &clock);

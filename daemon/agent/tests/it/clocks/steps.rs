@@ -88,7 +88,7 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
         } else {
             let [reported] = &of_link(&seen)[..] else { panic!("{:?}", of_link(&seen)) };
             assert!(
-                reported.text.starts_with("the wall clock of cloud was stepped or ran off"),
+                reported.text.starts_with("the wall clock of cloud was stepped or slewed"),
                 "{}",
                 reported.text
             );
