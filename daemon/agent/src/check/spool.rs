@@ -57,7 +57,7 @@ fn check_content(report: &mut Report, config: &AgentConfig) {
     if path.exists() && !path.is_file() {
         return report.add("spool.file", format!("{} is a device or a pipe; name a file", path.display()));
     }
-    match FileKind::at(&path) {
+    match FileKind::from_path(&path) {
         Ok(FileKind::Other) if is_default_path => {}
         Ok(kind) => {
             if let Some(objection) = kind.objection() {

@@ -111,7 +111,7 @@ impl Links {
             instance: accepted.instance,
             probe_key: accepted.probe_key,
             clock: session.peer_clock(),
-            clock_peers: clock_socket.map(|socket| socket.connected(session.id())).unwrap_or_default(),
+            clock_peers: clock_socket.map(|socket| socket.into_peers(session.id())).unwrap_or_default(),
             statistics: session.statistics_reader(),
         };
         let (id, network) = (joining.id, joining.network.clone());

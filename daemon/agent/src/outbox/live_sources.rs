@@ -16,7 +16,7 @@ pub(crate) struct LiveSources {
     pub(crate) live_statistics: LiveStatistics,
     pub(crate) metrics: watch::Receiver<HostMetrics>,
     pub(crate) links: Links,
-    /// State of this host's own clocks.
+    /// State of this host's clocks.
     pub(crate) clock: watch::Receiver<PeerClock>,
 }
 

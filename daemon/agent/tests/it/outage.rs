@@ -202,7 +202,7 @@ async fn connections_ended_without_aggregator_are_counted() {
     let aggregator = Aggregator::up(absent).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 1).await;
     let reported = &welcomes(&seen)[0];
-    assert!(reported.contains("1 connection to a cloud ended meanwhile"), "{reported}");
+    assert!(reported.contains("1 connection to a cloud ended in the meantime"), "{reported}");
     aggregator.until(|seen| !seen.lives.is_empty()).await;
 
     // A number that was reported is not reported again.

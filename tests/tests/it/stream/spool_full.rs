@@ -90,7 +90,7 @@ fn start_on_full_disk_counts_dropped_events() {
     assert!(examined.log.contains("KiB of room"), "{report}");
     let ended = fleet.agents[0].stop();
     let answers = ended.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64;
-    assert!(ended.log.contains("a gap will say so"), "{}", ended.log);
+    assert!(ended.log.contains("a gap reports them"), "{}", ended.log);
 
     state.free();
     fleet.restart_aggregator();

@@ -73,9 +73,9 @@ async fn file_found_broken_is_quarantined_at_next_start() {
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
     let Some(Done::Appended(Err(error))) = task.done().await else { panic!("fails") };
-    assert!(error.to_string().contains("puts the file aside"), "{error}");
+    assert!(error.to_string().contains("quarantines the file"), "{error}");
     drop(task.close().await);
-    let aside = place.open().await.expect("opens").aside.expect("put aside");
-    assert!(aside.reason.contains("append"), "{}", aside.reason);
+    let quarantined = place.open().await.expect("opens").quarantined.expect("put quarantined");
+    assert!(quarantined.reason.contains("append"), "{}", quarantined.reason);
     assert_eq!(names(place.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
