@@ -155,7 +155,7 @@ fn keep(machines: &DocumentedCommands, stop: impl FnOnce()) {
     assert_eq!(ask(backup, "SELECT count(*) FROM run").trim(), "1");
 
     let cleared = assert_success(machines.on_cloud(CLEAR, &[]).ended());
-    assert!(cleared.contains("cleared the secret of robot"), "{cleared}");
+    assert!(cleared.contains("deleted the secret of robot"), "{cleared}");
 
     let all = |of: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).ended();
     assert_eq!(all("").code(), 69, "the aggregator has it");
