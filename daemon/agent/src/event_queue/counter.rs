@@ -48,8 +48,8 @@ const MAGIC: &[u8; 8] = b"PNcount3";
 const MAGIC_WITHOUT_OWNER: &[u8; 8] = b"PNcount2";
 /// Length in bytes of the header, and of each of the run records after it. No record crosses the border of a page.
 const RECORD_BYTES: usize = 128;
-const TOTAL_OFFSET: u64 = 8;
 /// Offset of the total in the header.
+const TOTAL_OFFSET: u64 = 8;
 // A record contains: total number of events, time of the last one, number of the run's events (8 bytes each), run id,
 // length of the pipeline's name, and the name.
 const NUMBERS_BYTES: usize = 24;
@@ -102,8 +102,8 @@ impl EventCounter {
         bytes[OWNER_OFFSET..OWNER_OFFSET + owner.len()].copy_from_slice(&owner);
         file.write_all_at(&bytes, 0)?;
         let free = (1..=MOST_COUNTED_RUNS).rev().collect();
-        let counting =
-            CountFile { file, name, all: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
+        let count_file =
+            CountFile { file, name, total: 0, runs: BTreeMap::new(), free, sent: None, has_failed: false };
         Ok(Self(Some(Arc::new(Mutex::new(count_file)))))
     }
 

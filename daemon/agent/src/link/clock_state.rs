@@ -82,7 +82,7 @@ impl LinkClockState {
             reports: ClockReports::default(),
         };
         clock_state.update_disciplines(now.raw);
-        knowledge
+        clock_state
     }
 
     /// Records that a session over this network was opened.

@@ -18,7 +18,7 @@ use tokio_util::task::AbortOnDropHandle;
 use super::messages::{ClockAnswer, ClockQuery};
 use super::{ClockPeers, ClockSocket, ClockWitness, NotProven, prove};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const WAIT_TIMEOUT: Duration = Duration::from_secs(20);
 
 fn system() -> SharedClock {
     let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
@@ -64,7 +64,7 @@ fn proving(
 }
 
 async fn next(proofs: &mut mpsc::Receiver<Result<(), NotProven>>) -> Result<(), NotProven> {
-    tokio::time::timeout(PATIENCE, proofs.recv()).await.expect("in time").expect("the task lives")
+    tokio::time::timeout(WAIT_TIMEOUT, proofs.recv()).await.expect("in time").expect("the task lives")
 }
 
 fn witness(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
@@ -146,7 +146,7 @@ async fn garbage_and_silence_do_not_hide_the_cloud() {
     let (mut proofs, _task) = proving(socket.into_peers(session(1)), clock);
     assert!(next(&mut proofs).await.is_ok());
     for stream in [&mut garbage, &mut silent] {
-        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        stream.set_read_timeout(Some(WAIT_TIMEOUT)).expect("a timeout");
         let mut query = [0; ClockQuery::BYTES];
         stream.read_exact(&mut query).expect("it was asked");
         // Closed; with unread bytes it is a reset.
@@ -166,7 +166,7 @@ async fn cloud_closes_connection_that_asks_garbage() {
     let witness = ClockWitness::connect(&hello(&clock, Some(name)), session(1), &clock).expect("connects");
     let (mut stream, _) = listener.accept().expect("it connected");
     stream.write_all(&[0x55; ClockQuery::BYTES]).expect("there is room");
-    tokio::time::timeout(PATIENCE, witness.answer()).await.expect("it ends");
+    tokio::time::timeout(WAIT_TIMEOUT, witness.answer()).await.expect("it ends");
     let mut rest = Vec::new();
     assert_eq!(stream.read_to_end(&mut rest).expect("it is closed"), 0);
 }

@@ -20,7 +20,7 @@ impl Listeners {
     /// Waits for the next incoming message. Returns it with the index of its listener; the message is `None` if that
     /// listener's port was lost. Cancel-safe.
     pub(super) async fn next(&mut self) -> (usize, Option<Incoming>) {
-        let Self { listeners, turn } = self;
+        let Self { listeners, next_index } = self;
         if let [alone] = listeners.as_mut_slice() {
             return (0, alone.next().await);
         }
@@ -30,7 +30,7 @@ impl Listeners {
         let in_turn = ahead.iter_mut().chain(behind).map(|listener| listener.next().boxed());
         let (incoming, index, _) = select_all(in_turn).await;
         let index = (*next_index + index) % count;
-        *turn = (place + 1) % count;
+        *next_index = (index + 1) % count;
         (index, incoming)
     }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use peernet_networks::{Address, NetworkKind};
 use peernet_stream::{PipelineState, Probing};
 
-use crate::harness::{PATIENCE, TestAgent, clock, config};
+use crate::harness::{TestAgent, WAIT_TIMEOUT, clock, config};
 
 const MODEL: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n";
 
@@ -39,7 +39,7 @@ async fn two_addresses_are_served_within_own_limits() {
     })
     .await;
     let mut served = cloud.running.served_counts();
-    let served = tokio::time::timeout(PATIENCE, served.wait_for(|served| served.sessions == 2)).await;
+    let served = tokio::time::timeout(WAIT_TIMEOUT, served.wait_for(|served| served.sessions == 2)).await;
     served.expect("in time").expect("it serves");
     let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
     let [link] = &live.links[..] else { panic!("one pair of hosts, one network: {:?}", live.links) };

@@ -209,7 +209,7 @@ async fn connections_ended_without_aggregator_are_counted() {
     let aggregator = Aggregator::up(aggregator.down().await).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 2).await;
     let reported = &welcomes(&seen)[1];
-    assert!(!reported.contains("ended meanwhile"), "{reported}");
+    assert!(!reported.contains("ended in the meantime"), "{reported}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

@@ -2,7 +2,7 @@
 
 use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
-use crate::harness::{Aggregator, PATIENCE, TestAgent, assert_contiguous};
+use crate::harness::{Aggregator, TestAgent, WAIT_TIMEOUT, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn broken_picture_fails_iteration_and_run_continues() {
@@ -77,7 +77,7 @@ async fn cloud_learns_of_missing_iterations_at_run_end() {
     let mut served = cloud.running.served_counts();
     let served = served.wait_for(|served| served.answers + served.missed >= 20);
     let served =
-        tokio::time::timeout(PATIENCE, served).await.expect("it is told").expect("it serves").clone();
+        tokio::time::timeout(WAIT_TIMEOUT, served).await.expect("it is told").expect("it serves").clone();
     assert_eq!((served.answers, served.missed), (10, 10));
     edge.stop().await.expect("stops well");
 
@@ -87,7 +87,7 @@ async fn cloud_learns_of_missing_iterations_at_run_end() {
     edge.stop().await.expect("stops well");
     let mut served = cloud.running.served_counts();
     let left = served.wait_for(|served| served.sessions == 0);
-    let left = tokio::time::timeout(PATIENCE, left).await.expect("it leaves").expect("it serves").missed;
+    let left = tokio::time::timeout(WAIT_TIMEOUT, left).await.expect("it leaves").expect("it serves").missed;
     assert_eq!(left, 10);
     cloud.stop().await.expect("stops well");
 }

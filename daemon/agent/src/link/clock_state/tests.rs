@@ -48,7 +48,7 @@ fn clock_state_of(clocks: RelatedClocks) -> LinkClockState {
     let mut clock_state =
         LinkClockState::new(peer, relation, (announcement(0, None), announcement(0, None)), now(0));
     clock_state.join(&network());
-    knowledge
+    clock_state
 }
 
 fn network() -> NetworkName {
@@ -62,7 +62,7 @@ fn announcement_without_step_keeps_window() {
     let _ = clock_state.handle_cloud_announcement(announcement(0, None), now(0).raw);
     let ([up, _], _) = clock_state.judge(&network(), &exchange(0, 0), WAYS, now(4));
     assert!(up.value.is_some(), "{up:?}");
-    let _ = knowledge.handle_cloud_announcement(
+    let _ = clock_state.handle_cloud_announcement(
         PeerClock { text: "something else".into(), ..announcement(0, None) },
         now(5).raw,
     );

@@ -10,7 +10,7 @@ use peernet_stream::{LiveUpdate, PipelineLive, PipelineState};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 
-use super::{PATIENCE, VERSION};
+use super::{VERSION, WAIT_TIMEOUT};
 
 /// A running agent with its token and folder.
 pub(crate) struct TestAgent {
@@ -120,7 +120,7 @@ impl TestAgent {
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
         };
-        match tokio::time::timeout(PATIENCE, checks).await {
+        match tokio::time::timeout(WAIT_TIMEOUT, checks).await {
             Ok(live) => live,
             Err(_) => panic!("never came: {:?}", self.running.live_update()),
         }
@@ -134,7 +134,7 @@ impl TestAgent {
     /// Stops it like a regular end of the process, and returns its folder.
     pub(crate) async fn stop_and_keep(self) -> Result<State, Failure> {
         self.stop.cancel();
-        tokio::time::timeout(PATIENCE, self.running.join()).await.expect("stops in time")?;
+        tokio::time::timeout(WAIT_TIMEOUT, self.running.join()).await.expect("stops in time")?;
         Ok(self.state)
     }
 
@@ -154,7 +154,7 @@ impl TestAgent {
                 file.lock().expect("becomes free");
             }
         });
-        tokio::time::timeout(PATIENCE, free).await.expect("ends in time").expect("no panic");
+        tokio::time::timeout(WAIT_TIMEOUT, free).await.expect("ends in time").expect("no panic");
         self.state
     }
 }
