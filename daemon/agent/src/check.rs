@@ -69,7 +69,7 @@ impl Report {
         self.0.push(Problem { key: key.into(), text: text.to_string() });
     }
 
-    fn unless_ok<T>(&mut self, key: impl Into<String>, result: Result<T, impl fmt::Display>) {
+    fn check_result<T>(&mut self, key: impl Into<String>, result: Result<T, impl fmt::Display>) {
         if let Err(error) = result {
             self.add(key, error);
         }

@@ -200,7 +200,7 @@ impl CloudLink {
     }
 
     /// Waits until it is known whether both processes read one clock, at most [`FIRST_PROOF_TIMEOUT`].
-    pub(crate) async fn first_proof(&self) {
+    pub(crate) async fn wait_for_first_proof(&self) {
         let mut same_clock = self.same_clock.subscribe();
         let first = same_clock.wait_for(Option::is_some);
         if tokio::time::timeout(FIRST_PROOF_TIMEOUT, first).await.is_err() {

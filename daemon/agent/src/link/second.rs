@@ -82,7 +82,7 @@ impl Second {
     }
 
     /// Adds the round trip of a probe.
-    pub(super) fn round_trip(&mut self, trip: Span) {
+    pub(super) fn add_round_trip(&mut self, trip: Span) {
         self.min_trip = Some(self.min_trip.map_or(trip, |min_trip| min_trip.min(trip)));
         self.trips.push(trip);
     }
