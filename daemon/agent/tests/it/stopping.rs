@@ -17,7 +17,7 @@ async fn iterations_in_flight_are_finished_before_stop() {
     agent.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     assert_eq!(seen.goodbyes, [host]);
-    let last = seen.lives.last().expect("it told of itself");
+    let last = seen.lives.last().expect("it sent live states");
     assert_eq!(last.pipelines[0].state, peernet_stream::PipelineState::Finished);
     assert_eq!((last.accounting.waiting, last.accounting.stored), (0, last.accounting.produced));
     assert_eq!(seen.ended()[0].reason, EndReason::Stopped);

@@ -76,8 +76,11 @@ async fn cloud_learns_of_missing_iterations_at_run_end() {
     let edge = TestAgent::start("edge", None, &tables("{ total = 20 }")).await;
     let mut served = cloud.running.served_counts();
     let served = served.wait_for(|served| served.answers + served.missed >= 20);
-    let served =
-        tokio::time::timeout(WAIT_TIMEOUT, served).await.expect("it is told").expect("it serves").clone();
+    let served = tokio::time::timeout(WAIT_TIMEOUT, served)
+        .await
+        .expect("the count changes in time")
+        .expect("the agent serves")
+        .clone();
     assert_eq!((served.answers, served.missed), (10, 10));
     edge.stop().await.expect("stops well");
 

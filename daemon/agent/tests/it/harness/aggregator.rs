@@ -194,7 +194,7 @@ async fn serve(
             return;
         }
         for reply in replies {
-            // An agent that has gone meanwhile says hello when it is back.
+            // An agent that disconnected in the meantime sends a hello after it has reconnected.
             let _ = socket.send_to(peer.to_bytes(), Message::single(codec::encode(&reply))).await;
         }
     }
