@@ -1,4 +1,4 @@
-"""A model of one's own: any object with infer(x), and with preprocess(x) and postprocess(y) where it needs them."""
+"""A user-defined model: any object with infer(x) and, optionally, preprocess(x) and postprocess(y)."""
 
 
 class Nearest:

@@ -1,4 +1,4 @@
-"""A sensor of one's own: any object with sample()."""
+"""A user-defined sensor: any object with sample()."""
 
 import math
 

@@ -1,7 +1,7 @@
 //! Starts and stops the agent.
 //!
-//! Start order: lock of the state directory, files in it, spool, event queue, threads, ports, then the tasks. Steps
-//! that can fail come before the first task. Stop order: pipelines, then serving, then the outbox.
+//! Start order: lock of the state directory, files in it, spool, event queue, threads, ports, then the tasks. Every
+//! step that can fail precedes the first task. Stop order: pipelines, then serving, then the outbox.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,35 +27,35 @@ use crate::error::StartError;
 use crate::event_queue::EventTap;
 use crate::host::{EventSinks, Host};
 use crate::identity::{StateLock, host_id, host_secret};
-use crate::incidents::{IncidentContext, Incidents};
+use crate::incidents::{IncidentSubject, Incidents};
 use crate::io::IoThreads;
 use crate::link::{Cloud, LinkContext, Links, ProbeSettings};
-use crate::live::{Display, LiveStatistics};
+use crate::live::{LiveStatistics, PipelineLiveState};
 use crate::observed::ObservedPipelines;
 use crate::outbox::{LiveSources, Outbox, OutboxContext};
 use crate::pipeline::PipelineContext;
 use crate::runs::Runs;
-use crate::serve::{ServeContext, ServeEndpoints, Served};
+use crate::serve::{ServeContext, ServeEndpoints, ServedCounts};
 use crate::tasks::{Failure, Tasks};
 use crate::{host_clock, pipeline, serve, telemetry};
 
-/// The agent role of a host.
+/// Entry point of the agent: checks its configuration and starts it. It has no values.
 #[derive(Debug)]
 pub enum Agent {}
 
-/// A started agent.
+/// An agent that was started.
 #[derive(Debug)]
-pub struct Running {
+pub struct RunningAgent {
     host: Host,
     bank: Arc<Bank>,
     live: LiveSources,
     serves: Vec<Address>,
-    served: watch::Receiver<Served>,
+    served: watch::Receiver<ServedCounts>,
     tap: Option<EventTap>,
     parts: Parts,
 }
 
-/// The parts of an agent that have to be ended.
+/// The parts of an agent that have to be stopped.
 #[derive(Debug)]
 struct Parts {
     tasks: Tasks,
@@ -66,8 +66,8 @@ struct Parts {
 }
 
 impl Agent {
-    /// Returns everything that can be found wrong with a configuration without starting it: names, files, folders,
-    /// models, the port. Blocks while it reads them.
+    /// Checks a configuration without starting it, and returns its problems: names, files, folders, models, ports.
+    /// Blocks while it reads them.
     pub fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
         check(config, clock)
     }
@@ -78,33 +78,33 @@ impl Agent {
     }
 
     /// Starts the agent: opens its ports and starts its pipelines. `version` is the program's version as shown to
-    /// people. The agent runs until `stop` is cancelled; then [`Running::join`] completes the stop.
+    /// people. The agent runs until `stop` is cancelled; then [`RunningAgent::join`] completes the stop.
     ///
     /// # Errors
-    /// [`StartError`] when the host's name, its state directory, spool, keys, threads or ports cannot be used;
-    /// nothing was started then. A pipeline that cannot start is not an error: it is reported, and the others run.
+    /// [`StartError`] when the host's name, its state directory, spool, keys, threads or ports cannot be used. Nothing
+    /// was started then. A pipeline that cannot start is not an error: it is reported as failed, and the others run.
     pub async fn start(
         config: AgentConfig,
         version: &'static str,
         clock: SharedClock,
         stop: CancellationToken,
-    ) -> Result<Running, StartError> {
+    ) -> Result<RunningAgent, StartError> {
         start(config, version, clock, stop, None).await
     }
 
-    /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground: each event also
+    /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground. Each event also
     /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not fit
-    /// into `tap` are counted ([`Running::events_missed_by_tap`]).
+    /// into `tap` are counted ([`RunningAgent::events_missed_by_tap`]).
     ///
     /// # Errors
     /// Those of [`start`](Self::start).
-    pub async fn start_observed(
+    pub async fn start_with_tap(
         config: AgentConfig,
         version: &'static str,
         clock: SharedClock,
         stop: CancellationToken,
         tap: mpsc::Sender<Event>,
-    ) -> Result<Running, StartError> {
+    ) -> Result<RunningAgent, StartError> {
         start(config, version, clock, stop, Some(EventTap::new(tap))).await
     }
 }
@@ -115,13 +115,12 @@ async fn start(
     clock: SharedClock,
     stop: CancellationToken,
     tap: Option<EventTap>,
-) -> Result<Running, StartError> {
+) -> Result<RunningAgent, StartError> {
     let name = config.agent.host_name()?;
     // Locked before anything is read: two agents with one state directory would have the same host id.
-    let state = StateLock::take(&config.agent.state_dir)?;
-    close_to_others(&config);
-    // Everything in the state directory is read before anything starts, so that a failure leaves nothing half
-    // started.
+    let state = StateLock::acquire(&config.agent.state_dir)?;
+    restrict_permissions(&config);
+    // All files of the state directory are read before the first task starts, so that a failure leaves no task behind.
     let id = host_id(&config.agent.state_dir)?;
     let secret =
         config.agent.aggregator.as_ref().map(|_| host_secret(&config.agent.state_dir)).transpose()?;
@@ -130,35 +129,35 @@ async fn start(
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
     let (event_queue, receiver) = crate::event_queue::create(&config.agent, &clock, counter);
-    let event_queue = event_queue.tapped(tap.clone());
+    let event_queue = event_queue.with_tap(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
-    let bank = Arc::new(bank(&config, &clock, fingerprints.clone(), incidents.clone()));
+    let bank = Arc::new(build_bank(&config, &clock, fingerprints.clone(), incidents.clone()));
     let (publish_clock, host_clock) = watch::channel(host_clock::initial_state(&clock));
     let link_context = LinkContext {
         name: name.clone(),
         clock: Arc::clone(&clock),
-        own: host_clock.clone(),
+        host_clock: host_clock.clone(),
         event_queue: event_queue.clone(),
         incidents: incidents.clone(),
     };
     let links = Links::new(link_context, &config.clock, probes.clone());
-    let inspection = Arc::new(InspectionSettings::of(&config));
+    let inspection = Arc::new(InspectionSettings::from_config(&config));
     let host = Host { id, name, version, clock };
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
-    // On the I/O threads, because a socket belongs to the runtime on which it was opened.
-    let endpoints = io.within(ServeEndpoints::open(&config, &probes, &host)).await?;
+    // Opened within the runtime of the I/O threads, because a socket belongs to the runtime that opened it.
+    let endpoints = io.with_context(ServeEndpoints::open(&config, &probes, &host)).await?;
     let serves = endpoints.as_ref().map(ServeEndpoints::addresses).unwrap_or_default();
     for address in &serves {
-        tracing::info!(%address, network = %address.network(), "peers may ask for models");
+        tracing::info!(%address, network = %address.network(), "serving models to peers");
     }
 
     // Nothing fails from here on.
     let mut tasks = Tasks::new(&stop);
     let metrics = start_observing_host(&mut tasks, &config, &host, events.incidents.clone(), publish_clock);
-    tasks.keep_or_fail(io.handle(), "links", links.clone().run(tasks.stop()));
+    tasks.spawn_required_fallible(io.handle(), "links", links.clone().run(tasks.stop_token()));
     let pipelines = TaskTracker::new();
-    let observed = ObservedPipelines::of(&config);
+    let observed = ObservedPipelines::from_config(&config);
     let context = PipelineContext {
         host: host.clone(),
         events: events.clone(),
@@ -170,17 +169,17 @@ async fn start(
     };
     let live_statistics = start_pipelines(&mut tasks, io.handle(), &pipelines, &config, &context);
     let live = LiveSources { live_statistics, metrics, links, clock: host_clock.clone() };
-    let (count, served) = watch::channel(Served::default());
+    let (count, served) = watch::channel(ServedCounts::default());
     if let Some(endpoints) = endpoints {
         let (host, incidents, bank) = (host.clone(), events.incidents.clone(), Arc::clone(&bank));
-        let context = ServeContext { host, incidents, bank, observed, own: host_clock, inspection };
+        let context = ServeContext { host, incidents, bank, observed, host_clock, inspection };
         start_serving(&mut tasks, io.handle(), pipelines, |ended| {
             serve::run(endpoints, context, count, ended)
         });
     }
     let outbox = match (receiver, spool, secret, &config.agent.aggregator) {
         (Some(receiver), Some(spool), Some(secret), Some(address)) => {
-            let identity = (describe(&host, &bank, &serves), secret);
+            let identity = (describe_host(&host, &bank, &serves), secret);
             let (clock, live) = (SharedClock::clone(&host.clock), live.clone());
             let sources = OutboxContext { clock, incidents: events.incidents, runs: events.runs, live };
             let outbox = Outbox::start(&config, address.clone(), receiver, spool, identity, sources);
@@ -189,10 +188,10 @@ async fn start(
         }
         _ => None,
     };
-    tracing::info!(host = %host.name, id = %host.id, "the agent is up");
+    tracing::info!(host = %host.name, id = %host.id, "the agent has started");
     let stop_timeout = config.agent.stop_timeout();
     let parts = Parts { tasks, outbox, io, stop_timeout, _state: state };
-    Ok(Running { host, bank, live, serves, served, tap, parts })
+    Ok(RunningAgent { host, bank, live, serves, served, tap, parts })
 }
 
 /// Starts the tasks that watch this host's clocks and its hardware. Returns the receiver of the hardware's metrics.
@@ -210,16 +209,19 @@ fn start_observing_host(
         Arc::clone(&host.clock),
         incidents,
         publish_clock,
-        tasks.stop(),
+        tasks.stop_token(),
     );
-    tasks.keep(&runtime, "host clock", watching);
+    tasks.spawn_required(&runtime, "host clock", watching);
     let (publish, metrics) = watch::channel(HostMetrics::default());
-    tasks.keep(&runtime, "telemetry", telemetry::run(Arc::clone(&host.clock), publish, tasks.stop()));
+    tasks.spawn_required(
+        &runtime,
+        "telemetry",
+        telemetry::run(Arc::clone(&host.clock), publish, tasks.stop_token()),
+    );
     metrics
 }
 
-/// Starts to serve peers on the runtime `threads`. Serving ends only when this agent's pipelines have ended, because
-/// they may use a model that this host serves.
+/// Starts to serve peers on the runtime `threads`. Serving stops only after this agent's pipelines have ended.
 fn start_serving<F, E>(
     tasks: &mut Tasks,
     threads: &Handle,
@@ -229,53 +231,54 @@ fn start_serving<F, E>(
     F: Future<Output = Result<(), E>> + Send + 'static,
     E: std::error::Error + Send + Sync + 'static,
 {
-    let (stop, ended) = (tasks.stop(), CancellationToken::new());
-    let serving = serve(ended.clone());
-    tasks.keep(&Handle::current(), "order of stopping", async move {
+    // Pipelines end first, because a pipeline of this host may use a model that this host serves.
+    let (stop, pipelines_ended) = (tasks.stop_token(), CancellationToken::new());
+    let serving = serve(pipelines_ended.clone());
+    tasks.spawn_required(&Handle::current(), "stop order", async move {
         stop.cancelled().await;
         pipelines.close();
         pipelines.wait().await;
-        ended.cancel();
+        pipelines_ended.cancel();
     });
-    tasks.keep_or_fail(threads, "serve", serving);
+    tasks.spawn_required_fallible(threads, "serve", serving);
 }
 
-/// Makes an unexpected end of the outbox end the other tasks. On a regular stop the outbox outlives them.
+/// Stops the other tasks if the outbox ends unexpectedly. On a regular stop the outbox outlives them.
 fn watch_outbox(tasks: &mut Tasks, outbox: &Outbox) {
-    let (ended, stop) = (outbox.ended(), tasks.stop());
-    tasks.keep(&Handle::current(), "outbox", async move {
+    let (ended, stop) = (outbox.ended(), tasks.stop_token());
+    tasks.spawn_required(&Handle::current(), "outbox", async move {
         let _ = stop.run_until_cancelled(ended.cancelled()).await;
     });
 }
 
-/// Restricts the permissions of the agent's files to owner and group: also of files that earlier releases or
+/// Restricts the permissions of the agent's files to owner and group. This includes files that earlier releases or
 /// `peernet` created.
-fn close_to_others(config: &AgentConfig) {
+fn restrict_permissions(config: &AgentConfig) {
     let folder = &config.agent.state_dir;
     let mut changed = peernet_permissions::restrict_folder(folder, &["host-id", "lock"]);
     changed.extend(peernet_permissions::restrict_database(&config.spool.path(folder)));
     peernet_permissions::log_changes(&changed);
 }
 
-impl Running {
+impl RunningAgent {
     /// Returns the host's name.
     pub const fn name(&self) -> &Slug {
         &self.host.name
     }
 
-    /// Returns the description of the host for the aggregator. Reads its hardware and the folders of models: too slow
-    /// for once a second.
+    /// Returns the description of the host for the aggregator. Reads its hardware and the folders of models, so it is
+    /// too slow to be called once a second.
     pub fn description(&self) -> HostDescription {
-        describe(&self.host, &self.bank, &self.serves)
+        describe_host(&self.host, &self.bank, &self.serves)
     }
 
-    /// Returns the addresses at which peers may ask for models, with the real ports; empty without `[serve]`.
-    pub fn serves(&self) -> &[Address] {
+    /// Returns the addresses at which peers may ask for models, with the bound ports; empty without `[serve]`.
+    pub fn serve_addresses(&self) -> &[Address] {
         &self.serves
     }
 
-    /// Returns the counts of answers that peers were sent so far.
-    pub fn served(&self) -> watch::Receiver<Served> {
+    /// Returns the channel of the counts of answers that peers were sent.
+    pub fn served_counts(&self) -> watch::Receiver<ServedCounts> {
         self.served.clone()
     }
 
@@ -290,71 +293,73 @@ impl Running {
         self.live.live_statistics.sensor_busy_since(pipeline)
     }
 
-    /// Loads one of this host's models now, so that an error shows at once and the first peer does not wait for the
-    /// model.
-    pub fn load(&self, model: &Slug) -> JoinHandle<Result<(), LoadError>> {
+    /// Starts to load one of this host's models, so that an error shows at once and the first peer does not wait for
+    /// the model.
+    pub fn load_model(&self, model: &Slug) -> JoinHandle<Result<(), LoadError>> {
         let (bank, model) = (Arc::clone(&self.bank), model.clone());
         tokio::task::spawn_blocking(move || bank.load(&model, None).map(drop))
     }
 
-    /// Returns the number of events that did not fit into the tap of [`Agent::start_observed`].
+    /// Returns the number of events that did not fit into the tap of [`Agent::start_with_tap`].
     pub fn events_missed_by_tap(&self) -> u64 {
         self.tap.as_ref().map_or(0, EventTap::missed)
     }
 
-    /// Returns the current live update: every pipeline with the seconds that the aggregator does not have yet, the
-    /// links, the clock, the host's metrics and the counts of events.
-    pub fn live(&self) -> LiveUpdate {
+    /// Returns the current live update. It contains every pipeline with the seconds that the aggregator does not have
+    /// yet, the links, the clock, the host's metrics and the counts of events.
+    pub fn live_update(&self) -> LiveUpdate {
         let accounting = self.parts.outbox.as_ref().map(Outbox::accounting).unwrap_or_default();
         self.live.update(self.host.id, self.host.clock.wall(), accounting).0
     }
 
-    /// Waits until the token is cancelled or a task fails, then stops the agent: pipelines finish the iterations in
-    /// flight, runs end, and the outbox sends what it holds, all within the configured time.
+    /// Waits until the token is cancelled or a task fails, then stops the agent within the configured time: pipelines
+    /// finish the iterations in flight, runs end, and the outbox sends its events.
     ///
     /// # Errors
     /// When a task ended before it was stopped.
     pub async fn join(self) -> Result<(), Failure> {
         let Self { bank, parts, .. } = self;
         let Parts { tasks, outbox, io: _io, stop_timeout, _state } = parts;
-        let stop = tasks.stop();
+        let stop = tasks.stop_token();
         let stopped = stop.clone();
-        // The time for stopping counts from the request, however long the tasks take to end.
-        let began = tokio::spawn(async move {
+        // The stop timeout counts from the request, however long the tasks take to end.
+        let requested_at = tokio::spawn(async move {
             stopped.cancelled().await;
             Instant::now()
         });
         let ended = tasks.join().await;
         stop.cancel();
         let now = Instant::now();
-        let began = began.await.unwrap_or(now);
+        let requested_at = requested_at.await.unwrap_or(now);
         // The outbox gets at least a quarter of the time, however long the iterations in flight took.
-        let deadline = (began + stop_timeout).max(now + stop_timeout / 4);
+        let deadline = (requested_at + stop_timeout).max(now + stop_timeout / 4);
         let stored = async {
             match outbox {
                 Some(outbox) => outbox.close(deadline).await,
                 None => Ok(()),
             }
         };
-        // Models end while the outbox delivers: both may take long, and they are independent.
+        // Models are unloaded while the outbox sends: both may take long, and they are independent.
         let (stored, unloaded) = tokio::join!(stored, unload(bank, deadline - now));
-        // If the outbox ended unexpectedly, `tasks` reports it as well. Only the outbox's own result has the reason,
-        // so it comes first; the error of `tasks` was logged.
+        // If the outbox ended unexpectedly, `tasks` returns an error, too. The outbox's own result comes first, because
+        // only it has the reason; the error of `tasks` was logged.
         stored.and(ended).and(unloaded)
     }
 }
 
-/// Ends the threads of the models. A thread that computes or loads for longer than `patience` is abandoned.
-async fn unload(bank: Arc<Bank>, patience: Duration) -> Result<(), Failure> {
-    let unloading = tokio::task::spawn_blocking(move || bank.shutdown_within(patience));
-    let left = unloading.await.map_err(|error| Failure { part: "models".to_owned(), cause: error.into() })?;
-    for model in left {
-        tracing::warn!(%model, "not waited for: the model is still loading or computing");
+/// Stops the threads of the models. A thread that computes or loads for longer than `timeout` is abandoned.
+async fn unload(bank: Arc<Bank>, timeout: Duration) -> Result<(), Failure> {
+    let unloading = tokio::task::spawn_blocking(move || bank.shutdown_within(timeout));
+    let busy_models =
+        unloading.await.map_err(|error| Failure { part: "models".to_owned(), cause: error.into() })?;
+    for model in busy_models {
+        tracing::warn!(%model, "the model was still loading or computing at the end of the stop timeout; its thread was abandoned");
     }
     Ok(())
 }
 
-fn bank(
+/// Creates the bank of the configured models, which reports each loaded model as an incident.
+fn build_bank(
     config: &AgentConfig,
     clock: &SharedClock,
     fingerprints: FingerprintKey,
@@ -368,39 +373,45 @@ fn bank(
     bank.with_folders(config.bank.clone()).with_fingerprints(fingerprints).on_load(move |pool| {
         let text =
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.load_duration().seconds());
-        incidents.report(IncidentKind::ModelLoaded, IncidentContext::default(), text);
+        incidents.report(IncidentKind::ModelLoaded, IncidentSubject::default(), text);
     })
 }
 
 fn start_pipelines(
     tasks: &mut Tasks,
-    there: &Handle,
+    handle: &Handle,
     tracker: &TaskTracker,
     config: &AgentConfig,
     context: &PipelineContext,
 ) -> LiveStatistics {
-    // Half of the time for stopping is for the iterations in flight, the other half for sending their events.
-    let patience = config.agent.stop_timeout() / 2;
+    // Half of the stop timeout is for the iterations in flight, the other half for sending their events.
+    let drain_timeout = config.agent.stop_timeout() / 2;
     let start = |pipeline: &PipelineConfig| {
-        let placement = pipeline::intended(&pipeline.placement);
-        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load_text(), placement));
+        let placement = pipeline::describe_planned(&pipeline.placement);
+        let live_state =
+            Arc::new(PipelineLiveState::new(pipeline.name.clone(), pipeline.load_text(), placement));
         match pipeline.start {
             StartMode::Boot => {
-                let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&display));
-                let running = pipeline::run(config, shown, context.clone(), tasks.stop(), patience);
-                tasks.let_end(there, &format!("pipeline {}", pipeline.name), tracker.track_future(running));
+                let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&live_state));
+                let running =
+                    pipeline::run(config, shown, context.clone(), tasks.stop_token(), drain_timeout);
+                tasks.spawn_finite(
+                    handle,
+                    &format!("pipeline {}", pipeline.name),
+                    tracker.track_future(running),
+                );
             }
             StartMode::Manual => {
                 let reason = "not started: its configuration says start = \"manual\"";
-                display.set_state(PipelineState::Waiting(reason.to_owned()));
+                live_state.set_state(PipelineState::Waiting(reason.to_owned()));
             }
         }
-        display
+        live_state
     };
     LiveStatistics::new(config.pipelines.iter().map(start).collect())
 }
 
-fn describe(host: &Host, bank: &Bank, serves: &[Address]) -> HostDescription {
+fn describe_host(host: &Host, bank: &Bank, serves: &[Address]) -> HostDescription {
     let addresses: Vec<String> = serves.iter().map(Address::to_string).collect();
     HostDescription {
         id: host.id,

@@ -1,4 +1,5 @@
-//! The secret key of the fingerprints that replace the arguments of programs, because arguments may be secret.
+//! The key of the fingerprints that stand for the arguments of programs in descriptions, because arguments may be
+//! secret.
 
 use std::fs;
 use std::io;
@@ -7,7 +8,7 @@ use std::path::Path;
 use peernet_external::exec::FingerprintKey;
 use uuid::Uuid;
 
-use crate::identity::{IdentityError, cannot, kept_value};
+use crate::identity::{IdentityError, cannot, read_or_create};
 
 /// Name of the key's file in the state directory.
 const FILE: &str = "argument-key";
@@ -20,17 +21,17 @@ const BYTES: usize = 32;
 /// # Errors
 /// When the folder cannot be used or the file holds no key.
 pub fn argument_key(folder: &Path) -> Result<FingerprintKey, IdentityError> {
-    kept_value(folder, FILE, read_key, || hexadecimal(&random_key())).map(FingerprintKey::new)
+    read_or_create(folder, FILE, read_key, || hexadecimal(&random_key())).map(FingerprintKey::new)
 }
 
-/// Copies the key of the state directory `from` to the state directory `to`, unless `to` has a key, so that the
-/// fingerprints of both agents can be compared.
+/// Copies the key of the state directory `from` to the state directory `to`, unless `to` has a key. The fingerprints of
+/// both agents can then be compared.
 ///
 /// # Errors
 /// Those of [`argument_key`].
 pub fn share_argument_key(from: &Path, to: &Path) -> Result<(), IdentityError> {
-    let key = kept_value(from, FILE, read_key, || hexadecimal(&random_key()))?;
-    kept_value(to, FILE, read_key, || hexadecimal(&key)).map(drop)
+    let key = read_or_create(from, FILE, read_key, || hexadecimal(&random_key()))?;
+    read_or_create(to, FILE, read_key, || hexadecimal(&key)).map(drop)
 }
 
 /// Returns a key of 244 random bits: each of the two UUIDs has 122.
@@ -48,7 +49,8 @@ fn hexadecimal(key: &[u8; BYTES]) -> String {
 fn read_key(folder: &Path) -> Result<Option<[u8; BYTES]>, IdentityError> {
     let path = folder.join(FILE);
     let no_key = || {
-        let reason = "it holds no key of 64 hexadecimal digits; remove it, and a new one is made";
+        let reason =
+            "it is not a key of 64 hexadecimal digits; remove it, and the next start creates a new one";
         cannot("use", &path)(io::Error::new(io::ErrorKind::InvalidData, reason))
     };
     match fs::read_to_string(&path) {

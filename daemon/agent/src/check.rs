@@ -1,4 +1,4 @@
-//! Checks a configuration before anything starts.
+//! Checks a configuration before the agent starts.
 
 mod spool;
 mod time;
@@ -24,28 +24,28 @@ use crate::config::{
 };
 use crate::identity::{existing_id, existing_secret};
 
-/// Largest number of events that may wait for the aggregator.
+/// Largest `agent.queue_events`.
 const MAX_QUEUE_EVENTS: u64 = 10_000_000;
-/// Largest number of bytes that these events may take: 16 GiB.
+/// Largest `agent.queue_bytes`: 16 GiB.
 const MAX_QUEUE_BYTES: u64 = 16 << 30;
-/// Largest number of nodes in a batch.
+/// Largest `agent.batch_nodes`.
 const MAX_BATCH_NODES: u64 = 1_000_000;
-/// Largest number of bytes in a batch; well below the largest message that the aggregator accepts.
+/// Largest `agent.batch_bytes`: 2 MiB, well below the largest message that the aggregator accepts.
 const MAX_BATCH_BYTES: u64 = 2 << 20;
-/// Longest time that an event may wait for its batch: a minute.
+/// Largest `agent.batch_delay_ms`: a minute.
 const MAX_BATCH_DELAY_MS: u64 = 60_000;
-/// Largest number of threads on which samples travel.
+/// Largest `agent.io_threads`.
 const MAX_IO_THREADS: u64 = 64;
-/// Longest time for stopping: a minute.
+/// Largest `agent.stop_timeout_ms`: a minute.
 const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
-/// Largest number of iterations of a pipeline in flight.
+/// Largest `max_in_flight` of a pipeline.
 const MAX_IN_FLIGHT: u64 = 4096;
-/// Longest time to wait for an answer: a day.
+/// Largest `timeout_ms` of a pipeline: a day.
 const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
-/// Duration of the longest run in seconds: a year.
+/// Largest `limit.duration_s`: a year.
 const MAX_RUN_S: f64 = 365.0 * 86_400.0;
 
-/// A problem of a configuration.
+/// A problem of one key of a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
     /// Path of the key, such as `pipeline[1].placement.model`; indices count from 0.
@@ -69,23 +69,23 @@ impl Report {
         self.0.push(Problem { key: key.into(), text: text.to_string() });
     }
 
-    fn unless_ok<T>(&mut self, key: impl Into<String>, result: Result<T, impl fmt::Display>) {
+    fn check_result<T>(&mut self, key: impl Into<String>, result: Result<T, impl fmt::Display>) {
         if let Err(error) = result {
             self.add(key, error);
         }
     }
 
-    fn at_most(&mut self, key: &str, value: u64, most: u64) {
-        if value > most {
-            self.add(key, format!("{value} is too much; at most {most}"));
+    fn check_max(&mut self, key: &str, value: u64, max: u64) {
+        if value > max {
+            self.add(key, format!("{value} is too large; at most {max}"));
         }
     }
 
-    fn settings(&mut self, key: &str, settings: &SessionSettings) {
+    fn check_settings(&mut self, key: &str, settings: &SessionSettings) {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
         }
-        // Settings that one of the networks cannot use are a mistake, whichever network is in use.
+        // Settings that any of the networks cannot use are reported, whichever network is configured.
         for network in NetworkKind::ALL {
             if let Err(error) = network.check_settings(settings) {
                 self.add(format!("{key}.{}", error.key), error.problem);
@@ -94,15 +94,15 @@ impl Report {
     }
 }
 
-/// Checks a configuration. Reads files and tries the ports, but changes nothing. Blocks.
+/// Checks a configuration. Reads files and binds the ports for a moment, but changes nothing. Blocks.
 pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut report = Report::default();
-    report.unless_ok("agent.name", config.agent.host_name());
-    report.unless_ok("agent.state_dir", usable(&config.agent.state_dir, "state_dir"));
-    report.unless_ok("agent.state_dir", existing_id(&config.agent.state_dir));
-    report.unless_ok("agent.state_dir", existing_secret(&config.agent.state_dir));
+    report.check_result("agent.name", config.agent.host_name());
+    report.check_result("agent.state_dir", check_writable(&config.agent.state_dir, "state_dir"));
+    report.check_result("agent.state_dir", existing_id(&config.agent.state_dir));
+    report.check_result("agent.state_dir", existing_secret(&config.agent.state_dir));
     if let Some(aggregator) = &config.agent.aggregator {
-        report.unless_ok("agent.aggregator", aggregator.check_event_stream());
+        report.check_result("agent.aggregator", aggregator.check_event_stream());
     }
     check_host(&mut report, &config.agent);
     spool::check_spool(&mut report, config);
@@ -121,8 +121,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let models = bank.offered_names();
     if let Some(serve) = &config.serve {
         let observes = |pipeline: &PipelineConfig| matches!(pipeline.placement, PlacementConfig::Observe(_));
-        // A host without models may still serve: peers can ask for the stamps of the messages that its pipelines
-        // observe.
+        // A host without models may still serve: peers can query the stamps of the messages that its pipelines observe.
         let has_stamps = config.pipelines.iter().any(observes);
         check_serve(&mut report, serve, models.is_empty() && !has_stamps);
     }
@@ -131,12 +130,12 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     if let Some(rehearsal) = &config.rehearsal {
         time::check_rehearsal(&mut report, rehearsal);
     }
-    report.at_most("pipeline", config.pipelines.len() as u64, MAX_PIPELINES as u64);
+    report.check_max("pipeline", config.pipelines.len() as u64, MAX_PIPELINES as u64);
     let mut names = HashSet::new();
     for (index, pipeline) in config.pipelines.iter().enumerate() {
         let at = format!("pipeline[{index}]");
         if !names.insert(&pipeline.name) {
-            let text = format!("another pipeline is named {} already; give each its own name", pipeline.name);
+            let text = format!("another pipeline is named {}, too; choose another name", pipeline.name);
             report.add(format!("{at}.name"), text);
         }
         check_pipeline(&mut report, &at, pipeline, &models, clock);
@@ -144,15 +143,15 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     report.0
 }
 
-/// Returns remarks about settings that are valid but may surprise. Some parts ask other hosts: it may block for some
-/// seconds.
+/// Returns remarks about valid settings that may have unexpected effects. May block for some seconds, because some
+/// sensors and actuators query other hosts.
 pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
     let mut report = Report::default();
     for (index, pipeline) in config.pipelines.iter().enumerate() {
         let warm_up = pipeline.warm_up.iterations;
         if let Some(total) = pipeline.limit.total.filter(|total| total.get() <= warm_up) {
             let text = format!(
-                "all {total} iterations are warm-up (warm_up.iterations = {warm_up}): there will be rows, but no statistics"
+                "all {total} iterations are warm-up (warm_up.iterations = {warm_up}): the run will have rows, but no statistics"
             );
             report.add(format!("pipeline[{index}].limit.total"), text);
         }
@@ -167,39 +166,40 @@ pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
 }
 
 fn check_host(report: &mut Report, host: &HostConfig) {
-    report.at_most("agent.io_threads", host.io_threads.get() as u64, MAX_IO_THREADS);
-    report.at_most("agent.queue_events", host.queue_events.get() as u64, MAX_QUEUE_EVENTS);
-    report.at_most("agent.queue_bytes", host.queue_bytes.get() as u64, MAX_QUEUE_BYTES);
-    report.at_most("agent.batch_nodes", host.batch_nodes.get() as u64, MAX_BATCH_NODES);
-    report.at_most("agent.batch_bytes", host.batch_bytes.get() as u64, MAX_BATCH_BYTES);
-    report.at_most("agent.batch_delay_ms", host.batch_delay_ms.into(), MAX_BATCH_DELAY_MS);
-    report.at_most("agent.stop_timeout_ms", host.stop_timeout_ms, MAX_STOP_TIMEOUT_MS);
+    report.check_max("agent.io_threads", host.io_threads.get() as u64, MAX_IO_THREADS);
+    report.check_max("agent.queue_events", host.queue_events.get() as u64, MAX_QUEUE_EVENTS);
+    report.check_max("agent.queue_bytes", host.queue_bytes.get() as u64, MAX_QUEUE_BYTES);
+    report.check_max("agent.batch_nodes", host.batch_nodes.get() as u64, MAX_BATCH_NODES);
+    report.check_max("agent.batch_bytes", host.batch_bytes.get() as u64, MAX_BATCH_BYTES);
+    report.check_max("agent.batch_delay_ms", host.batch_delay_ms.into(), MAX_BATCH_DELAY_MS);
+    report.check_max("agent.stop_timeout_ms", host.stop_timeout_ms, MAX_STOP_TIMEOUT_MS);
 }
 
 fn check_serve(report: &mut Report, serve: &ServeConfig, is_empty: bool) {
     if is_empty && !serve.calibration {
-        let text = "there is nothing to serve; add a [[model]], a folder with models to [bank] or a pipeline that observes, allow \
-                    calibration, or remove [serve]";
+        let text = "this host has nothing to serve; add a [[model]], a folder with models to [bank] or a pipeline that observes, \
+                    set calibration = true, or remove [serve]";
         report.add("serve", text);
     }
-    report.settings("serve.session", &serve.session);
-    for address in serve.listen.all() {
-        report.unless_ok("serve.network", address.check_network(serve.network));
-        report.unless_ok("serve.listen", address.check_host());
+    report.check_settings("serve.session", &serve.session);
+    for address in serve.listen.as_slice() {
+        report.check_result("serve.network", address.check_network(serve.network));
+        report.check_result("serve.listen", address.check_host());
         check_listen(report, address);
     }
 }
 
 fn check_listen(report: &mut Report, address: &Address) {
-    // A port in use is not an error here, because the agent that is checked may be running. Starting it reports the
-    // error.
+    // A port in use is not a problem, because the agent with this configuration may be running. The start of an agent
+    // reports it.
     if let Err(error) = address.network().try_bind(address)
         && error.kind() != io::ErrorKind::AddrInUse
     {
-        let everywhere = format!("use {}://0.0.0.0:… for all addresses of this machine", address.scheme());
+        let all_interfaces =
+            format!("use {}://0.0.0.0:… for all addresses of this machine", address.scheme());
         let advice = match error.kind() {
-            io::ErrorKind::AddrNotAvailable => everywhere.as_str(),
-            io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege, choose a higher one",
+            io::ErrorKind::AddrNotAvailable => all_interfaces.as_str(),
+            io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege; choose a higher one",
             _ => "check the address",
         };
         report.add("serve.listen", format!("cannot listen on {address}: {error}; {advice}"));
@@ -215,37 +215,37 @@ fn check_pipeline(
 ) {
     match (&pipeline.sensor, &pipeline.placement) {
         (_, PlacementConfig::Observe(observed)) => check_observed(report, at, pipeline, observed),
-        (Some(sensor), _) => report.unless_ok(format!("{at}.sensor"), sensor.check(clock)),
-        (None, _) => report.add(format!("{at}.sensor"), "where do samples come from? Add a sensor"),
+        (Some(sensor), _) => report.check_result(format!("{at}.sensor"), sensor.check(clock)),
+        (None, _) => report.add(format!("{at}.sensor"), "the pipeline has no sensor; add one"),
     }
     for (index, transform) in pipeline.transforms.iter().enumerate() {
-        report.unless_ok(format!("{at}.transforms[{index}]"), transform.build());
+        report.check_result(format!("{at}.transforms[{index}]"), transform.build());
     }
-    report.unless_ok(format!("{at}.actuator"), pipeline.actuator.check());
-    report.at_most(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
-    report.at_most(&format!("{at}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
-    // An iteration that times out misses its deadline anyway: a deadline after the timeout would have no effect.
+    report.check_result(format!("{at}.actuator"), pipeline.actuator.check());
+    report.check_max(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
+    report.check_max(&format!("{at}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
+    // An iteration that times out misses its deadline in any case, so a deadline after the timeout has no effect.
     if let Some(deadline) = pipeline.deadline_ms.filter(|deadline| *deadline > pipeline.timeout_ms) {
         let text =
             format!("{deadline} is later than timeout_ms ({}); choose an earlier one", pipeline.timeout_ms);
         report.add(format!("{at}.deadline_ms"), text);
     }
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
-        report.settings(&format!("{at}.placement.session"), &remote.session);
-        report.unless_ok(format!("{at}.placement.network"), remote.peer.check_network(remote.network));
-        report.unless_ok(format!("{at}.placement.peer"), remote.peer.check_host());
+        report.check_settings(&format!("{at}.placement.session"), &remote.session);
+        report.check_result(format!("{at}.placement.network"), remote.peer.check_network(remote.network));
+        report.check_result(format!("{at}.placement.peer"), remote.peer.check_host());
     }
     if let PlacementConfig::Local { model } = &pipeline.placement
         && !models.contains(model)
     {
-        let known = match models {
-            [] => "there is no [[model]] at all".to_owned(),
+        let available = match models {
+            [] => "this host has no models; add a [[model]]".to_owned(),
             models => {
                 let names: Vec<&str> = models.iter().map(Slug::as_str).collect();
-                format!("there is {}", names.join(", "))
+                format!("this host has {}", names.join(", "))
             }
         };
-        report.add(format!("{at}.placement.model"), format!("no [[model]] is named {model}; {known}"));
+        report.add(format!("{at}.placement.model"), format!("no model is named {model}; {available}"));
     }
     if let Some(hz) = pipeline.load.hz()
         && !(hz * MAX_RUN_S >= 1.0 && hz <= 100_000.0)
@@ -264,48 +264,49 @@ fn check_pipeline(
         );
     }
     if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator.acts() {
-        report
-            .add(format!("{at}.actuator"), "a sensor alone has no answers to act upon; remove the actuator");
+        report.add(
+            format!("{at}.actuator"),
+            "a pipeline with placement kind = \"none\" has no answers to act on; remove the actuator",
+        );
     }
     let warm_up = &pipeline.warm_up;
     if pipeline.episode_steps.is_none() && (warm_up.episodes > 0 || warm_up.steps > 0) {
-        let text = "episodes and steps mean nothing without episode_steps; set it or use iterations";
+        let text = "episodes and steps need episode_steps; set it, or use iterations instead";
         report.add(format!("{at}.warm_up"), text);
     }
 }
 
 fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, observed: &ObserveConfig) {
-    let foreign = [
+    let unused_keys = [
         ("sensor", pipeline.sensor.is_some()),
         ("transforms", !pipeline.transforms.is_empty()),
         ("load", pipeline.load != LoadConfig::default()),
         ("actuator", pipeline.actuator.acts()),
     ];
-    for (key, _) in foreign.into_iter().filter(|(_, is_there)| *is_there) {
-        report
-            .add(format!("{at}.{key}"), format!("a system that is only observed has its own; remove {key}"));
+    for (key, _) in unused_keys.into_iter().filter(|(_, is_set)| *is_set) {
+        report.add(format!("{at}.{key}"), format!("a pipeline that observes does not use {key}; remove it"));
     }
     if observed.input == observed.output {
-        let text = "it is the topic of input, too; name the topic that the observed nodes publish";
+        let text = "output is the same topic as input; name the topic that the observed nodes publish";
         report.add(format!("{at}.placement.output"), text);
     }
     if let Err(error) = observed.check_peer() {
         report.add(format!("{at}.placement.{}", error.key()), error);
     }
     if let Some(peer) = &observed.peer {
-        report.unless_ok(format!("{at}.placement.peer"), peer.check_host());
+        report.check_result(format!("{at}.placement.peer"), peer.check_host());
     }
-    match observed.version(|name| std::env::var(name).ok()) {
+    match observed.resolve_version(|name| std::env::var(name).ok()) {
         Ok(version) => {
             for (key, topic) in [("input", &observed.input), ("output", &observed.output)] {
-                report.unless_ok(format!("{at}.placement.{key}"), check_name(version, topic));
+                report.check_result(format!("{at}.placement.{key}"), check_name(version, topic));
             }
         }
         Err(error) => report.add(format!("{at}.placement.{}", error.key()), error),
     }
 }
 
-/// Reason why a folder cannot be used for the files of a key.
+/// Reason why a configured folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 enum FolderError {
     #[error("{} is not a folder; choose another {key}", .path.display())]
@@ -314,9 +315,9 @@ enum FolderError {
     NotWritable { path: PathBuf, key: &'static str, source: io::Error },
 }
 
-/// Checks that files can be created in a folder, or that the folder itself can be created.
-fn usable(folder: &Path, key: &'static str) -> Result<(), FolderError> {
-    // A folder that does not exist yet is created at the start, if its nearest existing parent allows that.
+/// Checks that files can be created in a folder, or that the folder can be created if it does not exist.
+fn check_writable(folder: &Path, key: &'static str) -> Result<(), FolderError> {
+    // A missing folder is created at the start, so its nearest existing parent must be writable.
     let existing = folder.ancestors().find(|part| part.exists() || part.as_os_str().is_empty());
     let existing = existing.filter(|part| !part.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     if !existing.is_dir() {

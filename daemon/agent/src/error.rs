@@ -15,8 +15,8 @@ pub enum StartError {
     /// The machine's own name is not a valid agent name, and none is configured.
     #[error("{0}; set [agent] name")]
     Name(#[from] InvalidName),
-    /// The system does not give the threads for samples.
-    #[error("cannot start the threads for samples: {0}; [agent] io_threads says how many")]
+    /// The operating system refuses the I/O threads.
+    #[error("cannot start the I/O threads: {0}; [agent] io_threads is their number")]
     Threads(#[source] io::Error),
     /// The host id could not be read or created.
     #[error(transparent)]
@@ -31,7 +31,7 @@ pub enum StartError {
     #[error(transparent)]
     Reflector(#[from] ReflectorError),
     /// The key for probes could not be read.
-    #[error("{0}; [probes] key_file names it")]
+    #[error("{0}; check [probes] key_file")]
     Key(#[from] KeyError),
 }
 
@@ -39,10 +39,10 @@ pub enum StartError {
 #[derive(Debug, thiserror::Error)]
 pub enum ReflectorError {
     /// The UDP port cannot be opened.
-    #[error("{0} ([probes] port, or reflect = false to answer none)")]
+    #[error("{0}; choose another [probes] port, or set reflect = false to answer no probes")]
     Bind(#[from] peernet_probes::BindError),
     /// The host name to listen on cannot be resolved.
-    #[error("cannot answer probes on {listen}: {source}; give [serve] listen an address of this machine")]
+    #[error("cannot answer probes at {listen}: {source}; set [serve] listen to an address of this machine")]
     Address {
         /// Address at which the host listens for peers.
         listen: Address,

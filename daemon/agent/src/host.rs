@@ -1,4 +1,4 @@
-//! The host, and the channels to which its parts report.
+//! This host's identity, and the channels to which the agent's parts report.
 
 use peernet_clock::SharedClock;
 use peernet_logger::{HostId, Slug};

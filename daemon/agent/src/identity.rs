@@ -1,4 +1,4 @@
-//! The host's identity: an id that survives restarts, and the secret that proves it.
+//! The host's identity: an id that stays the same over restarts, and the secret that proves it.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
@@ -25,13 +25,13 @@ pub enum IdentityError {
     },
     /// Another agent has locked the folder.
     #[error(
-        "another agent uses {}; stop it, or give each agent a [agent] state_dir of its own", .0.display()
+        "another agent uses {}; stop it, or configure a separate [agent] state_dir for each agent", .0.display()
     )]
     InUse(PathBuf),
     /// The file does not hold a host id.
     #[error(
-        "{} holds no host id but {found:?}; restore it from a copy, or choose another [agent] state_dir to become a new \
-         host and keep this one, whose spool may hold events that are not stored", .path.display()
+        "{} is not a host id: it contains {found:?}; restore it from a copy, or start as a new host with another [agent] \
+         state_dir; keep this folder, because its spool may have events that are not stored", .path.display()
     )]
     NotAnId {
         /// Path of the file.
@@ -41,8 +41,8 @@ pub enum IdentityError {
     },
     /// The file does not hold a secret. Its content is not shown, because it may be a secret of something else.
     #[error(
-        "{} holds no host secret; restore it from a copy, or move it to another folder: the agent makes a new one, and the \
-         operator of the aggregator lets it in with `peernetd clear-host-secret`", .0.display()
+        "{} is not a host secret; restore it from a copy, or move it to another folder: the agent then creates a new secret, \
+         which the aggregator accepts after `peernetd clear-host-secret`", .0.display()
     )]
     NotASecret(PathBuf),
 }
@@ -51,18 +51,18 @@ pub enum IdentityError {
 const ID_FILE: &str = "host-id";
 /// Name of the secret's file in the state directory.
 const SECRET_FILE: &str = "host-secret";
-/// Permissions of both files. Others must read neither: whoever has both files can impersonate this host.
+/// Permissions of both files. Whoever can read both files can impersonate this host.
 const MODE: u32 = 0o600;
 
 /// Returns the host id in the file `host-id` in `state_dir`; creates folder and file if they do not exist yet.
 ///
-/// The file appears whole or not at all: a power cut cannot leave half an id, and two agents that start at the same
-/// time in one folder get the same id.
+/// The file is created atomically: a power cut cannot leave half an id, and two agents that start at the same time in
+/// one folder get the same id.
 ///
 /// # Errors
 /// When the folder cannot be used, or the file holds something else.
 pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
-    kept_value(state_dir, ID_FILE, existing_id, || HostId::random().to_string())
+    read_or_create(state_dir, ID_FILE, existing_id, || HostId::random().to_string())
 }
 
 /// Returns the secret in the file `host-secret` in `state_dir`, which proves to the aggregator that the host id
@@ -71,22 +71,22 @@ pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
 /// # Errors
 /// When the folder cannot be used, or the file holds something else.
 pub fn host_secret(state_dir: &Path) -> Result<HostSecret, IdentityError> {
-    kept_value(state_dir, SECRET_FILE, existing_secret, || HostSecret::random().expose_text())
+    read_or_create(state_dir, SECRET_FILE, existing_secret, || HostSecret::random().expose_text())
 }
 
-/// Returns the value that `existing` reads from the file `name` in `state_dir`. If there is no such file, `fresh` is
-/// written to it first.
-pub(crate) fn kept_value<T>(
+/// Returns the value that `read` reads from the file `name` in `state_dir`. If there is no such file, it is created
+/// with the text that `create` returns.
+pub(crate) fn read_or_create<T>(
     state_dir: &Path,
     name: &'static str,
-    existing: impl Fn(&Path) -> Result<Option<T>, IdentityError>,
-    fresh: impl FnOnce() -> String,
+    read: impl Fn(&Path) -> Result<Option<T>, IdentityError>,
+    create: impl FnOnce() -> String,
 ) -> Result<T, IdentityError> {
     let path = state_dir.join(name);
-    if let Some(value) = existing(state_dir)? {
+    if let Some(value) = read(state_dir)? {
         return Ok(value);
     }
-    fs::create_dir_all(state_dir).map_err(cannot("make", state_dir))?;
+    fs::create_dir_all(state_dir).map_err(cannot("create", state_dir))?;
     // Written under another name first, so that a power cut cannot leave half a file under the real name.
     let draft = state_dir.join(format!("{name}.{}", HostId::random()));
     let written = OpenOptions::new()
@@ -94,9 +94,9 @@ pub(crate) fn kept_value<T>(
         .create_new(true)
         .mode(MODE)
         .open(&draft)
-        .and_then(|mut file| writeln!(file, "{}", fresh()).and_then(|()| file.sync_all()))
+        .and_then(|mut file| writeln!(file, "{}", create()).and_then(|()| file.sync_all()))
         .map_err(cannot("write", &draft));
-    // Linking, unlike renaming, fails if another process created the file first: then its value counts.
+    // Linking, unlike renaming, fails if another process created the file first: then its value is used.
     let linked = written.and_then(|()| match fs::hard_link(&draft, &path) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(cannot("write", &path)(error)),
         _ => Ok(()),
@@ -106,9 +106,9 @@ pub(crate) fn kept_value<T>(
     removed?;
     // A power cut can remove a new name until its folder is synced.
     File::open(state_dir).and_then(|folder| folder.sync_all()).map_err(cannot("write", state_dir))?;
-    existing(state_dir)?.ok_or_else(|| {
-        let gone = io::Error::new(io::ErrorKind::NotFound, "it vanished while it was being made");
-        cannot("read", &path)(gone)
+    read(state_dir)?.ok_or_else(|| {
+        let removed = io::Error::new(io::ErrorKind::NotFound, "it was removed while it was being created");
+        cannot("read", &path)(removed)
     })
 }
 
@@ -119,14 +119,14 @@ pub(crate) struct StateLock {
 }
 
 impl StateLock {
-    /// Locks the folder, which is created if missing, by locking the file `lock` in it.
+    /// Creates the folder if it is missing, and locks the file `lock` in it.
     ///
     /// # Errors
     /// When another agent has the lock, or the file cannot be created.
-    pub(crate) fn take(state_dir: &Path) -> Result<Self, IdentityError> {
-        fs::create_dir_all(state_dir).map_err(cannot("make", state_dir))?;
+    pub(crate) fn acquire(state_dir: &Path) -> Result<Self, IdentityError> {
+        fs::create_dir_all(state_dir).map_err(cannot("create", state_dir))?;
         let path = state_dir.join("lock");
-        match FileLock::take(&path).map_err(cannot("lock", &path))? {
+        match FileLock::try_acquire(&path).map_err(cannot("lock", &path))? {
             Some(lock) => Ok(Self { _lock: lock }),
             None => Err(IdentityError::InUse(state_dir.to_owned())),
         }
@@ -159,7 +159,7 @@ pub(crate) fn existing_secret(state_dir: &Path) -> Result<Option<HostSecret>, Id
     }
 }
 
-/// Returns a function that adds to an error of the system what was tried, and on which path.
+/// Returns a function that adds the attempted action and its path to an error of the operating system.
 pub(crate) fn cannot(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> IdentityError + use<> {
     let path = path.to_owned();
     move |source| IdentityError::Io { action, path, source }
@@ -183,11 +183,11 @@ mod tests {
     #[test]
     fn second_agent_cannot_lock_folder() {
         let folder = tempfile::tempdir().expect("a folder");
-        let first = StateLock::take(folder.path()).expect("free");
-        let error = StateLock::take(folder.path()).expect_err("taken").to_string();
+        let first = StateLock::acquire(folder.path()).expect("free");
+        let error = StateLock::acquire(folder.path()).expect_err("taken").to_string();
         assert!(error.contains("another agent uses"), "{error}");
         drop(first);
-        StateLock::take(folder.path()).expect("free again");
+        StateLock::acquire(folder.path()).expect("free again");
     }
 
     #[test]

@@ -6,19 +6,19 @@ use peernet_stream::{Event, Incident, IncidentKind};
 
 use crate::event_queue::EventQueue;
 
-/// Formats how far a clock was set, without its sign: in seconds with milliseconds, and below a millisecond in the
-/// unit that fits.
-pub(crate) fn step_size_text(by: Span) -> String {
-    let far = by.abs();
-    if far < Span::from_millis(1) { far.to_string() } else { format!("{:.3} s", far.seconds()) }
+/// Formats the size of a clock step without its sign: seconds with three decimals, and below a millisecond in the unit
+/// that fits.
+pub(crate) fn format_step_size(by: Span) -> String {
+    let size = by.abs();
+    if size < Span::from_millis(1) { size.to_string() } else { format!("{:.3} s", size.seconds()) }
 }
 
 /// Log target of remarks about connections. The command `peernet` shows the lines of this target on the terminal.
-pub const REMARKS: &str = "peernet_agent::remarks";
+pub const REMARK_LOG_TARGET: &str = "peernet_agent::remarks";
 
-/// Logs something that makes a connection worse than it could be, with the target [`REMARKS`].
+/// Logs a remark about a limitation of a connection, with the target [`REMARK_LOG_TARGET`].
 pub(crate) fn remark(text: &str) {
-    tracing::warn!(target: REMARKS, "{text}");
+    tracing::warn!(target: REMARK_LOG_TARGET, "{text}");
 }
 
 /// Reports incidents to the log and to the event queue.
@@ -30,7 +30,7 @@ pub(crate) struct Incidents {
 
 /// The pipeline, run and peer that an incident concerns.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct IncidentContext<'a> {
+pub(crate) struct IncidentSubject<'a> {
     pub(crate) pipeline: Option<&'a Slug>,
     pub(crate) run: Option<RunId>,
     pub(crate) peer: Option<HostId>,
@@ -41,43 +41,43 @@ impl Incidents {
         Self { clock, event_queue }
     }
 
-    /// Logs an incident as a warning and queues it; a kind that needs no attention is logged as [`note`](Self::note)
-    /// does. `text` is one sentence for people.
-    pub(crate) fn report(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
+    /// Logs an incident as a warning and queues it. A kind that needs no attention is logged at level info. `text` is
+    /// one sentence for people.
+    pub(crate) fn report(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
         match kind {
             IncidentKind::Connected | IncidentKind::ModelLoaded | IncidentKind::Control => {
-                self.note(kind, what, text);
+                self.report_info(kind, subject, text);
             }
             _ => {
-                let pipeline = what.pipeline.map_or("-", Slug::as_str);
+                let pipeline = subject.pipeline.map_or("-", Slug::as_str);
                 tracing::warn!(%kind, pipeline, "{text}");
-                self.enqueue(kind, what, text);
+                self.enqueue(kind, subject, text);
             }
         }
     }
 
-    /// Reports an incident that makes a connection worse than it could be, with the target [`REMARKS`].
-    pub(crate) fn remark(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
+    /// Reports a limitation of a connection as an incident; it is logged with the target [`REMARK_LOG_TARGET`].
+    pub(crate) fn remark(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
         remark(&text);
-        self.enqueue(kind, what, text);
+        self.enqueue(kind, subject, text);
     }
 
-    /// Reports an incident that needs no attention, whatever its kind; it is logged at level info.
-    pub(crate) fn note(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
-        let pipeline = what.pipeline.map_or("-", Slug::as_str);
+    /// Logs an incident at level info, whatever its kind, and queues it.
+    pub(crate) fn report_info(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
+        let pipeline = subject.pipeline.map_or("-", Slug::as_str);
         tracing::info!(%kind, pipeline, "{text}");
-        self.enqueue(kind, what, text);
+        self.enqueue(kind, subject, text);
     }
 
-    fn enqueue(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
+    fn enqueue(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
         let incident = Incident {
             at: self.clock.wall(),
             kind,
-            pipeline: what.pipeline.cloned(),
-            run: what.run,
-            peer: what.peer,
+            pipeline: subject.pipeline.cloned(),
+            run: subject.run,
+            peer: subject.peer,
             text,
         };
-        self.event_queue.event(what.pipeline, Event::Incident(incident));
+        self.event_queue.push_event(subject.pipeline, Event::Incident(incident));
     }
 }

@@ -1,13 +1,13 @@
-//! The threads on which samples travel: those of pipelines, sessions, serving and probes, and of nothing else.
+//! The I/O threads. They run only tasks that carry samples: pipelines, sessions, serving and probes.
 //!
-//! As in ZeroMQ there is one such thread unless more is moved than one thread can carry, some gigabytes per second.
-//! An iteration is several short tasks, each of which wakes the next. With a thread for each processor, as is usual
-//! in servers, each step may wake another thread first: on two processors that cost a third of all round trips at 1
-//! kB, and with storing the p99 of the total was up to three times as long (`docs/measurements.md`). With one thread
-//! the whole chain stays on one processor.
+//! As in ZeroMQ the default is one thread, which carries some gigabytes per second. An iteration is several short
+//! tasks, each of which wakes the next. With a thread for each processor, as is usual in servers, each step may first
+//! wake another thread. On two processors that cost a third of all round trips at 1 kB, and while events were stored
+//! the p99 of the total was up to three times as long (`docs/measurements.md`). With one thread the whole chain stays
+//! on one processor.
 //!
-//! The outbox and the host's metrics run on other threads, and so do the aggregator and the web server where they are
-//! in the same process. So no batch and no page delays a sample.
+//! The outbox and the host's metrics run on other threads. So do the aggregator and the web server where they are in
+//! the same process. Therefore no batch and no page delays a sample.
 
 use std::future::Future;
 use std::io;
@@ -20,7 +20,7 @@ use tokio_util::context::TokioContext;
 #[derive(Debug)]
 pub(crate) struct IoThreads {
     handle: Handle,
-    /// Always there until this is dropped.
+    /// `Some` until this is dropped.
     runtime: Option<Runtime>,
 }
 
@@ -28,7 +28,7 @@ impl IoThreads {
     /// Starts `count` threads.
     ///
     /// # Errors
-    /// When the system gives no thread or no event queue.
+    /// When the operating system refuses a thread or an event queue.
     pub(crate) fn start(count: NonZeroUsize) -> io::Result<Self> {
         let runtime =
             Builder::new_multi_thread().worker_threads(count.get()).thread_name("io").enable_all().build()?;
@@ -40,16 +40,16 @@ impl IoThreads {
         &self.handle
     }
 
-    /// Returns the future in the context of this runtime: sockets and tasks that it creates belong to these threads,
-    /// whichever thread polls it.
-    pub(crate) fn within<F: Future>(&self, future: F) -> TokioContext<F> {
+    /// Wraps a future in the context of this runtime. The sockets and tasks that it creates belong to the I/O threads,
+    /// whichever thread polls the future.
+    pub(crate) fn with_context<F: Future>(&self, future: F) -> TokioContext<F> {
         TokioContext::new(future, self.handle().clone())
     }
 }
 
 impl Drop for IoThreads {
     fn drop(&mut self) {
-        // Dropping a runtime waits for its threads, which panics inside a task of tokio.
+        // Dropping a runtime waits for its threads, which panics inside an asynchronous task.
         if let Some(runtime) = self.runtime.take() {
             runtime.shutdown_background();
         }
@@ -73,13 +73,13 @@ mod tests {
         let (thread, is_named) = there.await.expect("it ran");
         assert!(is_named && thread != this);
         let begin = async { tokio::spawn(async { thread::current().id() }).await };
-        assert_eq!(io.within(begin).await.expect("it ran"), thread, "the only one");
+        assert_eq!(io.with_context(begin).await.expect("it ran"), thread, "the only one");
     }
 
     #[tokio::test]
     async fn running_tasks_end_with_threads_without_waiting() {
         let io = IoThreads::start(NonZeroUsize::MIN).expect("there are threads");
-        let socket = io.within(UdpSocket::bind("127.0.0.1:0")).await.expect("there is a port");
+        let socket = io.with_context(UdpSocket::bind("127.0.0.1:0")).await.expect("there is a port");
         let waiting = io.handle().spawn(async move {
             let _ = socket.recv(&mut [0]).await;
         });

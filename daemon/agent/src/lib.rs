@@ -1,7 +1,7 @@
 //! The agent: the program part that runs on every edge and every cloud.
 //!
-//! It composes the four modules of the paper, which do not know each other. Sensors, networks, inference and
-//! actuators make [pipelines](config::PipelineConfig); models and a network make a [server](config::ServeConfig). The
+//! It composes the four modules of the paper, which do not depend on each other. A sensor, a network, a model and an
+//! actuator form a [pipeline](config::PipelineConfig); models and a network form a [server](config::ServeConfig). The
 //! agent sends its measurements to the aggregator as the event stream of `peernet_stream`: a live summary of each
 //! second, and every finished iteration through the outbox. Measuring never waits for storing.
 //!
@@ -38,21 +38,21 @@ mod serve;
 mod tasks;
 mod telemetry;
 
-pub use agent::{Agent, Running};
+pub use agent::{Agent, RunningAgent};
 pub use argument_key::{argument_key, share_argument_key};
 pub use check::Problem;
 pub use config::AgentConfig;
 pub use error::{ReflectorError, StartError};
 pub use identity::{IdentityError, host_id, host_secret};
-pub use incidents::REMARKS;
+pub use incidents::REMARK_LOG_TARGET;
 pub use link::Cloud;
-pub use serve::Served;
+pub use serve::ServedCounts;
 pub use tasks::{Failure, FailureCause};
 
 /// The spool: the file in which events wait until the aggregator has stored them.
 pub mod spool {
     pub use crate::outbox::{
         InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect,
-        waiting_events,
+        pending_events,
     };
 }

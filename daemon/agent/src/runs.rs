@@ -1,7 +1,7 @@
 //! The latest run of every pipeline.
 //!
-//! After a welcome by a database that lacks what it once stored, the outbox repeats the starts of the runs in
-//! progress.
+//! When the aggregator's database has lost events that it once acknowledged, the outbox sends the starts of the runs in
+//! progress again.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -16,35 +16,35 @@ pub(crate) struct Runs(Arc<Mutex<BTreeMap<Slug, LatestRun>>>);
 #[derive(Debug)]
 struct LatestRun {
     description: RunDescription,
-    ended: bool,
+    is_ended: bool,
 }
 
 impl Runs {
-    /// Records that a run began, in place of the pipeline's previous one.
-    pub(crate) fn began(&self, description: RunDescription) {
-        self.lock().insert(description.pipeline.clone(), LatestRun { description, ended: false });
+    /// Records the start of a run, which replaces the pipeline's previous one.
+    pub(crate) fn record_start(&self, description: RunDescription) {
+        self.lock().insert(description.pipeline.clone(), LatestRun { description, is_ended: false });
     }
 
-    /// Records that a run of `pipeline` ended.
-    pub(crate) fn ended(&self, pipeline: &Slug, run: RunId) {
+    /// Records the end of a run of `pipeline`.
+    pub(crate) fn record_end(&self, pipeline: &Slug, run: RunId) {
         if let Some(latest) = self.lock().get_mut(pipeline)
             && latest.description.run == run
         {
-            latest.ended = true;
+            latest.is_ended = true;
         }
     }
 
     /// Returns the run of `pipeline` that is in progress.
-    pub(crate) fn current(&self, pipeline: &Slug) -> Option<RunId> {
+    pub(crate) fn current_run(&self, pipeline: &Slug) -> Option<RunId> {
         let runs = self.lock();
-        runs.get(pipeline).filter(|latest| !latest.ended).map(|latest| latest.description.run)
+        runs.get(pipeline).filter(|latest| !latest.is_ended).map(|latest| latest.description.run)
     }
 
     /// Returns the start events of all runs in progress.
-    pub(crate) fn run_starts(&self) -> Vec<Event> {
+    pub(crate) fn start_events(&self) -> Vec<Event> {
         let runs = self.lock();
-        let open = runs.values().filter(|latest| !latest.ended);
-        open.map(|latest| Event::RunStarted(latest.description.clone())).collect()
+        let in_progress = runs.values().filter(|latest| !latest.is_ended);
+        in_progress.map(|latest| Event::RunStarted(latest.description.clone())).collect()
     }
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<Slug, LatestRun>> {

@@ -23,7 +23,7 @@ pub struct Failure {
 #[derive(Debug, thiserror::Error)]
 pub enum FailureCause {
     /// The task ended before it was asked to stop.
-    #[error("it was not told to")]
+    #[error("it returned before the agent was stopped")]
     EndedEarly,
     /// The task panicked.
     #[error(transparent)]
@@ -33,7 +33,7 @@ pub enum FailureCause {
     Failed(Box<dyn Error + Send + Sync>),
 }
 
-/// All tasks of the agent but the outbox, which outlives them.
+/// All tasks of the agent except the outbox, which outlives them.
 #[derive(Debug)]
 pub(crate) struct Tasks {
     stop: CancellationToken,
@@ -49,45 +49,45 @@ impl Tasks {
     }
 
     /// Returns the token that asks the tasks to end.
-    pub(crate) fn stop(&self) -> CancellationToken {
+    pub(crate) fn stop_token(&self) -> CancellationToken {
         self.stop.clone()
     }
 
-    /// Starts a task on the runtime `there` that must run until it is asked to stop.
-    pub(crate) fn keep(
+    /// Starts a task on the runtime `handle` that must run until it is asked to stop.
+    pub(crate) fn spawn_required(
         &mut self,
-        there: &Handle,
+        handle: &Handle,
         name: &str,
         task: impl Future<Output = ()> + Send + 'static,
     ) {
-        self.keep_or_fail(there, name, async {
+        self.spawn_required_fallible(handle, name, async {
             task.await;
             Ok::<(), Infallible>(())
         });
     }
 
-    /// Starts a task on the runtime `there` that must run until it is asked to stop, and that may return an error.
-    pub(crate) fn keep_or_fail<E: Error + Send + Sync + 'static>(
+    /// Starts a task on the runtime `handle` that must run until it is asked to stop, and that may return an error.
+    pub(crate) fn spawn_required_fallible<E: Error + Send + Sync + 'static>(
         &mut self,
-        there: &Handle,
+        handle: &Handle,
         name: &str,
         task: impl Future<Output = Result<(), E>> + Send + 'static,
     ) {
-        let stop = self.stop();
-        self.spawn(there, name, async move {
+        let stop = self.stop_token();
+        self.spawn(handle, name, async move {
             task.await.map_err(|error| FailureCause::Failed(Box::new(error)))?;
             if stop.is_cancelled() { Ok(()) } else { Err(FailureCause::EndedEarly) }
         });
     }
 
-    /// Starts a task on the runtime `there` that may end at any time.
-    pub(crate) fn let_end(
+    /// Starts a task on the runtime `handle` that may end at any time.
+    pub(crate) fn spawn_finite(
         &mut self,
-        there: &Handle,
+        handle: &Handle,
         name: &str,
         task: impl Future<Output = ()> + Send + 'static,
     ) {
-        self.spawn(there, name, async {
+        self.spawn(handle, name, async {
             task.await;
             Ok(())
         });
@@ -95,11 +95,11 @@ impl Tasks {
 
     fn spawn(
         &mut self,
-        there: &Handle,
+        handle: &Handle,
         name: &str,
         task: impl Future<Output = Result<(), FailureCause>> + Send + 'static,
     ) {
-        let id = self.set.spawn_on(task, there).id();
+        let id = self.set.spawn_on(task, handle).id();
         self.names.insert(id, name.to_owned());
     }
 
@@ -134,19 +134,19 @@ mod tests {
     async fn dead_task_ends_others_and_is_named() {
         let outer = CancellationToken::new();
         let mut tasks = Tasks::new(&outer);
-        let stop = tasks.stop();
-        tasks.keep(&Handle::current(), "steady", async move { stop.cancelled().await });
-        tasks.let_end(&Handle::current(), "brief", async {});
-        tasks.keep(&Handle::current(), "fragile", async { panic!("as planned") });
+        let stop = tasks.stop_token();
+        tasks.spawn_required(&Handle::current(), "steady", async move { stop.cancelled().await });
+        tasks.spawn_finite(&Handle::current(), "brief", async {});
+        tasks.spawn_required(&Handle::current(), "fragile", async { panic!("as planned") });
         let failure = tasks.join().await.expect_err("fragile died");
         assert_eq!(failure.part, "fragile");
-        assert!(!outer.is_cancelled(), "the rest of the process goes on");
+        assert!(!outer.is_cancelled(), "the rest of the process continues");
     }
 
     #[tokio::test]
     async fn task_that_ends_early_is_a_failure() {
         let mut tasks = Tasks::new(&CancellationToken::new());
-        tasks.keep(&Handle::current(), "lazy", async {});
+        tasks.spawn_required(&Handle::current(), "lazy", async {});
         assert_eq!(tasks.join().await.expect_err("lazy stopped").part, "lazy");
     }
 
@@ -154,8 +154,8 @@ mod tests {
     async fn all_tasks_end_when_stopped() {
         let outer = CancellationToken::new();
         let mut tasks = Tasks::new(&outer);
-        let stop = tasks.stop();
-        tasks.keep(&Handle::current(), "steady", async move { stop.cancelled().await });
+        let stop = tasks.stop_token();
+        tasks.spawn_required(&Handle::current(), "steady", async move { stop.cancelled().await });
         outer.cancel();
         tasks.join().await.expect("a clean end");
     }

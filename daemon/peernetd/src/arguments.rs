@@ -9,9 +9,9 @@ use crate::commands::{Database, DoctorArguments};
 
 /// PEERNet's daemon: profiles edge-cloud loops live, stage by stage.
 ///
-/// One binary, two roles that the configuration switches on, together or apart: the agent runs sensing,
-/// transport and inference workers and streams what it measures; the aggregator stores the measurements of
-/// all agents and serves the dashboard and the REST API.
+/// The configuration enables one or both of two roles. The agent runs sensing, transport and inference workers and
+/// sends its measurements to an aggregator. The aggregator stores the measurements of all agents and serves the
+/// dashboard and the REST API.
 #[derive(Debug, Parser)]
 #[command(name = "peernetd", version = VERSION, max_term_width = 100)]
 pub(crate) struct Arguments {
@@ -21,26 +21,26 @@ pub(crate) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Run the roles that a configuration file switches on, until SIGTERM or Ctrl-C.
+    /// Run the roles that a configuration file enables, until SIGTERM or Ctrl-C.
     Run {
-        /// The configuration file (TOML); see configs/ for one per way of use.
+        /// The configuration file (TOML); configs/ has examples for each kind of use.
         #[arg(value_name = "CONFIG")]
         config: PathBuf,
     },
-    /// Check a configuration file and everything it names: files, folders, models, libraries, addresses.
+    /// Check configuration files and everything they name: files, folders, models, libraries, addresses.
     ///
-    /// Prints each problem with file, line and key, and exits with 78 when there is one.
+    /// Prints each problem with file, line and key, and exits with 78 if there is one.
     Check {
         /// The configuration files to check.
         #[arg(value_name = "CONFIG", required = true)]
         configs: Vec<PathBuf>,
     },
-    /// Copy an aggregator's database to a file, as it is at this moment; the aggregator may go on storing.
+    /// Copy an aggregator's database to a file in its current state; the aggregator may continue to store.
     ///
-    /// The copy is complete and on the disk when this ends with 0, and is a database like the first: stop the
-    /// aggregator, put the copy in the place of its database, start it again. A file that exists is not written over.
-    /// Exits with 65 when the file is no aggregator's database, 69 when there is no copy for another reason (no room, no
-    /// such database), 130 when interrupted; nothing is left then.
+    /// The copy is complete and on the disk when this exits with 0. To restore it, stop the aggregator, replace its
+    /// database with the copy, and start the aggregator again. An existing file is not overwritten. Exits with 65 if the
+    /// file is not an aggregator's database, 69 if the copy failed for another reason (no space left, no such database),
+    /// 130 if it was interrupted; a partial copy is removed.
     Backup {
         #[command(flatten)]
         database: Database,
@@ -50,29 +50,28 @@ pub(crate) enum Command {
     },
     /// Examine an aggregator's database or an agent's spool: damage, gaps, streams, sizes. Changes nothing.
     ///
-    /// Reads the whole file once; the aggregator or agent may go on. Exits with 0 when nothing is wrong, 65 when
-    /// something is (it says what, and what to do), 69 when a file cannot be opened. With --repair it exits with 0 when
-    /// the database is whole afterwards, 65 when nothing of it can be read, 69 when the aggregator runs or the new file
-    /// cannot be written.
+    /// Reads the whole file once; the aggregator or agent may continue. Exits with 0 if there is no problem, 65 if there
+    /// is one (each is printed with advice), 69 if a file cannot be opened. With --repair it exits with 0 if the database
+    /// is intact afterwards, 65 if nothing of it can be read, 69 if the aggregator runs or the new file cannot be written.
     Doctor(DoctorArguments),
-    /// Compute an aggregator's roll-ups again from the nodes that are stored, while the aggregator is stopped.
+    /// Compute an aggregator's roll-ups again from the stored nodes, while the aggregator is stopped.
     ///
-    /// Roll-ups grow with the nodes and need no rebuilding; this is for a doubt, or a repaired file. Each run is
-    /// replaced at once; of times whose nodes were deleted the roll-ups stay as they are. Exits with 65 when the file is
-    /// no aggregator's database, 69 when the aggregator runs or the database cannot be written; interrupted, the runs
-    /// that were done are done.
+    /// Roll-ups are updated with the nodes, so this is needed only after a repair or if they may be wrong. Each run is
+    /// replaced in one transaction. Roll-ups of intervals whose nodes were deleted do not change. Exits with 65 if the file
+    /// is not an aggregator's database, 69 if the aggregator runs or the database cannot be written. If it is interrupted,
+    /// the runs completed so far keep their new roll-ups.
     RebuildRollups {
         #[command(flatten)]
         database: Database,
-        /// Only this run, by its number.
+        /// Number of the only run to compute; default: all runs.
         #[arg(long, value_name = "NUMBER")]
         run: Option<i64>,
     },
-    /// Forget the secret with which a host proves its id, so that the next agent with this host id is let in.
+    /// Delete the secret with which a host proves its id, so that the next agent with this host id is accepted.
     ///
-    /// For a robot that lost the file host-secret in its state directory. Until it has come, any agent that claims the
-    /// host id is enrolled in its place. The aggregator may go on; stored data stays. Exits with 64 when there is no such
-    /// host, 65 when the file is no aggregator's database, 69 when it cannot be written.
+    /// For a robot that lost the file host-secret in its state directory. Until the robot connects, any agent with this
+    /// host id is accepted in its place. The aggregator may continue; stored data does not change. Exits with 64 if there is
+    /// no such host, 65 if the file is not an aggregator's database, 69 if it cannot be written.
     ClearHostSecret {
         #[command(flatten)]
         database: Database,

@@ -1,4 +1,5 @@
-//! The daemon: runs the roles that a configuration file switches on, and maintains their databases.
+//! The daemon `peernetd`: runs the roles that a configuration file enables (agent, aggregator), and maintains their
+//! databases.
 
 mod arguments;
 mod commands;

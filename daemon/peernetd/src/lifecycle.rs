@@ -1,8 +1,7 @@
 //! Life cycle of the process: parts are started in order, watched, and stopped in reverse order.
 //!
-//! A signal (SIGTERM, SIGINT) asks the parts to finish their work; a second signal, or the deadline, ends the process
-//! at once with exit code 70. A part that ends by itself is an error: a daemon that has lost one of its tasks must
-//! not look healthy.
+//! A signal (SIGTERM, SIGINT) stops the parts gracefully. A second signal, or the deadline, ends the process at once with
+//! exit code 70. A part that ends by itself is an error, because a daemon that has lost a task must not look healthy.
 
 use std::io;
 use std::time::Duration;
@@ -24,12 +23,11 @@ use peernet_cli::shutdown_request::ShutdownRequests;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct LifecycleConfig {
-    /// Longest time for stopping, seconds, up to one day; afterwards the process ends without waiting further.
-    /// Default: 10.
+    /// Longest time for stopping; seconds, up to one day. After it the process ends without waiting further. Default: 10.
     pub(crate) shutdown_deadline_s: u64,
 }
 
-/// Error of a deadline that is longer than one day.
+/// Error for a deadline that is longer than one day.
 #[derive(Debug, thiserror::Error)]
 #[error("{seconds} s is too long; at most {} s, a day", LifecycleConfig::MAX_DEADLINE_S)]
 pub(crate) struct DeadlineError {
@@ -58,19 +56,19 @@ impl Default for LifecycleConfig {
     }
 }
 
-/// Time that is reserved for each part that is still to be stopped.
+/// Time that is reserved for each part that has not been stopped yet.
 const RESERVED_PER_PART: Duration = Duration::from_secs(1);
 
-/// Part of the process that runs until it is asked to stop.
+/// A part of the process, which runs until it is stopped.
 struct Part {
     name: &'static str,
     stop: CancellationToken,
-    /// Token that is cancelled when the task has ended, for whatever reason.
+    /// Token that is cancelled when the task has ended for any reason.
     ended: CancellationToken,
     task: JoinHandle<anyhow::Result<()>>,
 }
 
-/// Owner of the parts and the signals; informs the service manager.
+/// Owns the parts and the signal handlers, and notifies the service manager.
 pub(crate) struct Lifecycle {
     parts: Vec<Part>,
     signals: Signals,
@@ -84,6 +82,7 @@ struct Signals {
 }
 
 impl Signals {
+    /// Waits for the next shutdown signal and returns its name.
     async fn next(&mut self) -> &'static str {
         loop {
             let (kind, name) = tokio::select! {
@@ -114,22 +113,23 @@ impl Lifecycle {
         })
     }
 
-    /// Starts a part: `begin` gets the token that will ask it to stop, and returns the future that completes when the
-    /// part has ended. A signal that arrives during the start is not lost: [`run`](Self::run) receives it.
+    /// Starts a part. `start` gets the token that stops the part, and returns the future that completes when the part has
+    /// ended. A signal that arrives during the start is not lost: [`run`](Self::run) receives it.
     ///
     /// # Errors
     /// If the part cannot start.
-    pub(crate) async fn start<F>(&mut self, name: &'static str, begin: F) -> anyhow::Result<()>
+    pub(crate) async fn start<F>(&mut self, name: &'static str, start: F) -> anyhow::Result<()>
     where
         F: AsyncFnOnce(CancellationToken) -> anyhow::Result<BoxFuture<'static, anyhow::Result<()>>>,
     {
         let stop = CancellationToken::new();
-        let ending = begin(stop.clone()).await.with_context(|| format!("cannot start the {name}"))?;
+        let part = start(stop.clone()).await.with_context(|| format!("cannot start the {name}"))?;
         let ended = CancellationToken::new();
-        let over = ended.clone().drop_guard();
+        // A drop guard, so that the token is cancelled even if the task panics.
+        let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
-            let _over = over;
-            ending.await
+            let _guard = guard;
+            part.await
         });
         self.parts.push(Part { name, stop, ended, task });
         debug!("the {name} has started");
@@ -146,7 +146,7 @@ impl Lifecycle {
         tokio::select! {
             stopped = stop_in_reverse(parts, deadline) => exit = if stopped == Exit::Ok { exit } else { stopped },
             name = signals.next() => {
-                warn!("second {name}: ending at once, what was under way is given up");
+                warn!("received a second {name}: ending at once, without waiting for unfinished work");
                 exit = Exit::Software;
             }
         }
@@ -158,11 +158,11 @@ impl Lifecycle {
         loop {
             tokio::select! {
                 name = self.signals.next() => {
-                    info!("{name}: stopping");
+                    info!("received {name}: stopping");
                     return Exit::Ok;
                 }
                 name = wait_for_first_end(&self.parts) => {
-                    error!("the {name} ended by itself: stopping");
+                    error!("the {name} ended unexpectedly: stopping");
                     return Exit::Software;
                 }
                 () = tick(&mut watchdog) => notify(&[NotifyState::Watchdog]),
@@ -171,7 +171,7 @@ impl Lifecycle {
     }
 }
 
-/// Waits until the task of a part has ended, also by a panic; returns the name of the part.
+/// Waits until the task of a part has ended, including by a panic. Returns the name of the part.
 async fn wait_for_first_end(parts: &[Part]) -> &'static str {
     if parts.is_empty() {
         return std::future::pending().await;
@@ -185,14 +185,14 @@ async fn wait_for_first_end(parts: &[Part]) -> &'static str {
     futures::future::select_all(ends).await.0
 }
 
-/// Stops the parts in reverse order, so that an agent delivers its events before an aggregator in the same process
-/// stops. A part that takes too long is abandoned, so that the parts after it have time as well.
+/// Stops the parts in reverse order, so that an agent sends its events before an aggregator in the same process stops. A
+/// part that takes too long is aborted, so that time remains for the other parts.
 async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
     let end = Instant::now() + deadline;
     let mut exit = Exit::Ok;
-    for (after, mut part) in parts.into_iter().enumerate().rev() {
+    for (remaining_parts, mut part) in parts.into_iter().enumerate().rev() {
         part.stop.cancel();
-        let reserved = RESERVED_PER_PART * u32::try_from(after).unwrap_or(u32::MAX);
+        let reserved = RESERVED_PER_PART * u32::try_from(remaining_parts).unwrap_or(u32::MAX);
         match timeout_at(end.checked_sub(reserved).unwrap_or(end), &mut part.task).await {
             Ok(Ok(Ok(()))) => debug!("the {} has stopped", part.name),
             Ok(Ok(Err(problem))) => {
@@ -200,12 +200,12 @@ async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
                 exit = Exit::Software;
             }
             Ok(Err(panic)) => {
-                error!("the {} died: {panic}", part.name);
+                error!("the {} panicked: {panic}", part.name);
                 exit = Exit::Software;
             }
             Err(_elapsed) => {
                 error!(
-                    "the {} did not stop within its part of lifecycle.shutdown_deadline_s = {} s: going on without it",
+                    "the {} did not stop within its share of lifecycle.shutdown_deadline_s = {} s; it was aborted",
                     part.name,
                     deadline.as_secs()
                 );

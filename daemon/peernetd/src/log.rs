@@ -38,8 +38,8 @@ fn origin(from_environment: bool) -> String {
     if from_environment { format!(" (from {VARIABLE})") } else { String::new() }
 }
 
-/// Installs a log for the time until the configuration is read.
-pub(crate) fn temporary() -> tracing::subscriber::DefaultGuard {
+/// Installs a log that is used until the configuration has been read.
+pub(crate) fn install_temporary() -> tracing::subscriber::DefaultGuard {
     let filter = EnvFilter::try_from_env(VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
     subscriber(filter).set_default()
 }
@@ -48,7 +48,7 @@ impl LogConfig {
     /// Checks the level.
     ///
     /// # Errors
-    /// The invalid level, where it comes from, and the possible levels.
+    /// If the level is invalid; the error names its origin and the valid levels.
     pub(crate) fn check(&self) -> Result<(), LevelError> {
         self.filter().map(|_| ())
     }
@@ -77,7 +77,7 @@ fn subscriber(filter: EnvFilter) -> impl Subscriber + Send + Sync + for<'a> Look
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(terminal)
-        // These errors would be printed to the same standard error, and printing panics if its reader is gone.
+        // The subscriber prints its own errors to the same standard error, which panics if its reader is closed.
         .log_internal_errors(false)
         .event_format(Line::default())
         .finish()

@@ -68,7 +68,7 @@ fn session_survives_small_mtu_and_moved_hosts() {
     wait_until_answered(&testbed, 20);
     let (edge, cloud) = (edge.stop(), cloud.stop());
     assert_eq!((edge.code(), cloud.code()), (0, 0), "{}\n{}", edge.log, cloud.log);
-    assert!(!edge.log.contains("lost cloud"), "{}", edge.log);
+    assert!(!edge.log.contains("lost the connection to cloud"), "{}", edge.log);
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn pipeline_recovers_from_link_and_restart_faults() {
 
     let (path, cut) = (testbed.network.cloud(), Stopwatch::now());
     path.drop_all();
-    let said = edge.wait_for("lost cloud");
+    let said = edge.wait_for("lost the connection to cloud");
     assert!(said.contains("udp://") && said.contains("nothing was heard of the peer for 5 s"), "{said}");
     // The session must survive a cut of ten seconds.
     std::thread::sleep(Duration::from_secs(10).saturating_sub(cut.elapsed()));
@@ -89,13 +89,13 @@ fn pipeline_recovers_from_link_and_restart_faults() {
     wait_until_answered(&testbed, 20);
 
     cloud.kill();
-    edge.wait_for_nth("lost cloud", 2);
+    edge.wait_for_nth("lost the connection to cloud", 2);
     let _cloud = testbed.start_cloud("");
     edge.wait_for_nth("connected to cloud", 3);
     wait_until_answered(&testbed, 20);
 
     path.block_udp(5551);
-    edge.wait_for_nth("lost cloud", 3);
+    edge.wait_for_nth("lost the connection to cloud", 3);
     path.clear_rules();
     edge.wait_for_nth("connected to cloud", 4);
     wait_until_answered(&testbed, 20);
@@ -114,7 +114,7 @@ fn reduced_path_mtu_is_reported_and_session_continues() {
     wait_until_answered(&testbed, 20);
 
     testbed.network.cloud().drop_longer(1_300);
-    let said = edge.wait_for("lost cloud");
+    let said = edge.wait_for("lost the connection to cloud");
     assert!(
         said.contains("long datagrams do not arrive any more") && said.contains("datagram_bytes"),
         "{said}"

@@ -71,7 +71,10 @@ fn wrong_lists_of_addresses_are_refused() {
     let deployment = LoopbackDeployment::new();
     for (listen, said) in [
         ("[]", "the list is empty"),
-        ("[\"tcp://127.0.0.1:7001\", \"tcp://127.0.0.1:7001\"]", "tcp://127.0.0.1:7001 stands there twice"),
+        (
+            "[\"tcp://127.0.0.1:7001\", \"tcp://127.0.0.1:7001\"]",
+            "the list contains tcp://127.0.0.1:7001 twice",
+        ),
         ("[\"tcp://127.0.0.1:7001\", \"127.0.0.1:7002\"]", "the scheme is missing"),
         ("[\"tcp://127.0.0.1:7001\", \"carrier-pigeon://b:1\"]", "unknown scheme"),
     ] {

@@ -169,7 +169,7 @@ fn doctor_exit_code_reports_damage() {
     );
     let ended = run(&deployment, &["doctor", "--spool", "edge/spool.sqlite"]);
     assert_eq!(ended.code(), 65, "{}", ended.log);
-    assert!(ended.log.contains("not what was spooled"), "{}", ended.log);
+    assert!(ended.log.contains("changed after they were spooled"), "{}", ended.log);
 
     let ended = run(&deployment, &["backup", "--database", "aggregator.sqlite", "damaged.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);

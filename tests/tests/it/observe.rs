@@ -158,7 +158,7 @@ fn observation_continues_after_ros_restart() {
     wait_until("iterations after the master was restarted", || (ok() > before).then_some(()));
     let incidents = api.json("/api/v1/incidents").to_string();
     for part in
-        ["the run goes on when there are messages again", "both observed topics have a publisher again"]
+        ["the run continues when messages arrive again", "both observed topics have a publisher again"]
     {
         assert!(incidents.contains(part), "{part} is missing in {incidents}");
     }
@@ -232,9 +232,9 @@ fn observed_pipeline_refuses_keys_of_active_one() {
     let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
     assert_eq!(ended.code(), 78, "{}", ended.log);
     for part in [
-        "pipeline[0].sensor: a system that is only observed has its own",
+        "pipeline[0].sensor: a pipeline that observes does not use sensor",
         "pipeline[0].load: a system that is only observed",
-        "pipeline[0].placement.output: it is the topic of input, too",
+        "pipeline[0].placement.output: output is the same topic as input",
     ] {
         assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
     }

@@ -264,7 +264,7 @@ fn missing_peer_or_pipeline_is_named() {
 
     let other = rack(&model("/camera", "/result").replace("\"model\"", "\"planner\""));
     state(&[
-        "no pipeline of host rack that observes is named model; there is planner; set peer_pipeline to it",
+        "host rack has no observing pipeline named model; its observing pipelines: planner; set peer_pipeline to one of them",
     ]);
     assert_eq!(other.stop().code(), 0);
 
@@ -286,7 +286,7 @@ fn missing_peer_or_pipeline_is_named() {
     });
     let incidents = api.json("/api/v1/incidents").to_string();
     for part in [
-        "lost rack",
+        "lost the connection to rack",
         "peer-unanswered",
         "connected to rack, which observes the same messages with its pipeline model",
     ] {
@@ -313,5 +313,5 @@ fn check_refuses_peer_without_message_key() {
     }
     let (code, log) = check(&with_peer.replace("peer = \"tcp://rack:5551\", ", ""));
     assert_eq!(code, 78, "{log}");
-    assert!(log.contains("pipeline[0].placement.peer_pipeline: there is no peer"), "{log}");
+    assert!(log.contains("pipeline[0].placement.peer_pipeline: peer_pipeline needs a peer"), "{log}");
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Report, usable};
+use super::{Report, check_writable};
 use crate::config::{AgentConfig, SpoolConfig};
 use crate::outbox::FileKind;
 
@@ -16,35 +16,37 @@ const MAX_SYNC_INTERVAL_MS: u64 = 60_000;
 pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
     let (spool, batch) = (&config.spool, config.agent.batch_bytes.get() as u64);
     let limit = spool.limit_bytes.get();
-    report.at_most("spool.limit_bytes", limit, MAX_LIMIT_BYTES);
+    report.check_max("spool.limit_bytes", limit, MAX_LIMIT_BYTES);
     if limit < MIN_LIMIT_BYTES {
-        report.add("spool.limit_bytes", format!("{limit} is too little; at least {MIN_LIMIT_BYTES}"));
+        report.add("spool.limit_bytes", format!("{limit} is too small; at least {MIN_LIMIT_BYTES}"));
     } else if limit < 4 * batch {
         let text = format!(
-            "{limit} is too little: it must hold at least four batches, {} bytes; raise it or lower agent.batch_bytes",
+            "{limit} is too small: the spool must have space for four batches, {} bytes; raise it or lower agent.batch_bytes",
             4 * batch
         );
         report.add("spool.limit_bytes", text);
     }
-    report.at_most("spool.sync_interval_ms", spool.sync_interval_ms.get().into(), MAX_SYNC_INTERVAL_MS);
+    report.check_max("spool.sync_interval_ms", spool.sync_interval_ms.get().into(), MAX_SYNC_INTERVAL_MS);
     // Without `spool.file` the file is in `state_dir`, which is checked on its own.
     if let Some(file) = &spool.file {
         if file.as_os_str().is_empty() {
-            report
-                .add("spool.file", "is empty; give a path, or remove the key for spool.sqlite in state_dir");
+            report.add(
+                "spool.file",
+                "is empty; give a path, or remove the key to use spool.sqlite in state_dir",
+            );
         } else if !file.is_dir() {
             let folder = file.parent().unwrap_or_else(|| Path::new("."));
-            report.unless_ok("spool.file", usable(folder, "spool file"));
+            report.check_result("spool.file", check_writable(folder, "spool file"));
         }
     }
     check_content(report, config);
 }
 
-/// Checks what exists at the path already. A file at the default path that is not a spool is renamed at the start; at
-/// a configured path it is an error, because it may be somebody's data.
+/// Checks the file that exists at the spool's path, if there is one. A file that is not a spool is a problem at a
+/// configured path, because it may be other data; at the default path it is quarantined at the start.
 fn check_content(report: &mut Report, config: &AgentConfig) {
     let path = config.spool.path(&config.agent.state_dir);
-    let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
+    let is_default_path = path == SpoolConfig::default().path(&config.agent.state_dir);
     if path.is_dir() {
         let text = format!("{} is a folder; name a file, such as spool.sqlite, in it", path.display());
         return report.add("spool.file", text);
@@ -55,8 +57,8 @@ fn check_content(report: &mut Report, config: &AgentConfig) {
     if path.exists() && !path.is_file() {
         return report.add("spool.file", format!("{} is a device or a pipe; name a file", path.display()));
     }
-    match FileKind::at(&path) {
-        Ok(FileKind::Other) if kept_by_agent => {}
+    match FileKind::from_path(&path) {
+        Ok(FileKind::Other) if is_default_path => {}
         Ok(kind) => {
             if let Some(objection) = kind.objection() {
                 report.add("spool.file", format!("the file {} {objection}", path.display()));

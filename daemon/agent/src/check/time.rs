@@ -14,7 +14,7 @@ use crate::config::{
 /// Largest drift between two clocks that may be configured, in parts per million. A clock that drifts faster is
 /// broken.
 const MAX_DRIFT_PPM: f64 = 1000.0;
-/// Longest time that exchanges are kept: a day.
+/// Largest `clock.window_s`: a day.
 const MAX_WINDOW_S: f64 = 86_400.0;
 /// Upper limit of the other times: an hour.
 const MAX_SECONDS: f64 = 3600.0;
@@ -38,52 +38,52 @@ const MAX_REHEARSED_STEPS: u64 = 1000;
 
 impl Report {
     /// Adds a problem if the value is not in the range; NaN is outside every range.
-    fn within(&mut self, key: &str, value: f64, least: f64, most: f64) {
-        if !(least..=most).contains(&value) {
-            self.add(key, format!("{value} is not between {least} and {most}"));
+    fn check_range(&mut self, key: &str, value: f64, min: f64, max: f64) {
+        if !(min..=max).contains(&value) {
+            self.add(key, format!("{value} is not between {min} and {max}"));
         }
     }
 
-    fn above_zero(&mut self, key: &str, value: f64, most: f64) {
-        if !(value > 0.0 && value <= most) {
-            self.add(key, format!("{value} is not above 0 and at most {most}"));
+    fn check_positive(&mut self, key: &str, value: f64, max: f64) {
+        if !(value > 0.0 && value <= max) {
+            self.add(key, format!("{value} is not above 0 and at most {max}"));
         }
     }
 }
 
 pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
-    report.above_zero("clock.max_drift_ppm", clock.max_drift_ppm, MAX_DRIFT_PPM);
+    report.check_positive("clock.max_drift_ppm", clock.max_drift_ppm, MAX_DRIFT_PPM);
     let change = clock.max_drift_change_ppm_per_s;
-    report.above_zero("clock.max_drift_change_ppm_per_s", change, MAX_DRIFT_CHANGE_PPM_PER_S);
-    report.within("clock.window_s", clock.window_s, 10.0, MAX_WINDOW_S);
-    report.within("clock.fresh_s", clock.fresh_s, 0.1, MAX_SECONDS);
+    report.check_positive("clock.max_drift_change_ppm_per_s", change, MAX_DRIFT_CHANGE_PPM_PER_S);
+    report.check_range("clock.window_s", clock.window_s, 10.0, MAX_WINDOW_S);
+    report.check_range("clock.fresh_s", clock.fresh_s, 0.1, MAX_SECONDS);
     if clock.fresh_s > clock.window_s {
         let text = format!(
-            "{} s is longer than exchanges are kept, clock.window_s = {}",
+            "{} s is longer than clock.window_s = {}, for which exchanges are kept",
             clock.fresh_s, clock.window_s
         );
         report.add("clock.fresh_s", text);
     }
-    report.within("clock.discipline_interval_s", clock.discipline_interval_s, 0.1, MAX_SECONDS);
+    report.check_range("clock.discipline_interval_s", clock.discipline_interval_s, 0.1, MAX_SECONDS);
     if clock.chronyc.is_empty() {
         report.add(
             "clock.chronyc",
-            "it names no command; remove it for \"chronyc\", or take chrony out of clock.discipline",
+            "is empty; remove the key to use \"chronyc\", or remove chrony from clock.discipline",
         );
     } else if clock.chronyc != ClockConfig::default().chronyc
         && clock.discipline.contains(&DisciplineSource::Chrony)
         && !is_command(&clock.chronyc)
     {
-        // A missing `chronyc` is not an error where the command is the default one: not every host has chrony.
+        // A missing default command is not a problem: not every host has chrony.
         let text = format!(
-            "there is no command {:?} on this machine; install chrony, or take chrony out of clock.discipline",
+            "this machine has no command {:?}; install chrony, or remove chrony from clock.discipline",
             clock.chronyc
         );
         report.add("clock.chronyc", text);
     }
     for (index, source) in clock.discipline.iter().enumerate() {
         if clock.discipline[..index].contains(source) {
-            report.add(format!("clock.discipline[{index}]"), "it is named twice; remove one");
+            report.add(format!("clock.discipline[{index}]"), "the list contains it twice; remove one");
         }
     }
 }
@@ -97,30 +97,33 @@ fn is_command(name: &str) -> bool {
 }
 
 pub(super) fn check_probes(report: &mut Report, probes: &ProbesConfig, serve: Option<&ServeConfig>) {
-    report.above_zero("probes.rate_hz", probes.rate_hz, MAX_RATE_HZ);
-    report.above_zero("probes.idle_rate_hz", probes.idle_rate_hz, MAX_RATE_HZ);
+    report.check_positive("probes.rate_hz", probes.rate_hz, MAX_RATE_HZ);
+    report.check_positive("probes.idle_rate_hz", probes.idle_rate_hz, MAX_RATE_HZ);
     if probes.idle_rate_hz > probes.rate_hz {
         let text = format!("{} is more than probes.rate_hz = {}", probes.idle_rate_hz, probes.rate_hz);
         report.add("probes.idle_rate_hz", text);
     }
-    report.at_most("probes.padding_bytes", probes.padding_bytes.into(), MAX_PADDING_BYTES);
+    report.check_max("probes.padding_bytes", probes.padding_bytes.into(), MAX_PADDING_BYTES);
     if probes.max_per_source_hz == 0 {
-        report.add("probes.max_per_source_hz", "0 would answer nobody; say reflect = false for that");
+        report.add("probes.max_per_source_hz", "0 answers no probes; set reflect = false to do that");
     }
-    report.at_most("probes.max_per_source_hz", probes.max_per_source_hz.into(), MAX_PER_SOURCE_HZ);
+    report.check_max("probes.max_per_source_hz", probes.max_per_source_hz.into(), MAX_PER_SOURCE_HZ);
     if !probes.send && !probes.reflectors.is_empty() {
-        report.add("probes.reflectors", "none of them is probed: remove probes.send = false, or remove them");
+        report.add(
+            "probes.reflectors",
+            "no probes are sent to them: remove probes.send = false, or remove the reflectors",
+        );
     }
     if let Some(path) = &probes.key_file {
-        report.unless_ok("probes.key_file", Key::read(path));
+        report.check_result("probes.key_file", Key::read(path));
     }
     if let (Some(port), true, Some(serve)) = (probes.port, probes.reflect, serve) {
-        serve.listen.all().iter().for_each(|address| check_port(report, &address.host(), port));
+        serve.listen.as_slice().iter().for_each(|address| check_port(report, &address.host(), port));
     }
 }
 
-/// Checks that the UDP port may be opened. A port in use is not an error, as for `serve.listen`, and an address of
-/// another machine is reported for `serve.listen` itself.
+/// Checks that this user may open the UDP port. A port in use is not a problem, as for `serve.listen`; an address of
+/// another machine is reported for `serve.listen`.
 fn check_port(report: &mut Report, host: &str, port: u16) {
     if let Err(error) = UdpSocket::bind((host, port))
         && error.kind() == io::ErrorKind::PermissionDenied
@@ -134,26 +137,26 @@ fn check_port(report: &mut Report, host: &str, port: u16) {
 }
 
 pub(super) fn check_rehearsal(report: &mut Report, rehearsal: &RehearsalConfig) {
-    report.within("rehearsal.offset_ms", rehearsal.offset_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
-    report.within("rehearsal.drift_ppm", rehearsal.drift_ppm, -MAX_REHEARSED_PPM, MAX_REHEARSED_PPM);
-    let mut before: Option<&RehearsedStepConfig> = None;
-    report.at_most("rehearsal.steps", rehearsal.steps.len() as u64, MAX_REHEARSED_STEPS);
+    report.check_range("rehearsal.offset_ms", rehearsal.offset_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
+    report.check_range("rehearsal.drift_ppm", rehearsal.drift_ppm, -MAX_REHEARSED_PPM, MAX_REHEARSED_PPM);
+    let mut previous: Option<&RehearsedStepConfig> = None;
+    report.check_max("rehearsal.steps", rehearsal.steps.len() as u64, MAX_REHEARSED_STEPS);
     for (index, step) in rehearsal.steps.iter().enumerate() {
         let at = format!("rehearsal.steps[{index}]");
-        report.within(&format!("{at}.by_ms"), step.by_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
-        report.above_zero(&format!("{at}.at_s"), step.at_s, MAX_REHEARSED_S);
+        report.check_range(&format!("{at}.by_ms"), step.by_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
+        report.check_positive(&format!("{at}.at_s"), step.at_s, MAX_REHEARSED_S);
         // Both clocks may be stepped at the same moment, as when a virtual machine was paused.
-        let is_in_order = |before: &RehearsedStepConfig| {
-            before.at_s < step.at_s || (before.at_s == step.at_s && before.clock != step.clock)
+        let is_in_order = |previous: &RehearsedStepConfig| {
+            previous.at_s < step.at_s || (previous.at_s == step.at_s && previous.clock != step.clock)
         };
-        if let Some(before) = before.filter(|before| !is_in_order(before)) {
+        if let Some(previous) = previous.filter(|previous| !is_in_order(previous)) {
             let text = format!(
                 "{} s is not after the step before, at {} s; put them in the order of time",
-                step.at_s, before.at_s
+                step.at_s, previous.at_s
             );
             report.add(format!("{at}.at_s"), text);
         }
-        before = Some(step);
+        previous = Some(step);
     }
 }
 

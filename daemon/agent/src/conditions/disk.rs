@@ -6,17 +6,17 @@ use peernet_stream::Grade;
 
 use super::{Finding, InspectionSettings};
 
-/// Free bytes below which the space is doubtful.
+/// Number of free bytes below which the grade is doubtful.
 const DOUBTFUL_BELOW_BYTES: u64 = 1 << 30;
-/// Free bytes below which the space is bad.
+/// Number of free bytes below which the grade is bad.
 const BAD_BELOW_BYTES: u64 = 100 << 20;
 
-/// Judges the free space of every folder to which the run writes.
+/// Grades the free space of every folder to which the run writes.
 pub(super) fn free_space(settings: &InspectionSettings) -> Vec<Finding> {
     settings.folders.iter().map(|(purpose, folder)| free_space_of(purpose, folder)).collect()
 }
 
-/// Judges the free space of a folder, or of its nearest parent that exists.
+/// Grades the free space of a folder, or of its nearest existing parent.
 pub(super) fn free_space_of(purpose: &str, folder: &Path) -> Finding {
     const ABOUT: &str = "free disk";
     let paths =
@@ -24,15 +24,15 @@ pub(super) fn free_space_of(purpose: &str, folder: &Path) -> Finding {
     let Some(disk) = paths.into_iter().find_map(|path| rustix::fs::statvfs(path).ok()) else {
         return Finding::unknown(
             ABOUT,
-            format!("{} for the {purpose} cannot be looked at", folder.display()),
+            format!("the free space of {} for the {purpose} cannot be read", folder.display()),
         );
     };
     let free = disk.f_bavail.saturating_mul(disk.f_frsize);
     let found = format!("{:.1} GiB for the {purpose}", free as f64 / f64::from(1 << 30));
-    let advice = format!("make room at {}", folder.display());
+    let advice = format!("free disk space at {}", folder.display());
     match free {
-        ..BAD_BELOW_BYTES => Finding::worse(ABOUT, Grade::Bad, found, advice),
-        BAD_BELOW_BYTES..DOUBTFUL_BELOW_BYTES => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
+        ..BAD_BELOW_BYTES => Finding::graded(ABOUT, Grade::Bad, found, advice),
+        BAD_BELOW_BYTES..DOUBTFUL_BELOW_BYTES => Finding::graded(ABOUT, Grade::Doubtful, found, advice),
         DOUBTFUL_BELOW_BYTES.. => Finding::good(ABOUT, found),
     }
 }

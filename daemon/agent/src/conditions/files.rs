@@ -1,4 +1,4 @@
-//! Reading of the kernel's files. Each has one value, and disappears with its device.
+//! Reads the kernel's files. A file disappears with its device, so a missing one is not an error.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ pub(super) fn processors(sys: &Path) -> Vec<PathBuf> {
     entries(&sys.join("devices/system/cpu"), "cpu").into_iter().filter(numbered).collect()
 }
 
-/// Returns the number after `key:` in a file of such lines, in the unit that follows it.
+/// Returns the number after `key:` in a text of such lines, as in /proc/meminfo.
 pub(super) fn keyed(text: &str, key: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
     line.split_ascii_whitespace().next()?.parse().ok()

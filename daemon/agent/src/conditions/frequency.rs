@@ -12,8 +12,8 @@ const ABOUT: &str = "CPU governor";
 const ADVICE: &str = "set it to `performance` for the measurement: `sudo cpupower frequency-set -g performance` \
                       (on a Jetson `sudo jetson_clocks`)";
 
-/// Judges the governors of all processors (Linux documentation, admin-guide/pm/cpufreq). With a governor that follows
-/// the load the same work takes longer after a pause than in a busy loop: the latency then depends on the rate.
+/// Grades the governors of all processors (Linux documentation, admin-guide/pm/cpufreq). With a governor that follows the
+/// load, the same work takes longer after a pause than in a busy loop, so latency depends on the rate.
 pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     let mut governors = BTreeMap::<String, u32>::new();
     let mut fixed = true;
@@ -26,7 +26,7 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     if governors.is_empty() {
         return Some(Finding::unknown(
             ABOUT,
-            "the kernel does not tell how the frequency is chosen (usual in virtual machines)",
+            "the kernel does not report the governor (usual in virtual machines)",
         ));
     }
     let steady = governors.keys().all(|governor| governor == "performance");
@@ -42,7 +42,7 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
         (false, true) => {
             Finding::good(ABOUT, format!("{names}, with the lowest frequency raised to the highest"))
         }
-        (false, false) => Finding::worse(
+        (false, false) => Finding::graded(
             ABOUT,
             Grade::Doubtful,
             format!("{names}: the frequency follows the load, so latency depends on how busy the host is"),
@@ -51,7 +51,7 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     })
 }
 
-/// Returns whether the limits allow one frequency only, as set by `jetson_clocks`.
+/// Returns whether the limits allow only one frequency, as `jetson_clocks` sets them.
 fn is_fixed(folder: &Path) -> bool {
     let limit = |name: &str| value::<u64>(&folder.join(name));
     matches!((limit("scaling_min_freq"), limit("scaling_max_freq")), (Some(min), Some(max)) if min == max)

@@ -1,4 +1,4 @@
-//! Throttling of the processor by heat or too little power, now and since the host was started.
+//! Throttling of the processor by heat or under-voltage, now and since the start of the host.
 
 use std::path::Path;
 
@@ -9,15 +9,15 @@ use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "thermal throttling";
 const COOLING_ADVICE: &str = "cool the host or lower its load, wait, and repeat the run";
-const OBSERVING_ADVICE: &str = "look whether it is slowed down during the run as well: compare the halves of the run, \
-                                and see to its cooling";
+const OBSERVING_ADVICE: &str = "check whether it is throttled during the run as well: compare the halves of the run, and \
+                                improve the cooling";
 /// Distance below a trip point within which a temperature counts as near it, °C.
 const TRIP_POINT_MARGIN_CELSIUS: f64 = 5.0;
 /// Prefixes of the types of cooling devices that slow down processors: x86, Arm, Jetson.
 const THROTTLING_DEVICES: [&str; 6] =
     ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
 
-/// Judges all signs of throttling: one that is active now is bad, one since the host was started is doubtful.
+/// Grades all signs of throttling: active now is bad, earlier since the start of the host is doubtful.
 pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
     let sys = &settings.sys;
     let mut known = false;
@@ -32,7 +32,7 @@ pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
         (false, _) => found,
         (true, true) => vec![Finding::good(ABOUT, "none, neither now nor since the host was started")],
         (true, false) => {
-            vec![Finding::unknown(ABOUT, "the kernel does not tell (usual in virtual machines)")]
+            vec![Finding::unknown(ABOUT, "the kernel does not report it (usual in virtual machines)")]
         }
     }
 }
@@ -56,8 +56,8 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
         }
     }
     let finding = || {
-        let found = format!("the kernel slows the host down now ({})", active.join(", "));
-        Finding::worse(ABOUT, Grade::Bad, found, COOLING_ADVICE)
+        let found = format!("the kernel throttles the host now ({})", active.join(", "));
+        Finding::graded(ABOUT, Grade::Bad, found, COOLING_ADVICE)
     };
     known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
 }
@@ -78,11 +78,11 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
         let Some(point) = points.min_by(f64::total_cmp) else { continue };
         known = true;
         let name = text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
-        let heat = format!("{name} is at {celsius:.0} °C, and from {point:.0} °C on the host is slowed down");
+        let heat = format!("{name} is at {celsius:.0} °C; the host is throttled from {point:.0} °C on");
         if celsius >= point {
-            found.push(Finding::worse(ABOUT, Grade::Bad, heat, COOLING_ADVICE));
+            found.push(Finding::graded(ABOUT, Grade::Bad, heat, COOLING_ADVICE));
         } else if celsius >= point - TRIP_POINT_MARGIN_CELSIUS {
-            found.push(Finding::worse(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
+            found.push(Finding::graded(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
         }
     }
     known.then_some(found)
@@ -101,10 +101,10 @@ fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
     let (now, before) = (named(0), named(16));
     Some(if !now.is_empty() {
         let advice = "use the power supply meant for the board, cool it, and repeat the run";
-        vec![Finding::worse(ABOUT, Grade::Bad, format!("the firmware reports {now} now"), advice)]
+        vec![Finding::graded(ABOUT, Grade::Bad, format!("the firmware reports {now} now"), advice)]
     } else if !before.is_empty() {
         let found = format!("the firmware reports {before} since the board was started");
-        vec![Finding::worse(ABOUT, Grade::Doubtful, found, OBSERVING_ADVICE)]
+        vec![Finding::graded(ABOUT, Grade::Doubtful, found, OBSERVING_ADVICE)]
     } else {
         Vec::new()
     })
@@ -119,11 +119,11 @@ fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
         entries(&folder, "oc").into_iter().filter(|path| path.to_string_lossy().ends_with("_event_cnt"))
     });
     let counts: Vec<u64> = counters.chain(boards).filter_map(|path| value(&path)).collect();
-    let most = counts.into_iter().max()?;
-    let found = || format!("the processor slowed down {most} times since the host was started");
-    Some(if most == 0 {
+    let count = counts.into_iter().max()?;
+    let found = || format!("the processor was throttled {count} times since the host was started");
+    Some(if count == 0 {
         Vec::new()
     } else {
-        vec![Finding::worse(ABOUT, Grade::Doubtful, found(), OBSERVING_ADVICE)]
+        vec![Finding::graded(ABOUT, Grade::Doubtful, found(), OBSERVING_ADVICE)]
     })
 }

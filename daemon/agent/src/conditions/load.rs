@@ -10,42 +10,40 @@ use super::{Finding, InspectionSettings};
 
 /// Pause between two counts of the threads.
 const COUNT_INTERVAL: Duration = Duration::from_millis(8);
-/// Number of other runnable threads per processor from which on the run is disturbed now and then.
+/// Number of other runnable threads per processor from which on the grade is doubtful: the run is disturbed at times.
 const COMPETING_DOUBTFUL: f64 = 0.25;
-/// Number of other runnable threads per processor from which on the run shares every processor.
+/// Number of other runnable threads per processor from which on the grade is bad: the run shares every processor.
 const COMPETING_BAD: f64 = 1.0;
-/// Share of steal time since this host was started from which on it is doubtful.
+/// Share of steal time since the start of the host from which on the grade is doubtful.
 const STEAL_DOUBTFUL: f64 = 0.01;
-/// Share of steal time since this host was started from which on it is bad.
+/// Share of steal time since the start of the host from which on the grade is bad.
 const STEAL_BAD: f64 = 0.05;
 
-/// Judges the number of runnable threads of other processes.
-///
-/// It is the mean of a few counts (proc_loadavg(5)), because the usual load averages still include what ended a
-/// minute ago, such as the run before this one.
+/// Grades the number of runnable threads of other processes: the mean of a few counts (proc_loadavg(5)).
+// The load averages of the kernel still include processes that ended a minute ago, such as the previous run.
 pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "competing load";
     let mut sum = 0;
-    let looks = settings.looks.max(1);
-    for nth in 0..looks {
+    let thread_counts = settings.thread_counts.max(1);
+    for nth in 0..thread_counts {
         if nth > 0 {
             thread::sleep(COUNT_INTERVAL);
         }
         let Some(running) = runnable_threads(settings) else {
-            return Finding::unknown(ABOUT, "the kernel does not tell how many threads want to run");
+            return Finding::unknown(ABOUT, "the kernel does not report the number of runnable threads");
         };
         sum += running.saturating_sub(own_threads(settings));
     }
-    let others = f64::from(sum) / f64::from(looks);
+    let others = f64::from(sum) / f64::from(thread_counts);
     let cores = processors(&settings.sys).len().max(1) as f64;
     let pressure = pressure(settings).map_or_else(String::new, |percent| {
-        format!("; within the last 10 s something had to wait for a processor {percent:.0} % of the time")
+        format!("; in the last 10 s threads waited for a processor during {percent:.0} % of the time")
     });
-    let found = format!("{others:.1} other threads want to run, on {cores:.0} processors{pressure}");
-    let advice = "stop what else runs on this host and repeat the run; `top` names it";
+    let found = format!("{others:.1} other threads are runnable, on {cores:.0} processors{pressure}");
+    let advice = "stop the other programs on this host, which `top` lists, and repeat the run";
     match others / cores {
-        share if share >= COMPETING_BAD => Finding::worse(ABOUT, Grade::Bad, found, advice),
-        share if share >= COMPETING_DOUBTFUL => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
+        share if share >= COMPETING_BAD => Finding::graded(ABOUT, Grade::Bad, found, advice),
+        share if share >= COMPETING_DOUBTFUL => Finding::graded(ABOUT, Grade::Doubtful, found, advice),
         _ => Finding::good(ABOUT, found),
     }
 }
@@ -76,8 +74,8 @@ fn pressure(settings: &InspectionSettings) -> Option<f64> {
     some.split_ascii_whitespace().find_map(|field| field.strip_prefix("avg10=")?.parse().ok())
 }
 
-/// Judges the CPU quota of a container (cgroup v2, `cpu.max`). When it is used up, the kernel stops the process until
-/// the next period, which looks like a slow model.
+/// Grades the CPU quota of a container (cgroup v2, `cpu.max`). When the quota is used up, the kernel stops the process
+/// until the next period, which looks like a slow model.
 pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
     let own = text(&settings.proc.join("self/cgroup"))?;
     let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim_start_matches('/').to_owned();
@@ -85,7 +83,7 @@ pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
     let (quota, period) = max.split_once(' ')?;
     let (quota, period): (f64, f64) = (quota.parse().ok()?, period.parse().ok()?);
     (period > 0.0).then(|| {
-        Finding::worse(
+        Finding::graded(
             "CPU quota",
             Grade::Doubtful,
             format!(
@@ -98,7 +96,7 @@ pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
     })
 }
 
-/// Judges the steal time, during which the hypervisor ran others (proc_stat(5)); `None` if there was none.
+/// Grades the steal time, during which the hypervisor ran other machines (proc_stat(5)); `None` if there was none.
 pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
     let stat = text(&settings.proc.join("stat"))?;
     let times = stat.lines().find_map(|line| line.strip_prefix("cpu "))?;
@@ -108,14 +106,14 @@ pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
     (steal > 0 && all > 0).then_some(())?;
     let share = steal as f64 / all as f64;
     let found = format!(
-        "{:.1} % of the time since this virtual machine was started its processors were given to others",
+        "other virtual machines had its processors for {:.1} % of the time since it was started",
         share * 100.0
     );
-    let advice = "measure on a machine of its own, or on one with processors reserved";
+    let advice = "measure on a dedicated machine, or on one with reserved processors";
     let about = "stolen time";
     Some(match share {
-        share if share >= STEAL_BAD => Finding::worse(about, Grade::Bad, found, advice),
-        share if share >= STEAL_DOUBTFUL => Finding::worse(about, Grade::Doubtful, found, advice),
+        share if share >= STEAL_BAD => Finding::graded(about, Grade::Bad, found, advice),
+        share if share >= STEAL_DOUBTFUL => Finding::graded(about, Grade::Doubtful, found, advice),
         _ => Finding::good(about, found),
     })
 }

@@ -1,6 +1,6 @@
 //! Kind of the machine: hardware, a virtual machine or a container.
 //!
-//! It is recognised by the same signs as in `systemd-detect-virt`.
+//! It is detected by the same signs as in `systemd-detect-virt`.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use super::{Finding, InspectionSettings};
 /// namespace of control groups.
 const GROUPS: [&str; 5] = ["docker", "kubepods", "libpod", "lxc", "containerd"];
 
-/// Files that container managers create in the root of each container, with the manager.
+/// Marker files that container managers create in the root of each container, with the name of the manager.
 const MARKS: [(&str, &str); 2] = [(".dockerenv", "docker"), ("run/.containerenv", "podman")];
 
 /// Prefixes of the vendor or product names of virtual machines.
@@ -35,25 +35,25 @@ const VIRTUAL_PRODUCTS: [&str; 17] = [
     "Xen",
 ];
 
-/// Judges the kind of the machine. A virtual machine or container is graded as unknown: it shares its hardware with
-/// others that it cannot see.
-pub(super) fn kind(settings: &InspectionSettings) -> Finding {
+/// Grades the kind of the machine. A virtual machine or a container has the grade unknown, because it shares its hardware
+/// with others that are not visible from inside.
+pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "machine";
     let products = products(&settings.sys);
     let product = if products.is_empty() { String::new() } else { format!(" ({})", products.join(" ")) };
     match (is_virtual(settings, &products), container(settings)) {
         (Some(true), _) => Finding::unknown(
             ABOUT,
-            format!("a virtual machine{product}: what else its hardware does cannot be seen from inside"),
+            format!("a virtual machine{product}: other load of its hardware is not visible from inside"),
         ),
         (_, Some(name)) => Finding::unknown(
             ABOUT,
-            format!("a container ({name}): it shares its host with what is not seen from inside"),
+            format!("a container ({name}): other load of its host is not visible from inside"),
         ),
-        (Some(false), None) => Finding::good(ABOUT, format!("not virtual{product}, as far as can be seen")),
+        (Some(false), None) => Finding::good(ABOUT, format!("no sign of a virtual machine{product}")),
         (None, None) => Finding::unknown(
             ABOUT,
-            format!("neither the processor nor a device tree says whether it is virtual{product}"),
+            format!("neither the processor nor a device tree shows whether the machine is virtual{product}"),
         ),
     }
 }
@@ -66,18 +66,18 @@ fn products(sys: &Path) -> Vec<String> {
 
 /// Returns whether the host is a virtual machine; `None` if there is no sign, for example on ARM servers.
 fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool> {
-    // Amazon also rents whole machines, whose vendor is the same.
-    let is_whole = products.iter().any(|name| name.ends_with(".metal"));
+    // Amazon also rents bare-metal machines, whose vendor name is the same.
+    let is_bare_metal = products.iter().any(|name| name.ends_with(".metal"));
     let is_named =
         products.iter().any(|name| VIRTUAL_PRODUCTS.iter().any(|product| name.starts_with(product)));
     let has_hypervisor = text(&settings.sys.join("hypervisor/type")).is_some_and(|kind| kind != "none");
     let by_processor = processor_flag(&settings.proc);
     let by_tree = device_tree_is_virtual(&settings.proc.join("device-tree"));
     let signs = [by_processor, by_tree];
-    if has_hypervisor || (is_named && !is_whole) || signs.contains(&Some(true)) {
+    if has_hypervisor || (is_named && !is_bare_metal) || signs.contains(&Some(true)) {
         return Some(true);
     }
-    (is_whole || signs.contains(&Some(false))).then_some(false)
+    (is_bare_metal || signs.contains(&Some(false))).then_some(false)
 }
 
 /// Returns whether the processor has the flag of a virtual one; `None` on ARM, which has no such flag.

@@ -5,11 +5,11 @@ use peernet_stream::Grade;
 use super::files::{keyed, text};
 use super::{Finding, InspectionSettings};
 
-/// Share of the memory's size from which on swapped memory is doubtful. A little is normal, because unused pages are
-/// swapped out.
+/// Share of the memory's size from which on the swap in use is doubtful. A small share is normal, because unused pages
+/// are swapped out.
 const DOUBTFUL_SHARE: f64 = 0.05;
 
-/// Judges the swap in use. Swapped memory is read back from the disk when it is needed.
+/// Grades the swap in use. A program stops while swapped memory is read back from the disk.
 pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
     const ABOUT: &str = "swap";
     let info = text(&settings.proc.join("meminfo"))?;
@@ -21,9 +21,8 @@ pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
     let used = total.saturating_sub(free);
     let found = format!("{} MiB in use", used / 1024);
     Some(if used as f64 / memory as f64 >= DOUBTFUL_SHARE {
-        let advice =
-            "free memory: stop other programs, or start anew so that nothing of the run lies in the swap";
-        Finding::worse(ABOUT, Grade::Doubtful, found, advice)
+        let advice = "free memory: stop other programs, or restart the host to empty the swap";
+        Finding::graded(ABOUT, Grade::Doubtful, found, advice)
     } else {
         Finding::good(ABOUT, found)
     })

@@ -1,8 +1,8 @@
-//! Conditions of this host that are inspected before a run, because they can distort its measurements.
+//! Conditions of this host that can distort measurements. They are inspected before each run.
 //!
-//! Each subject has one file, which reads the kernel's files below configurable roots. A condition that cannot be
-//! determined is reported as unknown. The cloud's conditions arrive with its acceptance of the session and are in the
-//! same list of the run's description. `docs/trust.md` gives the thresholds and their sources.
+//! Each condition has one file, which reads the kernel's files below configurable roots. A condition that cannot be
+//! determined has the grade unknown. The cloud sends its conditions when it accepts the session; the run's description
+//! contains those of both hosts. `docs/trust.md` lists the thresholds and their sources.
 
 mod disk;
 mod files;
@@ -32,16 +32,16 @@ pub struct InspectionSettings {
     pub sys: PathBuf,
     /// Root of procfs.
     pub proc: PathBuf,
-    /// Root of the file system, where container managers leave their marks.
+    /// Root of the file system, in which container managers create marker files.
     pub root: PathBuf,
     /// Folders that are written to during a run, with their purposes: `results`, `spool`.
     pub folders: Vec<(String, PathBuf)>,
     /// Possible paths of the command `iw`, which reports the power save of a wireless interface.
     pub iw: Vec<PathBuf>,
-    /// `true` if the run uses a network: without one wireless interfaces do not matter.
+    /// `true` if the run uses a network; otherwise wireless interfaces are not inspected.
     pub network: bool,
-    /// Number of counts of the competing threads, at least 1; 8 ms pass between two counts.
-    pub looks: u32,
+    /// Number of times that competing threads are counted, at least 1, at intervals of 8 ms.
+    pub thread_counts: u32,
 }
 
 impl Default for InspectionSettings {
@@ -53,7 +53,7 @@ impl Default for InspectionSettings {
             folders: Vec::new(),
             iw: ["iw", "/usr/sbin/iw", "/sbin/iw"].map(PathBuf::from).to_vec(),
             network: true,
-            looks: 5,
+            thread_counts: 5,
         }
     }
 }
@@ -63,19 +63,19 @@ impl InspectionSettings {
     pub(crate) const SYSFS: &str = "/sys";
 
     /// Returns the settings for this host, with the folders to which an agent with this configuration writes.
-    pub(crate) fn of(config: &AgentConfig) -> Self {
+    pub(crate) fn from_config(config: &AgentConfig) -> Self {
         let spool = config.agent.aggregator.as_ref().map(|_| config.spool.path(&config.agent.state_dir));
         let folders = spool.into_iter().map(|file| ("spool".to_owned(), file)).collect();
         Self { folders, ..Self::default() }
     }
 }
 
-/// Judges the free space at a path, which need not exist yet.
+/// Grades the free space at a path, which need not exist yet. `purpose` says what is written there.
 pub fn free_space(purpose: &str, path: &Path, host: &str) -> Condition {
-    disk::free_space_of(purpose, path).of(host)
+    disk::free_space_of(purpose, path).with_host(host)
 }
 
-/// Inspects the host that is called `host`. Blocks, for less than 50 ms on most hosts.
+/// Inspects this host, whose name is `host`. Blocks, for less than 50 ms on most hosts.
 pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition> {
     let mut found = Vec::new();
     found.extend(frequency::governor(settings));
@@ -88,20 +88,20 @@ pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition>
     if settings.network {
         found.extend(wireless::power_save(settings));
     }
-    found.push(machine::kind(settings));
-    found.into_iter().map(|finding| finding.of(host)).collect()
+    found.push(machine::machine_kind(settings));
+    found.into_iter().map(|finding| finding.with_host(host)).collect()
 }
 
-/// Inspects the host without blocking. If that takes too long, the result has a single condition that says so.
+/// Inspects this host without blocking. If that takes longer than [`TIMEOUT`], the result is a single unknown condition.
 pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: String) -> Vec<Condition> {
     let name = host.clone();
     let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));
-    let why = match tokio::time::timeout(TIMEOUT, inspection).await {
+    let reason = match tokio::time::timeout(TIMEOUT, inspection).await {
         Ok(Ok(found)) => return found,
-        Ok(Err(_)) => "looking at the host panicked; the log says where".to_owned(),
-        Err(_) => format!("the host did not answer within {} ms", TIMEOUT.as_millis()),
+        Ok(Err(_)) => "the inspection of the host panicked; see the log for the place".to_owned(),
+        Err(_) => format!("the inspection of the host took longer than {} ms", TIMEOUT.as_millis()),
     };
-    vec![Finding::unknown("host", why).of(&host)]
+    vec![Finding::unknown("host", reason).with_host(host)]
 }
 
 /// A condition without the name of the host.
@@ -122,11 +122,16 @@ impl Finding {
         Self { about, found: found.into(), grade: Grade::Unknown, advice: String::new() }
     }
 
-    fn worse(about: &'static str, grade: Grade, found: impl Into<String>, advice: impl Into<String>) -> Self {
+    fn graded(
+        about: &'static str,
+        grade: Grade,
+        found: impl Into<String>,
+        advice: impl Into<String>,
+    ) -> Self {
         Self { about, found: found.into(), grade, advice: advice.into() }
     }
 
-    fn of(self, host: &str) -> Condition {
+    fn with_host(self, host: &str) -> Condition {
         let Self { about, found, grade, advice } = self;
         Condition { host: host.to_owned(), about: about.to_owned(), found, grade, advice }
     }

@@ -35,7 +35,7 @@ impl HostFiles {
             folders: Vec::new(),
             iw: vec![at("iw")],
             network: true,
-            looks: 1,
+            thread_counts: 1,
         }
     }
 

@@ -11,37 +11,37 @@ use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "Wi-Fi power save";
 
-/// Judges the power save of each wireless interface that is up. An interface in power save wakes for each beacon,
-/// about every 102 ms, and packets that arrive in between wait at the access point (IEEE 802.11-2020, 11.2).
+/// Checks the power save of each wireless interface that is up. An interface in power save wakes for each beacon,
+/// about every 102 ms, and packets that arrive between beacons wait at the access point (IEEE 802.11-2020, 11.2).
 ///
-/// The state is available through nl80211 only, which `iw` queries. Without `iw` it is unknown.
+/// The state is available only through nl80211, which `iw` queries. Without `iw` it is unknown.
 pub(super) fn power_save(settings: &InspectionSettings) -> Vec<Finding> {
     let up = |path: &std::path::PathBuf| text(&path.join("operstate")).as_deref() == Some("up");
     let interfaces =
         entries(&settings.sys.join("class/net"), "").into_iter().filter(|path| is_wireless(path)).filter(up);
-    interfaces.map(|path| of(settings, &path)).collect()
+    interfaces.map(|path| inspect_interface(settings, &path)).collect()
 }
 
-fn of(settings: &InspectionSettings, interface: &Path) -> Finding {
+fn inspect_interface(settings: &InspectionSettings, interface: &Path) -> Finding {
     let name = interface.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    match settings.iw.iter().find_map(|iw| ask(iw, &name)).as_deref() {
+    match settings.iw.iter().find_map(|iw| query_power_save(iw, &name)).as_deref() {
         Some("Power save: off") => Finding::good(ABOUT, format!("off on {name}")),
-        Some("Power save: on") => Finding::worse(
+        Some("Power save: on") => Finding::graded(
             ABOUT,
             Grade::Doubtful,
-            format!("on at {name}: what arrives can wait for the next beacon, 0.1 s and more"),
+            format!("on for {name}: incoming packets can wait for the next beacon, 0.1 s or longer"),
             format!("switch it off for the measurement: `sudo iw dev {name} set power_save off`"),
         ),
-        Some(other) => Finding::unknown(ABOUT, format!("`iw` says of {name}: {other}")),
+        Some(other) => Finding::unknown(ABOUT, format!("`iw` printed for {name}: {other}")),
         None => Finding::unknown(
             ABOUT,
-            format!("cannot be found out of {name}: the command `iw` is missing or gave no answer"),
+            format!("cannot be read for {name}: the command `iw` is missing or failed"),
         ),
     }
 }
 
 /// Returns the line that `iw` prints; `None` if it cannot be run or fails.
-fn ask(iw: &Path, interface: &str) -> Option<String> {
+fn query_power_save(iw: &Path, interface: &str) -> Option<String> {
     let iw_output = Command::new(iw)
         .args(["dev", interface, "get", "power_save"])
         .stdin(Stdio::null())

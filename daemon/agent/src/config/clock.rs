@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_clock::{RelationSettings, Span};
 use serde::{Deserialize, Serialize};
 
-/// `[clock]`: assumptions about the clocks, on which one-way delays rest.
+/// `[clock]`: assumptions about the clocks, on which the intervals of one-way delays depend.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClockConfig {
@@ -15,11 +15,11 @@ pub struct ClockConfig {
     /// Fastest change of this drift, parts per million per second, above 0 and at most 1000. Where both clocks run
     /// freely, the intervals of delays hold while the real change is slower. Default: 1.
     pub max_drift_change_ppm_per_s: f64,
-    /// Time for which an exchange with a peer bounds delays; the newest eight exchanges count for longer. Seconds, 10
+    /// Time for which an exchange with a peer bounds delays; the newest eight exchanges are used for longer. Seconds, 10
     /// to 86400. Default: 10.
     pub window_s: f64,
-    /// Longest distance in time between a delay and the nearest other exchange; a delay further away is `stale`.
-    /// Seconds, 0.1 to 3600, at most `window_s`. Default: 10.
+    /// Longest time between a delay and the nearest other exchange; beyond it the delay is `stale`. Seconds, 0.1 to 3600,
+    /// at most `window_s`. Default: 10.
     pub fresh_s: f64,
     /// `true` if the claims of both hosts' time daemons narrow the intervals of delays. Default: `false`.
     pub trust_time_daemons: bool,
@@ -54,7 +54,7 @@ impl Default for ClockConfig {
 
 impl ClockConfig {
     /// Returns the settings of the clock relations.
-    pub fn relation(&self) -> RelationSettings {
+    pub fn relation_settings(&self) -> RelationSettings {
         RelationSettings {
             max_drift_ppm: self.max_drift_ppm,
             max_drift_change_ppm_per_s: self.max_drift_change_ppm_per_s,
@@ -79,8 +79,7 @@ pub enum Timestamps {
     /// The kernel, where it supports them.
     #[default]
     Kernel,
-    /// Only the program, so that a whole process can run under libfaketime, which does not change the kernel's
-    /// stamps.
+    /// Only the program. Needed where a process runs under libfaketime, which does not change the kernel's stamps.
     User,
 }
 

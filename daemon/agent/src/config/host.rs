@@ -20,34 +20,34 @@ pub struct HostConfig {
     /// Folder for files that survive a restart, such as the host id; created if missing. Each agent needs its own.
     /// Default: `/var/lib/peernet/agent`, which the package creates.
     pub state_dir: PathBuf,
-    /// Address of the aggregator, to which finished iterations and live figures are sent: `tcp://host:port`, usually
+    /// Address of the aggregator, to which finished iterations and live statistics are sent: `tcp://host:port`, usually
     /// port 5550. Without it the agent measures and serves, and nothing is stored.
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "event_stream_address")]
     pub aggregator: Option<Address>,
-    /// Name of the clock that this agent reads. Agents of one machine with equal names may prove that they read the
-    /// same clock, so that one-way delays between them are exact. With another name peers treat it as a separate
-    /// clock, which is meant for tests and clock fault injection. Default: `system`.
+    /// Name of the clock that this agent reads. Agents of one machine with equal names can prove that they read the same
+    /// clock; one-way delays between them are then exact. Under another name peers treat it as a separate clock, for tests
+    /// and clock fault injection. Default: `system`.
     pub clock_identity: String,
-    /// Threads on which samples travel between hosts, for all pipelines and peers together; sensors and models have
-    /// their own threads. One carries some gigabytes per second, and is faster than several where it suffices. At
-    /// most 64. Default: 1.
+    /// Number of threads that send and receive samples, for all pipelines and peers together; sensors and models have
+    /// separate threads. One thread carries some gigabytes per second. Where that suffices, several threads have higher
+    /// latency. At most 64. Default: 1.
     pub io_threads: NonZeroUsize,
-    /// Events that may wait in memory until they are in the spool, which takes milliseconds unless its disk is slow,
-    /// full or broken. Beyond this number the newest events are dropped, counted and reported as a gap. At most
-    /// 10000000. Default: 50000.
+    /// Largest number of events that wait in memory until they are in the spool. The wait is milliseconds unless the
+    /// spool's disk is slow, full or broken. Beyond this number the newest events are dropped, counted and reported as a
+    /// gap. At most 10000000. Default: 50000.
     pub queue_events: NonZeroUsize,
-    /// Bytes that those events may take; beyond it the newest are dropped, too. At most 16 GiB. Default: 33554432 (32
-    /// MiB).
+    /// Largest number of bytes of those events; beyond it the newest are dropped, too. At most 16 GiB. Default: 33554432
+    /// (32 MiB).
     pub queue_bytes: NonZeroUsize,
     /// Largest number of nodes per batch; up to 1000000. Default: 8192.
     pub batch_nodes: NonZeroUsize,
-    /// Largest number of bytes per batch. Small batches keep live figures prompt on slow links, because a live update
+    /// Largest number of bytes per batch. Small batches keep live statistics prompt on slow links, because a live update
     /// waits for the batches being sent. Up to 2 MiB. Default: 131072 (128 KiB).
     pub batch_bytes: NonZeroUsize,
-    /// Time that the first event of a batch may wait for more; milliseconds, up to a minute. Default: 200.
+    /// Longest time that the first event of a batch waits for further events; milliseconds, up to a minute. Default: 200.
     pub batch_delay_ms: u32,
-    /// Time that stopping may take, for iterations in flight and unsent events together; milliseconds, up to a
-    /// minute. Events that the aggregator does not acknowledge in time stay in the spool. Default: 5000.
+    /// Longest time for stopping, for iterations in flight and unsent events together; milliseconds, up to a minute.
+    /// Events that the aggregator does not acknowledge in time stay in the spool. Default: 5000.
     pub stop_timeout_ms: u64,
 }
 
@@ -69,7 +69,7 @@ impl Default for HostConfig {
     }
 }
 
-/// Reads the address of an aggregator; only networks that carry the event stream are accepted.
+/// Deserialises the address of an aggregator; only networks that carry the event stream are accepted.
 fn event_stream_address<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Address>, D::Error> {
     let text: Option<String> = Deserialize::deserialize(deserializer)?;
     let address = text.map(|text| text.parse()).transpose();

@@ -1,4 +1,4 @@
-//! The addresses to listen on, as written in the configuration: one or a list.
+//! The value of `[serve] listen`: an address or a list of addresses.
 
 use std::fmt;
 use std::num::NonZeroUsize;
@@ -24,7 +24,7 @@ pub enum ListenAddressesError {
     #[error("{0} addresses are too many; at most {MAX_ADDRESSES}")]
     TooMany(usize),
     /// An address occurs twice. Port 0 may, because it is a different free port each time.
-    #[error("{0} stands there twice; remove one of them")]
+    #[error("the list contains {0} twice; remove one of them")]
     Twice(Address),
 }
 
@@ -51,13 +51,13 @@ impl ListenAddresses {
     }
 
     /// Returns all addresses, in the order of the configuration.
-    pub fn all(&self) -> &[Address] {
+    pub fn as_slice(&self) -> &[Address] {
         &self.0
     }
 
     /// Returns the number of addresses.
     pub fn count(&self) -> NonZeroUsize {
-        NonZeroUsize::new(self.0.len()).expect("there is an address: all constructors see to it")
+        NonZeroUsize::new(self.0.len()).expect("all constructors refuse an empty list")
     }
 }
 
@@ -82,7 +82,8 @@ impl<'de> Deserialize<'de> for ListenAddresses {
     }
 }
 
-/// Visitor that reads an address or a list. Serde's untagged enum would not say what is wrong with an address.
+/// Visitor that reads an address or a list.
+// Not an untagged enum, whose error would not say what is wrong with an address.
 struct OneOrSeveral;
 
 impl<'de> Visitor<'de> for OneOrSeveral {
@@ -130,7 +131,7 @@ mod tests {
         let many: Vec<String> = (1..=17).map(|port| format!("tcp://a:{port}")).collect();
         let wrong: [(Value, &str); 5] = [
             (json!([]), "the list is empty"),
-            (json!(["tcp://a:1", "tcp://b:1", "tcp://a:1"]), "tcp://a:1 stands there twice"),
+            (json!(["tcp://a:1", "tcp://b:1", "tcp://a:1"]), "the list contains tcp://a:1 twice"),
             (json!(many), "17 addresses are too many; at most 16"),
             (json!(["tcp://a:1", "a:1"]), "\"a:1\" is not an address: the scheme is missing"),
             (json!(5551), "expected an address or a list of addresses"),

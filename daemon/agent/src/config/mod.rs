@@ -38,22 +38,22 @@ pub struct AgentConfig {
     /// `[spool]`: where events wait for the aggregator.
     #[serde(default)]
     pub spool: SpoolConfig,
-    /// `[clock]`: assumptions about the clocks, on which one-way delays rest.
+    /// `[clock]`: assumptions about the clocks, on which the intervals of one-way delays depend.
     #[serde(default)]
     pub clock: ClockConfig,
-    /// `[probes]`: small packets that relate two hosts' clocks.
+    /// `[probes]`: small packets from which the relation of two hosts' clocks is estimated.
     #[serde(default)]
     pub probes: ProbesConfig,
     /// `[rehearsal]`: clock faults on purpose: in the wall clock, and by drift or a step in the free-running clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rehearsal: Option<RehearsalConfig>,
-    /// `[serve]`: addresses at which peers may ask for this host's models; without it they may not.
+    /// `[serve]`: addresses at which this host serves its models to peers; without it the host does not serve.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serve: Option<ServeConfig>,
     /// `[[model]]`: the models that this host offers to its own pipelines and, with `[serve]`, to its peers.
     #[serde(default, rename = "model", skip_serializing_if = "Vec::is_empty")]
     pub models: Vec<ModelConfig>,
-    /// `[bank]`: folders of further models, which are offered as well and loaded when they are asked for.
+    /// `[bank]`: folders of further models, which are loaded when they are requested.
     #[serde(default)]
     pub bank: BankConfig,
     /// `[onnxruntime]`: the library that runs models of kind `onnx`.
@@ -65,14 +65,13 @@ pub struct AgentConfig {
 }
 
 impl AgentConfig {
-    /// Returns a copy without the values of `env`, which may be secret, for `run.json`. The arguments of programs,
-    /// which may be secret as well, are still in it: they are serialised only within
+    /// Returns a copy without the values of `env`, which may be secret, for `run.json`. The copy still contains the
+    /// arguments of programs, which may be secret as well: they are serialised only within
     /// [`with_arguments`](peernet_external::exec::with_arguments).
-    pub fn publishable(&self) -> Self {
-        let mut without_secrets = self.clone();
-        without_secrets.models.iter_mut().for_each(ModelConfig::hide_secrets);
-        without_secrets.pipelines =
-            without_secrets.pipelines.iter().map(PipelineConfig::publishable).collect();
-        without_secrets
+    pub fn redacted(&self) -> Self {
+        let mut redacted = self.clone();
+        redacted.models.iter_mut().for_each(ModelConfig::hide_secrets);
+        redacted.pipelines = redacted.pipelines.iter().map(PipelineConfig::redacted).collect();
+        redacted
     }
 }

@@ -42,20 +42,18 @@ pub enum ObserveError {
     NotBuilt(Ros2Error),
     /// Messages of ROS 2 have no sequence number to be paired by.
     #[error(
-        "the headers of ROS 2 have no sequence number to pair messages by; write pair_by = \"stamp\", or \"order\" where \
-         the observed nodes do not copy header.stamp"
+        "the headers of ROS 2 have no sequence number to pair messages by; set pair_by = \"stamp\", or \"order\" if the \
+         observed nodes do not copy header.stamp"
     )]
     NoSequence,
     /// Two hosts cannot pair their messages by order, because they may receive them in different orders.
     #[error(
-        "two hosts need not receive the same messages in the same order, so that their stamps cannot be paired by it; write \
+        "two hosts may receive the messages in different orders, so their stamps cannot be paired by order; set \
          pair_by = \"stamp\", or \"sequence\" in ROS 1, or remove peer"
     )]
     PeerByOrder,
     /// `peer_pipeline` is set without `peer`.
-    #[error(
-        "there is no peer whose pipeline this is; add peer = \"tcp://HOST:PORT\", or remove peer_pipeline"
-    )]
+    #[error("peer_pipeline needs a peer; add peer = \"tcp://HOST:PORT\", or remove peer_pipeline")]
     PipelineWithoutPeer,
 }
 
@@ -75,7 +73,10 @@ impl ObserveConfig {
     ///
     /// # Errors
     /// When the version is unknown, is not in this build, or has no sequence numbers to pair by.
-    pub fn version(&self, variable: impl Fn(&str) -> Option<String>) -> Result<RosVersion, ObserveError> {
+    pub fn resolve_version(
+        &self,
+        variable: impl Fn(&str) -> Option<String>,
+    ) -> Result<RosVersion, ObserveError> {
         let version = RosVersion::resolve(self.ros_version, variable)?;
         if version == RosVersion::Ros2 {
             if self.pair_by == PairBy::Sequence {
@@ -117,7 +118,7 @@ pub enum PairBy {
 }
 
 impl PairBy {
-    /// Returns the rule in words, for the page of a run.
+    /// Returns the rule as a text, for the page of a run.
     pub fn describe(self) -> &'static str {
         match self {
             Self::Stamp => "header.stamp",
@@ -155,18 +156,18 @@ mod tests {
 
     #[test]
     fn sequence_numbers_of_ros_2_are_refused_with_the_alternatives() {
-        let error = config(PairBy::Sequence).version(|_| None).expect_err("there are none");
+        let error = config(PairBy::Sequence).resolve_version(|_| None).expect_err("there are none");
         assert_eq!(error.key(), "pair_by");
         for part in ["no sequence number", "pair_by = \"stamp\"", "\"order\""] {
             assert!(error.to_string().contains(part), "{error}");
         }
         let of_ros1 = ObserveConfig { ros_version: Some(RosVersion::Ros1), ..config(PairBy::Sequence) };
-        assert_eq!(of_ros1.version(|_| None).ok(), Some(RosVersion::Ros1));
+        assert_eq!(of_ros1.resolve_version(|_| None).ok(), Some(RosVersion::Ros1));
     }
 
     #[test]
     fn build_without_ros_2_names_the_feature() {
-        match config(PairBy::Stamp).version(|_| None) {
+        match config(PairBy::Stamp).resolve_version(|_| None) {
             Ok(version) => assert!(ros2::IS_BUILT && version == RosVersion::Ros2),
             Err(error) => {
                 assert!(!ros2::IS_BUILT && error.to_string().contains("cargo feature `ros2`"), "{error}");

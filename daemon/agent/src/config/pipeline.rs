@@ -32,8 +32,8 @@ pub struct PipelineConfig {
     /// Schedule by which iterations start. Default: `{ mode = "closed" }`.
     #[serde(default)]
     pub load: LoadConfig,
-    /// Largest number of iterations in flight; with `mode = "closed"` it is always one. As many further starts may
-    /// wait; older ones are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
+    /// Largest number of iterations in flight; with `mode = "closed"` it is always one. The same number of further
+    /// starts may wait; older ones are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
     #[serde(default = "four")]
     pub max_in_flight: NonZeroUsize,
     /// Longest wait for an answer; milliseconds, up to a day. Later answers count as `timeout`. Default: 5000.
@@ -64,14 +64,14 @@ pub struct PipelineConfig {
 }
 
 impl PipelineConfig {
-    /// Returns a copy without the values of `env`, which may be secret. The arguments of programs are still in it.
-    pub(crate) fn publishable(&self) -> Self {
-        let mut without_secrets = self.clone();
-        if let Some(sensor) = &mut without_secrets.sensor {
+    /// Returns a copy without the values of `env`, which may be secret. It still contains the arguments of programs.
+    pub(crate) fn redacted(&self) -> Self {
+        let mut redacted = self.clone();
+        if let Some(sensor) = &mut redacted.sensor {
             sensor.hide_secrets();
         }
-        without_secrets.actuator.hide_secrets();
-        without_secrets
+        redacted.actuator.hide_secrets();
+        redacted
     }
 }
 
@@ -135,12 +135,12 @@ pub enum LoadConfig {
         /// Starts per second: at least one a year, at most 100,000.
         hz: f64,
     },
-    /// Iterations start at random moments with exponentially distributed gaps, like the requests of many independent
-    /// clients.
+    /// Iterations start at random times with exponentially distributed intervals (a Poisson process), like the requests
+    /// of many independent clients.
     Poisson {
         /// Starts per second on average: at least one a year, at most 100,000.
         hz: f64,
-        /// Seed of the gaps; equal seeds give equal gaps. Default: 0.
+        /// Seed of the intervals; equal seeds give equal intervals. Default: 0.
         #[serde(default)]
         seed: u64,
     },
@@ -161,7 +161,7 @@ impl LoadConfig {
         }
     }
 
-    /// Returns the schedule in words: `closed`, `5 Hz`, `Poisson, 5 Hz`.
+    /// Returns the schedule as a text: `closed`, `5 Hz`, `Poisson, 5 Hz`.
     pub fn describe(&self) -> String {
         match self {
             Self::Closed {} => "closed".to_owned(),
@@ -171,8 +171,8 @@ impl LoadConfig {
     }
 }
 
-/// Iterations that are recorded, but flagged and left out of statistics, because caches fill, connections open up and
-/// models compile. An iteration is warm-up if any of these conditions holds.
+/// Iterations that are recorded but left out of statistics, because caches, connections and models are not warm yet. An
+/// iteration is warm-up if any of these conditions holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WarmUp {
@@ -190,16 +190,16 @@ impl Default for WarmUp {
     }
 }
 
-/// Limit at which a pipeline stops by itself; the first one that is reached counts. Without a limit it runs for ever,
-/// and a new run begins at midnight UTC.
+/// Limits at which a pipeline stops by itself; it stops at the first one that is reached. Without a limit it runs for
+/// ever, and a new run starts at midnight UTC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limit {
     /// Number of iterations, without those of the warm-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<NonZeroU64>,
-    /// Number of iterations, with those of the warm-up: the published `--iterations`. If the warm-up is as long,
-    /// there are rows but no statistics.
+    /// Number of iterations, with those of the warm-up: the published `--iterations`. If the warm-up is as long, the run
+    /// has rows but no statistics.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub total: Option<NonZeroU64>,
     /// Seconds after the start of the first iteration that is not warm-up.
@@ -226,7 +226,7 @@ pub enum StartMode {
 }
 
 impl PipelineConfig {
-    /// Returns the schedule in words; that of an observed system is not known.
+    /// Returns the schedule as a text; that of an observed system is unknown.
     pub fn load_text(&self) -> String {
         match &self.placement {
             PlacementConfig::Observe(_) => "observed".to_owned(),

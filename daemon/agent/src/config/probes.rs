@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::ReflectorAddress;
 
-/// `[probes]`: small packets that relate two hosts' clocks (STAMP, RFC 8762, over UDP).
+/// `[probes]`: small packets from which the relation of two hosts' clocks is estimated (STAMP, RFC 8762, over UDP).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ProbesConfig {
@@ -16,9 +16,9 @@ pub struct ProbesConfig {
     pub reflect: bool,
     /// `true` if probes are sent to the peers of this host's pipelines. Default: true.
     pub send: bool,
-    /// UDP port for probes, opened at each IP address of `[serve] listen`; peers learn it with their session. Ports
-    /// below 1024, such as the standard's 862, need a capability, which the systemd unit grants. A configured port
-    /// must be free; 0 is any free one. Default: 8620, or any free one if that is taken.
+    /// UDP port for probes, opened at each IP address of `[serve] listen`; peers learn it with their session. Ports below
+    /// 1024, such as the standard's 862, need a capability, which the systemd unit grants. A configured port must be
+    /// free; 0 selects any free port. Default: 8620, or any free port if 8620 is in use.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub port: Option<u16>,
     /// Probes per second while a link is in use; above 0 and at most 1000. Default: 10.
@@ -26,17 +26,16 @@ pub struct ProbesConfig {
     /// Probes per second while a link is idle; above 0 and at most `rate_hz`. Default: 1.
     pub idle_rate_hz: f64,
     /// File with the key of the authenticated mode: one line of at least 32 hexadecimal digits, readable by its owner
-    /// only. Both ends need the same key. Default: none, probes are not authenticated by a file.
+    /// only. Both ends need the same key. Default: none; probes are then authenticated by a key from the session.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub key_file: Option<PathBuf>,
     /// Bytes of padding added to each probe (RFC 8972, extra padding); at most 1300. Default: 0.
     pub padding_bytes: u16,
-    /// Answered probes per second for one address (in IPv6: for one /64 network); 1 to 10000. All addresses without a
-    /// session on this host together get ten times as many. Default: 100.
+    /// Largest number of answered probes per second for one address (in IPv6: for one /64 network); 1 to 10000. For all
+    /// addresses without a session on this host together the limit is ten times as high. Default: 100.
     pub max_per_source_hz: u32,
-    /// Further STAMP reflectors of any vendor, which are probed in addition to those of the peers, by the name of the
-    /// peer whose link shows them: `udp://HOST:PORT`, port 862 if none is given. Their clocks are not tied to the
-    /// peer's: no delay depends on them. Default: none.
+    /// Additional STAMP reflectors of any vendor: the key is the name of the peer whose link shows the reflector, the
+    /// value its address `udp://HOST:PORT`, port 862 if none is given. No delay depends on their clocks. Default: none.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub reflectors: BTreeMap<Slug, ReflectorAddress>,
 }

@@ -1,4 +1,4 @@
-//! The address of a reflector of probes, as written in the configuration.
+//! The address of a STAMP reflector in `[probes] reflectors`.
 
 use std::fmt;
 use std::str::FromStr;

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::ListenAddresses;
 
-/// `[serve]`: addresses at which peers may ask for this host's models.
+/// `[serve]`: addresses at which this host serves its models to peers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ServeConfig {
@@ -17,8 +17,7 @@ pub struct ServeConfig {
     /// Kind of network, which must be that of every address in `listen`. Default: the one that each address selects.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub network: Option<NetworkKind>,
-    /// `true` if peers may ask for the built-in echo model `calibration`, which `peernet calibrate` uses. Default:
-    /// true.
+    /// `true` if peers may use the built-in echo model `calibration`, which `peernet calibrate` needs. Default: true.
     pub calibration: bool,
     /// Time limits and bounds of each session. Bounds on all sessions together, such as `max_sessions`, apply to each
     /// address.

@@ -11,11 +11,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SpoolConfig {
-    /// SQLite file that holds the events until the aggregator has stored them; created if missing, with its folder.
-    /// Each agent needs its own. Default: `spool.sqlite` in `[agent] state_dir`.
+    /// SQLite file in which events wait until the aggregator has stored them; created if missing, with its folder. Each
+    /// agent needs a separate file. Default: `spool.sqlite` in `[agent] state_dir`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
-    /// Bytes of events that the file may hold; beyond it the newest events are dropped, counted and reported as a
+    /// Largest number of bytes of events in the file; beyond it the newest events are dropped, counted and reported as a
     /// gap. The file itself is a few per cent larger. 1 MiB to 1 TiB. Default: 1073741824 (1 GiB).
     pub limit_bytes: NonZeroU64,
     /// Interval at which the file is synced to the disk; milliseconds, up to a minute. Events in the spool survive a

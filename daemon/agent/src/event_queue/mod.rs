@@ -1,6 +1,6 @@
-//! The queue between the tasks that make events and the outbox.
+//! The queue between the tasks that create events and the outbox.
 //!
-//! Queuing never waits, and every event that is lost is counted.
+//! Adding an event never waits. Every event that does not fit is counted.
 
 pub(crate) mod counter;
 mod tap;
@@ -19,17 +19,17 @@ use tokio::sync::mpsc;
 
 use crate::config::HostConfig;
 
-/// Places for iterations. The outbox empties the queue every few milliseconds.
-const CAPACITY: usize = 4096;
-/// Places reserved for other events, because an iteration is useless without the start of its run.
-const RESERVE: usize = 512;
+/// Capacity for iterations. The outbox empties the queue every few milliseconds.
+const ITERATION_CAPACITY: usize = 4096;
+/// Capacity that is reserved for other events, because an iteration is useless without the start of its run.
+const RESERVED_CAPACITY: usize = 512;
 
 /// Sending end of the queue; clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct EventQueue {
     /// Channel to the outbox; `None` for an agent without an aggregator.
     outbox: Option<Arc<QueueSender>>,
-    /// Channel to the program that runs the agent; `None` if it does not observe the events.
+    /// Channel to the program that runs the agent; `None` if that program does not receive the events.
     tap: Option<EventTap>,
 }
 
@@ -52,7 +52,7 @@ pub(crate) struct QueueReceiver {
 #[derive(Debug)]
 pub(crate) struct Overflow {
     clock: SharedClock,
-    /// Number of events that were dropped since the gaps were last taken.
+    /// Number of events that were dropped since the last [`take_gaps`](Self::take_gaps).
     dropped: AtomicU64,
     /// Gaps by pipeline and run.
     gaps: Mutex<BTreeMap<Origin, Gap>>,
@@ -63,7 +63,7 @@ type Origin = (Option<Slug>, Option<RunId>);
 
 /// Creates a queue and returns its two ends.
 pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue, QueueReceiver) {
-    let (sender, queue) = mpsc::channel(CAPACITY + RESERVE);
+    let (sender, queue) = mpsc::channel(ITERATION_CAPACITY + RESERVED_CAPACITY);
     let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
     let queue_sender =
         QueueSender { queue: sender, overflow: Arc::clone(&overflow), counter: counter.clone() };
@@ -75,33 +75,33 @@ pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue,
 
 impl EventQueue {
     /// Returns a queue that discards its events, for an agent without an aggregator.
-    pub(crate) const fn nowhere() -> Self {
+    pub(crate) const fn discarding() -> Self {
         Self { outbox: None, tap: None }
     }
 
-    /// Returns the same queue, whose events also go to `tap`.
-    pub(crate) fn tapped(self, tap: Option<EventTap>) -> Self {
+    /// Returns this queue with a tap, to which its events go as well.
+    pub(crate) fn with_tap(self, tap: Option<EventTap>) -> Self {
         Self { tap, ..self }
     }
 
     /// Queues an iteration of `pipeline`.
-    pub(crate) fn iteration(&self, pipeline: &Slug, iteration: Iteration) {
+    pub(crate) fn push_iteration(&self, pipeline: &Slug, iteration: Iteration) {
         let run = iteration.run;
-        let Some(event) = self.tap(Event::Iteration(iteration)) else { return };
+        let Some(event) = self.send_to_tap(Event::Iteration(iteration)) else { return };
         let Some(queue_sender) = &self.outbox else { return };
         queue_sender.count(Some(pipeline), Some(run));
-        // Checking for room and sending are two steps, so that each thread that queues at the same moment may use one
-        // reserved place. There are more reserved places than such threads.
-        let room = queue_sender.queue.capacity() > RESERVE;
-        if !room || queue_sender.queue.try_send(event).is_err() {
+        // Checking the capacity and sending are two steps. Between them each other thread may use one reserved place;
+        // there are more reserved places than threads.
+        let has_capacity = queue_sender.queue.capacity() > RESERVED_CAPACITY;
+        if !has_capacity || queue_sender.queue.try_send(event).is_err() {
             queue_sender.overflow.count(Some(pipeline), Some(run));
         }
     }
 
     /// Queues an event that is not an iteration; `pipeline` is the pipeline that it concerns, if any.
-    pub(crate) fn event(&self, pipeline: Option<&Slug>, event: Event) {
+    pub(crate) fn push_event(&self, pipeline: Option<&Slug>, event: Event) {
         let run = event.run();
-        let Some(event) = self.tap(event) else { return };
+        let Some(event) = self.send_to_tap(event) else { return };
         let Some(queue_sender) = &self.outbox else { return };
         queue_sender.count(pipeline, run);
         if queue_sender.queue.try_send(event).is_err() {
@@ -109,8 +109,8 @@ impl EventQueue {
         }
     }
 
-    /// Passes the event to the tap, and returns it if it also goes to the outbox.
-    fn tap(&self, event: Event) -> Option<Event> {
+    /// Sends the event to the tap, if there is one. Returns the event if it goes to the outbox.
+    fn send_to_tap(&self, event: Event) -> Option<Event> {
         let Some(tap) = &self.tap else { return Some(event) };
         if self.outbox.is_none() {
             tap.offer(event);
@@ -122,7 +122,7 @@ impl EventQueue {
 }
 
 impl QueueSender {
-    /// Counts an event. This is done before it is queued, because it can be lost from then on.
+    /// Counts an event. Called before the event is queued, because from then on a kill of the process can lose it.
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         self.counter.count(pipeline, run, self.overflow.clock.wall());
     }
@@ -136,7 +136,7 @@ pub(crate) fn create(
     counter: EventCounter,
 ) -> (EventQueue, Option<QueueReceiver>) {
     if config.aggregator.is_none() {
-        return (EventQueue::nowhere(), None);
+        return (EventQueue::discarding(), None);
     }
     let (event_queue, receiver) = channel(SharedClock::clone(clock), counter);
     (event_queue, Some(receiver))
@@ -156,7 +156,7 @@ impl Overflow {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Removes and returns the gaps since the last call, to be reported.
+    /// Removes and returns the gaps since the last call.
     pub(crate) fn take_gaps(&self) -> Vec<Gap> {
         // Usually nothing was dropped: then the lock is not taken.
         if self.dropped() == 0 {
@@ -178,7 +178,7 @@ impl Overflow {
             from: now,
             to: now,
             count: 0,
-            reason: "the agent made events faster than it could queue them".to_owned(),
+            reason: "the event queue of the agent was full".to_owned(),
         });
         gap.count += 1;
         gap.to = now;
@@ -204,15 +204,15 @@ mod tests {
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
         let (event_queue, receiver) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
         let (pipeline, run): (Slug, _) = ("line".parse().expect("a name"), RunId::random());
-        let offered = CAPACITY as u64 + 2;
+        let offered = ITERATION_CAPACITY as u64 + 2;
         for number in 1..=offered {
             clock.advance(Span::from_nanos(10));
-            event_queue.iteration(&pipeline, iteration(&clock, run, number));
+            event_queue.push_iteration(&pipeline, iteration(&clock, run, number));
         }
         let ended = RunEnded { run, ended: clock.wall(), reason: EndReason::Stopped };
-        event_queue.event(Some(&pipeline), Event::RunEnded(ended));
+        event_queue.push_event(Some(&pipeline), Event::RunEnded(ended));
 
-        assert_eq!((receiver.queue.len(), receiver.overflow.dropped()), (CAPACITY + 1, 2));
+        assert_eq!((receiver.queue.len(), receiver.overflow.dropped()), (ITERATION_CAPACITY + 1, 2));
         let gaps = receiver.overflow.take_gaps();
         assert_eq!(gaps.len(), 1);
         assert_eq!((gaps[0].count, gaps[0].run, gaps[0].pipeline.as_ref()), (2, Some(run), Some(&pipeline)));

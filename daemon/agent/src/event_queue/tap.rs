@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use peernet_stream::Event;
 use tokio::sync::mpsc;
 
-/// Channel to the program; clones share it. Measuring does not wait for it.
+/// Channel to the program that runs the agent; clones share it. Sending never waits.
 #[derive(Clone, Debug)]
 pub(crate) struct EventTap {
     listener: mpsc::Sender<Event>,
@@ -18,14 +18,14 @@ impl EventTap {
         Self { listener, missed: Arc::default() }
     }
 
-    /// Sends an event to the program, if the channel has room.
+    /// Sends an event, or counts it as missed if the channel is full.
     pub(super) fn offer(&self, event: Event) {
         if self.listener.try_send(event).is_err() {
             self.missed.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Returns the number of events that did not fit.
+    /// Returns the number of events that did not fit into the channel.
     pub(crate) fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }
@@ -51,12 +51,12 @@ mod tests {
     fn overflow_is_counted() {
         let (sender, mut listener) = mpsc::channel(1);
         let tap = EventTap::new(sender);
-        let event_queue = EventQueue::nowhere().tapped(Some(tap.clone()));
+        let event_queue = EventQueue::discarding().with_tap(Some(tap.clone()));
         let (first, second) = (ended(), ended());
-        event_queue.event(None, first.clone());
-        event_queue.event(None, second.clone());
+        event_queue.push_event(None, first.clone());
+        event_queue.push_event(None, second.clone());
         assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(first), 1));
-        event_queue.event(None, second.clone());
+        event_queue.push_event(None, second.clone());
         assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(second), 1));
     }
 
@@ -66,9 +66,9 @@ mod tests {
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
         let (event_queue, mut receiver) = super::super::channel(clock, super::super::EventCounter::default());
         let (sender, mut listener) = mpsc::channel(4);
-        let event_queue = event_queue.tapped(Some(EventTap::new(sender)));
+        let event_queue = event_queue.with_tap(Some(EventTap::new(sender)));
         let event = ended();
-        event_queue.event(None, event.clone());
+        event_queue.push_event(None, event.clone());
         assert_eq!(listener.try_recv().ok().as_ref(), Some(&event));
         assert_eq!(receiver.queue.try_recv().ok(), Some(event));
     }

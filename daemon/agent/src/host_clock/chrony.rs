@@ -11,12 +11,12 @@ const LOCAL: &str = "7F7F0101";
 /// Smallest rate at which chrony widens its own bound (`maxclockerror`), parts per million.
 const MAX_CLOCK_ERROR_PPM: f64 = 1.0;
 
-/// Reason why a line is not one of `chronyc -c tracking`.
+/// Reason why a line is not an output of `chronyc -c tracking`.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum TrackingError {
     #[error("{0} fields instead of 14")]
     FieldCount(usize),
-    #[error("{field} {text:?} is no number")]
+    #[error("{field} {text:?} is not a number")]
     NotANumber { field: &'static str, text: String },
 }
 
@@ -69,10 +69,10 @@ impl Tracking {
 
     /// Returns the report of a line that was read at `at`.
     ///
-    /// The documented bound of the clock's error is `|system time| + root dispersion + root delay / 2`. The sign of
-    /// the first term is known, and chrony slews the clock towards zero. So the interval reaches from the estimate to
-    /// zero, and by the other two terms beyond both.
-    pub(super) fn answer(&self, at: MonoTime) -> SourceReport {
+    /// The documented bound of the clock's error is `|system time| + root dispersion + root delay / 2`. The sign of the
+    /// first term is known, and chrony slews the clock towards zero. Therefore the interval spans from the estimate to
+    /// zero, extended by the other two terms at both ends.
+    pub(super) fn to_report(&self, at: MonoTime) -> SourceReport {
         let claim = (self.synchronised && !self.local).then(|| Claim {
             at,
             error: Interval {
@@ -83,36 +83,36 @@ impl Tracking {
         });
         let text = match self {
             Self { synchronised: false, .. } => "chrony, not synchronised".to_owned(),
-            Self { local: true, .. } => "chrony, following nothing but its own clock".to_owned(),
+            Self { local: true, .. } => "chrony, local reference only".to_owned(),
             Self { stratum, reference, .. } => format!("chrony, stratum {stratum}, to {reference}"),
         };
         SourceReport { source: DelaySource::Chrony, claim, text }
     }
 }
 
-/// Returns the report of chrony without a claim; `reason` says why.
-pub(super) fn silent(reason: &impl fmt::Display) -> SourceReport {
+/// Returns a report of chrony without a claim, with the reason.
+pub(super) fn report_without_claim(reason: &impl fmt::Display) -> SourceReport {
     SourceReport { source: DelaySource::Chrony, claim: None, text: format!("chrony, {reason}") }
 }
 
-/// Decides whether chrony's answers are current. After a step of the clock chrony repeats its last measurement until
-/// it measures again.
+/// Decides whether chrony's answers are current. After a step of the clock chrony repeats its last measurement until its
+/// next one.
 #[derive(Debug, Default)]
-pub(super) struct Trust {
+pub(super) struct CurrentAnswers {
     epoch: u32,
-    /// Time of the last measurement before the step; `Some(None)` before the first answer after it, `None` if answers
-    /// are current.
+    /// `None` if answers are current. After a step `Some` with the time of the last measurement before it, which is `None`
+    /// until the first answer after the step.
     outdated: Option<Option<String>>,
 }
 
-impl Trust {
+impl CurrentAnswers {
     /// Accepts answers in `epoch` of the clock.
     pub(super) const fn new(epoch: u32) -> Self {
         Self { epoch, outdated: None }
     }
 
-    /// Returns whether `tracking`, read in `epoch` at the latest, was measured since the last step.
-    pub(super) fn allows(&mut self, tracking: &Tracking, epoch: u32) -> bool {
+    /// Returns whether `tracking`, which was read in `epoch` at the latest, was measured since the last step.
+    pub(super) fn accepts(&mut self, tracking: &Tracking, epoch: u32) -> bool {
         if self.epoch != epoch {
             self.epoch = epoch;
             self.outdated = Some(None);
@@ -185,11 +185,11 @@ mod tests {
     fn only_measurements_after_step_count() {
         let before = Tracking::parse(BIASED).expect("chronyc printed it");
         let after = Tracking { measured: "1795179453.193074185".to_owned(), ..before.clone() };
-        let mut trust = Trust::new(0);
-        assert!(trust.allows(&before, 0));
-        assert!(!trust.allows(&before, 1), "the clock was stepped");
-        assert!(!trust.allows(&before, 1));
-        assert!(trust.allows(&after, 1));
-        assert!(trust.allows(&after, 1));
+        let mut current_answers = CurrentAnswers::new(0);
+        assert!(current_answers.accepts(&before, 0));
+        assert!(!current_answers.accepts(&before, 1), "the clock was stepped");
+        assert!(!current_answers.accepts(&before, 1));
+        assert!(current_answers.accepts(&after, 1));
+        assert!(current_answers.accepts(&after, 1));
     }
 }

@@ -1,4 +1,4 @@
-//! Runs `chronyc`. The library for chrony's protocol is not used, because it is GPL.
+//! Queries chrony by running `chronyc`. The library for chrony's protocol is not used, because its licence is the GPL.
 
 use std::io;
 use std::process::{ExitStatus, Stdio};
@@ -8,16 +8,16 @@ use peernet_clock::SharedClock;
 use tokio::io::{AsyncRead, AsyncReadExt};
 use tokio::process::Command;
 
-use super::chrony::{Tracking, TrackingError, Trust, silent};
+use super::chrony::{CurrentAnswers, Tracking, TrackingError, report_without_claim};
 use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
-/// Longest time that `chronyc` may take. It gives up after some seconds itself if chronyd does not answer.
+/// Longest time that `chronyc` may take. Its own timeout, if chronyd does not answer, is longer.
 pub(super) const CHRONYC_TIMEOUT: Duration = Duration::from_secs(2);
 /// Largest number of bytes of its output that are read; a line has about 150.
 const MAX_OUTPUT: u64 = 4096;
 
-/// Reason why there is no answer of chrony.
+/// Reason why chrony cannot be queried.
 #[derive(Debug, thiserror::Error)]
 enum ChronycError {
     #[error("cannot run {command}: {source}")]
@@ -26,12 +26,12 @@ enum ChronycError {
     Timeout,
     /// Error text that `chronyc` printed.
     #[error("{0}")]
-    Complaint(String),
+    Printed(String),
     #[error("{command}: {status}")]
     Failed { command: String, status: ExitStatus },
-    #[error("{command} printed what cannot be understood: {source}")]
+    #[error("cannot read the output of {command}: {source}")]
     Output { command: String, source: TrackingError },
-    #[error("has not measured since the clock was stepped")]
+    #[error("no measurement since the clock was stepped")]
     Outdated,
 }
 
@@ -41,33 +41,33 @@ pub(super) struct Chronyc {
     command: String,
     arguments: Vec<String>,
     clock: SharedClock,
-    trust: Trust,
+    current_answers: CurrentAnswers,
     /// `true` once it was logged that chrony is not installed.
-    is_absence_logged: bool,
+    has_logged_absence: bool,
 }
 
 impl Chronyc {
     pub(super) fn new(config: &ClockConfig, clock: SharedClock) -> Self {
-        let trust = Trust::new(clock.wall_epoch());
+        let current_answers = CurrentAnswers::new(clock.wall_epoch());
         let (command, arguments) = (config.chronyc.clone(), config.chronyc_arguments.clone());
-        Self { command, arguments, clock, trust, is_absence_logged: false }
+        Self { command, arguments, clock, current_answers, has_logged_absence: false }
     }
 
     /// Queries chrony; `None` if it is not installed on this host.
-    pub(super) async fn ask(&mut self) -> Option<SourceReport> {
+    pub(super) async fn query(&mut self) -> Option<SourceReport> {
         match self.track().await {
             Ok(answer) => Some(answer),
             Err(ChronycError::Run { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
-                if !self.is_absence_logged {
+                if !self.has_logged_absence {
                     tracing::info!(
-                        "{} is not installed: chrony is not asked about this host's clock",
+                        "{} is not installed; chrony is not queried about this host's clock",
                         self.command
                     );
-                    self.is_absence_logged = true;
+                    self.has_logged_absence = true;
                 }
                 None
             }
-            Err(error) => Some(silent(&error)),
+            Err(error) => Some(report_without_claim(&error)),
         }
     }
 
@@ -79,16 +79,16 @@ impl Chronyc {
             .map_err(|_| ChronycError::Timeout)?
             .map_err(|source| ChronycError::Run { command: command(), source })?;
         if !status.success() {
-            let complaint = [errors, output].into_iter().find(|line| !line.is_empty());
-            return Err(match complaint {
-                Some(complaint) => ChronycError::Complaint(complaint),
+            let printed = [errors, output].into_iter().find(|line| !line.is_empty());
+            return Err(match printed {
+                Some(printed) => ChronycError::Printed(printed),
                 None => ChronycError::Failed { command: command(), status },
             });
         }
         let tracking = Tracking::parse(&output);
         let tracking = tracking.map_err(|source| ChronycError::Output { command: command(), source })?;
-        if self.trust.allows(&tracking, self.clock.wall_epoch()) {
-            Ok(tracking.answer(at))
+        if self.current_answers.accepts(&tracking, self.clock.wall_epoch()) {
+            Ok(tracking.to_report(at))
         } else {
             Err(ChronycError::Outdated)
         }

@@ -10,7 +10,7 @@ pub(super) const GROWTH_PPM: f64 = 15.0;
 pub(super) struct SourceReport {
     /// The source.
     pub(super) source: DelaySource,
-    /// Claim of the source; `None` if the clock is not synchronised, or the source does not know how well.
+    /// Claim of the source; `None` if the clock is not synchronised, or the source states no error bound.
     pub(super) claim: Option<Claim>,
     /// Text of the report for users.
     pub(super) text: String,
@@ -38,19 +38,18 @@ impl Claim {
 
 /// Combination of the reports of all sources.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Summary {
-    /// The intersection of all claims (Marzullo's algorithm, with no claim allowed to be wrong); `None` when there is
-    /// none, or when they exclude each other.
+pub(super) struct ClaimSummary {
+    /// The intersection of all claims (Marzullo's algorithm, with no claim allowed to be wrong); `None` without a claim,
+    /// or if the claims contradict each other.
     pub(super) discipline: Option<Discipline>,
     /// Text for users.
     pub(super) text: String,
-    /// `true` if claims exclude each other.
+    /// `true` if claims contradict each other.
     pub(super) is_contradictory: bool,
 }
 
-/// Combines reports into the summary that holds at `until`. That is later than now, because a claim must hold until
-/// the next one replaces it.
-pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> Summary {
+/// Combines reports into the summary that holds at `until`, the time at which the next summary replaces it.
+pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> ClaimSummary {
     let claims: Vec<(&SourceReport, Interval)> =
         reports.iter().filter_map(|report| Some((report, report.claim?.at(until)))).collect();
     let words = |reports: &mut dyn Iterator<Item = &SourceReport>| {
@@ -61,20 +60,20 @@ pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> Summary {
     let common = common.reduce(|a, b| a?.intersection(b?));
     let (Some((narrowest, _)), Some(common)) = (narrowest, common) else {
         let text = match reports {
-            [] => "nobody is asked how well the clock is set".to_owned(),
+            [] => "no source of claims is configured".to_owned(),
             reports => words(&mut reports.iter()),
         };
-        return Summary { text, ..Summary::default() };
+        return ClaimSummary { text, ..ClaimSummary::default() };
     };
     let Some(error) = common else {
         let each: Vec<String> = claims
             .iter()
             .map(|(report, error)| format!("{}: error {} to {}", report.text, error.lo, error.hi))
             .collect();
-        let text = format!("claims exclude each other, none is used ({})", each.join("; "));
-        return Summary { discipline: None, text, is_contradictory: true };
+        let text = format!("claims contradict each other, none is used ({})", each.join("; "));
+        return ClaimSummary { discipline: None, text, is_contradictory: true };
     };
-    Summary {
+    ClaimSummary {
         discipline: Some(Discipline { source: narrowest.source, error }),
         text: words(&mut claims.iter().map(|(report, _)| *report)),
         is_contradictory: false,
@@ -94,7 +93,7 @@ mod tests {
         SourceReport { source, claim, text: source.to_string() }
     }
 
-    fn combined(kernel: Option<(i64, i64)>, chrony: Option<(i64, i64)>) -> Summary {
+    fn combined(kernel: Option<(i64, i64)>, chrony: Option<(i64, i64)>) -> ClaimSummary {
         let reports = [report(DelaySource::Kernel, kernel), report(DelaySource::Chrony, chrony)];
         combine(&reports, MonoTime::from_nanos(0))
     }

@@ -17,11 +17,11 @@ pub(crate) struct Clocksource {
 
 impl Clocksource {
     /// Creates a reader for the system whose sysfs is at `sys`.
-    pub(crate) fn below(sys: &Path) -> Self {
+    pub(crate) fn from_sysfs(sys: &Path) -> Self {
         Self { file: sys.join(FILE) }
     }
 
-    /// Returns the name; empty if it is not known, as in some containers.
+    /// Returns the name; empty if it cannot be read, as in some containers.
     pub(crate) fn name(&self) -> String {
         let text = std::fs::read_to_string(&self.file).unwrap_or_default();
         text.trim().chars().take(MAX_NAME).collect()
@@ -35,9 +35,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clocksource_is_read_anew_each_time() {
+    fn clocksource_is_read_again_each_time() {
         let sys = tempfile::tempdir().expect("a folder");
-        let clocksource = Clocksource::below(sys.path());
+        let clocksource = Clocksource::from_sysfs(sys.path());
         assert_eq!(clocksource.name(), "");
         let file = sys.path().join(FILE);
         fs::create_dir_all(file.parent().expect("it has one")).expect("made");

@@ -1,4 +1,4 @@
-//! The kernel's claim about the wall clock, which time daemons maintain: `adjtimex(2)`.
+//! The kernel's claim about the wall clock, `adjtimex(2)`, which time daemons maintain.
 
 use std::io;
 
@@ -11,14 +11,14 @@ use super::timex::{self, Timex};
 const KERNEL_GROWTH_US: i64 = 500;
 
 /// Queries the kernel.
-pub(super) fn ask(now: MonoTime) -> SourceReport {
-    answer(timex::read(), now)
+pub(super) fn query(now: MonoTime) -> SourceReport {
+    report_from(timex::read(), now)
 }
 
-fn answer(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
+fn report_from(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
     let (bound, text) = match state {
         Err(error) => (None, format!("kernel: adjtimex: {error}")),
-        Ok(state) => judge(state),
+        Ok(state) => error_bound(state),
     };
     let claim = bound.map(|bound| Claim {
         at: now,
@@ -28,8 +28,8 @@ fn answer(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
     SourceReport { source: DelaySource::Kernel, claim, text }
 }
 
-/// Returns the bound of the error, and the state in words.
-fn judge(state: Timex) -> (Option<Span>, String) {
+/// Returns the bound of the error, and the state as a text.
+fn error_bound(state: Timex) -> (Option<Span>, String) {
     let Timex { synchronised, max_error_us, estimated_error_us } = state;
     if !synchronised {
         return (None, "kernel, not synchronised".to_owned());
@@ -54,7 +54,7 @@ mod tests {
 
     fn judged(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
         let state = Timex { synchronised, max_error_us, estimated_error_us };
-        let answer = answer(Ok(state), MonoTime::from_nanos(0));
+        let answer = report_from(Ok(state), MonoTime::from_nanos(0));
         (answer.claim.map(|claim| claim.error.hi), answer.text)
     }
 

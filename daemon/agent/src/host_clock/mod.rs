@@ -1,16 +1,17 @@
-//! This host's own clocks: the claims of its time daemon about the wall clock, steps of the wall clock, and
-//! interruptions of the free-running clock.
+//! This host's clocks: the claims of its time daemon about the wall clock, steps of the wall clock, and interruptions of
+//! the free-running clock.
 //!
 //! ```text
-//! monitor      ten times a second: checks that the clocks run as they should
+//! monitor      ten times a second: checks the clocks for steps, slews, sleeps and other disturbances
 //! clocksource  hardware clock from which the kernel reads the time
-//! vmclock      reports of the hypervisor about disruptions, where there are any
-//! sources      every few seconds: queries chronyc and the kernel; claim combines their answers
+//! vmclock      reports of the hypervisor about disruptions, if it provides them
+//! sources      every few seconds: queries chronyc and the kernel; `claim` combines their answers
 //! ```
 //!
-//! The boot clock minus the monotonic clock is constant except for sleeps, and the wall clock minus the monotonic
-//! clock except for steps. Both differences are read with each stamp (`Clock::epoch`, `Clock::wall_epoch`), so that a
-//! sleep or a step is noticed by the next message. Only slews and a changed clocksource have to be polled here.
+//! The difference of the boot clock and the monotonic clock changes only by sleeps; that of the wall clock and the
+//! monotonic clock changes by steps and slews. Both differences are read with each stamp (`Clock::epoch`,
+//! `Clock::wall_epoch`), so the next message detects a sleep or a step. Only slews and a changed clocksource have to be
+//! polled here.
 
 mod chrony;
 mod chronyc;
@@ -41,29 +42,29 @@ use crate::config::{ClockConfig, RehearsalConfig};
 use crate::incidents::Incidents;
 pub(crate) use clocksource::Clocksource;
 use monitor::HostClockMonitor;
-use sources::Sources;
+use sources::ClaimSources;
 use vmclock::Vmclock;
 
 /// Interval at which the clocks are checked.
 const CHECK_INTERVAL: Duration = Duration::from_millis(100);
-/// Number of checks after which peers are sent again how far the wall clock is ahead of the free-running one.
+/// Number of checks between two announcements of the difference of wall clock and free-running clock to peers.
 const CHECKS_BETWEEN_ANNOUNCEMENTS: u32 = 100;
-/// Number of checks between two such announcements while a time daemon makes a claim, which is about the wall clock.
+/// Number of checks between two such announcements while a time daemon claims an error bound of the wall clock.
 const CHECKS_BETWEEN_CLAIMS: u32 = 10;
 
 /// Returns the state of the clocks before any source was queried.
 pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
     PeerClock {
         discipline: None,
-        text: "not asked yet".to_owned(),
+        text: "not queried yet".to_owned(),
         epoch: clock.wall_epoch(),
         rehearsal: clock.injected_faults().cloned(),
-        raw: Some(raw_clock(clock, Clocksource::below(Path::new(InspectionSettings::SYSFS)).name())),
+        raw: Some(raw_clock(clock, Clocksource::from_sysfs(Path::new(InspectionSettings::SYSFS)).name())),
     }
 }
 
-/// Returns the shown state of a host's clocks.
-pub(crate) fn shown(clock: &PeerClock) -> HostClock {
+/// Returns the description of a host's clocks for live updates.
+pub(crate) fn describe_clock(clock: &PeerClock) -> HostClock {
     let PeerClock { epoch, discipline, text, rehearsal, raw } = clock.clone();
     let clocksource = raw.map(|raw| raw.clocksource).filter(|name| !name.is_empty());
     HostClock { discipline, text, epoch, rehearsal, clocksource }
@@ -76,8 +77,8 @@ fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
 /// Monitors the host's clocks until `stop` is cancelled, and publishes their state, which begins with
 /// [`initial_state`].
 ///
-/// A new epoch is published within a tenth of a second and voids all claims. Claims are published every
-/// `discipline_interval_s`, and once a second if clock fault injection makes them exact.
+/// A new epoch is published within a tenth of a second, and earlier claims are void from then on. Claims are published
+/// every `discipline_interval_s`, and once a second if clock fault injection makes them exact.
 pub(crate) async fn run(
     config: ClockConfig,
     rehearsal: Option<RehearsalConfig>,
@@ -86,10 +87,10 @@ pub(crate) async fn run(
     publish: Sender<PeerClock>,
     stop: CancellationToken,
 ) {
-    let clocksource = Clocksource::below(Path::new(InspectionSettings::SYSFS));
-    let vmclock = Vmclock::below(Path::new("/dev"));
+    let clocksource = Clocksource::from_sysfs(Path::new(InspectionSettings::SYSFS));
+    let vmclock = Vmclock::open_all(Path::new("/dev"));
     let mut monitor = HostClockMonitor::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
-    let looking = async {
+    let checking = async {
         let mut ticks = interval(CHECK_INTERVAL);
         let mut checks = 0_u32;
         loop {
@@ -103,7 +104,7 @@ pub(crate) async fn run(
                 if is_disturbed {
                     known.epoch = wall_epoch;
                     known.discipline = None;
-                    "the clock was disturbed, not asked since".clone_into(&mut known.text);
+                    "not queried since the clock was disturbed".clone_into(&mut known.text);
                 }
                 let between = if known.discipline.is_some() {
                     CHECKS_BETWEEN_CLAIMS
@@ -116,15 +117,15 @@ pub(crate) async fn run(
             });
         }
     };
-    let asking = async {
+    let querying = async {
         let truth = Arc::new(SystemClock::new(clock.identity().clone()));
-        let mut sources = Sources::new(&config, rehearsal.as_ref(), clock.clone(), truth);
-        let mut ticks = interval(sources.period());
+        let mut sources = ClaimSources::new(&config, rehearsal.as_ref(), clock.clone(), truth);
+        let mut ticks = interval(sources.interval());
         loop {
             ticks.tick().await;
             let before = (clock.wall_epoch(), clock.epoch());
-            let summary = sources.ask().await;
-            // An answer from before a step is void.
+            let summary = sources.query().await;
+            // An answer from before a step says nothing about the clock after it.
             if (clock.wall_epoch(), clock.epoch()) == before {
                 publish.send_if_modified(|known| {
                     let (epoch, raw_epoch) = before;
@@ -142,7 +143,7 @@ pub(crate) async fn run(
             }
         }
     };
-    stop.run_until_cancelled(async { tokio::join!(looking, asking) }).await;
+    stop.run_until_cancelled(async { tokio::join!(checking, querying) }).await;
 }
 
 fn interval(period: Duration) -> tokio::time::Interval {

@@ -4,16 +4,15 @@ use peernet_clock::{ClockWatch, Disturbance, MonoTime, SharedClock, Span};
 use peernet_stream::IncidentKind;
 
 use super::{Clocksource, Vmclock};
-use crate::incidents::{IncidentContext, Incidents, step_size_text};
+use crate::incidents::{IncidentSubject, Incidents, format_step_size};
 
-/// Shortest time between two incidents about a slew, because a clock with a wrong rate is disturbed at every check.
+/// Shortest time between two incidents about a slew. A clock with a wrong rate is disturbed at every check.
 const SLEW_REPORT_INTERVAL: Span = Span::from_seconds(60);
 
 /// Consequence of a disturbance of the wall clock.
-const WALL_CONSEQUENCE: &str =
-    "delays are measured by the free-running clock and do not change; claims about the wall clock are void";
+const WALL_CONSEQUENCE: &str = "delays are not affected, because they are measured with the free-running clock; claims about the wall clock are void";
 /// Consequence of a disturbance of the free-running clock.
-const RAW_CONSEQUENCE: &str = "delays of that moment are left out";
+const RAW_CONSEQUENCE: &str = "delays of messages in flight at that time have no value";
 
 /// Monitor of a host's clocks, which reports every disturbance as an incident.
 #[derive(Debug)]
@@ -60,27 +59,28 @@ impl HostClockMonitor {
     pub(super) fn check(&mut self, incidents: &Incidents) {
         let readings = self.clock.readings();
         let disturbances = self.watch.compare(readings);
-        // The clock itself notices a step, but not a slew. After a sleep earlier claims no longer hold.
+        // The clock itself begins a new epoch after a step. After a slew or a sleep this does, because earlier claims no
+        // longer hold.
         if !disturbances.is_empty() && self.clock.wall_epoch() == self.wall_epoch {
             self.clock.begin_wall_epoch();
         }
         let wall_epoch = self.clock.wall_epoch();
-        // The clock may have noticed a step that is too small for the watch.
-        let unseen = (wall_epoch != self.wall_epoch && disturbances.is_empty())
+        // The clock may have detected a step that is too small for the watch.
+        let small_step = (wall_epoch != self.wall_epoch && disturbances.is_empty())
             .then(|| self.clock.last_step())
             .flatten();
         self.wall_epoch = wall_epoch;
-        let all = disturbances.into_iter().chain(unseen.map(Disturbance::Step));
+        let all = disturbances.into_iter().chain(small_step.map(Disturbance::Step));
         let mut texts: Vec<String> = all.filter_map(|odd| self.describe(odd, readings.mono)).collect();
         texts.extend(self.check_clocksource());
         texts.extend(self.check_vmclock());
         for text in texts {
-            incidents.report(IncidentKind::ClockStep, IncidentContext::default(), text);
+            incidents.report(IncidentKind::ClockStep, IncidentSubject::default(), text);
         }
     }
 
-    /// Begins new epochs after a change of clocksource, because its rate differs, and the kernel does not say how
-    /// exactly it continued the time.
+    /// Begins new epochs after a change of the clocksource.
+    // The new clocksource has another rate, and the kernel does not report how exactly it continued the time.
     fn check_clocksource(&mut self) -> Option<String> {
         let name = self.clocksource.name();
         if name == self.clocksource_name {
@@ -94,13 +94,12 @@ impl HostClockMonitor {
         ))
     }
 
-    /// Begins new epochs after a disruption that the hypervisor announces and that no clock of the machine itself can
-    /// show.
+    /// Begins new epochs after a disruption that the hypervisor reports. No clock of the machine itself can show it.
     fn check_vmclock(&mut self) -> Option<String> {
         let device = self.vmclock.disrupted()?.display().to_string();
         self.begin_epochs();
         Some(format!(
-            "the hypervisor disrupted this host's clocks, by the word of {device}, as when a virtual machine is paused or moved; \
+            "{device} reports that the hypervisor disrupted this host's clocks, as when a virtual machine is paused or moved; \
              {RAW_CONSEQUENCE}"
         ))
     }
@@ -119,7 +118,7 @@ impl HostClockMonitor {
                 let direction = if by.is_negative() { "back" } else { "forward" };
                 Some(format!(
                     "this host's wall clock was set {direction} by {}; {WALL_CONSEQUENCE}",
-                    step_size_text(by)
+                    format_step_size(by)
                 ))
             }
             Disturbance::Slew(ppm) => {
@@ -128,8 +127,8 @@ impl HostClockMonitor {
                     self.slew_reported = Some(now);
                     let direction = if ppm < 0.0 { "slower" } else { "faster" };
                     format!(
-                        "this host's wall clock runs {:.0} ppm {direction} than it should, with clock.max_drift_ppm = {}; \
-                         {WALL_CONSEQUENCE}",
+                        "this host's wall clock runs {:.0} ppm {direction} than usual against its free-running clock, more than \
+                         clock.max_drift_ppm = {}; {WALL_CONSEQUENCE}",
                         ppm.abs(),
                         self.max_drift_ppm
                     )
@@ -177,13 +176,13 @@ mod tests {
             let inner = Arc::clone(&manual) as SharedClock;
             let clock: SharedClock = Arc::new(FaultyClock::new(inner, identity, drifts));
             let (listener, events) = mpsc::channel(100);
-            let event_queue = EventQueue::nowhere().tapped(Some(EventTap::new(listener)));
+            let event_queue = EventQueue::discarding().with_tap(Some(EventTap::new(listener)));
             let incidents = Incidents::new(Arc::clone(&clock), event_queue);
             let sys = tempfile::tempdir().expect("a folder");
-            let clocksource = Clocksource::below(sys.path());
+            let clocksource = Clocksource::from_sysfs(sys.path());
             let vmclock = make(sys.path(), 7);
             let mut monitor =
-                HostClockMonitor::new(50.0, Arc::clone(&clock), clocksource, Vmclock::below(sys.path()));
+                HostClockMonitor::new(50.0, Arc::clone(&clock), clocksource, Vmclock::open_all(sys.path()));
             monitor.check(&incidents);
             Self { manual, clock, monitor, incidents, events, sys, vmclock }
         }
@@ -244,14 +243,11 @@ mod tests {
         };
         slewed(&mut testbed, 50);
         let reported = testbed.reported();
-        assert!(
-            matches!(&reported[..], [text] if text.contains("ppm slower than it should")),
-            "{reported:?}"
-        );
+        assert!(matches!(&reported[..], [text] if text.contains("ppm slower than usual")), "{reported:?}");
         assert!(testbed.clock.wall_epoch() > 5, "{}", testbed.clock.wall_epoch());
         slewed(&mut testbed, 60);
         assert_eq!(testbed.reported().len(), 1);
-        assert_eq!(testbed.clock.epoch(), 0, "the free-running clock went on");
+        assert_eq!(testbed.clock.epoch(), 0, "the free-running clock was not interrupted");
     }
 
     #[test]
@@ -281,7 +277,7 @@ mod tests {
         testbed.check_for(1);
         let reported = testbed.reported();
         assert!(
-            matches!(&reported[..], [text] if text.contains("the hypervisor disrupted") && text.contains("vmclock0")),
+            matches!(&reported[..], [text] if text.contains("reports that the hypervisor disrupted") && text.contains("vmclock0")),
             "{reported:?}"
         );
         assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (1, 1));

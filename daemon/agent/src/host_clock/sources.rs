@@ -5,19 +5,18 @@ use std::time::Duration;
 use peernet_clock::{SharedClock, Span};
 
 use super::chronyc::{CHRONYC_TIMEOUT, Chronyc};
-use super::claim::{Summary, combine};
+use super::claim::{ClaimSummary, combine};
 use super::{kernel, rehearsed};
 use crate::config::{ClockConfig, DisciplineSource, RehearsalConfig, RehearsedDiscipline};
 
-/// Time that a claim must hold after the next query is due, because the query takes time, and so does the
-/// announcement to a peer.
+/// Time that a claim must hold after the next query is due: that of the query and of the announcement to a peer.
 const CLAIM_MARGIN: Duration = CHRONYC_TIMEOUT.saturating_add(Duration::from_secs(1));
-/// Longest interval between exact claims. It is short, because the clock may drift fast.
-const EXACT_PERIOD: Duration = Duration::from_secs(1);
+/// Longest interval between exact claims. It is short, because an injected drift may be fast.
+const EXACT_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The sources that are queried.
 #[derive(Debug)]
-pub(super) struct Sources {
+pub(super) struct ClaimSources {
     clock: SharedClock,
     truth: SharedClock,
     period: Duration,
@@ -35,7 +34,7 @@ enum Claims {
     None,
 }
 
-impl Sources {
+impl ClaimSources {
     /// Creates the configured sources. `truth` is the clock without injected faults.
     pub(super) fn new(
         config: &ClockConfig,
@@ -48,7 +47,7 @@ impl Sources {
         let claims = match rehearsal.map(|rehearsal| rehearsal.discipline) {
             Some(RehearsedDiscipline::None) => Claims::None,
             Some(RehearsedDiscipline::Exact) => {
-                period = period.min(EXACT_PERIOD);
+                period = period.min(EXACT_INTERVAL);
                 Claims::Exact
             }
             Some(RehearsedDiscipline::Unaware) | None => Claims::Daemons {
@@ -60,31 +59,33 @@ impl Sources {
     }
 
     /// Returns the interval at which to query.
-    pub(super) const fn period(&self) -> Duration {
+    pub(super) const fn interval(&self) -> Duration {
         self.period
     }
 
-    /// Queries all sources. The summary holds until the next query, and for the time that its announcement may take.
-    pub(super) async fn ask(&mut self) -> Summary {
+    /// Queries all sources. The summary holds until the next one is announced.
+    pub(super) async fn query(&mut self) -> ClaimSummary {
         let ahead = Span::from(self.period + CLAIM_MARGIN);
         let summary = match &mut self.claims {
-            Claims::None => Summary { text: "rehearsed, claims nothing".to_owned(), ..Summary::default() },
-            Claims::Exact => Summary {
+            Claims::None => {
+                ClaimSummary { text: "rehearsed, claims nothing".to_owned(), ..ClaimSummary::default() }
+            }
+            Claims::Exact => ClaimSummary {
                 discipline: self
                     .clock
-                    .injected_faults()
-                    .map(|description| rehearsed::exactly(description, self.truth.wall(), ahead)),
+                    .rehearsal()
+                    .map(|description| rehearsed::exact_claim(description, self.truth.wall(), ahead)),
                 text: "rehearsed, claims its error exactly".to_owned(),
                 is_contradictory: false,
             },
             Claims::Daemons { kernel, chronyc } => {
                 let mut reports = Vec::new();
                 if let Some(chronyc) = chronyc {
-                    reports.extend(chronyc.ask().await);
+                    reports.extend(chronyc.query().await);
                 }
                 let now = self.clock.mono();
                 if *kernel {
-                    reports.push(kernel::ask(now));
+                    reports.push(kernel::query(now));
                 }
                 combine(&reports, now + ahead)
             }

@@ -11,7 +11,7 @@ const VERSION: u16 = 1;
 /// Length in bytes of the structure up to the end of the marker: magic, size (32 bits each), version (16), two bytes
 /// about the counter, sequence count (32), marker (64).
 const BYTES: usize = 24;
-/// Number of attempts to read a structure that is being changed. After them it is read at the next check.
+/// Number of attempts to read a structure that is being changed. If all fail, it is read at the next check.
 const ATTEMPTS: u32 = 8;
 
 /// The devices, and their markers at the last check.
@@ -29,9 +29,9 @@ struct Device {
 }
 
 impl Vmclock {
-    /// Opens the devices `vmclock*` of a folder, such as `/dev`. Those that cannot be read are logged; most hosts
-    /// have none.
-    pub(crate) fn below(dev: &Path) -> Self {
+    /// Opens the devices `vmclock*` in a folder, such as `/dev`. A device that cannot be read is logged. Most hosts have
+    /// none.
+    pub(crate) fn open_all(dev: &Path) -> Self {
         let entries = std::fs::read_dir(dev).into_iter().flatten().flatten();
         let named = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with("vmclock"));
         let open = |path: PathBuf| match File::open(&path) {
@@ -39,8 +39,8 @@ impl Vmclock {
             Err(error) => {
                 let device = path.display();
                 tracing::warn!(
-                    "cannot read {device}: {error}; disruptions of the clocks that the hypervisor tells there are not \
-                     noticed until this user may read it"
+                    "cannot read {device}: {error}; disruptions of the clocks that the hypervisor reports there are not \
+                     detected; allow this user to read it"
                 );
                 None
             }
@@ -51,8 +51,8 @@ impl Vmclock {
         vmclock
     }
 
-    /// Reads the markers. Returns a device whose marker changed since the last check: the counter that this host
-    /// reads the time from continued differently, for example because the virtual machine was moved.
+    /// Reads the markers. Returns a device whose marker changed since the last check. A change means that the hardware
+    /// counter was disrupted, for example because the virtual machine was moved.
     pub(crate) fn disrupted(&mut self) -> Option<&Path> {
         let mut disrupted = None;
         for device in &mut self.devices {
@@ -74,8 +74,9 @@ impl Vmclock {
 
 /// Reads the marker; `None` while the structure is being changed.
 ///
-/// Linux copies the structure consistently for a reader. The sequence count is compared nevertheless, so that this
-/// also holds if another provider of the file does not.
+/// The sequence count is odd during a change, and different after it.
+// Linux copies the structure consistently for a reader. The count is checked nevertheless, for other providers of the
+// file.
 fn read(file: &File) -> io::Result<Option<u64>> {
     let mut before = structure(file)?;
     for _ in 0..ATTEMPTS {
@@ -143,9 +144,9 @@ pub(super) mod tests {
     #[test]
     fn changed_marker_is_reported_once() {
         let dev = tempfile::tempdir().expect("a folder");
-        assert_eq!(Vmclock::below(dev.path()).disrupted(), None, "there is none");
+        assert_eq!(Vmclock::open_all(dev.path()).disrupted(), None, "there is none");
         let file = make(dev.path(), 7);
-        let mut vmclock = Vmclock::below(dev.path());
+        let mut vmclock = Vmclock::open_all(dev.path());
         assert_eq!(vmclock.disrupted(), None);
         disrupt(&file, 0, 8);
         assert_eq!(vmclock.disrupted(), Some(dev.path().join("vmclock0").as_path()));
@@ -156,7 +157,7 @@ pub(super) mod tests {
     fn marker_under_change_is_reported_afterwards() {
         let dev = tempfile::tempdir().expect("a folder");
         let file = make(dev.path(), 7);
-        let mut vmclock = Vmclock::below(dev.path());
+        let mut vmclock = Vmclock::open_all(dev.path());
         disrupt(&file, 0, 8);
         file.write_all_at(&3_u32.to_le_bytes(), 12).expect("written");
         assert_eq!(vmclock.disrupted(), None);
@@ -170,13 +171,13 @@ pub(super) mod tests {
             let dev = tempfile::tempdir().expect("a folder");
             let file = make(dev.path(), 7);
             file.write_all_at(&[byte], at).expect("written");
-            let mut vmclock = Vmclock::below(dev.path());
+            let mut vmclock = Vmclock::open_all(dev.path());
             disrupt(&file, 0, 8);
             assert_eq!(vmclock.disrupted(), None);
         }
         let dev = tempfile::tempdir().expect("a folder");
         std::fs::write(dev.path().join("vmclock0"), [0; BYTES - 1]).expect("written");
-        assert_eq!(Vmclock::below(dev.path()).disrupted(), None);
+        assert_eq!(Vmclock::open_all(dev.path()).disrupted(), None);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The latest announcement of one host of a relation about its clocks. No I/O.
+//! The latest announcement of a host about its clocks. No I/O.
 
 use peernet_clock::{Discipline, Interval, RawTime, Span};
 use peernet_networks::PeerClock;
@@ -14,7 +14,7 @@ pub(super) struct AnnouncedClock {
     at: RawTime,
     /// `true` if the free-running clock is related, `false` if the wall clock is.
     is_free_running: bool,
-    /// Epoch of the related clock, as far as it is known.
+    /// Latest known epoch of the related clock.
     epoch: u32,
     /// `true` if the announced claims were made before this epoch.
     outdated: bool,
@@ -34,8 +34,8 @@ impl AnnouncedClock {
         epoch.filter(|announced| *announced > self.epoch)
     }
 
-    /// Sets the epoch of the related clock from an exchange, which may arrive before the announcement. Returns
-    /// whether it is a new one: earlier claims are void then.
+    /// Sets the epoch of the related clock from an exchange, which may arrive before the announcement. Returns whether
+    /// the epoch is new; earlier claims are then void.
     pub(super) fn begin_epoch(&mut self, epoch: u32) -> bool {
         let is_new = epoch > self.epoch;
         if is_new {
@@ -51,7 +51,7 @@ impl AnnouncedClock {
         &self.clock
     }
 
-    /// Returns the epoch of the related clock, as far as it is known.
+    /// Returns the latest known epoch of the related clock.
     pub(super) const fn epoch(&self) -> u32 {
         self.epoch
     }
@@ -64,8 +64,8 @@ impl AnnouncedClock {
     /// Returns the claim of the time daemon about the related clock at a time of this host's free-running clock: the
     /// clock's reading minus true time.
     ///
-    /// The daemon's claim is about the wall clock. The announcement says how far the wall clock is ahead of the
-    /// free-running one; since then the free-running clock may have drifted from true time by the drift limit.
+    /// The daemon's claim is about the wall clock. The announcement contains the difference of the wall clock and the
+    /// free-running clock. Since then the free-running clock may have drifted from true time by the drift limit.
     pub(super) fn claim(&self, now: RawTime, max_drift_ppm: f64) -> Option<Discipline> {
         let claim = self.clock.discipline.filter(|_| !self.outdated)?;
         if !self.is_free_running {

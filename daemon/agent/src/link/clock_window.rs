@@ -3,21 +3,20 @@
 use peernet_stream::{ClockSample, NetworkName};
 use uuid::Uuid;
 
-/// The current clock window. Exchanges of different windows say nothing about each other.
+/// The current clock window. Exchanges of different windows cannot be combined, because a clock was stepped in between.
 #[derive(Debug)]
 pub(super) struct ClockWindow {
     /// Random id of the window.
     id: u64,
-    /// `true` if the relation was restarted: another window begins as soon as the time is known at which the current
-    /// second is closed.
+    /// `true` if the relation was restarted. The next window starts when the current second is closed.
     is_void: bool,
     /// Samples of the last closed second, one for each network in use; empty if the window is void.
     last: Vec<ClockSample>,
 }
 
 impl ClockWindow {
-    /// Begins a window without seconds.
-    pub(super) fn begin() -> Self {
+    /// Creates a window without seconds.
+    pub(super) fn new() -> Self {
         Self { id: Uuid::new_v4().as_u64_pair().0, is_void: false, last: Vec::new() }
     }
 
@@ -37,8 +36,8 @@ impl ClockWindow {
         self.last.clear();
     }
 
-    /// Keeps the samples of the second that was closed, one for each network in use.
-    pub(super) fn keep(&mut self, samples: Vec<ClockSample>) {
+    /// Sets the samples of the last closed second, one for each network in use.
+    pub(super) fn set_last_second(&mut self, samples: Vec<ClockSample>) {
         if !self.is_void {
             self.last = samples;
         }

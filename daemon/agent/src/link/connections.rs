@@ -1,7 +1,7 @@
 //! The open connections of a link, for live updates.
 //!
-//! The outbox's thread reads them once a second, in less than 30 µs each, so that no sample waits for it. All counts
-//! are totals since the connection was opened; readers compute rates.
+//! The outbox's thread reads them once a second, in less than 30 µs each. No sample waits for it. All counts are totals
+//! since the connection was opened; readers compute rates.
 
 use std::collections::BTreeMap;
 
@@ -20,13 +20,13 @@ pub(super) struct Connections {
     read_at: Option<MonoTime>,
     by_session: BTreeMap<u64, (Option<ConnectionAddresses>, Connection)>,
     /// `true` once it was logged that the interfaces cannot be listed.
-    has_complained: bool,
+    has_logged_error: bool,
 }
 
 impl Connections {
-    /// Returns the connections of these sessions, and reads them again if that was last done a second ago. A session
-    /// that is over keeps its last statistics until it leaves the link.
-    pub(super) fn of(&mut self, sessions: &[Session], now: MonoTime) -> Vec<Connection> {
+    /// Returns the connections of these sessions, which are read again once a second. A session that has ended keeps its
+    /// last statistics until it leaves the link.
+    pub(super) fn read_for(&mut self, sessions: &[Session], now: MonoTime) -> Vec<Connection> {
         self.by_session.retain(|id, _| sessions.iter().any(|session| session.id == *id));
         let is_due = self.read_at.is_none_or(|at| now - at >= MAX_AGE);
         if is_due {
@@ -45,7 +45,7 @@ impl Connections {
         let addresses = session.statistics.addresses();
         // The addresses may change: a connection over datagrams stays open when a host gets another address.
         let interface = match self.by_session.get(&session.id) {
-            Some((known, connection)) if *known == addresses => connection.interface.clone(),
+            Some((previous, connection)) if *previous == addresses => connection.interface.clone(),
             _ => addresses.and_then(|addresses| self.interface(&addresses)),
         };
         let connection = Connection {
@@ -61,10 +61,10 @@ impl Connections {
     }
 
     fn interface(&mut self, addresses: &ConnectionAddresses) -> Option<NetworkInterface> {
-        outgoing_interface(addresses).unwrap_or_else(|error| {
-            if !std::mem::replace(&mut self.has_complained, true) {
+        interface_of(addresses).unwrap_or_else(|error| {
+            if !std::mem::replace(&mut self.has_logged_error, true) {
                 let local = addresses.local;
-                tracing::info!(%error, %local, "cannot list the network interfaces: those of connections are not shown");
+                tracing::info!(%error, %local, "cannot list the network interfaces; the interfaces of connections are not shown");
             }
             None
         })

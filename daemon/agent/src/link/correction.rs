@@ -1,4 +1,4 @@
-//! One-way delays and throughputs in the tree of an iteration that was answered by another host.
+//! Adds one-way delays and throughputs to the tree of an iteration that another host answered.
 
 use peernet_clock::{Direction, OneWayDelay};
 use peernet_logger::{Measure, Name, NodeId, Rate, Tree, stage};
@@ -17,7 +17,7 @@ pub(crate) fn correct(tree: &mut Tree, transit: NodeId, direction: Direction, de
     }
 }
 
-/// Returns the number of bits sent in a direction, payload and metadata; `None` if it is not known.
+/// Returns the number of bits that were sent in a direction, payload and metadata; `None` if it is unknown.
 pub(super) fn bits(tree: &Tree, direction: Direction) -> Option<f64> {
     const UP: [Name; 2] = [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES];
     const DOWN: [Name; 2] = [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES];

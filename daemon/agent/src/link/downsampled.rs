@@ -3,42 +3,43 @@
 /// Largest number of values that are kept.
 const MAX_VALUES: usize = 256;
 
-/// Every n-th of the values, with n as small as the bound allows, so that the choice is even over the whole time.
+/// Every n-th of the pushed values; n is a power of two, and the smallest one for which the number of values is bounded.
 #[derive(Debug)]
 pub(super) struct Downsampled<T> {
-    kept: Vec<T>,
-    /// Distance between two values that are kept.
+    values: Vec<T>,
+    /// The n of which every n-th value is kept.
     stride: u64,
-    seen: u64,
+    /// Number of pushed values.
+    count: u64,
 }
 
 impl<T> Default for Downsampled<T> {
     fn default() -> Self {
-        Self { kept: Vec::new(), stride: 1, seen: 0 }
+        Self { values: Vec::new(), stride: 1, count: 0 }
     }
 }
 
 impl<T: Copy> Downsampled<T> {
     pub(super) fn push(&mut self, value: T) {
-        if self.seen.is_multiple_of(self.stride) {
-            if self.kept.len() == MAX_VALUES {
-                let mut place = 0;
-                self.kept.retain(|_| {
-                    place += 1;
-                    place % 2 == 1
+        if self.count.is_multiple_of(self.stride) {
+            if self.values.len() == MAX_VALUES {
+                let mut index = 0;
+                self.values.retain(|_| {
+                    index += 1;
+                    index % 2 == 1
                 });
                 self.stride *= 2;
             }
-            if self.seen.is_multiple_of(self.stride) {
-                self.kept.push(value);
+            if self.count.is_multiple_of(self.stride) {
+                self.values.push(value);
             }
         }
-        self.seen += 1;
+        self.count += 1;
     }
 
     /// Returns the median of the kept values by `key`; the upper one of two.
     pub(super) fn median<K: Ord>(&self, key: impl Fn(&T) -> K) -> Option<T> {
-        let mut sorted = self.kept.clone();
+        let mut sorted = self.values.clone();
         sorted.sort_unstable_by_key(key);
         sorted.get(sorted.len() / 2).copied()
     }
@@ -63,10 +64,10 @@ mod tests {
         let mut many = Downsampled::default();
         for value in 0..100_000_i64 {
             many.push(value);
-            assert!(many.kept.len() <= MAX_VALUES);
+            assert!(many.values.len() <= MAX_VALUES);
         }
-        assert!(many.kept.len() > MAX_VALUES / 2);
-        let steps: Vec<i64> = many.kept.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(many.values.len() > MAX_VALUES / 2);
+        let steps: Vec<i64> = many.values.windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert!(steps.iter().all(|step| *step == steps[0]), "{steps:?}");
         let median = many.median(|value| *value).expect("not empty");
         assert!((49_000..51_000).contains(&median), "{median}");

@@ -4,26 +4,28 @@ use peernet_clock::ViolatedLimit;
 use peernet_logger::Slug;
 
 use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
-use crate::incidents::step_size_text;
+use crate::incidents::format_step_size;
 
 /// Returns the text of a restart: whose clock was stepped, and by how much.
 pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
     let whose = match (restart.edge, restart.cloud) {
-        (true, false) => format!("the clock of {edge} was stepped or ran off"),
-        (false, true) => format!("the clock of {cloud} was stepped or ran off"),
-        (true, true) => format!("the clocks of {edge} and {cloud} were stepped or ran off"),
-        (false, false) => format!("the clock of {edge} or {cloud} was stepped or ran off without notice"),
+        (true, false) => format!("the clock of {edge} was stepped or slewed"),
+        (false, true) => format!("the clock of {cloud} was stepped or slewed"),
+        (true, true) => format!("the clocks of {edge} and {cloud} were stepped or slewed"),
+        (false, false) => {
+            format!("the clock of {edge} or {cloud} was stepped or slewed, which neither host reported")
+        }
     };
     let moved = restart.moved.map_or_else(String::new, |moved| {
-        // `moved` is the change of the cloud's clock minus the edge's. The text names the clock that moved.
-        let own = restart.edge && !restart.cloud;
-        let (moved, mover, other) = if own { (-moved, edge, cloud) } else { (moved, cloud, edge) };
-        let way = if moved.is_negative() { "back" } else { "forward" };
-        let far = step_size_text(moved);
-        format!("; the clock of {mover} went {far} {way} against that of {other}")
+        // `moved` is the change of the cloud's clock minus that of the edge's clock. The text names the clock that moved.
+        let is_edge = restart.edge && !restart.cloud;
+        let (moved, moved_host, other) = if is_edge { (-moved, edge, cloud) } else { (moved, cloud, edge) };
+        let direction = if moved.is_negative() { "back" } else { "forward" };
+        let size = format_step_size(moved);
+        format!("; the clock of {moved_host} moved {size} {direction} against that of {other}")
     });
-    let outlook = match restart.doubt {
-        None => "their relation is learnt anew".to_owned(),
+    let consequence = match restart.doubt {
+        None => "the clock relation is estimated again".to_owned(),
         Some((doubt, limit)) => {
             let seem = match doubt {
                 ViolatedLimit::Drift => "drift apart faster than [clock] max_drift_ppm",
@@ -32,30 +34,31 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
                 }
             };
             format!(
-                "not for the first time within a minute: they seem to {seem} = {limit}; nothing is believed until that has \
-                 ceased"
+                "this happened repeatedly within a minute: the clocks seem to {seem} = {limit}; delays have no value until this \
+                 has stopped"
             )
         }
     };
-    format!("{whose}{moved}; {outlook}")
+    format!("{whose}{moved}; {consequence}")
 }
 
 /// Returns the text about a cloud's wall clock that was set or drifted away, on which no delay depends.
 pub(super) fn wall_set_text(cloud: &Slug) -> String {
     format!(
-        "the wall clock of {cloud} was stepped or ran off; delays are measured by the free-running clocks and do not change"
+        "the wall clock of {cloud} was stepped or slewed; delays are not affected, because they are measured with the \
+         free-running clocks"
     )
 }
 
 /// Returns the text of a suspected jump, with both possible causes.
 pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
-    let way = if jump.moved.is_negative() { "back" } else { "forward" };
-    let far = step_size_text(jump.moved);
+    let direction = if jump.moved.is_negative() { "back" } else { "forward" };
+    let size = format_step_size(jump.moved);
     let others = unreported_text(jump.unreported);
     format!(
-        "the clock of {cloud} seems to have gone {far} {way} against that of {edge} at once{others}: either the path between \
-         them changed, or a clock jumped that no step was noticed of, as when a virtual machine is paused or moved; both \
-         are allowed for, and delays are limited until the window is full again"
+        "the clock of {cloud} seems to have jumped {size} {direction} against that of {edge}{others}: either the path between \
+         them changed, or a clock jumped without a detected step, as when a virtual machine is paused or moved; the intervals \
+         of delays allow for both, and are wider until the window is full again"
     )
 }
 
@@ -63,8 +66,8 @@ pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> Strin
 pub(super) fn lost_proof_text(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
     let others = unreported_text(lost.unreported);
     format!(
-        "the processes of {edge} and {cloud} do not prove any more that they read one clock{others}: {}; delays between them \
-         are measured until they prove it again",
+        "it is no longer proven that the processes of {edge} and {cloud} read the same clock{others}: {}; delays between them \
+         are estimated until it is proven again",
         lost.why
     )
 }
@@ -81,10 +84,10 @@ fn unreported_text(unreported: u32) -> String {
 /// Returns the text of a proven skew beyond the limit.
 pub(super) fn excess_text(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
     let ExcessSkew { proven, limit_ppm } = excess;
-    let (least, most) = (proven.min_ppm.min(proven.max_ppm), proven.max_ppm.max(proven.min_ppm));
+    let (min, max) = (proven.least_ppm.min(proven.most_ppm), proven.most_ppm.max(proven.least_ppm));
     format!(
-        "the exchanges prove that the clock of {cloud} gains {least:.1} to {most:.1} ppm on that of {edge}, more than [clock] \
-         max_drift_ppm = {limit_ppm} allows: no delay is believed; raise max_drift_ppm on {edge}"
+        "the exchanges prove that the clock of {cloud} gains {min:.1} to {max:.1} ppm on that of {edge}, more than [clock] \
+         max_drift_ppm = {limit_ppm} allows: delays have no value; raise max_drift_ppm on {edge}"
     )
 }
 
@@ -99,7 +102,7 @@ mod tests {
     fn lost_proof_names_both_hosts_and_reason() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
         let text = lost_proof_text(&LostProof { why: NotProven::PeerTime, unreported: 1 }, &edge, &cloud);
-        for part in ["robot and desk do not prove", "once more", "a preloaded library", "measured"] {
+        for part in ["the processes of robot and desk", "once more", "a preloaded library", "estimated"] {
             assert!(text.contains(part), "{text}");
         }
     }
@@ -113,14 +116,14 @@ mod tests {
             (
                 by(-3_000_007_000, true, false),
                 "the clock of robot was",
-                "the clock of robot went 3.000 s forward against that of desk;",
+                "the clock of robot moved 3.000 s forward against that of desk;",
             ),
             (
                 by(-3_000_007_000, false, true),
                 "the clock of desk was",
-                "the clock of desk went 3.000 s back against that of robot;",
+                "the clock of desk moved 3.000 s back against that of robot;",
             ),
-            (by(30_000, false, false), "the clock of robot or desk", "desk went 0.030 ms forward"),
+            (by(30_000, false, false), "the clock of robot or desk", "desk moved 0.030 ms forward"),
         ] {
             let text = restart_text(restart, &edge, &cloud);
             assert!(text.starts_with(begin) && text.contains(expected), "{text}");
@@ -139,7 +142,7 @@ mod tests {
     fn jump_names_explanations_and_number_of_unreported_ones() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
         let text = jump_text(SuspectedJump { moved: Span::from_millis(-39), unreported: 11 }, &edge, &cloud);
-        for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {
+        for part in ["desk seems to have jumped 0.039 s back", "11 times more", "path", "clock jumped"] {
             assert!(text.contains(part), "{text}");
         }
         let proven = ProvenSkew { min_ppm: 61.25, max_ppm: 140.0 };

@@ -1,9 +1,9 @@
-//! Stamps of observed messages, made at both ends of a link by agents that only observe.
+//! Stamps of messages that agents observe at both ends of a link.
 
 use peernet_clock::{Clock, MonoTime, OneWayDelay, RawTime, Stamp, WallTime};
 use peernet_logger::{RawStamps, Transit};
 
-/// Time at which a message was at a host.
+/// Time at which a host received a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct HostStamp {
     /// Wall clock of the host.
@@ -26,8 +26,8 @@ impl Crossing {
         (self.sender.raw, self.receiver.raw)
     }
 
-    /// Returns the delay of a message during which a clock was interrupted: only the difference of the wall clocks is
-    /// known.
+    /// Returns the delay of a message during whose transit a clock was interrupted. Only the difference of the wall
+    /// clocks is known.
     pub(super) fn stepped(&self) -> OneWayDelay {
         OneWayDelay::stepped(self.receiver.wall - self.sender.wall, peernet_clock::DelaySource::None)
     }
@@ -44,7 +44,7 @@ impl Crossing {
     }
 }
 
-/// Determines the epoch of stamps of this host's clock.
+/// Determines the epochs of stamps of this host's clock.
 #[derive(Debug)]
 pub(crate) struct EpochWatch {
     epoch: u32,

@@ -1,29 +1,29 @@
 //! Links to clouds: the relation of the clocks of both hosts, and the probes that it needs.
 //!
-//! A [`Link`](pair::Link) belongs to one cloud. All pipelines with a session to it share the link, over whatever
-//! networks, because the relation of two clocks belongs to the pair of hosts. Probes, data exchanges, the peer's
-//! announcements and this host's own clock state all end in [`Knowledge`](knowledge::Knowledge), the link's logic
-//! without I/O; `probing` is the task that feeds it and closes each second. A
-//! [`NamedReflector`](named_reflector::NamedReflector) of the configuration has a separate relation, which is shown
-//! live and judges no delay.
+//! A [`CloudLink`](cloud_link::CloudLink) belongs to one cloud. All pipelines with a session to that cloud share the
+//! link, over any network, because the clock relation belongs to the pair of hosts.
+//! [`LinkClockState`](clock_state::LinkClockState) is the link's logic without I/O. Its inputs are probes, data exchanges,
+//! the cloud's announcements and the state of this host's clocks. `probing` is the task that passes them to it and closes
+//! each second. A [`NamedReflector`](named_reflector::NamedReflector) of the configuration has a separate relation, which
+//! is only shown live: no delay depends on it.
 //!
 //! Once a second a link records a [`ClockSample`](peernet_stream::ClockSample) in the durable lane: the two best
-//! exchanges of the second, what was known, and the delays of data. The store feeds them to the same relation to
-//! judge a run again. If a pair of hosts uses several networks, there is a sample for each, with the same relation
-//! and probes but separate delays.
+//! exchanges of the second, the state of the relation, and the delays of data. The store computes the delays of a run
+//! again from these samples. If a pair of hosts uses several networks, there is a sample for each network, with the same
+//! relation and probes but separate delays.
 
 mod announced_clock;
-mod answers;
+mod answer_monitor;
+mod clock_state;
 mod clock_window;
+mod cloud_link;
 mod connections;
 mod correction;
 mod downsampled;
 mod incident_texts;
 mod judged_stamps;
-mod knowledge;
 mod named_reflector;
 mod network_sessions;
-mod pair;
 mod probe_pace;
 mod probe_target;
 mod probing;
@@ -34,7 +34,7 @@ mod shared;
 
 pub(crate) use judged_stamps::{Crossing, EpochWatch, HostStamp};
 pub use registry::Cloud;
-pub(crate) use registry::{Attached, Links};
+pub(crate) use registry::{LinkedSession, Links};
 pub(crate) use shared::{LinkContext, ProbeSettings};
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! A reflector that the configuration names for a cloud.
+//! A reflector that the configuration names for a cloud (`[probes] reflectors`).
 //!
-//! Its clock is independent of the cloud's, so that it has a separate relation: between this host's free-running
+//! Its clock is independent of the cloud's clock. Therefore it has a separate relation, between this host's free-running
 //! clock and the reflector's wall clock.
 
 use std::collections::VecDeque;
@@ -16,13 +16,13 @@ use peernet_probes::ProbeResult;
 use peernet_stream::{ProbeCounts, Probing, ReflectorLive, RoundTrip};
 use tokio::sync::mpsc;
 
-use super::answers::Answers;
+use super::answer_monitor::AnswerMonitor;
 use super::probe_pace::ProbePace;
-use super::probe_target::{ProbeTarget, RESULTS};
+use super::probe_target::{ProbeTarget, RESULT_CAPACITY};
 use super::shared::{Shared, lock};
 use crate::config::ReflectorAddress;
 
-/// Number of answers whose round trips are kept.
+/// Number of latest round trips that are kept.
 const MAX_TRIPS: usize = 100;
 
 /// A reflector that the configuration names for a cloud.
@@ -38,7 +38,7 @@ impl NamedReflector {
     pub(super) fn new(address: ReflectorAddress, settings: RelationSettings) -> Self {
         Self {
             address,
-            probing: Mutex::new(Probing::Off("about to begin".to_owned())),
+            probing: Mutex::new(Probing::Off("not started yet".to_owned())),
             answered: Mutex::new(ReflectorAnswers::new(settings)),
         }
     }
@@ -49,26 +49,26 @@ impl NamedReflector {
             peer: peer.clone(),
             host: self.address.host.clone(),
             port: self.address.port,
-            // The configured keys are those of the peers.
+            // The configured key is shared with peers, not with this reflector.
             key: None,
             instance: None,
             clocks: RelatedClocks::RawToWall,
         };
-        let (results, mut arriving) = mpsc::channel(RESULTS);
+        let (results, mut received_results) = mpsc::channel(RESULT_CAPACITY);
         let mut probing = pin!(target.probe(shared, pace, &self.probing, results));
-        let mut answers = Answers::new(peer.clone(), false);
+        let mut monitor = AnswerMonitor::new(peer.clone(), false);
         loop {
             tokio::select! {
-                Some(result) = arriving.recv() => {
+                Some(result) = received_results.recv() => {
                     lock(&self.answered).take(&result);
-                    answers.note(&result, shared.host.clock.mono(), &mut lock(&self.probing));
+                    monitor.record(&result, shared.host.clock.mono(), &mut lock(&self.probing));
                 }
                 never = &mut probing => match never {},
             }
         }
     }
 
-    /// Returns the state to show at `now`, when this host's wall clock is `ahead` of its free-running one.
+    /// Returns the live state at `now`. `ahead` is the lead of this host's wall clock over its free-running clock.
     pub(super) fn live(&self, rate_hz: f64, now: Stamp, ahead: Interval) -> ReflectorLive {
         let mut probing = lock(&self.probing).clone();
         if let Probing::On { rate_hz: shown, .. } = &mut probing {
@@ -97,7 +97,7 @@ struct ReflectorAnswers {
 impl ReflectorAnswers {
     fn new(settings: RelationSettings) -> Self {
         let clocks = RelatedClocks::RawToWall;
-        // There are no claims of time daemons: the reflector is not one of our hosts.
+        // A reflector announces no claims of time daemons, because it runs no agent.
         let settings = RelationSettings { clocks, trust_time_daemons: false, ..settings };
         let relation = Relation::new(settings);
         Self { relation, probes: ProbeCounts::default(), trips: VecDeque::new() }
@@ -127,7 +127,7 @@ impl ReflectorAnswers {
         }
     }
 
-    /// Adds an exchange to the relation. A refused one shows in the offset, which becomes stale or contradictory.
+    /// Adds an exchange to the relation. If exchanges are refused, the offset becomes stale or contradictory.
     fn learn(&mut self, observation: &ExchangeObservation) {
         let _ = self.relation.learn(observation);
     }

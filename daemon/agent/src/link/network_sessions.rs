@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use peernet_stream::NetworkName;
 
-/// Number of closed seconds for which a network still gets samples after its last session. The oldest session sends
-/// the probes for the pair of hosts, whatever its network. Probes that were in flight when another session ended are
-/// answered or lost within this time.
+/// Number of closed seconds for which a network still gets samples after its last session.
+// The oldest session sends the probes for the pair of hosts, over any network. Within this time the probes that were in
+// flight when another session ended are answered or lost.
 const LINGER_SECONDS: u8 = 2;
 
-/// Sessions by network. The network of the last session stays, so that later samples have a network.
+/// Sessions by network. The network of the last session is not removed, so that later samples have a network.
 #[derive(Debug, Default)]
 pub(super) struct NetworkSessions(BTreeMap<NetworkName, Sessions>);
 
@@ -17,7 +17,7 @@ pub(super) struct NetworkSessions(BTreeMap<NetworkName, Sessions>);
 #[derive(Debug, Default)]
 struct Sessions {
     open: usize,
-    /// Number of seconds closed since the last session was over.
+    /// Number of seconds closed since the last session ended.
     closed_seconds: u8,
 }
 
@@ -28,7 +28,7 @@ impl NetworkSessions {
         (sessions.open, sessions.closed_seconds) = (sessions.open + 1, 0);
     }
 
-    /// Records that a session over this network is over.
+    /// Records that a session over this network has ended.
     pub(super) fn leave(&mut self, network: &NetworkName) {
         if let Some(sessions) = self.0.get_mut(network) {
             sessions.open = sessions.open.saturating_sub(1);
@@ -43,8 +43,8 @@ impl NetworkSessions {
         self.take_ended(LINGER_SECONDS);
     }
 
-    /// Removes and returns the networks without sessions for which at least `closed_seconds` seconds were closed. If
-    /// no network has a session, none is removed.
+    /// Removes and returns the networks without sessions for which at least `closed_seconds` seconds were closed since
+    /// their last session. If no network has a session, none is removed.
     pub(super) fn take_ended(&mut self, closed_seconds: u8) -> Vec<NetworkName> {
         if self.0.values().all(|sessions| sessions.open == 0) {
             return Vec::new();

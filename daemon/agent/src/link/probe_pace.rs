@@ -14,26 +14,26 @@ const IDLE_AFTER: Span = Span::from_seconds(3);
 #[derive(Debug)]
 pub(super) struct ProbePace {
     rate_hz: watch::Sender<f64>,
-    /// Time at which data last came back.
-    used: Mutex<MonoTime>,
+    /// Time at which the last answer to data arrived.
+    last_data: Mutex<MonoTime>,
 }
 
 impl ProbePace {
-    /// Creates the pace of a link on which data is about to be sent. No probes are sent before the rate is
-    /// [adjusted](Self::adjust).
+    /// Creates the pace of a new link. No probes are sent before the rate is [adjusted](Self::adjust).
     pub(super) fn new(now: MonoTime) -> Self {
-        Self { rate_hz: watch::Sender::new(0.0), used: Mutex::new(now) }
+        Self { rate_hz: watch::Sender::new(0.0), last_data: Mutex::new(now) }
     }
 
-    /// Records that data came back.
-    pub(super) fn note_data(&self, now: MonoTime) {
-        *lock(&self.used) = now;
+    /// Records that an answer to data arrived.
+    pub(super) fn record_data(&self, now: MonoTime) {
+        *lock(&self.last_data) = now;
     }
 
-    /// Sets the current rate. Between two ends on one clock there is nothing to estimate: probes at the idle rate
-    /// only check that the path works and the clock is really shared.
+    /// Sets the rate: the full one while the link carries data, otherwise the idle one.
+    // If both ends read one clock, nothing is estimated: probes at the idle rate check that the path works and that the
+    // clock is the same.
     pub(super) fn adjust(&self, probes: &ProbeSettings, is_same_clock: bool, now: MonoTime) {
-        let is_busy = now - *lock(&self.used) < IDLE_AFTER;
+        let is_busy = now - *lock(&self.last_data) < IDLE_AFTER;
         let wanted = if is_busy && !is_same_clock { probes.rate_hz } else { probes.idle_rate_hz };
         self.rate_hz.send_if_modified(|rate| std::mem::replace(rate, wanted).total_cmp(&wanted).is_ne());
     }

@@ -18,10 +18,10 @@ use super::shared::{Shared, lock};
 
 /// Time after which a probe without an answer is lost.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// Pause before the prober is opened again.
-const RETRY: Duration = Duration::from_secs(10);
-/// Capacity of the channel of results, which are received at once.
-pub(super) const RESULTS: usize = 64;
+/// Pause before a failed prober is opened again.
+const RETRY_INTERVAL: Duration = Duration::from_secs(10);
+/// Capacity of the channel of results, which are received without delay.
+pub(super) const RESULT_CAPACITY: usize = 64;
 
 /// A reflector, and the condition under which its answers are accepted.
 #[derive(Clone, Debug)]
@@ -41,28 +41,28 @@ pub(super) struct ProbeTarget {
 enum ProbingError {
     #[error("this host sends no probes: [probes] send = false")]
     NotSent,
-    #[error("cannot find {host}: {source}")]
+    #[error("cannot resolve {host}: {source}")]
     Lookup { host: String, source: io::Error },
-    #[error("cannot find {host}: the name has no address")]
+    #[error("cannot resolve {host}: the name has no address")]
     NoAddress { host: String },
     #[error(transparent)]
     Open(#[from] OpenError),
-    #[error("the prober ended by itself")]
+    #[error("the prober ended unexpectedly")]
     Ended,
 }
 
 impl ProbeTarget {
     /// Probes at the link's pace as long as the future is polled. Keeps the state, or the reason why there are no
-    /// probes, in `shown`.
+    /// probes, in `state`.
     pub(super) async fn probe(
         &self,
         shared: &Shared,
         pace: &ProbePace,
-        shown: &Mutex<Probing>,
+        state: &Mutex<Probing>,
         results: mpsc::Sender<ProbeResult>,
     ) -> Infallible {
         if !shared.probes.send {
-            *lock(shown) = Probing::Off(ProbingError::NotSent.to_string());
+            *lock(state) = Probing::Off(ProbingError::NotSent.to_string());
             return std::future::pending().await;
         }
         loop {
@@ -70,16 +70,16 @@ impl ProbeTarget {
                 Ok((prober, target)) => {
                     let stamps = prober.stamp_source_name().to_owned();
                     let address = format!("udp://{target}");
-                    *lock(shown) = Probing::On { address, rate_hz: pace.rate_hz(), stamps };
+                    *lock(state) = Probing::On { address, rate_hz: pace.rate_hz(), stamps };
                     prober.run(pace.subscribe(), results.clone(), CancellationToken::new()).await;
-                    *lock(shown) = Probing::Off(ProbingError::Ended.to_string());
+                    *lock(state) = Probing::Off(ProbingError::Ended.to_string());
                 }
                 Err(error) => {
-                    tracing::warn!(peer = %self.peer, "no probes: {error}");
-                    *lock(shown) = Probing::Off(error.to_string());
+                    tracing::warn!(peer = %self.peer, "cannot send probes: {error}");
+                    *lock(state) = Probing::Off(error.to_string());
                 }
             }
-            tokio::time::sleep(RETRY).await;
+            tokio::time::sleep(RETRY_INTERVAL).await;
         }
     }
 

@@ -1,5 +1,5 @@
-//! The task of a link: probes, announcements of both hosts' clocks, the proof of a common clock, the end of each
-//! second.
+//! The task of a link. It sends probes, passes on the announcements of both hosts' clocks, has a common clock proven, and
+//! closes each second.
 
 use std::convert::Infallible;
 use std::pin::pin;
@@ -11,86 +11,88 @@ use peernet_probes::ProbeResult;
 use peernet_stream::Probing;
 use tokio::sync::{mpsc, watch};
 
-use super::answers::Answers;
-use super::pair::Link;
-use super::probe_target::{ProbeTarget, RESULTS};
+use super::answer_monitor::AnswerMonitor;
+use super::cloud_link::CloudLink;
+use super::probe_target::{ProbeTarget, RESULT_CAPACITY};
 use super::shared::{Session, lock};
 use crate::same_clock::prove;
 
-/// Runs the task of a link until its last session is over.
-pub(super) async fn maintain(link: Arc<Link>) {
-    let mut beside = pin!(link.probe_named_reflector());
+/// Runs the task of a link until its last session has ended.
+pub(super) async fn run_link_task(link: Arc<CloudLink>) {
+    let mut reflector_probing = pin!(link.probe_named_reflector());
     let mut sessions = link.sessions.subscribe();
     loop {
-        // The oldest session is used: it says where the cloud is, and receives what the cloud announces of its clock.
+        // The oldest session is used: it has the cloud's address, and receives the announcements of the cloud's clocks.
         let Some(session) = sessions.borrow_and_update().first().cloned() else { break };
         tokio::select! {
-            () = maintain_over(&link, session, &mut sessions) => {}
-            never = &mut beside => match never {},
+            () = run_over_session(&link, session, &mut sessions) => {}
+            never = &mut reflector_probing => match never {},
         }
     }
     link.finish();
 }
 
-/// Runs the task by means of one session, until that session is over.
-async fn maintain_over(link: &Arc<Link>, session: Session, sessions: &mut watch::Receiver<Vec<Session>>) {
+/// Runs the task over one session, until that session has ended.
+async fn run_over_session(
+    link: &Arc<CloudLink>,
+    session: Session,
+    sessions: &mut watch::Receiver<Vec<Session>>,
+) {
     let id = session.id;
     let authenticated = link.shared.probes.key_for(&session).is_some();
-    let (mut peer, mut own) = (session.clock.clone(), link.shared.host.own.clone());
+    let (mut peer, mut own) = (session.clock.clone(), link.shared.host.host_clock.clone());
     peer.mark_changed();
     own.mark_changed();
-    let (results, mut arriving) = mpsc::channel(RESULTS);
+    let (results, mut received_results) = mpsc::channel(RESULT_CAPACITY);
     let mut probing = pin!(probe(link, &session, results));
     let clock = &link.shared.host.clock;
     let mut proving = pin!(prove(&session.clock_peers, clock, |proof| link.set_same_clock(proof)));
-    let mut answers = Answers::new(link.cloud.name.clone(), link.shared.probes.key.is_some());
+    let mut monitor = AnswerMonitor::new(link.cloud.name.clone(), link.shared.probes.key.is_some());
     loop {
         let second = pin!(tokio::time::sleep(until_next_second(clock.wall().unix_nanos())));
         tokio::select! {
             biased;
             changed = sessions.changed() => {
-                let still = sessions.borrow_and_update().first().is_some_and(|first| first.id == id);
-                if changed.is_err() || !still {
+                let is_oldest = sessions.borrow_and_update().first().is_some_and(|first| first.id == id);
+                if changed.is_err() || !is_oldest {
                     break;
                 }
             }
             Ok(()) = own.changed() => {
                 let clock = own.borrow_and_update().clone();
-                link.edge_announced(clock);
+                link.handle_edge_announcement(clock);
             }
-            clock = next(&mut peer) => link.cloud_announced(clock),
-            Some(result) = arriving.recv() => {
-                link.probed(&result, authenticated);
-                answers.note(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));
+            clock = next_announcement(&mut peer) => link.handle_cloud_announcement(clock),
+            Some(result) = received_results.recv() => {
+                link.handle_probe_result(&result, authenticated);
+                monitor.record(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));
             }
-            () = second => link.turn(),
+            () = second => link.advance_second(),
             never = &mut proving => match never {},
             never = &mut probing => match never {},
         }
     }
-    // The session is over. Probes without an answer count as lost, so that each probe sent is either answered or
-    // lost.
-    while let Ok(result) = arriving.try_recv() {
-        link.probed(&result, authenticated);
-        answers.note(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));
+    // The session has ended. Probes without an answer count as lost, so that each sent probe is either answered or lost.
+    while let Ok(result) = received_results.try_recv() {
+        link.handle_probe_result(&result, authenticated);
+        monitor.record(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));
     }
-    for _ in 0..answers.under_way() {
-        link.probed(&ProbeResult::Lost, authenticated);
+    for _ in 0..monitor.in_flight() {
+        link.handle_probe_result(&ProbeResult::Lost, authenticated);
     }
     link.settle_sessions();
 }
 
-/// Waits for the cloud's next announcement of its clocks; for ever once the session is over.
-async fn next(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
+/// Waits for the cloud's next announcement of its clocks; for ever after the end of the session.
+async fn next_announcement(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
     match clock.changed().await {
         Ok(()) => clock.borrow_and_update().clone(),
         Err(_) => std::future::pending().await,
     }
 }
 
-/// Probes the cloud of a session as long as the future is polled. If there are no probes, the reason is kept at the
-/// link.
-async fn probe(link: &Link, session: &Session, results: mpsc::Sender<ProbeResult>) -> Infallible {
+/// Probes the cloud of a session as long as the future is polled. Sets the link's `probing` state.
+async fn probe(link: &CloudLink, session: &Session, results: mpsc::Sender<ProbeResult>) -> Infallible {
     let Some(port) = session.probes else {
         *lock(&link.probing) = Probing::Off(format!("{} answers no probes", link.cloud.name));
         return std::future::pending().await;

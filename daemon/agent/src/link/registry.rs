@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use super::pair::Link;
+use super::cloud_link::CloudLink;
 use super::probing;
 use super::shared::{LinkContext, ProbeSettings, Session, Shared, lock};
 use crate::config::ClockConfig;
@@ -27,19 +27,19 @@ pub(crate) struct Links(Arc<Inner>);
 #[derive(Debug)]
 struct Inner {
     shared: Arc<Shared>,
-    open: Mutex<BTreeMap<HostId, Arc<Link>>>,
+    by_cloud: Mutex<BTreeMap<HostId, Arc<CloudLink>>>,
     /// Latest cloud of each pipeline.
     serving_cloud: Mutex<BTreeMap<Slug, Cloud>>,
-    /// Tracker of the tasks: one per link, which ends with the link's last session.
+    /// Tracker of the tasks: one for each link, which ends with the link's last session.
     tasks: TaskTracker,
     /// First panic of one of these tasks.
-    died: watch::Sender<Option<LinkPanic>>,
-    sessions: AtomicU64,
-    /// Number of sessions that are over.
+    panicked: watch::Sender<Option<LinkPanic>>,
+    next_session: AtomicU64,
+    /// Number of sessions that have ended.
     ended_sessions: AtomicU64,
 }
 
-/// Description of a cloud, as it introduced itself.
+/// Description of a cloud, from its acceptance of a session.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cloud {
     /// Random identifier of the host; stays the same when the host is renamed.
@@ -52,15 +52,15 @@ pub struct Cloud {
 
 /// Error for a panic in the task of a link.
 #[derive(Clone, Debug, thiserror::Error)]
-#[error("the task of the link to {peer} panicked; the log says where")]
+#[error("the task of the link to {peer} panicked; see the log for the place")]
 pub(crate) struct LinkPanic {
     peer: Slug,
 }
 
-/// A session's share in a link. The link is over when the last one is dropped.
+/// A session's membership in a link. The link ends when the last one is dropped.
 #[derive(Debug)]
-pub(crate) struct Attached {
-    link: Arc<Link>,
+pub(crate) struct LinkedSession {
+    link: Arc<CloudLink>,
     links: Links,
     session: u64,
     network: NetworkName,
@@ -69,27 +69,27 @@ pub(crate) struct Attached {
 impl Links {
     /// Creates an empty registry.
     pub(crate) fn new(host: LinkContext, clock: &ClockConfig, probes: ProbeSettings) -> Self {
-        let shared = Arc::new(Shared { host, relation: clock.relation(), probes });
+        let shared = Arc::new(Shared { host, relation: clock.relation_settings(), probes });
         Self(Arc::new(Inner {
             shared,
-            open: Mutex::default(),
+            by_cloud: Mutex::default(),
             serving_cloud: Mutex::default(),
             tasks: TaskTracker::new(),
-            died: watch::Sender::new(None),
-            sessions: AtomicU64::new(0),
+            panicked: watch::Sender::new(None),
+            next_session: AtomicU64::new(0),
             ended_sessions: AtomicU64::new(0),
         }))
     }
 
-    /// Adds a session of `pipeline` with the cloud at `address` to the link of that cloud, which is created if
-    /// necessary. `clock_socket` is the socket that the session's hello named.
+    /// Adds a session of `pipeline` with the cloud at `address` to the link of that cloud, which is created if necessary.
+    /// `clock_socket` is the socket that the session's hello contained.
     pub(crate) fn attach(
         &self,
         session: &peernet_networks::Session,
         address: &Address,
         pipeline: &Slug,
         clock_socket: Option<ClockSocket>,
-    ) -> Attached {
+    ) -> LinkedSession {
         let accepted = session.accepted();
         let cloud = Cloud {
             id: accepted.host,
@@ -99,12 +99,11 @@ impl Links {
         lock(&self.0.serving_cloud).insert(pipeline.clone(), cloud);
         let clocks = session.clocks();
         let own = self.0.shared.host.clock.identity();
-        // A proof is of use only between free-running clocks, and only if both hosts use the same name for their
-        // clock.
-        let may_be_one = clocks == RelatedClocks::Raw && own.may_share_clock_with(&accepted.clock);
-        let clock_socket = clock_socket.filter(|_| may_be_one);
+        // Only free-running clocks can be proven to be one, and only if both hosts use the same name for their clock.
+        let may_be_same = clocks == RelatedClocks::Raw && own.may_be_one_with(&accepted.clock);
+        let clock_socket = clock_socket.filter(|_| may_be_same);
         let joining = Session {
-            id: self.0.sessions.fetch_add(1, Ordering::Relaxed),
+            id: self.0.next_session.fetch_add(1, Ordering::Relaxed),
             pipeline: pipeline.clone(),
             network: NetworkName::from(address.network()),
             host: cloud_host(session, address),
@@ -112,11 +111,11 @@ impl Links {
             instance: accepted.instance,
             probe_key: accepted.probe_key,
             clock: session.peer_clock(),
-            clock_peers: clock_socket.map(|socket| socket.connected(session.id())).unwrap_or_default(),
+            clock_peers: clock_socket.map(|socket| socket.into_peers(session.id())).unwrap_or_default(),
             statistics: session.statistics_reader(),
         };
         let (id, network) = (joining.id, joining.network.clone());
-        let mut open = self.open();
+        let mut open = self.lock_links();
         let known = open.get(&accepted.host).filter(|link| is_same_cloud(link, accepted, clocks));
         let link = match known {
             Some(link) => {
@@ -124,18 +123,18 @@ impl Links {
                 Arc::clone(link)
             }
             None => {
-                let link = Arc::new(Link::new(&self.0.shared, accepted, clocks));
+                let link = Arc::new(CloudLink::new(&self.0.shared, accepted, clocks));
                 link.join(joining);
                 open.insert(accepted.host, Arc::clone(&link));
-                self.0.tasks.spawn(self.clone().maintain(Arc::clone(&link)));
+                self.0.tasks.spawn(self.clone().supervise(Arc::clone(&link)));
                 link
             }
         };
         drop(open);
-        Attached { link, links: self.clone(), session: id, network }
+        LinkedSession { link, links: self.clone(), session: id, network }
     }
 
-    /// Returns the latest cloud of a pipeline, which may be gone.
+    /// Returns the latest cloud of a pipeline, whose session may have ended.
     pub(crate) fn serving_cloud(&self, pipeline: &Slug) -> Option<Cloud> {
         lock(&self.0.serving_cloud).get(pipeline).cloned()
     }
@@ -143,11 +142,11 @@ impl Links {
     /// Returns the live state of all links.
     pub(crate) fn live(&self) -> Vec<LinkLive> {
         // Cloned, so that sessions can open and close while the links are read.
-        let links: Vec<_> = self.open().values().cloned().collect();
+        let links: Vec<_> = self.lock_links().values().cloned().collect();
         links.iter().flat_map(|link| link.live()).collect()
     }
 
-    /// Returns the number of sessions that are over since the agent started; each had one connection.
+    /// Returns the number of sessions that have ended since the agent started; each had one connection.
     pub(crate) fn ended_sessions(&self) -> u64 {
         self.0.ended_sessions.load(Ordering::Relaxed)
     }
@@ -157,37 +156,37 @@ impl Links {
     /// # Errors
     /// When one of the tasks panicked.
     pub(crate) async fn run(self, stop: CancellationToken) -> Result<(), LinkPanic> {
-        let mut died = self.0.died.subscribe();
-        let over = async {
+        let mut panicked = self.0.panicked.subscribe();
+        let is_over = async {
             stop.cancelled().await;
             self.0.tasks.close();
             self.0.tasks.wait().await;
         };
         tokio::select! {
             biased;
-            // A link without its task would silently stop to learn, so that its panic ends the agent.
-            panic = died.wait_for(Option::is_some) => match panic {
+            // A link without its task would silently lose its clock relation, so a panic of the task ends the agent.
+            panic = panicked.wait_for(Option::is_some) => match panic {
                 Ok(panic) => panic.clone().map_or(Ok(()), Err),
                 Err(_) => Ok(()),
             },
-            () = over => Ok(()),
+            () = is_over => Ok(()),
         }
     }
 
     /// Runs the task of a link.
-    async fn maintain(self, link: Arc<Link>) {
+    async fn supervise(self, link: Arc<CloudLink>) {
         let peer = link.name().clone();
-        if AssertUnwindSafe(probing::maintain(link)).catch_unwind().await.is_err() {
-            self.0.died.send_replace(Some(LinkPanic { peer }));
+        if AssertUnwindSafe(probing::run_link_task(link)).catch_unwind().await.is_err() {
+            self.0.panicked.send_replace(Some(LinkPanic { peer }));
         }
     }
 
-    fn open(&self) -> MutexGuard<'_, BTreeMap<HostId, Arc<Link>>> {
-        lock(&self.0.open)
+    fn lock_links(&self) -> MutexGuard<'_, BTreeMap<HostId, Arc<CloudLink>>> {
+        lock(&self.0.by_cloud)
     }
 }
 
-impl Attached {
+impl LinkedSession {
     /// Judges the delays of an answered exchange of the session, and sets them in its tree. Returns the sum of both
     /// directions by the hosts' monotonic clocks.
     pub(crate) fn correct(&self, exchange: &mut Exchange) -> Option<Span> {
@@ -195,37 +194,36 @@ impl Attached {
     }
 }
 
-impl std::ops::Deref for Attached {
-    type Target = Link;
+impl std::ops::Deref for LinkedSession {
+    type Target = CloudLink;
 
-    fn deref(&self) -> &Link {
+    fn deref(&self) -> &CloudLink {
         &self.link
     }
 }
 
-impl Drop for Attached {
+impl Drop for LinkedSession {
     fn drop(&mut self) {
-        // Locked during both steps, because a session that opens meanwhile must not join a link that is being
-        // removed.
-        let mut open = self.links.open();
-        let over = self.link.leave(self.session, &self.network);
-        if over && open.get(&self.link.cloud.id).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
+        // Locked during both steps: a session that opens in between must not join a link that is being removed.
+        let mut open = self.links.lock_links();
+        let is_over = self.link.leave(self.session, &self.network);
+        if is_over && open.get(&self.link.cloud.id).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
             open.remove(&self.link.cloud.id);
         }
         self.links.0.ended_sessions.fetch_add(1, Ordering::Relaxed);
     }
 }
 
-/// Returns the host that answers probes. If the address is that of a name service, it is the host at the other end of
-/// the connection.
+/// Returns the host that answers probes: that of the address, or for the address of a name service the host at the other
+/// end of the connection.
 fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String {
     let connected = address.listener_name().and_then(|_| session.statistics_reader().addresses());
     connected.map_or_else(|| address.host(), |addresses| addresses.remote.ip().to_string())
 }
 
-/// Returns whether the link's knowledge of the cloud is still valid. A program that was restarted counts its clock's
-/// epochs from 0 again, and its clock may have been set in between.
-fn is_same_cloud(link: &Link, accepted: &SessionAccepted, clocks: RelatedClocks) -> bool {
-    let known = link.sessions.borrow().first().map(|session| session.instance);
-    link.cloud.clock == accepted.clock && link.cloud.clocks == clocks && known == Some(accepted.instance)
+/// Returns whether the accepted session is with the same process and clock as the link, so that the link's relation is
+/// still valid. A restarted process counts the epochs of its clock from 0 again.
+fn is_same_cloud(link: &CloudLink, accepted: &SessionAccepted, clocks: RelatedClocks) -> bool {
+    let instance = link.sessions.borrow().first().map(|session| session.instance);
+    link.cloud.clock == accepted.clock && link.cloud.clocks == clocks && instance == Some(accepted.instance)
 }

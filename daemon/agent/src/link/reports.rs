@@ -4,25 +4,24 @@ use peernet_clock::{ProvenSkew, RawTime, Span, ViolatedLimit};
 
 use crate::same_clock::NotProven;
 
-/// Shortest interval between two reports of suspected jumps, and of lost proofs: a flapping route causes one after
-/// the other.
+/// Shortest interval between two reports of suspected jumps, and of lost proofs. A flapping route causes many of them.
 const REPORT_INTERVAL: Span = Span::from_seconds(60);
-/// Time after which the loss of a proof's connection is reported. The connection ends with its session; if the
-/// session is not over by then, only the proof was lost.
+/// Time after which the end of a proof's connection is reported. The connection ends with its session; if the session
+/// has not ended by then, only the proof was lost.
 const SESSION_END: Span = Span::from_seconds(1);
 
 /// Decides which restarts of the relation, violated assumptions and lost proofs of a common clock are reported.
 #[derive(Debug, Default)]
 pub(super) struct ClockReports {
-    /// `true` for the edge's and the cloud's clock if it was stepped since the last restart.
+    /// Whether the clock of the edge, and that of the cloud, was stepped since the last restart.
     stepped: (bool, bool),
     /// `true` if the last restart was reported as a violated assumption.
     is_in_doubt: bool,
     /// `true` once it was reported that the exchanges prove a skew beyond the limit.
-    is_skew_told: bool,
+    is_excess_reported: bool,
     jumps: ReportLimit,
     lost_proofs: ReportLimit,
-    /// Proof that was lost with its connection, and the time: the session may be over, too.
+    /// Proof that was lost with its connection, and the time. The session may have ended, too.
     ended_proof: Option<(NotProven, RawTime)>,
 }
 
@@ -47,36 +46,36 @@ impl ReportLimit {
 }
 
 impl ClockReports {
-    /// Records whose clock was stepped. A step without a restart counts only while another one waits for its report.
-    pub(super) const fn note_steps(&mut self, restarted: bool, (edge, cloud): (bool, bool)) {
-        let counts = restarted || self.stepped.0 || self.stepped.1;
-        self.stepped.0 |= counts && edge;
-        self.stepped.1 |= counts && cloud;
+    /// Records whose clock was stepped. A step without a restart is recorded only if another step is already recorded.
+    pub(super) const fn record_steps(&mut self, restarted: bool, (edge, cloud): (bool, bool)) {
+        let is_recorded = restarted || self.stepped.0 || self.stepped.1;
+        self.stepped.0 |= is_recorded && edge;
+        self.stepped.1 |= is_recorded && cloud;
     }
 
     /// Returns the report of a restart that moved the offset by `moved`. `doubt` is the assumption that the clocks
     /// seem to violate, with its limit.
-    pub(super) fn restarted(
+    pub(super) fn report_restart(
         &mut self,
         moved: Option<Span>,
-        doubt: Option<(ViolatedLimit, f64)>,
+        doubt: Option<(Doubt, f64)>,
     ) -> Option<Restart> {
         let (edge, cloud) = std::mem::take(&mut self.stepped);
-        // Clocks beyond the limit cause several restarts per second. They are reported once, until the clocks keep
-        // the limit again.
+        // Clocks beyond the limit cause several restarts per second. Only the first one is reported, until the clocks are
+        // within the limit again.
         let was_in_doubt = std::mem::replace(&mut self.is_in_doubt, doubt.is_some());
         (doubt.is_none() || !was_in_doubt).then_some(Restart { moved, edge, cloud, doubt })
     }
 
-    /// Returns the report of a jump that is suspected at a time, unless there was one shortly before.
-    pub(super) fn jumped(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
+    /// Returns the report of a jump that is suspected at `at`, unless another one was reported shortly before.
+    pub(super) fn report_jump(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
         let unreported = self.jumps.unreported_before(at)?;
         Some(SuspectedJump { moved, unreported })
     }
 
-    /// Returns the report of a lost proof, unless there was one shortly before. A proof that was lost with its
-    /// connection is reported by [`second_over`](Self::second_over), if the session continues without it.
-    pub(super) fn proof_lost(&mut self, why: NotProven, at: RawTime) -> Option<LostProof> {
+    /// Returns the report of a lost proof, unless another one was reported shortly before. A proof that was lost with its
+    /// connection is reported by [`report_ended_proof`](Self::report_ended_proof), if the session continues without it.
+    pub(super) fn report_lost_proof(&mut self, why: NotProven, at: RawTime) -> Option<LostProof> {
         if let NotProven::Ended(_) = why {
             self.ended_proof = Some((why, at));
             return None;
@@ -86,21 +85,21 @@ impl ClockReports {
     }
 
     /// Records that the common clock is proven again.
-    pub(super) fn proof_regained(&mut self) {
+    pub(super) fn clear_ended_proof(&mut self) {
         self.ended_proof = None;
     }
 
-    /// Returns the report of a proof whose connection ended some time ago.
-    pub(super) fn second_over(&mut self, now: RawTime) -> Option<LostProof> {
+    /// Returns the report of a proof whose connection ended more than [`SESSION_END`] ago.
+    pub(super) fn report_ended_proof(&mut self, now: RawTime) -> Option<LostProof> {
         let (why, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= SESSION_END)?;
         let unreported = self.lost_proofs.unreported_before(at)?;
         Some(LostProof { why, unreported })
     }
 
-    /// Returns the report of a skew that is proven to be beyond the limit, once until it no longer is.
-    pub(super) fn proven(&mut self, excess: Option<ExcessSkew>) -> Option<ExcessSkew> {
-        let was_told = std::mem::replace(&mut self.is_skew_told, excess.is_some());
-        excess.filter(|_| !was_told)
+    /// Returns the report of a skew that is proven to be beyond the limit: once, until the skew is within the limit again.
+    pub(super) fn report_excess_skew(&mut self, excess: Option<ExcessSkew>) -> Option<ExcessSkew> {
+        let was_reported = std::mem::replace(&mut self.is_excess_reported, excess.is_some());
+        excess.filter(|_| !was_reported)
     }
 }
 
@@ -162,7 +161,7 @@ mod tests {
     fn lost_proofs_are_reported_once_a_minute_with_their_number() {
         let mut reports = ClockReports::default();
         let mut unreported =
-            |millis| reports.proof_lost(NotProven::PeerTime, at(millis)).map(|lost| lost.unreported);
+            |millis| reports.report_lost_proof(NotProven::PeerTime, at(millis)).map(|lost| lost.unreported);
         let reported = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut unreported);
         assert_eq!(reported, [Some(0), None, None, Some(2), None, Some(1)]);
     }
@@ -170,21 +169,21 @@ mod tests {
     #[test]
     fn lost_proofs_do_not_hide_suspected_jumps() {
         let mut reports = ClockReports::default();
-        assert!(reports.proof_lost(NotProven::OwnTime, at(0)).is_some());
-        assert!(reports.jumped(Span::from_millis(39), at(1)).is_some());
+        assert!(reports.report_lost_proof(NotProven::OwnTime, at(0)).is_some());
+        assert!(reports.report_jump(Span::from_millis(39), at(1)).is_some());
     }
 
     #[test]
     fn proof_that_ends_with_its_session_is_not_reported() {
         let mut reports = ClockReports::default();
-        assert!(reports.proof_lost(ended(), at(0)).is_none());
-        assert!(reports.second_over(at(999)).is_none(), "the session may still end");
-        let lost = reports.second_over(at(1_000)).expect("the session goes on");
+        assert!(reports.report_lost_proof(ended(), at(0)).is_none());
+        assert!(reports.report_ended_proof(at(999)).is_none(), "the session may still end");
+        let lost = reports.report_ended_proof(at(1_000)).expect("the session continues");
         assert!(matches!(lost, LostProof { why: NotProven::Ended(_), unreported: 0 }), "{lost:?}");
-        assert!(reports.second_over(at(2_000)).is_none(), "it is reported once");
+        assert!(reports.report_ended_proof(at(2_000)).is_none(), "it is reported once");
 
-        assert!(reports.proof_lost(ended(), at(100_000)).is_none());
-        reports.proof_regained();
-        assert!(reports.second_over(at(102_000)).is_none(), "another session of the link proves it");
+        assert!(reports.report_lost_proof(ended(), at(100_000)).is_none());
+        reports.clear_ended_proof();
+        assert!(reports.report_ended_proof(at(102_000)).is_none(), "another session of the link proves it");
     }
 }

@@ -1,4 +1,4 @@
-//! Events between two hosts within one second. No I/O.
+//! Probes, exchanges and delays of a link within one second. No I/O.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +7,8 @@ use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTri
 
 use super::downsampled::Downsampled;
 
-/// Inverse of the share of delays that a verdict must have to be that of the second.
-const RARE: u32 = 20;
+/// Inverse of the smallest share of delays with which a verdict can be that of the second.
+const RARE_FRACTION: u32 = 20;
 
 /// One second of the edge's wall clock, or a part of it.
 #[derive(Debug)]
@@ -22,7 +22,7 @@ pub(super) struct Second {
     pub(super) upper: Option<Exchange>,
     pub(super) lower: Option<Exchange>,
     trips: Downsampled<Span>,
-    shortest: Option<Span>,
+    min_trip: Option<Span>,
     /// Delays of data by network.
     delays: BTreeMap<NetworkName, DelaysByDirection>,
 }
@@ -51,7 +51,7 @@ impl Second {
             upper: None,
             lower: None,
             trips: Downsampled::default(),
-            shortest: None,
+            min_trip: None,
             delays: BTreeMap::new(),
         }
     }
@@ -68,7 +68,7 @@ impl Second {
 
     /// Adds an accepted exchange. Which of two bounds is better at the end of the second also depends on their ages,
     /// because a bound widens by the drift since then.
-    pub(super) fn exchanged(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
+    pub(super) fn add_exchange(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
         let drift = |age: Span| Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
         let lower_than = |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
         if self.upper.as_ref().is_none_or(lower_than) {
@@ -82,13 +82,13 @@ impl Second {
     }
 
     /// Adds the round trip of a probe.
-    pub(super) fn round_trip(&mut self, trip: Span) {
-        self.shortest = Some(self.shortest.map_or(trip, |shortest| shortest.min(trip)));
+    pub(super) fn add_round_trip(&mut self, trip: Span) {
+        self.min_trip = Some(self.min_trip.map_or(trip, |min_trip| min_trip.min(trip)));
         self.trips.push(trip);
     }
 
     /// Adds the judged delay of data over a network.
-    pub(super) fn judged(
+    pub(super) fn add_delay(
         &mut self,
         network: &NetworkName,
         direction: Direction,
@@ -108,13 +108,13 @@ impl Second {
     }
 
     /// Removes the delays of a network, after its last sample.
-    pub(super) fn forget(&mut self, network: &NetworkName) {
+    pub(super) fn remove_network(&mut self, network: &NetworkName) {
         self.delays.remove(network);
     }
 
     /// Returns the round trips of probes.
     pub(super) fn round_trips(&self) -> Option<RoundTrip> {
-        Some(RoundTrip { min: self.shortest?, median: self.trips.median(|trip| *trip)? })
+        Some(RoundTrip { min: self.min_trip?, median: self.trips.median(|trip| *trip)? })
     }
 
     /// Returns the delays of one direction over a network.
@@ -144,9 +144,10 @@ impl Delays {
 
     fn summary(&self) -> Option<DelaySecond> {
         let count = self.count();
-        let frequent = |(_, given): &(&Verdict, &u32)| **given > 0 && given.saturating_mul(RARE) >= count;
+        let is_frequent =
+            |(_, given): &(&Verdict, &u32)| **given > 0 && given.saturating_mul(RARE_FRACTION) >= count;
         // The worst verdict that is frequent enough: `ALL` is ordered from best to worst.
-        let (verdict, _) = Verdict::ALL.iter().zip(&self.verdicts).rfind(frequent)?;
+        let (verdict, _) = Verdict::ALL.iter().zip(&self.verdicts).rfind(is_frequent)?;
         Some(DelaySecond { count, median: self.points.median(|point| point.value), verdict: *verdict })
     }
 }
@@ -177,7 +178,7 @@ mod tests {
     fn best_exchange_of_each_bound_is_kept() {
         let mut second = Second::new(0);
         for exchange in [exchange(0, 5, 1), exchange(100, 2, 7), exchange(200, 6, 6)] {
-            second.exchanged(&exchange, 50.0);
+            second.add_exchange(&exchange, 50.0);
         }
         assert_eq!(second.upper, Some(exchange(100, 2, 7)));
         assert_eq!(second.lower, Some(exchange(0, 5, 1)));
@@ -188,13 +189,13 @@ mod tests {
         // 900 ms at 10,000 ppm are 9 ms.
         for (up, kept) in [(4, exchange(900, 4, 4)), (3, exchange(900, 3, 3))] {
             let mut second = Second::new(0);
-            second.exchanged(&exchange(0, 1, 1), 10_000.0);
-            second.exchanged(&exchange(900, up, up), 10_000.0);
+            second.add_exchange(&exchange(0, 1, 1), 10_000.0);
+            second.add_exchange(&exchange(900, up, up), 10_000.0);
             assert_eq!((second.upper, second.lower), (Some(kept), Some(kept)));
         }
         let mut steady = Second::new(0);
-        steady.exchanged(&exchange(0, 1, 1), 50.0);
-        steady.exchanged(&exchange(900, 3, 3), 50.0);
+        steady.add_exchange(&exchange(0, 1, 1), 50.0);
+        steady.add_exchange(&exchange(900, 3, 3), 50.0);
         assert_eq!(steady.upper, Some(exchange(0, 1, 1)));
     }
 
@@ -205,9 +206,9 @@ mod tests {
         let (mut second, network) = (Second::new(0), NetworkName::default());
         assert_eq!(second.delays(&network, Direction::Up), None);
         for millis in 1..=20 {
-            second.judged(&network, Direction::Up, &ok(millis), Some(1e6));
+            second.add_delay(&network, Direction::Up, &ok(millis), Some(1e6));
         }
-        second.judged(&network, Direction::Up, &stepped, None);
+        second.add_delay(&network, Direction::Up, &stepped, None);
         let up = second.delays(&network, Direction::Up).expect("judged");
         assert_eq!((up.count, up.verdict), (21, Verdict::Ok), "one of twenty-one is rare");
         let median = up.median.expect("has a value");
@@ -217,9 +218,9 @@ mod tests {
         );
         assert!(median.bits_per_second.is_some_and(|rate| (rate * 0.011 - 1e6).abs() < 1.0), "{median:?}");
 
-        second.judged(&network, Direction::Up, &stepped, None);
+        second.add_delay(&network, Direction::Up, &stepped, None);
         assert_eq!(second.delays(&network, Direction::Up).map(|up| up.verdict), Some(Verdict::Stepped));
-        second.judged(&network, Direction::Down, &stepped, None);
+        second.add_delay(&network, Direction::Down, &stepped, None);
         let down = second.delays(&network, Direction::Down).expect("judged");
         assert_eq!((down.count, down.median), (1, None), "nothing is averaged in");
     }

@@ -21,7 +21,7 @@ pub(crate) struct LinkContext {
     pub(crate) name: Slug,
     pub(crate) clock: SharedClock,
     /// State of this host's clocks.
-    pub(crate) own: watch::Receiver<PeerClock>,
+    pub(crate) host_clock: watch::Receiver<PeerClock>,
     pub(crate) event_queue: EventQueue,
     pub(crate) incidents: Incidents,
 }
@@ -99,6 +99,6 @@ pub(super) struct Session {
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // After a panic under the lock the values are at worst incomplete.
+    // A poisoned lock is used: after a panic under it the values are at worst incomplete.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

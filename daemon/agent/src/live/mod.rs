@@ -1,14 +1,14 @@
 //! Live statistics: one-second summaries of each pipeline, sent to the aggregator every 250 ms.
 //!
-//! Nothing is queued: an update is composed when it can be handed to the socket, from the seconds that changed since
-//! the last one that was sent. Seconds that could not be sent are part of the next update.
+//! Updates are not queued. An update is composed when the socket can take it, from the seconds that changed since the
+//! last sent update. Seconds that could not be sent are part of the next update.
 
-mod cell;
 mod live_statistics;
 mod ring;
+mod second_statistics;
 
-pub(crate) use cell::DEADLINE_MISSED;
-pub(crate) use live_statistics::{Display, LiveStatistics, Receipt};
+pub(crate) use live_statistics::{LiveStatistics, PipelineLiveState, Receipt};
+pub(crate) use second_statistics::DEADLINE_MISSED;
 
 use std::time::Duration;
 

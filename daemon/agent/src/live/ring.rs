@@ -5,26 +5,26 @@ use std::collections::VecDeque;
 use peernet_logger::Tree;
 use peernet_stream::{Outcome, Second};
 
-use super::cell::Cell;
+use super::second_statistics::SecondStatistics;
 
-/// Number of seconds that are kept.
+/// Largest number of seconds in the ring.
 const MAX_SECONDS: usize = 64;
 /// Largest number of seconds in one update. After an outage the newest are sent first.
 const MAX_SENT_SECONDS: usize = 8;
-/// Largest distance in seconds by which an iteration may be recorded before the newest one. Iterations are recorded
-/// when they end, so that a larger distance means that the wall clock was set back.
-const MAX_STEP_BACK: i64 = 1;
+/// Largest number of seconds by which an iteration may end before the newest second. Iterations are recorded when they
+/// end, so a larger difference means that the wall clock was set back.
+const MAX_BACKWARD_S: i64 = 1;
 
-/// Cells of the seconds in which an iteration ended, oldest first.
+/// Statistics of the seconds in which an iteration ended, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct Ring {
-    cells: VecDeque<Cell>,
+    seconds: VecDeque<SecondStatistics>,
     version: u64,
 }
 
 /// Seconds of a ring that are in an update: (second, version).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Shown(Vec<(i64, u64)>);
+pub(crate) struct SentSeconds(Vec<(i64, u64)>);
 
 impl Ring {
     /// Adds an iteration that ended within the second `at` (Unix time).
@@ -32,54 +32,59 @@ impl Ring {
         // The version orders changes and marks, so that a second that changes while an update is sent is sent again.
         self.version += 1;
         let version = self.version;
-        let cell = self.cell(at);
-        cell.version = version;
-        cell.record(outcome, tree);
+        let second = self.second_at(at);
+        second.version = version;
+        second.record(outcome, tree);
     }
 
-    fn cell(&mut self, at: i64) -> &mut Cell {
-        if self.cells.back().is_some_and(|newest| at < newest.at - MAX_STEP_BACK) {
+    fn second_at(&mut self, at: i64) -> &mut SecondStatistics {
+        if self.seconds.back().is_some_and(|newest| at < newest.at - MAX_BACKWARD_S) {
             // Seconds that occur again after the clock was set back replace the earlier ones.
-            self.cells.retain(|cell| cell.at < at);
+            self.seconds.retain(|second| second.at < at);
         }
-        let after = self.cells.iter().rposition(|cell| cell.at <= at);
+        let after = self.seconds.iter().rposition(|second| second.at <= at);
         let index = match after {
-            Some(index) if self.cells[index].at == at => index,
+            Some(index) if self.seconds[index].at == at => index,
             other => {
                 let mut index = other.map_or(0, |index| index + 1);
-                self.cells.insert(index, Cell::new(at));
-                // The new cell itself stays, because the caller writes to it.
-                if self.cells.len() > MAX_SECONDS && index > 0 {
-                    self.cells.pop_front();
+                self.seconds.insert(index, SecondStatistics::new(at));
+                // The new second itself stays, because the caller writes to it.
+                if self.seconds.len() > MAX_SECONDS && index > 0 {
+                    self.seconds.pop_front();
                     index -= 1;
                 }
                 index
             }
         };
-        &mut self.cells[index]
+        &mut self.seconds[index]
     }
 
     /// Returns the seconds that changed since they were last sent, newest first.
-    pub(super) fn changed(&self) -> (Vec<Second>, Shown) {
-        let changed = self.cells.iter().rev().filter(|cell| cell.version > cell.shown).take(MAX_SENT_SECONDS);
-        let (seconds, shown) = changed.map(|cell| (cell.second(), (cell.at, cell.version))).unzip();
-        (seconds, Shown(shown))
+    pub(super) fn changed(&self) -> (Vec<Second>, SentSeconds) {
+        let changed = self
+            .seconds
+            .iter()
+            .rev()
+            .filter(|second| second.version > second.sent_version)
+            .take(MAX_SENT_SECONDS);
+        let (seconds, sent) = changed.map(|second| (second.second(), (second.at, second.version))).unzip();
+        (seconds, SentSeconds(sent))
     }
 
     /// Marks the seconds of an update as sent.
-    pub(super) fn shown(&mut self, shown: &Shown) {
-        for (at, version) in &shown.0 {
-            // A cell that changed after the update was made has a larger version and is sent again.
-            if let Some(cell) = self.cells.iter_mut().find(|cell| cell.at == *at) {
-                cell.shown = *version;
+    pub(super) fn mark_sent(&mut self, sent: &SentSeconds) {
+        for (at, version) in &sent.0 {
+            // A second that changed after the update was made has a larger version and is sent again.
+            if let Some(second) = self.seconds.iter_mut().find(|second| second.at == *at) {
+                second.sent_version = *version;
             }
         }
     }
 
     /// Marks all seconds as not sent.
-    pub(super) fn forget_shown(&mut self) {
-        for cell in &mut self.cells {
-            cell.shown = 0;
+    pub(super) fn mark_all_unsent(&mut self) {
+        for second in &mut self.seconds {
+            second.sent_version = 0;
         }
     }
 }
@@ -112,7 +117,7 @@ mod tests {
         ring.record(11, &Outcome::Ok, &tree(6));
         ring.record(11, &Outcome::Timeout, &tree(500));
 
-        let (seconds, shown) = ring.changed();
+        let (seconds, sent) = ring.changed();
         assert_eq!(seconds.iter().map(|second| second.at).collect::<Vec<_>>(), [11, 10]);
         assert_eq!((seconds[0].counts.ok, seconds[0].counts.timeout), (1, 1));
         let (name, upload) = &seconds[0].values[0];
@@ -122,7 +127,7 @@ mod tests {
 
         assert_eq!(ring.changed().0.len(), 2, "not handed on: still to be shown");
         ring.record(11, &Outcome::Ok, &tree(8));
-        ring.shown(&shown);
+        ring.mark_sent(&sent);
         let (seconds, _) = ring.changed();
         assert_eq!((seconds.len(), seconds[0].at, seconds[0].counts.ok), (1, 11, 2));
     }
@@ -182,16 +187,16 @@ mod tests {
         for at in 0..1000 {
             ring.record(at, &Outcome::Ok, &tree(1));
         }
-        assert_eq!(ring.cells.len(), MAX_SECONDS);
+        assert_eq!(ring.seconds.len(), MAX_SECONDS);
         let mut seen = Vec::new();
         loop {
-            let (seconds, shown) = ring.changed();
+            let (seconds, sent) = ring.changed();
             if seconds.is_empty() {
                 break;
             }
             assert!(seconds.len() <= MAX_SENT_SECONDS);
             seen.extend(seconds.iter().map(|second| second.at));
-            ring.shown(&shown);
+            ring.mark_sent(&sent);
         }
         assert!(seen.iter().copied().eq((1000 - MAX_SECONDS as i64..1000).rev()), "newest first: {seen:?}");
     }
@@ -203,9 +208,9 @@ mod tests {
             ring.record(at, &Outcome::Ok, &tree(1));
         }
         ring.record(4999, &Outcome::Ok, &tree(1));
-        assert_eq!(ring.cells.len(), 11, "two that ended at nearly the same time");
+        assert_eq!(ring.seconds.len(), 11, "two that ended at nearly the same time");
         let of = |ring: &Ring| {
-            ring.cells.iter().map(|cell| (cell.at, cell.second().counts.ok)).collect::<Vec<_>>()
+            ring.seconds.iter().map(|second| (second.at, second.second().counts.ok)).collect::<Vec<_>>()
         };
         ring.record(4995, &Outcome::Ok, &tree(1));
         ring.record(4996, &Outcome::Ok, &tree(1));

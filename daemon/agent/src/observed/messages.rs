@@ -23,9 +23,9 @@ const MAX_BYTES: usize = 256 << 10;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct StampRequest {
     pub(super) version: u32,
-    /// Name of the pipeline on the host that is asked.
+    /// Name of the pipeline on the host that receives the request.
     pub(super) pipeline: Slug,
-    /// Rule by which the asking pipeline pairs messages.
+    /// Rule by which the requesting pipeline pairs messages.
     pub(super) pair_by: PairBy,
     /// Keys of the messages: `header.stamp` in nanoseconds, or `header.seq`.
     pub(super) keys: Vec<i64>,
@@ -57,7 +57,7 @@ struct WireStamp {
     wall_ns: i64,
     /// Reading of the free-running clock in nanoseconds.
     raw_ns: i64,
-    /// Number of interruptions of the free-running clock before; absent if it was interrupted near the stamp.
+    /// Number of earlier interruptions of the free-running clock; absent if it was interrupted near the stamp.
     #[serde(default)]
     epoch: Option<u32>,
 }
@@ -69,10 +69,10 @@ pub(crate) enum StampMessageError {
     Empty,
     #[error("it has {0} bytes, more than {MAX_BYTES}")]
     TooLong(usize),
-    #[error("it is not the JSON document that docs/session-protocol.md describes: {0}")]
+    #[error("it is not a JSON document as in docs/session-protocol.md: {0}")]
     Json(#[from] serde_json::Error),
     #[error(
-        "it is of version {0}, and this program speaks version {VERSION}; update the older of the two agents"
+        "it has version {0}, and this agent supports version {VERSION}; update the older of the two agents"
     )]
     Version(u32),
 }

@@ -1,4 +1,4 @@
-//! The observing pipelines of this host about which peers can ask.
+//! The observing pipelines of this host whose stamps peers can query.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,7 +16,7 @@ use crate::link::HostStamp;
 /// Name by which stamps are requested in place of a model.
 pub(crate) const MODEL: &str = "observed-stamps";
 
-/// Number of messages of a pipeline that are kept: those of eight seconds at 1 kHz.
+/// Number of messages of a pipeline whose stamps are kept: those of eight seconds at 1 kHz.
 const CAPACITY: usize = 8192;
 
 /// The observing pipelines of this host that start with the agent; clones share them.
@@ -31,12 +31,12 @@ pub(crate) struct ObservedPipeline {
 }
 
 impl ObservedPipelines {
-    /// Returns the pipelines of a host that serves; none if it does not serve, because no peer can ask.
-    pub(crate) fn of(config: &AgentConfig) -> Self {
+    /// Returns the observing pipelines of a host that serves; none if it does not serve, because no peer can query it.
+    pub(crate) fn from_config(config: &AgentConfig) -> Self {
         let pipeline = |pipeline: &PipelineConfig| match &pipeline.placement {
             PlacementConfig::Observe(observed) if pipeline.start == StartMode::Boot => {
-                let kept = ObservedPipeline::new(observed.pair_by, Span::from(pipeline.timeout()));
-                Some((pipeline.name.clone(), Arc::new(kept)))
+                let pipeline_stamps = ObservedPipeline::new(observed.pair_by, Span::from(pipeline.timeout()));
+                Some((pipeline.name.clone(), Arc::new(pipeline_stamps)))
             }
             _ => None,
         };
@@ -44,13 +44,13 @@ impl ObservedPipelines {
         Self(Arc::new(served.collect()))
     }
 
-    /// Returns a pipeline, if peers can ask about it.
+    /// Returns a pipeline, if peers can query it.
     pub(crate) fn find(&self, pipeline: &Slug) -> Option<Arc<ObservedPipeline>> {
         self.0.get(pipeline).cloned()
     }
 
-    /// Returns why peers cannot ask about any pipeline here; `None` if they can.
-    pub(crate) fn refusal(&self, host: &Slug) -> Option<String> {
+    /// Returns the reason why peers cannot query this host; `None` if they can.
+    pub(crate) fn refusal_reason(&self, host: &Slug) -> Option<String> {
         self.0.is_empty().then(|| {
             format!(
                 "host {host} observes no topics; add a [[pipeline]] with placement = {{ kind = \"observe\", … }} to its agent, \
@@ -62,22 +62,22 @@ impl ObservedPipelines {
     /// Answers a request.
     ///
     /// # Errors
-    /// When the request cannot be read, or there is no such pipeline here.
+    /// When the request cannot be read, or does not match a pipeline of this host.
     pub(crate) fn answer(&self, sample: &Sample, host: &Slug) -> Result<Sample, AnswerError> {
         let request = StampRequest::read(sample).map_err(AnswerError::Request)?;
         let StampRequest { pipeline, pair_by, keys, .. } = request;
-        let Some(kept) = self.0.get(&pipeline) else {
-            let known = self.0.keys().cloned().collect();
-            return Err(AnswerError::Unknown { host: host.clone(), pipeline, known });
+        let Some(pipeline_stamps) = self.0.get(&pipeline) else {
+            let available = self.0.keys().cloned().collect();
+            return Err(AnswerError::Unknown { host: host.clone(), pipeline, available });
         };
-        if kept.pair_by != pair_by {
-            let (host, here) = (host.clone(), kept.pair_by);
-            return Err(AnswerError::PairedOtherwise { host, pipeline, here, there: pair_by });
+        if pipeline_stamps.pair_by != pair_by {
+            let (host, configured) = (host.clone(), pipeline_stamps.pair_by);
+            return Err(AnswerError::OtherPairing { host, pipeline, configured, requested: pair_by });
         }
         if keys.len() > MAX_KEYS {
             return Err(AnswerError::TooMany(keys.len()));
         }
-        let ring = kept.ring.lock().unwrap_or_else(PoisonError::into_inner);
+        let ring = pipeline_stamps.ring.lock().unwrap_or_else(PoisonError::into_inner);
         let answer = StampAnswer::new(keys.into_iter().map(|key| ring.find(key)).collect());
         drop(ring);
         answer.to_sample().map_err(AnswerError::Answer)
@@ -92,17 +92,17 @@ pub(crate) enum AnswerError {
     Request(#[source] StampMessageError),
     /// No observing pipeline has this name.
     #[error(
-        "no pipeline of host {host} that observes is named {pipeline}; there is {}; set peer_pipeline to it",
-        names(known)
+        "host {host} has no observing pipeline named {pipeline}; its observing pipelines: {}; set peer_pipeline to one of them",
+        names(available)
     )]
-    Unknown { host: Slug, pipeline: Slug, known: Vec<Slug> },
+    Unknown { host: Slug, pipeline: Slug, available: Vec<Slug> },
     /// The pipeline pairs its messages by another rule.
     #[error(
-        "pipeline {pipeline} of host {host} pairs by {}, and the one that asks by {}; set pair_by to the same \"stamp\" or \
-         \"sequence\" in both",
-        here.describe(), there.describe()
+        "pipeline {pipeline} of host {host} pairs by {}, and the requesting pipeline by {}; set pair_by to the same \"stamp\" \
+         or \"sequence\" in both",
+        configured.describe(), requested.describe()
     )]
-    PairedOtherwise { host: Slug, pipeline: Slug, here: PairBy, there: PairBy },
+    OtherPairing { host: Slug, pipeline: Slug, configured: PairBy, requested: PairBy },
     /// The request has too many keys.
     #[error("{0} messages are too many for one request; at most {MAX_KEYS}")]
     TooMany(usize),
@@ -111,8 +111,8 @@ pub(crate) enum AnswerError {
     Answer(#[source] StampMessageError),
 }
 
-fn names(known: &[Slug]) -> String {
-    let names: Vec<&str> = known.iter().map(Slug::as_str).collect();
+fn names(available: &[Slug]) -> String {
+    let names: Vec<&str> = available.iter().map(Slug::as_str).collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
@@ -121,9 +121,9 @@ impl ObservedPipeline {
         Self { pair_by, ring: Mutex::new(StampRing::new(CAPACITY, lifetime)) }
     }
 
-    /// Keeps the stamp of a message that was received at `at`.
-    pub(crate) fn note(&self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
-        self.ring.lock().unwrap_or_else(PoisonError::into_inner).note(side, key, stamp, at);
+    /// Records the stamp of a message that was received at `at`.
+    pub(crate) fn record(&self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
+        self.ring.lock().unwrap_or_else(PoisonError::into_inner).record(side, key, stamp, at);
     }
 }
 
@@ -137,7 +137,7 @@ mod tests {
     const DETECTOR: &str = "[[pipeline]]\nname = \"detector\"\nplacement = { kind = \"observe\", input = \"/a\", output = \"/b\" }\n";
 
     fn pipelines(text: &str) -> ObservedPipelines {
-        ObservedPipelines::of(&toml::from_str(text).expect("a configuration"))
+        ObservedPipelines::from_config(&toml::from_str(text).expect("a configuration"))
     }
 
     fn slug(text: &str) -> Slug {
@@ -158,8 +158,8 @@ mod tests {
             raw: RawTime::from_nanos(nanos),
             epoch: Some(0),
         };
-        detector.note(Side::Input, 7, stamp(100), MonoTime::from_nanos(1));
-        detector.note(Side::Output, 7, stamp(130), MonoTime::from_nanos(31));
+        detector.record(Side::Input, 7, stamp(100), MonoTime::from_nanos(1));
+        detector.record(Side::Output, 7, stamp(130), MonoTime::from_nanos(31));
         let request = StampRequest::new(slug("detector"), PairBy::Stamp, vec![8, 7]);
         let answer = ask(&pipelines, &request).expect("it is answered");
         assert_eq!(answer.pairs.iter().map(|pair| pair.key).collect::<Vec<_>>(), [8, 7]);
@@ -173,7 +173,7 @@ mod tests {
         let refused =
             |request: &StampRequest| ask(&pipelines, request).expect_err("it is refused").to_string();
         let unknown = refused(&StampRequest::new(slug("planner"), PairBy::Stamp, Vec::new()));
-        for part in ["host rack", "planner", "there is detector", "peer_pipeline"] {
+        for part in ["host rack", "planner", "observing pipelines: detector", "peer_pipeline"] {
             assert!(unknown.contains(part), "{unknown}");
         }
         let other = refused(&StampRequest::new(slug("detector"), PairBy::Sequence, Vec::new()));
@@ -187,9 +187,9 @@ mod tests {
     #[test]
     fn host_without_observing_pipelines_refuses_requests() {
         for text in [SERVE, DETECTOR] {
-            let refusal = pipelines(text).refusal(&slug("rack")).expect("nobody can ask");
+            let refusal = pipelines(text).refusal_reason(&slug("rack")).expect("nobody can ask");
             assert!(refusal.contains("host rack") && refusal.contains("kind = \"observe\""), "{refusal}");
         }
-        assert_eq!(pipelines(&format!("{SERVE}{DETECTOR}")).refusal(&slug("rack")), None);
+        assert_eq!(pipelines(&format!("{SERVE}{DETECTOR}")).refusal_reason(&slug("rack")), None);
     }
 }

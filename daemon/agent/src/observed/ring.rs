@@ -37,14 +37,14 @@ impl StampRing {
         Self { capacity, lifetime, received: HashMap::new(), order: VecDeque::new() }
     }
 
-    /// Keeps the stamp of a message that was received at `at`. Of several messages with one key the first counts, as
+    /// Records the stamp of a message that was received at `at`. Of several messages with one key the first is kept, as
     /// in the pairing.
-    pub(super) fn note(&mut self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
+    pub(super) fn record(&mut self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
         let empty = Entry { first: at, input: None, output: None };
         match self.received.get(&key) {
             Some(known) if at - known.first < self.lifetime => {}
             Some(_) => {
-                // A linear search, but only where a recording is played again.
+                // A linear search is acceptable, because it is needed only when a recording is played again.
                 self.order.retain(|other| *other != key);
                 self.received.insert(key, empty);
                 self.order.push_back(key);
@@ -60,11 +60,11 @@ impl StampRing {
             }
         }
         if let Some(entry) = self.received.get_mut(&key) {
-            let place = match side {
+            let slot = match side {
                 Side::Input => &mut entry.input,
                 Side::Output => &mut entry.output,
             };
-            place.get_or_insert((stamp, at));
+            slot.get_or_insert((stamp, at));
         }
     }
 
@@ -89,7 +89,7 @@ mod tests {
             raw: RawTime::from_nanos(millis),
             epoch: Some(0),
         };
-        ring.note(side, key, stamp, MonoTime::from_nanos(millis * 1_000_000));
+        ring.record(side, key, stamp, MonoTime::from_nanos(millis * 1_000_000));
     }
 
     #[test]

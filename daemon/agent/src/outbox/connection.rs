@@ -1,4 +1,4 @@
-//! One connection to the aggregator: a DEALER socket that lives as long as its connection.
+//! A connection to the aggregator: a DEALER socket that exists as long as its connection.
 
 use std::io;
 use std::time::Duration;
@@ -11,19 +11,18 @@ use zeromq::{
     TrySendError,
 };
 
-/// Number of messages that the socket buffers. It is small, because live figures grow old behind them.
+/// Number of messages that the socket buffers. It is small, because a live update waits behind them.
 const QUEUE: u32 = 8;
 const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
-/// Time without a sign of the peer after which it counts as gone.
+/// Time without received data after which the peer counts as unreachable.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Longest time for finding out why a connection failed.
+/// Longest time for determining why a connection failed.
 const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval of the library's own reconnecting, which is switched off: it would happen unnoticed, with old messages
-/// still in the queue.
+/// Reconnect interval of the library, so long that the library never reconnects: its queue may have old messages.
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
-/// Reason why there is no connection, or no longer.
+/// Reason why a connection failed or ended.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ConnectionError {
     /// The socket could not be created, connected or read.
@@ -33,16 +32,16 @@ pub(super) enum ConnectionError {
     #[error(transparent)]
     Monitor(#[from] zeromq::MonitorRecvError),
     /// The peer does not speak ZMTP.
-    #[error("something else answers there ({0})")]
+    #[error("another program answers there ({0})")]
     Handshake(String),
     /// The system refused the connection, or it failed.
-    #[error("nobody answers ({})", .0.to_string().to_lowercase())]
+    #[error("no program answers there ({})", .0.to_string().to_lowercase())]
     Refused(#[source] io::Error),
     /// The connection was not established in time.
-    #[error("nobody answers")]
+    #[error("no answer within {} s", DIAGNOSIS_TIMEOUT.as_secs())]
     Unanswered,
     /// The peer accepts connections and closes them at once.
-    #[error("something there takes connections and closes them at once")]
+    #[error("a program there accepts connections and closes them at once")]
     ClosedAtOnce,
     /// The connection was open and has ended.
     #[error("{}", disconnect_text(.0))]
@@ -92,7 +91,7 @@ impl Connection {
         }
     }
 
-    /// Passes a frame to the socket; returns it if there is no room now.
+    /// Passes a frame to the socket; returns it if the socket's queue is full.
     pub(super) fn send(&self, frame: Vec<u8>) -> Result<(), Vec<u8>> {
         match self.socket.try_send(Message::single(frame)) {
             Err(TrySendError::Full(message)) => Err(message.into_bytes().map(Into::into).unwrap_or_default()),
@@ -101,7 +100,7 @@ impl Connection {
         }
     }
 
-    /// Passes frames to the socket in order, waiting for room for each.
+    /// Passes frames to the socket in order, and waits while the socket's queue is full.
     pub(super) async fn deliver(&self, frames: Vec<Vec<u8>>) {
         for mut frame in frames {
             while let Err(back) = self.send(frame) {
@@ -111,8 +110,8 @@ impl Connection {
         }
     }
 
-    /// Waits for the next message, or for the end of the connection. Returns `None` if it was `blocked` and has room
-    /// again. Dropping the future loses nothing.
+    /// Waits for the next message, or for the end of the connection. Returns `None` if sending was `blocked` and the
+    /// socket can take frames again. Cancel-safe.
     pub(super) async fn receive(&mut self, blocked: bool) -> Result<Option<Message>, ConnectionError> {
         loop {
             tokio::select! {
@@ -136,7 +135,7 @@ impl Connection {
     }
 }
 
-/// Finds out why a connection failed, by connecting once more, because the library does not say why.
+/// Determines why a connection failed by connecting once more, because the library does not report the reason.
 async fn diagnose(address: &Address) -> ConnectionError {
     match tokio::time::timeout(DIAGNOSIS_TIMEOUT, TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => ConnectionError::Refused(error),

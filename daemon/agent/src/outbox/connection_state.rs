@@ -1,4 +1,4 @@
-//! The connection to the aggregator over time: dialling, open, dialling again.
+//! State of the connection to the aggregator: connecting or open.
 
 use std::fmt;
 use std::time::Duration;
@@ -28,10 +28,10 @@ impl fmt::Debug for ConnectionState {
 pub(super) enum ConnectionEvent {
     Connected(Connection),
     Failed(ConnectionError),
-    Gone(ConnectionError),
+    Lost(ConnectionError),
     Message(Bytes),
-    /// The socket has room again.
-    Room,
+    /// The socket can take frames again.
+    SendReady,
 }
 
 impl ConnectionState {
@@ -45,7 +45,7 @@ impl ConnectionState {
         Self::Dialling(dialling.boxed())
     }
 
-    /// Waits for the next event; for room as well if it is `blocked`. Dropping the future loses nothing.
+    /// Waits for the next event, including [`ConnectionEvent::SendReady`] if sending is `blocked`. Cancel-safe.
     pub(super) async fn next(&mut self, blocked: bool) -> ConnectionEvent {
         match self {
             Self::Dialling(dialling) => match dialling.await {
@@ -55,8 +55,8 @@ impl ConnectionState {
             Self::Open(connection) => match connection.receive(blocked).await {
                 // A message that is not a single frame is invalid; decoding reports it.
                 Ok(Some(message)) => ConnectionEvent::Message(message.part_bytes(0).unwrap_or_default()),
-                Ok(None) => ConnectionEvent::Room,
-                Err(reason) => ConnectionEvent::Gone(reason),
+                Ok(None) => ConnectionEvent::SendReady,
+                Err(reason) => ConnectionEvent::Lost(reason),
             },
         }
     }

@@ -1,4 +1,4 @@
-//! Logs that events are being dropped: at the beginning, once a minute, and at the end.
+//! Decides when dropped events are logged: at the start of a period of losses, once a minute, and at its end.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -26,8 +26,8 @@ struct DroppingPeriod {
 pub(super) enum DroppingReport {
     /// Events are being dropped; the number is that of this period so far.
     Dropping(u64),
-    /// The period is over; the number is its total.
-    Over(u64),
+    /// The period has ended; the number is its total.
+    Ended(u64),
 }
 
 impl DroppingWatch {
@@ -47,7 +47,7 @@ impl DroppingWatch {
                 let count = dropped - period.before;
                 if now - period.last >= OVER_AFTER {
                     self.period = None;
-                    return Some(DroppingReport::Over(count));
+                    return Some(DroppingReport::Ended(count));
                 }
                 (now - period.reported_at >= REPORT_INTERVAL).then(|| {
                     period.reported_at = now;
@@ -72,7 +72,7 @@ mod tests {
         let reported: Vec<_> = (2..130).filter_map(|s| dropping.update(9 + s as u64, at(s))).collect();
         assert_eq!(reported, [DroppingReport::Dropping(63), DroppingReport::Dropping(123)]);
         assert_eq!(dropping.update(138, at(133)), None);
-        assert_eq!(dropping.update(138, at(134)), Some(DroppingReport::Over(131)));
+        assert_eq!(dropping.update(138, at(134)), Some(DroppingReport::Ended(131)));
         assert_eq!(dropping.update(138, at(500)), None);
     }
 }

@@ -16,12 +16,12 @@ pub(crate) struct LiveSources {
     pub(crate) live_statistics: LiveStatistics,
     pub(crate) metrics: watch::Receiver<HostMetrics>,
     pub(crate) links: Links,
-    /// State of this host's own clocks.
+    /// State of this host's clocks.
     pub(crate) clock: watch::Receiver<PeerClock>,
 }
 
 impl LiveSources {
-    /// Returns a live update of the current state. The caller passes the receipt to [`LiveStatistics::delivered`]
+    /// Returns a live update of the current state. The caller passes the receipt to [`LiveStatistics::mark_sent`]
     /// after sending.
     pub(crate) fn update(
         &self,
@@ -35,7 +35,7 @@ impl LiveSources {
             sent,
             pipelines,
             links: self.links.live(),
-            clock: host_clock::shown(&self.clock.borrow()),
+            clock: host_clock::describe_clock(&self.clock.borrow()),
             metrics: self.metrics.borrow().clone(),
             accounting,
         };

@@ -1,16 +1,15 @@
 //! The outbox: sends durable events and live updates to the aggregator.
 //!
-//! Tasks put their events into the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes
-//! them from there, drives the sending end of the event stream (`peernet_stream::Sending`, a state machine that
-//! batches, numbers and repeats), and owns the connection. A second task owns the [spool], the file in which batches
-//! are safe until the aggregator has stored them; so neither the outbox nor a live update ever waits for a disk.
+//! Tasks add their events to the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes them
+//! from the queue, drives the sending end of the event stream (`peernet_stream::Sending`, a state machine that batches,
+//! numbers and resends), and owns the connection. A second task owns the [spool], the file in which batches are safe until
+//! the aggregator has stored them. So neither the outbox nor a live update waits for a disk.
 //!
-//! A batch is sent after it was written to the spool. While the disk of the spool fails, batches are sent from
-//! memory: otherwise nothing would store them.
+//! A batch is sent after it was written to the spool. While the spool's disk fails, batches are sent from memory;
+//! otherwise nothing would store them.
 //!
-//! Memory is bounded at every step: the queue, the batches before the spool, the spool, the batches in flight. The
-//! last resort is to drop the newest event, to count it by run, and to insert a gap. `produced = stored + waiting +
-//! dropped` holds at all times.
+//! The queue, the batches in memory, the spool and the batches in flight are bounded. If all are full, the newest event is
+//! dropped and counted by run, and a gap is inserted. At all times `produced = stored + waiting + dropped`.
 
 mod connection;
 mod connection_state;
@@ -24,7 +23,7 @@ mod spool;
 pub(crate) use live_sources::LiveSources;
 pub(crate) use spool::{FileKind, OpenSpool};
 pub use spool::{
-    InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect, waiting_events,
+    InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect, pending_events,
 };
 
 use peernet_clock::{SharedClock, Span};
@@ -47,10 +46,11 @@ use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 use crate::tasks::{Failure, FailureCause};
 
-/// Largest number of batches of usual length in flight: enough to keep the aggregator busy over one round trip and
-/// one write to its disk, few enough that a live update behind them is still current.
+/// Largest number of batches of usual length in flight.
+// Enough to keep the aggregator busy for a round trip and a write to its disk, and few enough that a live update behind
+// them is still current.
 const WINDOW: u32 = 32;
-/// Places in memory that are reserved for events other than iterations.
+/// Number of events in memory that is reserved for events other than iterations.
 const RESERVE: u64 = 1024;
 
 /// Opens the spool of this host; returns `None` without an aggregator.
@@ -66,15 +66,15 @@ pub(crate) async fn open_spool(
         return Ok(None);
     }
     let path = config.spool.path(&config.agent.state_dir);
-    let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
-    OpenSpool::open(&path, host, kept_by_agent, clock).await.map(Some)
+    let is_default_path = path == SpoolConfig::default().path(&config.agent.state_dir);
+    OpenSpool::open(&path, host, is_default_path, clock).await.map(Some)
 }
 
 /// The parts of the agent that the outbox uses.
 #[derive(Debug)]
 pub(crate) struct OutboxContext {
     pub(crate) clock: SharedClock,
-    /// Receives the incidents of the outbox itself.
+    /// Receives the incidents of the outbox.
     pub(crate) incidents: Incidents,
     pub(crate) runs: Runs,
     pub(crate) live: LiveSources,
@@ -84,7 +84,7 @@ pub(crate) struct OutboxContext {
 #[derive(Debug)]
 pub(crate) struct Outbox {
     task: AbortOnDropHandle<Result<(), SpoolTaskError>>,
-    /// Receives the deadline for the end of the task.
+    /// Channel for the deadline by which the task must end.
     stop: oneshot::Sender<Instant>,
     ended: CancellationToken,
     accounting: watch::Receiver<Accounting>,
@@ -100,20 +100,20 @@ impl Outbox {
         (description, secret): (HostDescription, HostSecret),
         sources: OutboxContext,
     ) -> Self {
-        let OpenSpool { file, state, aside, counter: _ } = spool;
+        let OpenSpool { file, state, quarantined, counter: _ } = spool;
         let OutboxContext { clock, incidents, runs, live } = sources;
         let reports = Reports::new(incidents);
-        if let Some(aside) = &aside {
-            reports.quarantined(aside);
+        if let Some(quarantined) = &quarantined {
+            reports.report_quarantine(quarantined);
         }
         let process = Uuid::new_v4().as_u64_pair().0;
         let reconnect_backoff = ReconnectBackoff::new(description.id);
-        let machine = Sending::new(sending(config), description, secret, process, state);
+        let machine = Sending::new(sending_config(config), description, secret, process, state);
         let (publish, accounting) = watch::channel(machine.accounting());
         let ((stop, stop_receiver), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
         let sender = Sender::new(machine, spool, receiver, publish, reports, clock, (runs, live));
-        // On the heap, because the future contains the large state machine.
+        // Boxed, because the future contains the large state machine.
         let work = Box::pin(sender.run(address, reconnect_backoff, stop_receiver));
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
@@ -133,9 +133,9 @@ impl Outbox {
         self.accounting.borrow().clone()
     }
 
-    /// Stops the task: writes all events to the spool, sends events until `deadline`, and says goodbye.
+    /// Stops the task: writes all events to the spool, sends events until `deadline`, and sends a goodbye.
     pub(crate) async fn close(self, deadline: Instant) -> Result<(), Failure> {
-        // If the task has ended already, its result below is the reason.
+        // If the task has already ended, the send fails, and the task's result below is the reason.
         let _ = self.stop.send(deadline);
         let failed = |cause| Failure { part: "outbox".to_owned(), cause };
         let ended = self.task.await.map_err(|died| failed(died.into()))?;
@@ -143,7 +143,7 @@ impl Outbox {
     }
 }
 
-fn sending(config: &AgentConfig) -> SendingConfig {
+fn sending_config(config: &AgentConfig) -> SendingConfig {
     let AgentConfig { agent, spool, .. } = config;
     let memory = Usage { events: agent.queue_events.get() as u64, bytes: agent.queue_bytes.get() as u64 };
     SendingConfig {
@@ -155,7 +155,8 @@ fn sending(config: &AgentConfig) -> SendingConfig {
         memory,
         reserve_events: RESERVE.min(memory.events / 8),
         compression: spool.compression.into(),
-        // Longer than the round trip of any link: time until an aggregator without room is asked again.
+        // Pauses before batches are sent again to an aggregator whose queue is full; longer than the round trip of any
+        // link.
         first_pause: Span::from_seconds(1),
         longest_pause: Span::from_seconds(10),
         refused_pause: Span::from_seconds(1),

@@ -1,15 +1,16 @@
-//! Computes how long a stopping outbox continues to deliver. No I/O: the time is an argument.
+//! Computes how long a stopping outbox continues to send. No I/O: the time is an argument.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Shutdown of the outbox: all events go to the spool, and to the aggregator as long as it stores them in time.
+/// Shutdown of the outbox. All events are written to the spool, and sent to the aggregator as long as it stores them in
+/// time.
 #[derive(Debug)]
 pub(super) struct Shutdown {
     deadline: Instant,
     /// Longest time without progress at the aggregator.
-    quiet: Duration,
+    progress_timeout: Duration,
     /// Time at which the aggregator last stored something.
     last_progress: Instant,
     /// Number of events stored by then.
@@ -20,9 +21,9 @@ pub(super) struct Shutdown {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OutboxState {
     /// `true` if all events are in the spool.
-    pub(super) spooled: bool,
+    pub(super) is_spooled: bool,
     /// `true` if the aggregator is known to be unreachable.
-    pub(super) away: bool,
+    pub(super) is_unreachable: bool,
     /// Number of events that the aggregator has stored.
     pub(super) stored: u64,
     /// Number of events that the aggregator has not stored.
@@ -30,24 +31,29 @@ pub(super) struct OutboxState {
 }
 
 impl Shutdown {
-    /// Begins a shutdown at `now` that ends by `deadline`, when `stored` events are stored already.
-    pub(super) fn begin(now: Instant, deadline: Instant, stored: u64) -> Self {
-        Self { deadline, quiet: deadline.saturating_duration_since(now) / 2, last_progress: now, stored }
+    /// Starts a shutdown at `now` that ends by `deadline`; `stored` events are already stored.
+    pub(super) fn start(now: Instant, deadline: Instant, stored: u64) -> Self {
+        Self {
+            deadline,
+            progress_timeout: deadline.saturating_duration_since(now) / 2,
+            last_progress: now,
+            stored,
+        }
     }
 
-    /// Returns the time until which delivery continues, and at which this is to be called again; `None` when the
-    /// shutdown is complete.
+    /// Returns the time until which sending continues, and at which this must be called again; `None` when the shutdown is
+    /// complete.
     pub(super) fn next(&mut self, now: Instant, state: OutboxState) -> Option<Instant> {
-        let OutboxState { spooled, away, stored, waiting } = state;
+        let OutboxState { is_spooled, is_unreachable, stored, waiting } = state;
         if stored > self.stored {
             (self.stored, self.last_progress) = (stored, now);
         }
-        let until = match (spooled, away) {
+        let until = match (is_spooled, is_unreachable) {
             // Events that are only in memory would be lost.
             (false, _) => self.deadline,
             (true, true) => now,
             // The next start delivers the rest from the spool.
-            (true, false) => self.deadline.min(self.last_progress + self.quiet),
+            (true, false) => self.deadline.min(self.last_progress + self.progress_timeout),
         };
         (waiting > 0 && now < until).then_some(until)
     }
@@ -57,7 +63,8 @@ impl Shutdown {
 mod tests {
     use super::*;
 
-    const SAFE: OutboxState = OutboxState { spooled: true, away: false, stored: 10, waiting: 90 };
+    const SAFE: OutboxState =
+        OutboxState { is_spooled: true, is_unreachable: false, stored: 10, waiting: 90 };
 
     fn seconds(seconds: f64) -> Duration {
         Duration::from_secs_f64(seconds)
@@ -67,7 +74,7 @@ mod tests {
     async fn progress_extends_delivery_until_deadline() {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
-        let mut shutdown = Shutdown::begin(now, at(4.0), 10);
+        let mut shutdown = Shutdown::start(now, at(4.0), 10);
         assert_eq!(shutdown.next(now, SAFE), Some(at(2.0)));
         assert_eq!(shutdown.next(at(1.9), OutboxState { stored: 20, ..SAFE }), Some(at(3.9)));
         assert_eq!(shutdown.next(at(3.4), OutboxState { stored: 30, ..SAFE }), Some(at(4.0)));
@@ -79,20 +86,20 @@ mod tests {
     async fn spooled_events_end_wait_for_silent_aggregator() {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
-        let mut shutdown = Shutdown::begin(now, at(4.0), 10);
+        let mut shutdown = Shutdown::start(now, at(4.0), 10);
         assert_eq!(shutdown.next(at(2.0), SAFE), None, "silent");
-        assert_eq!(shutdown.next(at(0.1), OutboxState { away: true, ..SAFE }), None, "away");
-        assert_eq!(Shutdown::begin(now, now, 0).next(now, SAFE), None, "no time at all");
+        assert_eq!(shutdown.next(at(0.1), OutboxState { is_unreachable: true, ..SAFE }), None, "away");
+        assert_eq!(Shutdown::start(now, now, 0).next(now, SAFE), None, "no time at all");
     }
 
     #[tokio::test]
     async fn events_only_in_memory_are_awaited_until_deadline() {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
-        let mut shutdown = Shutdown::begin(now, at(4.0), 10);
-        let unsafe_yet = OutboxState { spooled: false, away: true, ..SAFE };
+        let mut shutdown = Shutdown::start(now, at(4.0), 10);
+        let unsafe_yet = OutboxState { is_spooled: false, is_unreachable: true, ..SAFE };
         assert_eq!(shutdown.next(at(3.9), unsafe_yet), Some(at(4.0)));
-        assert_eq!(shutdown.next(at(3.95), OutboxState { spooled: true, ..unsafe_yet }), None);
+        assert_eq!(shutdown.next(at(3.95), OutboxState { is_spooled: true, ..unsafe_yet }), None);
         assert_eq!(shutdown.next(at(4.0), unsafe_yet), None);
     }
 }

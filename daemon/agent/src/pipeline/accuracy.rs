@@ -10,10 +10,10 @@ use serde::Deserialize;
 const TOP_1: Name = Name::from_static("top-1");
 /// Name of the value that is 1 if the label is among the answer's five best classes, else 0.
 const TOP_5: Name = Name::from_static("top-5");
-/// Number of classes that `top-5` considers.
-const FIVE: usize = 5;
+/// Number of best classes that `top-5` considers.
+const TOP_5_CLASSES: usize = 5;
 
-/// The parts of a classifier's answer that are read.
+/// The fields of a classifier's answer that are read.
 #[derive(Debug, Deserialize)]
 struct Classification {
     label: String,
@@ -28,22 +28,22 @@ struct Class {
 
 /// Records `top-1` and `top-5` of an answer to a sample with the label `label`.
 ///
-/// Records nothing if the answer is not a classification (JSON with `label` and, best first, `top`), or if the model
-/// marked the label as none of its classes (`unknown-label`): such a sample cannot be answered correctly, so that it
-/// says nothing about the model.
-pub(super) fn judge(log: &mut Recorder, label: &str, answer: &Sample) {
+/// Records nothing if the answer is not a classification, which is JSON with `label` and, best first, `top`. Also records
+/// nothing if the model marked the label as none of its classes (`unknown-label`).
+pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) {
+    // No answer to such a sample can be correct, so it says nothing about the model.
     if log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some() {
         return;
     }
     let Some(Classification { label: best, top }) = classification(answer) else { return };
     // A label is often the name of a folder, whose spelling differs from that of the model's class.
-    let label = normalized_label(label);
-    let same = |class: &str| normalized_label(class) == label;
-    let first = same(&best);
-    log.value(TOP_1, flag(first), Unit::NONE);
+    let label = plain_label(label);
+    let matches_label = |class: &str| plain_label(class) == label;
+    let is_best = matches_label(&best);
+    log.value(TOP_1, as_number(is_best), Unit::NONE);
     if let Some(top) = top {
-        let among = first || top.iter().take(FIVE).any(|class| same(&class.label));
-        log.value(TOP_5, flag(among), Unit::NONE);
+        let is_in_top = is_best || top.iter().take(TOP_5_CLASSES).any(|class| matches_label(&class.label));
+        log.value(TOP_5, as_number(is_in_top), Unit::NONE);
     }
 }
 
@@ -53,7 +53,7 @@ fn classification(answer: &Sample) -> Option<Classification> {
     serde_json::from_slice(&part.bytes).ok()
 }
 
-const fn flag(is: bool) -> f64 {
+const fn as_number(is: bool) -> f64 {
     if is { 1.0 } else { 0.0 }
 }
 
@@ -70,10 +70,9 @@ mod tests {
     /// Returns `top-1` and `top-5` of an answer, where they are recorded.
     fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
-        let mut log = Recorder::new(Arc::new(clock), HostId::random());
-        let json =
-            Sample::from_part(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
-        judge(&mut log, label, &json);
+        let mut log = Recorder::begin(Arc::new(clock), HostId::random());
+        let json = Sample::of(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
+        record_accuracy(&mut log, label, &json);
         scores(&log)
     }
 
@@ -82,9 +81,8 @@ mod tests {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::new(Arc::new(clock), HostId::random());
         log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
-        let json =
-            Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
-        judge(&mut log, "tench", &json);
+        let json = Sample::of(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
+        record_accuracy(&mut log, "tench", &json);
         assert_eq!(scores(&log), (None, None));
     }
 

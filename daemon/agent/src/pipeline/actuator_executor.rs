@@ -12,15 +12,15 @@ use tokio::task::{JoinError, spawn_blocking};
 /// Reason why an actuator did not act on an answer.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ActError {
-    /// The actuator refused or failed.
+    /// The actuator returned an error.
     #[error(transparent)]
     Actuator(#[from] ActuatorError),
     /// The actuator panicked.
-    #[error("the actuator did not finish: {0}")]
+    #[error("the actuator panicked: {0}")]
     Panicked(#[from] JoinError),
 }
 
-/// Runs a pipeline's actuator, one answer after the other in order of arrival.
+/// Runs a pipeline's actuator on one answer at a time, in order of arrival.
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
     actuator: Arc<Mutex<Box<dyn Actuator>>>,
@@ -54,14 +54,14 @@ impl ActuatorExecutor {
             let acted = act(actuator.as_mut(), &mut log, source, answer);
             return (log, acted.map_err(ActError::from));
         }
-        // If the thread panics, this copy has what was recorded before.
-        let spare = log.clone();
+        // If the thread panics, its recorder is lost; this copy has what was recorded before.
+        let log_backup = log.clone();
         let (source, answer) = (source.to_owned(), answer.clone());
         let acting = spawn_blocking(move || {
             let acted = act(actuator.as_mut(), &mut log, &source, &answer);
             (log, acted.map_err(ActError::from))
         });
-        acting.await.unwrap_or_else(|panic| (spare, Err(panic.into())))
+        acting.await.unwrap_or_else(|panic| (log_backup, Err(panic.into())))
     }
 }
 

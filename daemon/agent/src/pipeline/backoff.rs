@@ -3,18 +3,19 @@
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
 
-/// Growing pause after each failed iteration of a closed loop, which would otherwise fail as fast as it can, for
-/// example because a model's queue is full or every picture is broken.
+/// Pause after each failed iteration of a closed loop; it grows with the number of consecutive failures.
+///
+/// Without it the loop would fail as fast as it can, for example while a model's queue is full or no image can be read.
 #[derive(Debug, Default)]
 pub(super) struct FailureBackoff {
-    failures: u32,
-    until: Option<MonoTime>,
+    consecutive_failures: u32,
+    paused_until: Option<MonoTime>,
 }
 
 impl FailureBackoff {
-    /// Number of failures in a row without a pause, because a few samples may be bad.
-    const FREE: u32 = 3;
-    const LONGEST: Span = Span::from_seconds(1);
+    /// Number of consecutive failures without a pause, because a few samples may be bad.
+    const FAILURES_BEFORE_PAUSE: u32 = 3;
+    const MAX_PAUSE: Span = Span::from_seconds(1);
 
     /// Records the outcome of an iteration that ended at `now`.
     pub(super) fn record_outcome(&mut self, outcome: &Outcome, now: MonoTime) {
@@ -22,16 +23,16 @@ impl FailureBackoff {
             *self = Self::default();
             return;
         }
-        self.failures = self.failures.saturating_add(1);
-        let over = self.failures.saturating_sub(Self::FREE);
-        // 2 ms, 4 ms and so on. The bound of the exponent prevents an overflow.
-        let pause = Span::from_millis(1 << over.min(10)).min(Self::LONGEST);
-        self.until = (over > 0).then(|| now + pause);
+        self.consecutive_failures = self.consecutive_failures.saturating_add(1);
+        let excess = self.consecutive_failures.saturating_sub(Self::FAILURES_BEFORE_PAUSE);
+        // The pauses are 2 ms, 4 ms and so on. The limit of the exponent prevents an overflow.
+        let pause = Span::from_millis(1 << excess.min(10)).min(Self::MAX_PAUSE);
+        self.paused_until = (excess > 0).then(|| now + pause);
     }
 
     /// Returns the end of the pause; `None` if the loop does not pause.
     pub(super) fn paused_until(&self, now: MonoTime) -> Option<MonoTime> {
-        self.until.filter(|until| *until > now)
+        self.paused_until.filter(|until| *until > now)
     }
 }
 

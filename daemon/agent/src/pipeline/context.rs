@@ -18,10 +18,10 @@ pub(crate) struct PipelineContext {
     /// Models of this host.
     pub(crate) bank: Arc<Bank>,
     pub(crate) links: Links,
-    /// Stamps of the messages that this host's pipelines observe, which peers may ask for.
+    /// Stamps of the messages that this host's pipelines observe, which peers may query.
     pub(crate) observed: ObservedPipelines,
     /// Key of the fingerprints of programs' arguments.
     pub(crate) fingerprints: FingerprintKey,
-    /// Paths in /proc and /sys that show what can disturb a run.
+    /// Settings of the inspection of this host's conditions before a run.
     pub(crate) inspection: Arc<InspectionSettings>,
 }

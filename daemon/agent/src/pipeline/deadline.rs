@@ -1,4 +1,4 @@
-//! Judges whether an iteration missed its deadline.
+//! Records whether an iteration missed its deadline.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, Tree, Unit, stage};
@@ -7,7 +7,7 @@ use peernet_stream::Outcome;
 use crate::live::DEADLINE_MISSED;
 
 /// Adds the value `deadline-missed`, 0 or 1, to a closed tree. An iteration without an answer misses every deadline.
-pub(super) fn judge(tree: &mut Tree, outcome: &Outcome, deadline: Span) {
+pub(super) fn record_deadline(tree: &mut Tree, outcome: &Outcome, deadline: Span) {
     let total = tree.find(&[stage::TOTAL.as_str()]).and_then(|(_, node)| node.measure.value());
     let is_in_time = *outcome == Outcome::Ok && total.is_some_and(|total| total <= deadline.seconds());
     let missed = if is_in_time { 0.0 } else { 1.0 };
@@ -29,7 +29,7 @@ mod tests {
         let mut tree = Recorder::new(Arc::new(clock), HostId::random()).finish();
         let total = Measure::Timer(Some(Span::from_millis(millis)));
         tree.add(NodeId::ROOT, stage::TOTAL, Span::ZERO, total);
-        judge(&mut tree, outcome, Span::from_millis(100));
+        record_deadline(&mut tree, outcome, Span::from_millis(100));
         tree.find(&["deadline-missed"]).and_then(|(_, node)| node.measure.value())
     }
 

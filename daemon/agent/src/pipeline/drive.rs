@@ -1,4 +1,4 @@
-//! Drives the inner loop of a pipeline: waits for whatever the state machine needs next.
+//! Drives the inner loop of a pipeline: waits for the next event and passes it to the state machine.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -13,38 +13,38 @@ use super::placement::Placement;
 use super::resources::PipelineResources;
 use super::run::Run;
 
-/// Runs iterations of `run` at `placement` until the loop ends. All iterations that had begun are recorded by then.
+/// Runs iterations of `run` at `placement` until the loop ends. By then every iteration that started is recorded.
 ///
-/// After `stop` no iteration begins, and those in flight have `patience` to complete.
+/// After `stop` no iteration starts, and those in flight have `drain_timeout` to complete.
 pub(super) async fn drive(
     resources: &mut PipelineResources,
     run: &mut Run,
     placement: &Placement,
     context: &PipelineContext,
     stop: &CancellationToken,
-    patience: Duration,
+    drain_timeout: Duration,
 ) -> LoopEnd {
     let timeout = resources.config.timeout();
     let mut pipeline_loop = PipelineLoop::new(resources, run, context);
-    // Polled in this task and not spawned, so that an answer wakes no second task.
+    // Polled in this task and not spawned: an answer then wakes one task instead of two.
     let mut executing = FuturesUnordered::new();
     let mut stopping = pin!(stop.cancelled());
-    let mut gone = pin!(placement.closed());
-    let mut given_up = pin!(tokio::time::sleep(Duration::ZERO));
-    let (mut is_stopping, mut is_gone) = (false, false);
+    let mut connection_closed = pin!(placement.closed());
+    let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
+    let (mut is_stopping, mut is_closed) = (false, false);
     loop {
-        if let Some(ready) = pipeline_loop.launch() {
+        if let Some(ready) = pipeline_loop.dequeue_sample() {
             executing.push(ready.execute(placement, timeout, pipeline_loop.resources.actuator.clone()));
         }
-        if pipeline_loop.begin() {
-            // If no part ever waits, the loop would never yield its thread to other tasks.
+        if pipeline_loop.start_iteration() {
+            // Without this, a loop in which no part waits would never yield its thread to other tasks.
             tokio::task::consume_budget().await;
             continue;
         }
-        if let Some(ended) = pipeline_loop.ended() {
-            return ended;
+        if let Some(reason) = pipeline_loop.end_reason() {
+            return reason;
         }
-        let alarm_at = pipeline_loop.wakes_at();
+        let wakeup_at = pipeline_loop.next_wakeup();
         let sensing = pipeline_loop.resources.sensing.as_mut().map(|sensing| &mut sensing.sample);
         let start_timer = &mut pipeline_loop.resources.start_timer;
         tokio::select! {
@@ -52,24 +52,24 @@ pub(super) async fn drive(
             // First in this biased choice, so that a stream of answers cannot delay the stop.
             () = &mut stopping, if !is_stopping => {
                 is_stopping = true;
-                given_up.as_mut().reset(tokio::time::Instant::now() + patience);
+                drain_deadline.as_mut().reset(tokio::time::Instant::now() + drain_timeout);
                 pipeline_loop.end(LoopEnd::Stopped);
             }
-            reason = &mut gone, if !is_gone => {
-                is_gone = true;
+            reason = &mut connection_closed, if !is_closed => {
+                is_closed = true;
                 pipeline_loop.end(LoopEnd::Disconnected(reason.to_string()));
             }
             Some(completed) = executing.next() => pipeline_loop.complete(completed),
             Some(sensed) = await_if_some(sensing) => match sensed {
-                Ok(sensed) => pipeline_loop.sensed(sensed),
-                Err(_) => pipeline_loop.sensor_died(),
+                Ok(sensed) => pipeline_loop.handle_sensed(sensed),
+                Err(_) => pipeline_loop.handle_sensor_death(),
             },
-            Some(elapsed) = await_if_some(alarm_at.map(|at| Box::pin(start_timer.until(at)))) => {
+            Some(elapsed) = await_if_some(wakeup_at.map(|at| Box::pin(start_timer.wait_until(at)))) => {
                 if let Err(error) = elapsed {
                     pipeline_loop.end(LoopEnd::Broken(LoopError::Timer(Arc::new(error))));
                 }
             }
-            () = &mut given_up, if is_stopping => {
+            () = &mut drain_deadline, if is_stopping => {
                 pipeline_loop.abandon("the agent stopped before the answer came");
                 return LoopEnd::Stopped;
             }

@@ -1,4 +1,6 @@
-//! Log lines about failed iterations: the first of each kind at once, then at most one summary a minute. No I/O.
+//! Log lines about failed iterations. No I/O.
+//!
+//! The first failure of each kind is logged at once, later ones in at most one summary per minute.
 
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
@@ -6,17 +8,17 @@ use peernet_stream::Outcome;
 /// Time between two lines about one kind of failure.
 const INTERVAL: Span = Span::from_seconds(60);
 
-/// Failures of a run that are logged, one entry for each kind.
+/// The failures of a run, by kind.
 #[derive(Debug, Default)]
 pub(super) struct FailureLog {
-    failed: Unlogged,
-    lost: Unlogged,
-    timed_out: Unlogged,
+    failed: UnloggedFailures,
+    lost: UnloggedFailures,
+    timed_out: UnloggedFailures,
 }
 
-/// Failures of one kind since the last line.
+/// Failures of one kind since the last log line about that kind.
 #[derive(Debug, Default)]
-struct Unlogged {
+struct UnloggedFailures {
     logged_at: Option<MonoTime>,
     count: u64,
     /// Number and reason of the latest.
@@ -24,9 +26,9 @@ struct Unlogged {
 }
 
 impl FailureLog {
-    /// Records the outcome of an iteration. Returns the lines that are due.
+    /// Records the outcome of an iteration. Returns the log lines that are due.
     ///
-    /// A successful iteration makes summaries of earlier failures due as well: failures may have stopped.
+    /// A successful iteration can make a summary due as well, because no further failure may occur.
     pub(super) fn record(&mut self, number: u64, outcome: &Outcome, now: MonoTime) -> Vec<String> {
         match outcome {
             Outcome::Ok => {}
@@ -34,15 +36,15 @@ impl FailureLog {
             Outcome::Lost(reason) => self.lost.add(number, reason),
             Outcome::Timeout => self.timed_out.add(number, ""),
         }
-        self.lines(|kind| kind.is_due(now), now)
+        self.take_lines(|kind| kind.is_due(now), now)
     }
 
-    /// Returns lines about all failures that were not logged yet.
-    pub(super) fn finish(&mut self, now: MonoTime) -> Vec<String> {
-        self.lines(|_| true, now)
+    /// Returns log lines about all failures that were not logged yet.
+    pub(super) fn take_remaining(&mut self, now: MonoTime) -> Vec<String> {
+        self.take_lines(|_| true, now)
     }
 
-    fn lines(&mut self, is_due: impl Fn(&Unlogged) -> bool, now: MonoTime) -> Vec<String> {
+    fn take_lines(&mut self, is_due: impl Fn(&UnloggedFailures) -> bool, now: MonoTime) -> Vec<String> {
         let kinds = [
             (&mut self.failed, "failed"),
             (&mut self.lost, "lost"),
@@ -53,7 +55,7 @@ impl FailureLog {
     }
 }
 
-impl Unlogged {
+impl UnloggedFailures {
     fn add(&mut self, number: u64, reason: &str) {
         self.count += 1;
         self.latest = Some((number, reason.to_owned()));
@@ -117,7 +119,7 @@ mod tests {
             log.record(602, &Outcome::Ok, at(120)),
             ["1 more iteration failed in 60 s; the latest, iteration 601: last"]
         );
-        assert_eq!(log.finish(at(121)), NO_LINES);
+        assert_eq!(log.take_remaining(at(121)), NO_LINES);
     }
 
     #[test]
@@ -126,6 +128,6 @@ mod tests {
         log.record(1, &Outcome::Timeout, at(0));
         log.record(2, &Outcome::Timeout, at(5));
         let line = "1 more iteration without an answer in time in 10 s; the latest, iteration 2";
-        assert_eq!(log.finish(at(10)), [line]);
+        assert_eq!(log.take_remaining(at(10)), [line]);
     }
 }

@@ -1,4 +1,4 @@
-//! An iteration from its sample to the end of its actuation.
+//! An iteration from its sample to the end of its actuation: queued, in flight, completed.
 
 use std::time::Duration;
 
@@ -12,13 +12,13 @@ use super::load::Start;
 use super::placement::{Computed, Placement};
 use super::progress::Position;
 
-/// An iteration that has begun and is not complete.
+/// An iteration that has started and is not complete.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PendingIteration {
     pub(super) position: Position,
     pub(super) start: Start,
-    /// Time at which it really began; later than intended if the pipeline was busy.
-    pub(super) began_at: MonoTime,
+    /// Actual start; later than the intended one if the pipeline was busy.
+    pub(super) started_at: MonoTime,
 }
 
 /// A sample that waits until fewer iterations than the maximum are in flight.
@@ -27,13 +27,13 @@ pub(super) struct QueuedSample {
     pub(super) log: Recorder,
     pub(super) sample: Sample,
     /// The open node `send-queue`; `None` in a closed loop, where no sample waits.
-    pub(super) queued: Option<NodeId>,
+    pub(super) queue_node: Option<NodeId>,
 }
 
 /// An iteration with its outcome.
 pub(super) struct CompletedIteration {
     pub(super) pending: PendingIteration,
-    /// The label of the sample: its correct class, if the data set has labels.
+    /// Label of the sample, which is its correct class; `None` if the data set has no labels.
     pub(super) label: Option<String>,
     pub(super) log: Recorder,
     pub(super) outcome: Outcome,
@@ -44,16 +44,15 @@ pub(super) struct CompletedIteration {
 }
 
 impl QueuedSample {
-    /// Starts the wait of a sample for its place in flight. In a closed loop no sample waits, and no node is
-    /// recorded.
+    /// Queues a sample and starts the node `send-queue`. In a closed loop no sample waits, so the node is omitted.
     pub(super) fn new(
         pending: PendingIteration,
         mut log: Recorder,
         sample: Sample,
         closed_loop: bool,
     ) -> Self {
-        let queued = (!closed_loop).then(|| log.start(stage::SEND_QUEUE));
-        Self { pending, log, sample, queued }
+        let queue_node = (!closed_loop).then(|| log.start(stage::SEND_QUEUE));
+        Self { pending, log, sample, queue_node }
     }
 
     /// Gets the answer from the placement and passes it to the actuator.
@@ -63,8 +62,8 @@ impl QueuedSample {
         timeout: Duration,
         actuator_executor: Option<ActuatorExecutor>,
     ) -> CompletedIteration {
-        if let Some(queued) = self.queued {
-            self.log.stop(queued);
+        if let Some(queue_node) = self.queue_node {
+            self.log.stop(queue_node);
         }
         let Computed { log, result, transport } = placement.compute(self.log, &self.sample, timeout).await;
         let (log, outcome) = match (&result, actuator_executor) {

@@ -1,29 +1,28 @@
-//! The tree of one iteration, from its intended start to its end.
+//! The tree of one iteration.
 //!
-//! The root starts at the intended moment, so that a stall of the edge shows in the latency.
+//! Its root starts at the intended start, so that a stall of the edge shows in the latency.
 
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
 
 use super::in_flight::PendingIteration;
 
-/// Name of the number of starts that were skipped between the previous iteration and this one, because the pipeline
-/// was too far behind its rate. Absent if there were none.
+/// Name of the count of starts that were skipped between the previous iteration and this one because the pipeline was
+/// too far behind its rate. Absent if it is zero.
 const SKIPPED_STARTS: Name = Name::from_static("skipped-starts");
-/// Name of the time from the intended start to the real one. It is part of `unattributed` and has a separate node
-/// because it shows that the pipeline did not keep up. Absent in a closed loop, which is never late.
-const LATENESS: Name = Name::from_static("lateness");
+/// Name of the time from the intended start to the actual start, which is part of `unattributed`. A separate node shows
+/// whether the pipeline keeps up with its rate. Absent in a closed loop, which is never late.
+const LATE_START: Name = Name::from_static("lateness");
 
-/// Begins the tree of an iteration with its root at `intended`. Also returns the time at which it really began.
-pub(super) fn begin(clock: &SharedClock, host: HostId, intended: MonoTime) -> (Recorder, MonoTime) {
+/// Starts the tree of an iteration with its root at `intended`. Also returns the actual start.
+pub(super) fn start(clock: &SharedClock, host: HostId, intended: MonoTime) -> (Recorder, MonoTime) {
     let now = clock.stamp();
     let at = now - (now.mono - intended);
     (Recorder::starting_at(SharedClock::clone(clock), host, at), now.mono)
 }
 
-/// Closes the tree of an iteration that ended at `ended`: adds the values that are computed over the whole. Trees
-/// have room for them even if a sensor or a model has filled them. `transport` is the sum of both directions, if it
-/// is known.
+/// Closes the tree of an iteration that ended at `ended`, and adds the totals. A tree reserves nodes for them, which a
+/// sensor or a model cannot use. `transport` is the sum of upload and download, if it is known.
 pub(super) fn close(
     log: Recorder,
     pending: &PendingIteration,
@@ -32,17 +31,18 @@ pub(super) fn close(
     transport: Option<Span>,
 ) -> Tree {
     let total = ended - pending.start.intended;
-    // A transport longer than the whole iteration is impossible, and is not used.
+    // A transport that is longer than the whole iteration is an error of measurement and is not used.
     let stages = stages_total(log.tree(), transport.filter(|transport| *transport <= total));
-    finish(log, pending, ended, closed_loop, stages)
+    add_totals(log, pending, ended, closed_loop, stages)
 }
 
-/// Closes a tree as [`close`] does, for an iteration of a closed loop of whose stages too little is known for a sum.
+/// Closes a tree as [`close`] does, but without the sum of the stages, for an iteration of a closed loop whose stages
+/// are not all measured.
 pub(super) fn close_without_stages(log: Recorder, pending: &PendingIteration, ended: MonoTime) -> Tree {
-    finish(log, pending, ended, true, None)
+    add_totals(log, pending, ended, true, None)
 }
 
-fn finish(
+fn add_totals(
     log: Recorder,
     pending: &PendingIteration,
     ended: MonoTime,
@@ -58,7 +58,7 @@ fn finish(
     }
     let mut add = |name, start, span| tree.add(NodeId::ROOT, name, start, Measure::Timer(Some(span)));
     if !closed_loop {
-        add(LATENESS, Span::ZERO, pending.began_at - intended);
+        add(LATE_START, Span::ZERO, pending.started_at - intended);
     }
     add(stage::TOTAL, Span::ZERO, total);
     if let Some(stages) = stages {
@@ -68,25 +68,28 @@ fn finish(
     tree
 }
 
-/// Returns the sum of the stages; `None` if a stage took place whose duration is unknown.
+/// Returns the sum of the stages; `None` if the duration of a stage is unknown.
 ///
-/// If the two clocks were not related, or one of them was stepped, upload and download have no values. Their sum is
-/// still known, because the offset of the clocks cancels in it: the edge's waiting time minus the time on the cloud.
+/// Upload and download have no values if the two clocks are not related, or if one of them was stepped. `transport` then
+/// replaces their sum: it is the edge's waiting time minus the time on the cloud, in which the offset of the clocks
+/// cancels.
 fn stages_total(tree: &Tree, transport: Option<Span>) -> Option<Span> {
     let mut sum = Span::ZERO;
-    let mut ways = Some(Span::ZERO);
+    let mut transit_sum = Some(Span::ZERO);
     for (_, node) in tree.children(NodeId::ROOT).filter(|(_, node)| stage::ORDER.contains(&node.name)) {
         match &node.measure {
             Measure::Timer(Some(span)) => sum += *span,
             Measure::Transit(transit) => {
                 if let Some(delay) = transit.delay {
-                    ways = ways.zip(delay.value).map(|(ways, way)| ways + way);
+                    transit_sum = transit_sum
+                        .zip(delay.value)
+                        .map(|(transit_sum, delay_value)| transit_sum + delay_value);
                 }
             }
             _ => {}
         }
     }
-    Some(sum + ways.or(transport)?)
+    Some(sum + transit_sum.or(transport)?)
 }
 
 #[cfg(test)]
@@ -111,7 +114,7 @@ mod tests {
         let intended = clock.mono();
         pass(3);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let (mut log, began_at) = begin(&shared, HostId::random(), intended);
+        let (mut log, started_at) = start(&shared, HostId::random(), intended);
         {
             let _sensing = log.time(stage::SENSING);
             pass(1);
@@ -135,7 +138,7 @@ mod tests {
             pass(1);
         }
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
-        let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, began_at };
+        let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, started_at };
         close(log, &pending, clock.mono(), false, transport)
     }
 
@@ -158,10 +161,10 @@ mod tests {
         let clock: SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let intended = clock.mono();
-        let (mut log, began_at) = begin(&clock, HostId::random(), intended);
-        while log.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
+        let (mut log, started_at) = start(&clock, HostId::random(), intended);
+        while log.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
-        let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, began_at };
+        let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, started_at };
         let tree = close(log, &pending, intended + STEP, false, None);
         for (name, expected) in [("total", 1.0), ("unattributed", 1.0), ("lateness", 0.0)] {
             assert_eq!(millis(&tree, name), Some(expected), "{name}");

@@ -9,58 +9,58 @@ use crate::config::LoadConfig;
 
 /// Schedule of a pipeline's starts.
 ///
-/// With a rate the schedule does not wait for the pipeline: starts come due while earlier iterations are in flight,
-/// and the latency of an iteration that begins late counts from its intended start. A stall therefore shows in the
-/// latencies of all iterations that waited through it (this avoids coordinated omission). A bounded number of starts
-/// wait; the oldest beyond it are skipped, and the next start carries their number.
+/// With a rate the schedule does not wait for the pipeline: starts come due while earlier iterations are in flight. The
+/// latency of an iteration that starts late counts from its intended start. A stall therefore shows in the latencies of
+/// all iterations that waited through it (this avoids coordinated omission). The number of due starts is bounded: beyond
+/// it the oldest are skipped, and the next start carries their count.
 #[derive(Debug)]
 pub(crate) struct Schedule {
-    plan: Plan,
-    /// Starts that came due and were not taken yet, oldest first.
+    plan: StartPlan,
+    /// Starts that have come due and were not taken yet, oldest first.
     due: VecDeque<MonoTime>,
-    /// Largest number of starts that wait.
-    patience: usize,
-    /// Number of skipped starts since the last one that was taken.
+    /// Largest number of starts in `due`.
+    max_due: usize,
+    /// Number of starts that were skipped since the last taken one.
     skipped: u64,
 }
 
 #[derive(Debug)]
-enum Plan {
+enum StartPlan {
     Closed,
     Rate { origin: MonoTime, period: f64, number: u64 },
     Poisson { at: MonoTime, mean: f64, random: SplitMix64 },
 }
 
-/// One start of the schedule.
+/// The start of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Start {
-    /// Time at which the iteration was meant to begin.
+    /// Time at which the iteration should start.
     pub(crate) intended: MonoTime,
     /// Number of starts before it that were skipped.
     pub(crate) skipped: u64,
 }
 
 impl Schedule {
-    /// Creates a schedule that begins at `now`; at most `patience` starts wait.
-    pub(crate) fn new(load: &LoadConfig, patience: usize, now: MonoTime) -> Self {
+    /// Creates a schedule whose first start is at or after `now`; at most `max_due` starts wait.
+    pub(crate) fn new(load: &LoadConfig, max_due: usize, now: MonoTime) -> Self {
         let plan = match *load {
-            LoadConfig::Closed {} => Plan::Closed,
-            LoadConfig::Rate { hz } => Plan::Rate { origin: now, period: 1e9 / hz, number: 0 },
+            LoadConfig::Closed {} => StartPlan::Closed,
+            LoadConfig::Rate { hz } => StartPlan::Rate { origin: now, period: 1e9 / hz, number: 0 },
             LoadConfig::Poisson { hz, seed } => {
                 let mut random = SplitMix64::new(seed);
                 let mean = 1e9 / hz;
-                Plan::Poisson { at: now + gap(mean, &mut random), mean, random }
+                StartPlan::Poisson { at: now + random_interval(mean, &mut random), mean, random }
             }
         };
-        Self { plan, due: VecDeque::new(), patience, skipped: 0 }
+        Self { plan, due: VecDeque::new(), max_due, skipped: 0 }
     }
 
-    /// Returns whether the loop is closed: the next iteration begins when the last one is complete.
+    /// Returns whether the loop is closed: the next iteration starts when the last one is complete.
     pub(crate) const fn is_closed(&self) -> bool {
-        matches!(self.plan, Plan::Closed)
+        matches!(self.plan, StartPlan::Closed)
     }
 
-    /// Returns the next start if one is due. In a closed loop one always is: the caller waits for the answer.
+    /// Takes the next start if one is due. In a closed loop one is always due, because the caller waits for each answer.
     pub(crate) fn take(&mut self, now: MonoTime) -> Option<Start> {
         if self.is_closed() {
             return Some(Start { intended: now, skipped: 0 });
@@ -70,25 +70,24 @@ impl Schedule {
         Some(Start { intended, skipped: std::mem::take(&mut self.skipped) })
     }
 
-    /// Returns the number of skipped starts that no later start has carried.
+    /// Returns the number of skipped starts since the last taken one.
     pub(crate) const fn unreported_skips(&self) -> u64 {
         self.skipped
     }
 
-    /// Returns the time at which the next iteration is meant to begin: in the past if it is late, `now` in a closed
-    /// loop.
+    /// Returns the intended start of the next iteration: in the past if it is late, `now` in a closed loop.
     pub(crate) fn next_at(&mut self, now: MonoTime) -> MonoTime {
         self.catch_up(now);
         self.due.front().copied().or_else(|| self.plan.next_at()).unwrap_or(now)
     }
 
-    /// Moves the starts that have come due to the waiting ones. Call it now and then while nothing is taken for long,
-    /// so that each call has little to do.
+    /// Moves the starts that have come due by `now` to the queue of due starts. A caller that takes no start for a long
+    /// time calls it periodically, so that each call is short.
     pub(crate) fn catch_up(&mut self, now: MonoTime) {
         while let Some(at) = self.plan.next_at().filter(|at| *at <= now) {
             self.plan.advance();
             self.due.push_back(at);
-            if self.due.len() > self.patience {
+            if self.due.len() > self.max_due {
                 self.due.pop_front();
                 self.skipped += 1;
             }
@@ -96,7 +95,7 @@ impl Schedule {
     }
 }
 
-impl Plan {
+impl StartPlan {
     fn next_at(&self) -> Option<MonoTime> {
         match self {
             Self::Closed => None,
@@ -112,13 +111,14 @@ impl Plan {
         match self {
             Self::Closed => {}
             Self::Rate { number, .. } => *number += 1,
-            Self::Poisson { at, mean, random } => *at = *at + gap(*mean, random),
+            Self::Poisson { at, mean, random } => *at = *at + random_interval(*mean, random),
         }
     }
 }
 
-/// Returns a random gap of at least a nanosecond, so that the schedule always advances.
-fn gap(mean: f64, random: &mut SplitMix64) -> Span {
+/// Returns a random, exponentially distributed interval with the given mean in nanoseconds. It is at least a nanosecond,
+/// so that the schedule always advances.
+fn random_interval(mean: f64, random: &mut SplitMix64) -> Span {
     Span::from_nanos(((mean * random.exponential()).round() as i64).max(1))
 }
 
@@ -132,8 +132,8 @@ mod tests {
         MonoTime::from_nanos(millis * 1_000_000)
     }
 
-    fn ten_hz(patience: usize) -> Schedule {
-        Schedule::new(&LoadConfig::Rate { hz: 10.0 }, patience, at(0))
+    fn ten_hertz_schedule(max_due: usize) -> Schedule {
+        Schedule::new(&LoadConfig::Rate { hz: 10.0 }, max_due, at(0))
     }
 
     #[test]
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn rate_keeps_its_schedule_after_late_request() {
-        let mut schedule = ten_hz(4);
+        let mut schedule = ten_hertz_schedule(4);
         assert_eq!(schedule.take(at(3)), Some(Start { intended: at(0), skipped: 0 }));
         assert_eq!(schedule.take(at(99)), None);
         assert_eq!(schedule.next_at(at(99)), at(100));
@@ -156,7 +156,7 @@ mod tests {
 
     #[test]
     fn stall_keeps_latest_starts_and_counts_skipped_ones() {
-        let mut schedule = ten_hz(2);
+        let mut schedule = ten_hertz_schedule(2);
         // Due by then: 0, 100, …, 900, of which two may wait.
         assert_eq!(schedule.take(at(950)), Some(Start { intended: at(800), skipped: 8 }));
         assert_eq!(schedule.take(at(951)), Some(Start { intended: at(900), skipped: 0 }));
@@ -186,10 +186,10 @@ mod tests {
         #[test]
         fn every_start_is_returned_or_counted_as_skipped(
             hz in 0.5..500.0f64,
-            patience in 1usize..6,
+            max_due in 1usize..6,
             waits in prop::collection::vec(0i64..2000, 1..40),
         ) {
-            let mut schedule = Schedule::new(&LoadConfig::Rate { hz }, patience, at(0));
+            let mut schedule = Schedule::new(&LoadConfig::Rate { hz }, max_due, at(0));
             let (mut now, mut seen, mut last) = (0, 0u64, None);
             for wait in waits {
                 now += wait;
@@ -202,7 +202,7 @@ mod tests {
             }
             schedule.catch_up(at(now));
             let waiting = schedule.due.len() as u64;
-            prop_assert!(waiting <= patience as u64);
+            prop_assert!(waiting <= max_due as u64);
             let planned = (0u64..).take_while(|k| (*k as f64 * 1e9 / hz).round() as i64 <= now * 1_000_000);
             prop_assert_eq!(seen + waiting + schedule.skipped, planned.count() as u64);
         }

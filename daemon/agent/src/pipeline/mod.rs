@@ -1,14 +1,14 @@
 //! Pipelines: sensor → transforms → placement → actuator, repeated.
 //!
-//! `load`, `progress` and `backoff` decide without I/O. `pipeline_loop` is the state machine of the inner loop, also
-//! without I/O, and `drive` does its waiting. `runner` sets a pipeline up, connects it, and runs it to its end.
-//! `observe` is the loop of a pipeline that only observes a ROS system.
+//! `load`, `progress` and `backoff` compute schedules, limits and pauses without I/O. `pipeline_loop` is the state
+//! machine of the inner loop, also without I/O, and `drive` waits for its events. `runner` sets a pipeline up, connects
+//! it, and runs it to its end. `observe` is the loop of a pipeline that only observes a ROS system.
 //!
-//! The order of one iteration: `load` says when it starts, and the root of its tree starts at that intended moment.
-//! `sensing` asks the sensor and applies the transforms. The sample waits for a free place in flight (`send-queue`),
-//! `placement` gets the answer, the actuator runs, and `iteration` closes the tree. `run` hands it to the live
-//! statistics and the event queue. An iteration whose answer is lost or late is recorded as `lost` or `timeout`,
-//! never dropped.
+//! The order of one iteration: `load` returns its intended start, which is the start of the root of its tree. `sensing`
+//! requests a sample from the sensor and applies the transforms. The sample waits until fewer iterations than the
+//! maximum are in flight (`send-queue`). `placement` gets the answer, the actuator runs, and `iteration` closes the
+//! tree. `run` passes it to the live statistics and the event queue. An iteration whose answer is lost or late is
+//! recorded as `lost` or `timeout`, never dropped.
 
 mod accuracy;
 mod actuator_executor;
@@ -31,5 +31,5 @@ mod sensing;
 mod start_timer;
 
 pub(crate) use context::PipelineContext;
-pub(crate) use placement::intended;
+pub(crate) use placement::describe_planned;
 pub(crate) use runner::run;

@@ -1,4 +1,4 @@
-//! The place where a pipeline computes: this host or a peer, behind one interface.
+//! The placement of a pipeline: inference on this host, on a peer, or none.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use tokio::sync::{oneshot, watch};
 use super::context::PipelineContext;
 use crate::conditions::{InspectionSettings, inspect_host_in_time};
 use crate::config::{ObserveConfig, PipelineConfig, PlacementConfig, RemoteConfig};
-use crate::link::{Attached, Crossing};
+use crate::link::{Crossing, LinkedSession};
 use crate::same_clock::ClockSocket;
 
 /// An open placement: a loaded model, a session with a peer, or nothing.
@@ -25,20 +25,20 @@ pub(super) enum Placement {
     Local(Arc<Pool>),
     Remote {
         session: Session,
-        link: Attached,
+        link: LinkedSession,
         config: Box<RemoteConfig>,
     },
-    /// A sensor alone: no sample is answered.
+    /// A sensor alone: samples get no answer.
     None,
 }
 
-/// Result for one sample. The recorder holds everything that was measured on the way.
+/// Result for one sample.
 pub(super) struct Computed {
+    /// The recorder with all stages up to the arrival of the answer.
     pub(super) log: Recorder,
     /// The answer (`None` from a sensor alone), or the outcome of an iteration without one.
     pub(super) result: Result<Option<Sample>, Outcome>,
-    /// Time on the network in both directions together, by both hosts' monotonic clocks; `None` unless a peer
-    /// answered.
+    /// Sum of upload and download, from both hosts' monotonic clocks; `None` unless a peer answered.
     pub(super) transport: Option<Span>,
 }
 
@@ -50,7 +50,7 @@ pub(super) enum OpenFailure {
     /// The thread that loaded the model panicked.
     Panicked,
     /// The peer cannot be reached, or did not answer in time.
-    Away(OpenError),
+    Unreachable(OpenError),
     /// The peer refuses the session.
     Refused(OpenError),
 }
@@ -64,20 +64,20 @@ impl Placement {
         match &config.placement {
             PlacementConfig::Local { model } => {
                 let (bank, model) = (Arc::clone(&context.bank), model.clone());
-                // On a thread that may block, because a model may load for minutes.
+                // On a blocking thread, because a model may take minutes to load.
                 let loading = tokio::task::spawn_blocking(move || bank.load(&model, None));
                 let pool = loading.await.map_err(|_| OpenFailure::Panicked)?;
                 pool.map(Self::Local).map_err(OpenFailure::Model)
             }
             PlacementConfig::Remote(remote) => {
-                // The pipeline bounds the iterations in flight itself. A tighter bound of the session would make them
-                // wait where no stage records it.
+                // The pipeline bounds the iterations in flight itself. With a lower bound of the session they would
+                // wait inside the session, where no stage records the wait.
                 let wanted = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
                 let max_in_flight = remote.session.max_in_flight.max(wanted);
                 let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
                 Self::open_remote(remote, settings, &config.name, context).await
             }
-            // Samples of an observed system are never computed here: its loop is `observe`.
+            // A pipeline that observes has a loop of its own (`observe`), which does not compute samples.
             PlacementConfig::None {} | PlacementConfig::Observe(_) => Ok(Self::None),
         }
     }
@@ -89,7 +89,7 @@ impl Placement {
         pipeline: &Slug,
         context: &PipelineContext,
     ) -> Result<Self, OpenFailure> {
-        // Opened before the hello that names it: a cloud on this machine connects before it accepts the session.
+        // Opened before the hello that names it, because a cloud on this machine connects before it accepts the session.
         let clock_socket = ClockSocket::listen(&*context.host.clock);
         let hello = SessionHello {
             versions: SESSION_VERSIONS,
@@ -104,8 +104,8 @@ impl Placement {
         let clock = Arc::clone(&context.host.clock);
         let session = Session::open(&remote.peer, hello, settings, clock).await?;
         let link = context.links.attach(&session, &remote.peer, pipeline, clock_socket);
-        // Without this proof the delays of the first iterations would be judged before any exchange.
-        link.first_proof().await;
+        // Without this wait the delays of the first iterations would be judged before the clocks are related.
+        link.wait_for_first_proof().await;
         Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
     }
 
@@ -120,18 +120,22 @@ impl Placement {
     /// Requests an answer and waits for `timeout` at most.
     pub(super) async fn compute(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
         match self {
-            Self::Local(pool) => compute_here(pool, log, sample, timeout).await,
+            Self::Local(pool) => compute_locally(pool, log, sample, timeout).await,
             Self::Remote { session, link, .. } => {
                 let mut exchange = session.request(log, sample, timeout).await;
                 // Corrected now and not when the run is read, because live statistics show the delays.
                 let transport = link.correct(&mut exchange);
-                Computed { log: exchange.log, result: exchange.result.map(Some).map_err(outcome), transport }
+                Computed {
+                    log: exchange.log,
+                    result: exchange.result.map(Some).map_err(outcome_from_error),
+                    transport,
+                }
             }
             Self::None => Computed { log, result: Ok(None), transport: None },
         }
     }
 
-    /// Waits until the placement is lost and returns the reason. A local one never is.
+    /// Waits until the session with the peer ends, and returns the reason. Never returns for a local placement.
     pub(super) async fn closed(&self) -> CloseReason {
         match self {
             Self::Local(_) | Self::None => std::future::pending().await,
@@ -139,8 +143,8 @@ impl Placement {
         }
     }
 
-    /// Ends the session with a goodbye; after the end of a run the goodbye says that the run was to have
-    /// `planned_iterations` iterations.
+    /// Closes the session with a goodbye. After the end of a run the goodbye contains `planned_iterations`, the number
+    /// of iterations that the run should have.
     pub(super) async fn close(&self, planned_iterations: Option<u64>) {
         match (self, planned_iterations) {
             (Self::Remote { session, .. }, Some(planned_iterations)) => {
@@ -159,7 +163,7 @@ impl Placement {
         }
     }
 
-    /// Returns what makes the connection to the peer worse than it could be, in words.
+    /// Returns a text about a limitation of the connection to the peer, if there is one.
     pub(super) fn caveat(&self) -> Option<&str> {
         match self {
             Self::Local(_) | Self::None => None,
@@ -167,7 +171,7 @@ impl Placement {
         }
     }
 
-    /// Returns the channel of further remarks about the connection, which come while it is open.
+    /// Returns the channel of remarks about the connection that are made while it is open.
     pub(super) fn remarks(&self) -> Option<watch::Receiver<Vec<String>>> {
         match self {
             Self::Local(_) | Self::None => None,
@@ -175,7 +179,7 @@ impl Placement {
         }
     }
 
-    /// Returns facts about the model in words, and the clock faults that are injected at the peer.
+    /// Returns facts about the model (label and text), and about the clock faults that are injected at the peer.
     pub(super) fn facts(&self) -> Vec<(String, String)> {
         match self {
             Self::Local(pool) => pool.facts(),
@@ -190,18 +194,24 @@ impl Placement {
         }
     }
 
-    /// Returns the conditions found on this host now, and those that the peer stated when the session opened. With
-    /// `warm`, while a pipeline measures, the host is inspected once only, without waiting.
-    pub(super) async fn conditions(&self, context: &PipelineContext, warm: bool) -> Vec<Condition> {
+    /// Inspects this host, and returns its conditions and those that the peer reported when the session opened.
+    ///
+    /// `is_continuation` is `true` while the pipeline measures: the competing threads are then counted only once, so
+    /// that the inspection does not sleep.
+    pub(super) async fn conditions(
+        &self,
+        context: &PipelineContext,
+        is_continuation: bool,
+    ) -> Vec<Condition> {
         match self {
             Self::Remote { session, .. } => {
-                conditions(Some(&session.accepted().conditions), context, warm).await
+                conditions(Some(&session.accepted().conditions), context, is_continuation).await
             }
-            Self::Local(_) | Self::None => conditions(None, context, warm).await,
+            Self::Local(_) | Self::None => conditions(None, context, is_continuation).await,
         }
     }
 
-    /// Returns the conditions that the peer stated when the session opened.
+    /// Returns the conditions that the peer reported when the session opened.
     pub(super) fn peer_conditions(&self) -> &[Condition] {
         match self {
             Self::Remote { session, .. } => &session.accepted().conditions,
@@ -224,23 +234,23 @@ impl Placement {
                 peer: Some(session.accepted().name.clone()),
                 model: session.accepted().model.clone(),
                 device: Some(session.accepted().device.clone()),
-                ..remote(config)
+                ..describe_remote(config)
             },
             Self::None => Description::sensor_alone(),
         }
     }
 }
 
-/// Returns the conditions found on this host now, including its network if there is a peer, and those of the peer.
+/// Inspects this host, including its network if there is a peer, and returns its conditions and those of the peer.
 pub(super) async fn conditions(
     peer: Option<&[Condition]>,
     context: &PipelineContext,
-    warm: bool,
+    is_continuation: bool,
 ) -> Vec<Condition> {
-    let looks = if warm { 1 } else { context.inspection.looks };
+    let thread_counts = if is_continuation { 1 } else { context.inspection.thread_counts };
     let settings = InspectionSettings {
         network: peer.is_some(),
-        looks,
+        thread_counts,
         ..InspectionSettings::clone(&context.inspection)
     };
     let mut found = inspect_host_in_time(settings, context.host.name.to_string()).await;
@@ -249,7 +259,7 @@ pub(super) async fn conditions(
 }
 
 /// Returns the description for the store and the pages, as far as the configuration determines it.
-pub(crate) fn intended(config: &PlacementConfig) -> Description {
+pub(crate) fn describe_planned(config: &PlacementConfig) -> Description {
     match config {
         PlacementConfig::Local { model } => Description {
             kind: PlacementKind::Local,
@@ -259,15 +269,15 @@ pub(crate) fn intended(config: &PlacementConfig) -> Description {
             model: model.clone(),
             device: None,
         },
-        PlacementConfig::Remote(config) => remote(config),
+        PlacementConfig::Remote(config) => describe_remote(config),
         PlacementConfig::None {} => Description::sensor_alone(),
-        PlacementConfig::Observe(config) => observed(config, None),
+        PlacementConfig::Observe(config) => describe_observed(config, None),
     }
 }
 
-/// Returns the description of an observed system; `peer` is the name of the host whose agent observes it as well,
-/// once it is known.
-pub(super) fn observed(config: &ObserveConfig, peer: Option<Slug>) -> Description {
+/// Returns the description of an observed system. `peer` is the name of the other host whose agent observes it, once
+/// it is known.
+pub(super) fn describe_observed(config: &ObserveConfig, peer: Option<Slug>) -> Description {
     let Some(address) = &config.peer else { return Description::observed() };
     Description {
         kind: PlacementKind::Remote,
@@ -278,7 +288,7 @@ pub(super) fn observed(config: &ObserveConfig, peer: Option<Slug>) -> Descriptio
     }
 }
 
-fn remote(config: &RemoteConfig) -> Description {
+fn describe_remote(config: &RemoteConfig) -> Description {
     Description {
         kind: PlacementKind::Remote,
         peer: None,
@@ -289,11 +299,11 @@ fn remote(config: &RemoteConfig) -> Description {
     }
 }
 
-async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
+async fn compute_locally(pool: &Pool, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
     let (reply, done) = oneshot::channel();
-    // The model takes the recorder along and may not give it back. This copy of a few nodes, which takes a fraction
-    // of a microsecond, then has what was recorded before.
-    let spare = log.clone();
+    // The recorder moves to the model's thread, which may not return it. This copy then has what was recorded before.
+    // It has a few nodes, so copying takes a fraction of a microsecond.
+    let log_backup = log.clone();
     let received = log.clock().mono();
     let reply = Box::new(move |done: FinishedJob| {
         // The receiver is gone after a timeout.
@@ -309,15 +319,15 @@ async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Dura
             Computed { log, result, transport: None }
         }
         Ok(Err(_)) => {
-            let reason = format!("model {} dropped the sample unanswered", pool.name());
-            Computed { log: spare, result: Err(Outcome::Failed(reason)), transport: None }
+            let reason = format!("model {} dropped the sample without an answer", pool.name());
+            Computed { log: log_backup, result: Err(Outcome::Failed(reason)), transport: None }
         }
-        Err(_) => Computed { log: spare, result: Err(Outcome::Timeout), transport: None },
+        Err(_) => Computed { log: log_backup, result: Err(Outcome::Timeout), transport: None },
     }
 }
 
-/// Returns the outcome of an iteration without an answer. If a model or queue was full, this iteration failed.
-fn outcome(error: RequestError) -> Outcome {
+/// Returns the outcome of an iteration without an answer. A full queue of the model counts as a failure.
+fn outcome_from_error(error: RequestError) -> Outcome {
     match error {
         RequestError::Lost(reason) => Outcome::Lost(reason),
         RequestError::Timeout => Outcome::Timeout,
@@ -330,7 +340,7 @@ impl From<OpenError> for OpenFailure {
         match error {
             error @ (OpenError::Unreachable { .. }
             | OpenError::TimedOut { .. }
-            | OpenError::Unanswered { .. }) => Self::Away(error),
+            | OpenError::Unanswered { .. }) => Self::Unreachable(error),
             error @ (OpenError::Refused { .. } | OpenError::Incompatible { .. }) => Self::Refused(error),
         }
     }

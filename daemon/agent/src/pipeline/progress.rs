@@ -19,82 +19,84 @@ pub(crate) struct Position {
     pub(crate) warm_up: bool,
 }
 
-/// Progress of a run.
+/// Counts the iterations of a run, assigns their positions, and knows when the run's limit is reached.
 #[derive(Debug)]
 pub(crate) struct Progress {
     warm_up: WarmUp,
     episode_steps: Option<NonZeroU32>,
     limit: Limit,
-    /// `true` if the run directly continues another: caches and connections are warm.
-    warm: bool,
-    given: u64,
+    /// `true` if the run directly continues another. Caches and connections are warm then.
+    is_continuation: bool,
+    /// Number of iterations so far.
+    started: u64,
+    /// Number of iterations so far that are not warm-up.
     measured: u64,
     /// Intended start of the first iteration that is not warm-up.
     measuring_since: Option<MonoTime>,
 }
 
 impl Progress {
-    /// Creates the progress of a new run; `warm` is `true` if it directly continues another.
-    pub(crate) fn new(config: &PipelineConfig, warm: bool) -> Self {
+    /// Creates the progress of a new run; `is_continuation` is `true` if it directly continues another.
+    pub(crate) fn new(config: &PipelineConfig, is_continuation: bool) -> Self {
         Self {
             warm_up: config.warm_up,
             episode_steps: config.episode_steps,
             limit: config.limit,
-            warm,
-            given: 0,
+            is_continuation,
+            started: 0,
             measured: 0,
             measuring_since: None,
         }
     }
 
-    /// Returns whether an iteration with the intended start `intended` would be beyond the limit.
-    pub(crate) fn is_over(&self, intended: MonoTime) -> bool {
-        let enough = self.limit.iterations.is_some_and(|limit| self.measured >= limit.get());
-        let all = self.limit.total.is_some_and(|limit| self.given >= limit.get());
-        let late = match (self.measuring_since, self.limit.duration_s) {
+    /// Returns whether an iteration with this intended start would exceed the run's limit.
+    pub(crate) fn is_limit_reached(&self, intended: MonoTime) -> bool {
+        let iterations_reached = self.limit.iterations.is_some_and(|limit| self.measured >= limit.get());
+        let total_reached = self.limit.total.is_some_and(|limit| self.started >= limit.get());
+        let duration_reached = match (self.measuring_since, self.limit.duration_s) {
             (Some(since), Some(seconds)) => intended >= since + Span::from_seconds_f64(seconds),
             _ => false,
         };
-        enough || all || late
+        iterations_reached || total_reached || duration_reached
     }
 
     /// Returns the number of iterations so far.
-    pub(crate) const fn given(&self) -> u64 {
-        self.given
+    pub(crate) const fn started(&self) -> u64 {
+        self.started
     }
 
-    /// Returns the number of iterations that the run was to have by its limits on iterations; the number so far if it
-    /// has no such limit.
+    /// Returns the number of iterations that the run has by its limits on iterations; the number so far if it has no
+    /// such limit.
     pub(crate) fn planned_iterations(&self) -> u64 {
-        let left = self.limit.iterations.map(|limit| limit.get().saturating_sub(self.measured));
-        let counted = left.map(|left| left.saturating_add(self.given));
-        counted.into_iter().chain(self.limit.total.map(NonZeroU64::get)).min().unwrap_or(self.given)
+        let remaining = self.limit.iterations.map(|limit| limit.get().saturating_sub(self.measured));
+        let by_iterations = remaining.map(|remaining| remaining.saturating_add(self.started));
+        by_iterations.into_iter().chain(self.limit.total.map(NonZeroU64::get)).min().unwrap_or(self.started)
     }
 
     /// Assigns number, episode and step to the next iteration.
-    pub(crate) fn place(&mut self, intended: MonoTime) -> Position {
-        let index = self.given;
+    pub(crate) fn assign_position(&mut self, intended: MonoTime) -> Position {
+        let index = self.started;
         let (episode, step) = match self.episode_steps {
-            // Episode and step stop at their largest value; the number of the iteration is a u64 and continues.
+            // A u32 can hold neither the episode nor the step of a run of years: they stop at the largest value.
             Some(steps) => {
-                (saturate(index / u64::from(steps.get())), (index % u64::from(steps.get())) as u32)
+                (saturate_to_u32(index / u64::from(steps.get())), (index % u64::from(steps.get())) as u32)
             }
-            None => (0, saturate(index)),
+            None => (0, saturate_to_u32(index)),
         };
-        let cold = index < self.warm_up.iterations
+        let is_run_start = index < self.warm_up.iterations
             || self.episode_steps.is_some() && episode < self.warm_up.episodes;
-        let settling = self.episode_steps.is_some() && step < self.warm_up.steps;
-        let warm_up = cold && !self.warm || settling;
-        self.given += 1;
+        let is_episode_start = self.episode_steps.is_some() && step < self.warm_up.steps;
+        let warm_up = is_run_start && !self.is_continuation || is_episode_start;
+        self.started += 1;
         if !warm_up {
             self.measured += 1;
             self.measuring_since.get_or_insert(intended);
         }
-        Position { number: self.given, episode, step, warm_up }
+        Position { number: self.started, episode, step, warm_up }
     }
 }
 
-fn saturate(number: u64) -> u32 {
+fn saturate_to_u32(number: u64) -> u32 {
     u32::try_from(number).unwrap_or(u32::MAX)
 }
 
@@ -102,12 +104,12 @@ fn saturate(number: u64) -> u32 {
 mod tests {
     use super::*;
 
-    fn progress(keys: &str, warm: bool) -> Progress {
+    fn progress(keys: &str, is_continuation: bool) -> Progress {
         let table = format!(
             "name = 'p'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
              placement = {{ kind = 'local', model = 'm' }}\n{keys}"
         );
-        Progress::new(&toml::from_str(&table).expect("a pipeline"), warm)
+        Progress::new(&toml::from_str(&table).expect("a pipeline"), is_continuation)
     }
 
     fn at(seconds: i64) -> MonoTime {
@@ -118,8 +120,8 @@ mod tests {
     fn limit_excludes_warm_up() {
         let mut progress = progress("warm_up = { iterations = 2 }\nlimit = { iterations = 3 }", false);
         let mut warm_up = Vec::new();
-        while !progress.is_over(at(0)) {
-            warm_up.push(progress.place(at(0)).warm_up);
+        while !progress.is_limit_reached(at(0)) {
+            warm_up.push(progress.assign_position(at(0)).warm_up);
         }
         assert_eq!(warm_up, [true, true, false, false, false]);
     }
@@ -129,8 +131,8 @@ mod tests {
         let mut progress =
             progress("warm_up = { iterations = 2 }\nlimit = { total = 3, iterations = 9 }", false);
         let mut warm_up = Vec::new();
-        while !progress.is_over(at(0)) {
-            warm_up.push(progress.place(at(0)).warm_up);
+        while !progress.is_limit_reached(at(0)) {
+            warm_up.push(progress.assign_position(at(0)).warm_up);
         }
         assert_eq!(warm_up, [true, true, false]);
     }
@@ -140,7 +142,7 @@ mod tests {
         let planned_iterations = |keys: &str| {
             let mut progress = progress(keys, false);
             for _ in 0..7 {
-                progress.place(at(0));
+                progress.assign_position(at(0));
             }
             progress.planned_iterations()
         };
@@ -155,20 +157,23 @@ mod tests {
     #[test]
     fn duration_begins_at_first_measured_iteration() {
         let mut progress = progress("warm_up = { iterations = 1 }\nlimit = { duration_s = 2.5 }", false);
-        progress.place(at(10));
-        assert!(!progress.is_over(at(1000)), "still warming up");
-        assert_eq!(progress.place(at(20)), Position { number: 2, episode: 0, step: 1, warm_up: false });
-        assert!(!progress.is_over(at(22)));
-        assert!(progress.is_over(at(23)));
+        progress.assign_position(at(10));
+        assert!(!progress.is_limit_reached(at(1000)), "still warming up");
+        assert_eq!(
+            progress.assign_position(at(20)),
+            Position { number: 2, episode: 0, step: 1, warm_up: false }
+        );
+        assert!(!progress.is_limit_reached(at(22)));
+        assert!(progress.is_limit_reached(at(23)));
     }
 
     #[test]
     fn episodes_and_their_first_steps_warm_up() {
         let keys = "episode_steps = 3\nwarm_up = { iterations = 0, episodes = 1, steps = 1 }";
         let mut progress = progress(keys, false);
-        let positions: Vec<_> = (0..7).map(|_| progress.place(at(0))).collect();
+        let positions: Vec<_> = (0..7).map(|_| progress.assign_position(at(0))).collect();
         let shape: Vec<_> =
-            positions.iter().map(|place| (place.episode, place.step, place.warm_up)).collect();
+            positions.iter().map(|position| (position.episode, position.step, position.warm_up)).collect();
         assert_eq!(
             shape,
             [
@@ -181,12 +186,12 @@ mod tests {
                 (2, 0, true)
             ]
         );
-        assert!(positions.iter().map(|place| place.number).eq(1..=7));
+        assert!(positions.iter().map(|position| position.number).eq(1..=7));
     }
 
     #[test]
     fn continuing_run_has_no_warm_up() {
-        assert!(!progress("", true).place(at(0)).warm_up);
-        assert!(progress("", false).place(at(0)).warm_up);
+        assert!(!progress("", true).assign_position(at(0)).warm_up);
+        assert!(progress("", false).assign_position(at(0)).warm_up);
     }
 }

@@ -15,7 +15,7 @@ use super::pipeline_loop::PendingSample;
 use super::sensing::{SensorChain, SensorExecutor};
 use super::start_timer::StartTimer;
 use crate::config::PipelineConfig;
-use crate::live::Display;
+use crate::live::PipelineLiveState;
 
 /// Reason why a pipeline cannot be assembled.
 #[derive(Debug, thiserror::Error)]
@@ -26,43 +26,43 @@ pub(super) enum AssembleError {
     /// The actuator cannot be set up.
     #[error(transparent)]
     Actuator(#[from] ActuatorError),
-    /// The system gives no thread for the sensor.
+    /// The operating system refuses a thread for the sensor.
     #[error("cannot start a thread for the sensor: {0}")]
     Thread(#[source] io::Error),
-    /// The system gives no timer for the starts.
-    #[error("cannot have a timer: {0}")]
+    /// The kernel refuses a timer for the starts.
+    #[error("cannot create a timer for the starts of iterations: {0}")]
     Timer(#[source] io::Error),
     /// The configuration names no sensor.
-    #[error("the pipeline has no sensor; add one")]
+    #[error("the pipeline has no sensor; add the key sensor")]
     NoSensor,
     /// The sensor panicked while it was set up.
     #[error("setting up the sensor panicked: {0}")]
     Panicked(#[from] JoinError),
 }
 
-/// The parts of a pipeline without its placement.
+/// The parts of a pipeline except its placement.
 pub(super) struct PipelineResources {
     pub(super) config: Arc<PipelineConfig>,
-    pub(super) display: Arc<Display>,
+    pub(super) live_state: Arc<PipelineLiveState>,
     pub(super) sensor: SensorExecutor,
-    /// The sample that the sensor was asked for. A request cannot be withdrawn, so it may outlive the connection.
+    /// The requested sample. A request cannot be cancelled, so it may outlive the connection.
     pub(super) sensing: Option<PendingSample>,
     /// `None` if the pipeline has no actuator.
     pub(super) actuator: Option<ActuatorExecutor>,
     pub(super) schedule: Schedule,
     pub(super) start_timer: StartTimer,
-    /// Sensor, transforms and load as label and text, for the page of a run.
+    /// Facts about sensor, transforms and load (label and text) for the page of a run.
     facts: Vec<(String, String)>,
 }
 
 impl PipelineResources {
-    /// Opens the sensor, the transforms and the actuator. Blocks, because a folder of pictures may be on a slow disk.
+    /// Opens the sensor, the transforms and the actuator. Blocks: a folder of images may be on a slow disk.
     ///
     /// # Errors
     /// When one of them cannot be set up.
     pub(super) fn assemble(
         config: Arc<PipelineConfig>,
-        display: Arc<Display>,
+        live_state: Arc<PipelineLiveState>,
         clock: SharedClock,
         fingerprints: &FingerprintKey,
     ) -> Result<Self, AssembleError> {
@@ -87,21 +87,22 @@ impl PipelineResources {
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
             start_timer: StartTimer::new(clock).map_err(AssembleError::Timer)?,
             config,
-            display,
+            live_state,
             sensor,
             sensing: None,
             facts,
         })
     }
 
-    /// Restarts the schedule for a run. Starts that came due before the run belong to no run and count in no latency.
+    /// Restarts the schedule for a run.
     pub(super) fn restart_schedule(&mut self, now: MonoTime) {
+        // Starts that came due before the run must not count in its latencies.
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
 
-    /// Returns label and text of sensor, transforms and load, then those of the model.
-    pub(super) fn facts(&self, model: Vec<(String, String)>) -> Vec<(String, String)> {
-        self.facts.iter().cloned().chain(model).collect()
+    /// Returns the facts about sensor, transforms and load, then `model_facts`.
+    pub(super) fn facts(&self, model_facts: Vec<(String, String)>) -> Vec<(String, String)> {
+        self.facts.iter().cloned().chain(model_facts).collect()
     }
 
     /// Returns the largest number of iterations in flight: one in a closed loop.

@@ -1,4 +1,4 @@
-//! One run: its description, its progress, its events.
+//! A run in progress: its description, its progress and its events.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{RunId, Slug, Tree};
@@ -12,7 +12,7 @@ use super::failure_log::FailureLog;
 use super::pipeline_loop::LoopEnd;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
-use crate::live::Display;
+use crate::live::PipelineLiveState;
 
 const SECONDS_PER_DAY: i64 = 86_400;
 
@@ -21,8 +21,8 @@ const SECONDS_PER_DAY: i64 = 86_400;
 pub(super) struct Run {
     id: RunId,
     pipeline: Slug,
-    /// Days since the Unix epoch at its start; `None` if the run does not end at midnight.
-    day: Option<i64>,
+    /// Day of its start, in days since the Unix epoch; `None` if the run does not end at midnight.
+    start_day: Option<i64>,
     placement: Description,
     deadline: Option<Span>,
     progress: Progress,
@@ -30,14 +30,14 @@ pub(super) struct Run {
 }
 
 impl Run {
-    /// Begins a run and reports its start. `warm` is `true` if it directly continues another run.
-    pub(super) fn begin(
+    /// Starts a run and reports its start. `is_continuation` is `true` if it directly continues another run.
+    pub(super) fn start(
         config: &PipelineConfig,
         placement: Description,
         (mut facts, conditions): (Vec<(String, String)>, Vec<Condition>),
-        warm: bool,
+        is_continuation: bool,
         context: &PipelineContext,
-        display: &Display,
+        live_state: &PipelineLiveState,
     ) -> Self {
         let id = RunId::random();
         facts.extend(config.deadline_ms.map(|deadline| ("Deadline".to_owned(), format!("{deadline} ms"))));
@@ -53,17 +53,17 @@ impl Run {
             experiment: config.experiment.clone().map(Box::new),
             conditions,
         };
-        context.events.runs.began(description.clone());
-        context.events.event_queue.event(Some(&config.name), Event::RunStarted(description));
-        display.set_run(id);
+        context.events.runs.record_start(description.clone());
+        context.events.event_queue.push_event(Some(&config.name), Event::RunStarted(description));
+        live_state.set_run(id);
         Self {
             id,
             pipeline: config.name.clone(),
             // A run with a limit ends at its limit only, so that a measurement over midnight is one run.
-            day: config.limit.is_none().then(|| day(started)),
+            start_day: config.limit.is_none().then(|| day(started)),
             placement,
             deadline: config.deadline().map(Span::from),
-            progress: Progress::new(config, warm),
+            progress: Progress::new(config, is_continuation),
             failures: FailureLog::default(),
         }
     }
@@ -72,32 +72,32 @@ impl Run {
         self.id
     }
 
-    /// Returns whether the run describes a pipeline at this placement.
-    pub(super) fn is_at(&self, placement: &Description) -> bool {
+    /// Returns whether this is the run's placement.
+    pub(super) fn has_placement(&self, placement: &Description) -> bool {
         self.placement == *placement
     }
 
-    /// Returns whether an iteration with the intended start `intended` would be beyond the limit.
-    pub(super) fn is_over(&self, intended: MonoTime) -> bool {
-        self.progress.is_over(intended)
+    /// Returns whether an iteration with this intended start would exceed the run's limit.
+    pub(super) fn is_limit_reached(&self, intended: MonoTime) -> bool {
+        self.progress.is_limit_reached(intended)
     }
 
-    /// Returns whether midnight (UTC) has passed since the start, for a run that ends there.
+    /// Returns whether the run ends at midnight (UTC), and midnight has passed since its start.
     pub(super) fn is_from_previous_day(&self, now: WallTime) -> bool {
-        self.day.is_some_and(|started| day(now) > started)
+        self.start_day.is_some_and(|start_day| day(now) > start_day)
     }
 
     /// Assigns number, episode and step to the next iteration.
-    pub(super) fn place(&mut self, intended: MonoTime) -> Position {
-        self.progress.place(intended)
+    pub(super) fn assign_position(&mut self, intended: MonoTime) -> Position {
+        self.progress.assign_position(intended)
     }
 
-    /// Returns the planned number of iterations when the run has ended; `None` if it was stopped or lost its peer,
-    /// because it may continue then.
-    pub(super) fn planned_iterations(&self, ended: &LoopEnd) -> Option<u64> {
-        match ended {
-            // No further iteration begins, so that the number so far is the planned one.
-            LoopEnd::Limit | LoopEnd::Midnight => Some(self.progress.given()),
+    /// Returns the planned number of iterations of a run whose loop ended for `reason`. It is `None` if the run was
+    /// stopped or lost its peer, because it may continue then.
+    pub(super) fn planned_iterations(&self, reason: &LoopEnd) -> Option<u64> {
+        match reason {
+            // No further iteration starts, so the number so far is the planned one.
+            LoopEnd::Limit | LoopEnd::Midnight => Some(self.progress.started()),
             LoopEnd::NoMoreSamples | LoopEnd::Broken(_) => Some(self.progress.planned_iterations()),
             LoopEnd::Stopped | LoopEnd::Disconnected(_) => None,
         }
@@ -111,52 +111,52 @@ impl Run {
         mut tree: Tree,
         ended: Stamp,
         context: &PipelineContext,
-        display: &Display,
+        live_state: &PipelineLiveState,
     ) {
         if let Some(deadline) = self.deadline {
-            deadline::judge(&mut tree, &outcome, deadline);
+            deadline::record_deadline(&mut tree, &outcome, deadline);
         }
         // Warm-up iterations are stored, but left out of all statistics.
         if !position.warm_up {
-            display.record(ended.wall.unix_seconds(), &outcome, &tree);
+            live_state.record(ended.wall.unix_seconds(), &outcome, &tree);
         }
         let Position { number, episode, step, warm_up } = position;
         for line in self.failures.record(number, &outcome, ended.mono) {
             tracing::warn!(pipeline = %self.pipeline, "{line}");
         }
         let iteration = Iteration { run: self.id, number, episode, step, warm_up, outcome, tree };
-        context.events.event_queue.iteration(&self.pipeline, iteration);
+        context.events.event_queue.push_iteration(&self.pipeline, iteration);
     }
 
     /// Reports the end of the run.
     pub(super) fn end(&mut self, reason: EndReason, context: &PipelineContext) {
-        for line in self.failures.finish(context.host.clock.mono()) {
+        for line in self.failures.take_remaining(context.host.clock.mono()) {
             tracing::warn!(pipeline = %self.pipeline, "{line}");
         }
         end(&self.pipeline, self.id, reason, context);
     }
 }
 
-/// Reports the end of the pipeline's run in progress, if there is one, after its [`Run`] was lost by a panic.
-pub(super) fn end_orphan(pipeline: &Slug, reason: EndReason, context: &PipelineContext) {
-    if let Some(run) = context.events.runs.current(pipeline) {
+/// Reports the end of the pipeline's run in progress, if there is one, after a panic dropped its [`Run`].
+pub(super) fn end_orphaned_run(pipeline: &Slug, reason: EndReason, context: &PipelineContext) {
+    if let Some(run) = context.events.runs.current_run(pipeline) {
         end(pipeline, run, reason, context);
     }
 }
 
 fn end(pipeline: &Slug, run: RunId, reason: EndReason, context: &PipelineContext) {
     let ended = RunEnded { run, ended: context.host.clock.wall(), reason };
-    // Before the event is queued, so that the outbox does not repeat the start of the run after its end.
-    context.events.runs.ended(pipeline, run);
-    context.events.event_queue.event(Some(pipeline), Event::RunEnded(ended));
+    // Recorded before the event is queued, so that the outbox does not send the start of the run again after its end.
+    context.events.runs.record_end(pipeline, run);
+    context.events.event_queue.push_event(Some(pipeline), Event::RunEnded(ended));
 }
 
 fn day(at: WallTime) -> i64 {
     at.unix_seconds().div_euclid(SECONDS_PER_DAY)
 }
 
-/// Returns the pipeline's table as in a configuration file, without values that may be secret.
+/// Returns the pipeline's table as TOML, without values that may be secret.
 fn configuration(config: &PipelineConfig) -> String {
-    toml::to_string(&config.publishable())
-        .unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
+    toml::to_string(&config.redacted())
+        .unwrap_or_else(|error| format!("# cannot be written as TOML: {error}\n"))
 }

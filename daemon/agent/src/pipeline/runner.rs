@@ -20,28 +20,28 @@ use super::observe::{self, SourceError};
 use super::pipeline_loop::{LoopEnd, LoopError};
 use super::placement::{OpenFailure, Placement};
 use super::resources::{AssembleError, PipelineResources};
-use super::run::{Run, end_orphan};
+use super::run::{Run, end_orphaned_run};
 use crate::config::{PipelineConfig, PlacementConfig};
-use crate::incidents::{IncidentContext, remark};
-use crate::live::Display;
+use crate::incidents::{IncidentSubject, remark};
+use crate::live::PipelineLiveState;
 use crate::reconnect_backoff::ReconnectBackoff;
 
 /// Runs one pipeline until it finishes, fails, or the agent stops. A failure or panic ends this pipeline only.
 pub(crate) async fn run(
     config: Arc<PipelineConfig>,
-    display: Arc<Display>,
+    live_state: Arc<PipelineLiveState>,
     context: PipelineContext,
     stop: CancellationToken,
-    patience: Duration,
+    drain_timeout: Duration,
 ) {
-    let runner = Runner { config, display, context, stop, patience };
-    let life = AssertUnwindSafe(runner.live()).catch_unwind().await;
-    match life.unwrap_or_else(|panic| Err(runner.panicked(panic.as_ref()))) {
-        Ok(()) => runner.display.set_state(PipelineState::Finished),
+    let runner = Runner { config, live_state, context, stop, drain_timeout };
+    let outcome = AssertUnwindSafe(runner.run_to_end()).catch_unwind().await;
+    match outcome.unwrap_or_else(|panic| Err(runner.handle_panic(panic.as_ref()))) {
+        Ok(()) => runner.live_state.set_state(PipelineState::Finished),
         Err(error) => {
             let reason = error.to_string();
             runner.report(IncidentKind::PipelineFailed, None, reason.clone());
-            runner.display.set_state(PipelineState::Failed(reason));
+            runner.live_state.set_state(PipelineState::Failed(reason));
         }
     }
 }
@@ -61,71 +61,73 @@ pub(super) enum PipelineError {
     /// The topics of an observed system cannot be subscribed to.
     #[error(transparent)]
     Observe(#[from] SourceError),
-    #[error("the pipeline panicked: {message}; the log says where")]
+    #[error("the pipeline panicked: {message}; see the log for the place")]
     Panicked { message: String },
 }
 
 /// A pipeline and the parts of the agent that it reports to.
 pub(super) struct Runner {
     pub(super) config: Arc<PipelineConfig>,
-    pub(super) display: Arc<Display>,
+    pub(super) live_state: Arc<PipelineLiveState>,
     pub(super) context: PipelineContext,
     pub(super) stop: CancellationToken,
-    /// Time that iterations in flight may take when the agent stops.
-    pub(super) patience: Duration,
+    /// Time that iterations in flight have to complete when the agent stops.
+    pub(super) drain_timeout: Duration,
 }
 
-/// Reason why a pipeline waits for its peer.
+/// Reason why a pipeline has no connection to its peer.
 #[derive(Debug, PartialEq, Eq)]
-enum ConnectTrouble {
-    Away,
+enum ConnectProblem {
+    Unreachable,
     Refused(String),
 }
 
-impl ConnectTrouble {
+impl ConnectProblem {
     const fn kind(&self) -> IncidentKind {
         match self {
-            Self::Away => IncidentKind::Disconnected,
+            Self::Unreachable => IncidentKind::Disconnected,
             Self::Refused(_) => IncidentKind::Refused,
         }
     }
 
-    /// Returns the text about further attempts.
-    fn outlook(&self) -> String {
+    /// Returns the text about the retries.
+    fn retry_text(&self) -> String {
         let (shortest, longest) =
-            (ReconnectBackoff::SHORTEST.as_secs_f64(), ReconnectBackoff::LONGEST.as_secs());
+            (ReconnectBackoff::MIN_PAUSE.as_secs_f64(), ReconnectBackoff::MAX_PAUSE.as_secs());
         match self {
-            Self::Away => {
-                format!("trying again every {shortest} to {longest} s; the pipeline goes on by itself")
+            Self::Unreachable => {
+                format!("retrying every {shortest} to {longest} s; the pipeline continues automatically")
             }
-            Self::Refused(_) => format!("trying again every {} s", ReconnectBackoff::REFUSED.as_secs()),
+            Self::Refused(_) => {
+                format!("retrying every {} s", ReconnectBackoff::PAUSE_AFTER_REFUSAL.as_secs())
+            }
         }
     }
 }
 
 impl Runner {
     /// Sets the pipeline up and runs it to its end.
-    async fn live(&self) -> Result<(), PipelineError> {
+    async fn run_to_end(&self) -> Result<(), PipelineError> {
         if let PlacementConfig::Observe(observed) = &self.config.placement {
-            return observe::live(self, observed).await;
+            return observe::run_to_end(self, observed).await;
         }
         let Some(resources) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
         let mut resources = resources?;
         let mut run: Option<Run> = None;
         loop {
             let Some(placement) = self.connect(&mut resources, run.as_ref().map(Run::id)).await? else {
-                self.end(run.as_mut(), EndReason::Stopped);
+                self.end_run(run.as_mut(), EndReason::Stopped);
                 return Ok(());
             };
-            // A peer that came back with another model or device is another configuration, whose statistics must not
-            // be mixed with those before.
-            if let Some(mut other) = run.take_if(|run| !run.is_at(&placement.describe())) {
-                self.end(Some(&mut other), EndReason::Failed("the peer changed".to_owned()));
+            // A peer that returns with another model or device is another configuration. Statistics of two
+            // configurations must not be mixed, so a new run starts.
+            if let Some(mut other) = run.take_if(|run| !run.has_placement(&placement.describe())) {
+                self.end_run(Some(&mut other), EndReason::Failed("the peer changed".to_owned()));
             }
             let current = match &mut run {
                 Some(run) => run,
                 None => {
-                    let new_run = self.begin(resources.facts(placement.facts()), &placement, false).await;
+                    let new_run = self.start(resources.facts(placement.facts()), &placement, false).await;
                     resources.restart_schedule(self.context.host.clock.mono());
                     run.insert(new_run)
                 }
@@ -134,16 +136,16 @@ impl Runner {
             let planned_iterations = current.planned_iterations(&ended);
             let (reason, result) = match ended {
                 LoopEnd::Disconnected(reason) => {
-                    self.disconnected(&placement, current.id(), reason);
+                    self.report_disconnected(&placement, current.id(), reason);
                     continue;
                 }
                 LoopEnd::Limit | LoopEnd::NoMoreSamples | LoopEnd::Midnight => (EndReason::Finished, Ok(())),
                 LoopEnd::Stopped => (EndReason::Stopped, Ok(())),
                 LoopEnd::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
             };
-            self.end(run.as_mut(), reason);
-            // The next iteration reports the skipped starts before it. There is none after the last ones, so that the
-            // log reports them.
+            self.end_run(run.as_mut(), reason);
+            // An iteration records the skipped starts before it. No iteration follows the last skipped starts, so they
+            // are logged.
             if resources.schedule.unreported_skips() > 0 {
                 let (pipeline, starts) = (&self.config.name, resources.schedule.unreported_skips());
                 tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
@@ -153,131 +155,139 @@ impl Runner {
         }
     }
 
-    /// Sets up sensor, transforms and actuator on a thread that may block.
+    /// Sets up sensor, transforms and actuator on a blocking thread.
     async fn assemble(&self) -> Result<PipelineResources, AssembleError> {
-        let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
+        let (config, live_state) = (Arc::clone(&self.config), Arc::clone(&self.live_state));
         let (clock, fingerprints) = (Arc::clone(&self.context.host.clock), self.context.fingerprints.clone());
-        self.display.set_sensor_busy_since(Some(clock.mono()));
-        let assembling = move || PipelineResources::assemble(config, display, clock, &fingerprints);
+        self.live_state.set_sensor_busy_since(Some(clock.mono()));
+        let assembling = move || PipelineResources::assemble(config, live_state, clock, &fingerprints);
         let assembled = tokio::task::spawn_blocking(assembling).await;
-        self.display.set_sensor_busy_since(None);
+        self.live_state.set_sensor_busy_since(None);
         assembled.unwrap_or_else(|panic| Err(panic.into()))
     }
 
-    /// Measures at one placement until it is lost or the pipeline ends; at midnight a new run begins.
+    /// Runs iterations at one placement until its connection is lost or the pipeline ends. At midnight a new run
+    /// starts.
     async fn measure(
         &self,
         resources: &mut PipelineResources,
         run: &mut Run,
         placement: &Placement,
     ) -> LoopEnd {
-        self.display.set_state(PipelineState::Running);
+        self.live_state.set_state(PipelineState::Running);
         loop {
-            let ended = drive(resources, run, placement, &self.context, &self.stop, self.patience).await;
+            let ended = drive(resources, run, placement, &self.context, &self.stop, self.drain_timeout).await;
             if !matches!(ended, LoopEnd::Midnight) {
                 return ended;
             }
             run.end(EndReason::Finished, &self.context);
-            *run = self.begin(resources.facts(placement.facts()), placement, true).await;
+            *run = self.start(resources.facts(placement.facts()), placement, true).await;
         }
     }
 
-    /// Ends the run after a panic of the pipeline's own task. Other pipelines are not affected.
-    fn panicked(&self, panic: &(dyn Any + Send)) -> PipelineError {
+    /// Ends the run after a panic of the pipeline's task, and returns the error. Other pipelines are not affected.
+    fn handle_panic(&self, panic: &(dyn Any + Send)) -> PipelineError {
         let message = panic.downcast_ref::<String>().map(String::as_str);
         let message =
             message.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message");
         let error = PipelineError::Panicked { message: message.to_owned() };
-        end_orphan(&self.config.name, EndReason::Failed(error.to_string()), &self.context);
+        end_orphaned_run(&self.config.name, EndReason::Failed(error.to_string()), &self.context);
         error
     }
 
-    async fn begin(&self, facts: Vec<(String, String)>, placement: &Placement, warm: bool) -> Run {
-        let conditions = placement.conditions(&self.context, warm).await;
-        self.begin_run(facts, placement.describe(), conditions, warm)
+    /// Inspects the conditions of both hosts, and starts a run at this placement.
+    async fn start(&self, facts: Vec<(String, String)>, placement: &Placement, is_continuation: bool) -> Run {
+        let conditions = placement.conditions(&self.context, is_continuation).await;
+        self.start_run(facts, placement.describe(), conditions, is_continuation)
     }
 
-    /// Begins a run and reports its start; `warm` is `true` if it directly continues another.
-    pub(super) fn begin_run(
+    /// Starts a run and reports its start; `is_continuation` is `true` if it directly continues another.
+    pub(super) fn start_run(
         &self,
         mut facts: Vec<(String, String)>,
         placement: Description,
         conditions: Vec<Condition>,
-        warm: bool,
+        is_continuation: bool,
     ) -> Run {
         if let Some(rehearsal) = self.context.host.clock.injected_faults() {
             facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
         }
-        Run::begin(&self.config, placement, (facts, conditions), warm, &self.context, &self.display)
+        Run::start(
+            &self.config,
+            placement,
+            (facts, conditions),
+            is_continuation,
+            &self.context,
+            &self.live_state,
+        )
     }
 
-    fn end(&self, run: Option<&mut Run>, reason: EndReason) {
+    fn end_run(&self, run: Option<&mut Run>, reason: EndReason) {
         if let Some(run) = run {
             run.end(reason, &self.context);
         }
     }
 
-    /// Opens the placement, with as many attempts as it takes. Returns `None` if the agent stops.
+    /// Opens the placement, and retries until that succeeds. Returns `None` if the agent stops.
     async fn connect(
         &self,
         resources: &mut PipelineResources,
         run: Option<RunId>,
     ) -> Result<Option<Placement>, PipelineError> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
-        // Each trouble is reported once and not at every attempt. In mid-run the loss of the peer has been reported
-        // already.
-        let mut reported = run.map(|_| ConnectTrouble::Away);
+        // A problem is reported when it first occurs and not at every attempt. During a run the loss of the peer has
+        // been reported already.
+        let mut reported = run.map(|_| ConnectProblem::Unreachable);
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opened) = opening.await else { return Ok(None) };
-            // The schedule continues meanwhile: starts that come due while there is no connection are skipped and
-            // counted.
+            // The schedule continues without a connection: starts that come due are skipped and counted.
             resources.schedule.catch_up(self.context.host.clock.mono());
-            let (trouble, error, pause) = match opened {
+            let (problem, error, pause) = match opened {
                 Ok(placement) => {
-                    self.connected(&placement, run);
+                    self.report_connected(&placement, run);
                     return Ok(Some(placement));
                 }
-                // Another attempt cannot help while the configuration is the same.
+                // A retry cannot help: only a change of the configuration can.
                 Err(OpenFailure::Model(error)) => return Err(error.into()),
                 Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
-                Err(OpenFailure::Away(error)) => {
-                    (ConnectTrouble::Away, error.to_string(), reconnect_backoff.grow())
+                Err(OpenFailure::Unreachable(error)) => {
+                    (ConnectProblem::Unreachable, error.to_string(), reconnect_backoff.next_pause())
                 }
                 Err(OpenFailure::Refused(error)) => {
                     let error = error.to_string();
-                    (ConnectTrouble::Refused(error.clone()), error, reconnect_backoff.refused())
+                    (ConnectProblem::Refused(error.clone()), error, reconnect_backoff.refusal_pause())
                 }
             };
-            if reported.as_ref() != Some(&trouble) {
-                self.report(trouble.kind(), run, format!("{error} ({})", trouble.outlook()));
-                reported = Some(trouble);
+            if reported.as_ref() != Some(&problem) {
+                self.report(problem.kind(), run, format!("{error} ({})", problem.retry_text()));
+                reported = Some(problem);
             }
-            self.display.set_state(PipelineState::Waiting(error));
+            self.live_state.set_state(PipelineState::Waiting(error));
             if self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_none() {
                 return Ok(None);
             }
         }
     }
 
-    fn connected(&self, placement: &Placement, run: Option<RunId>) {
+    fn report_connected(&self, placement: &Placement, run: Option<RunId>) {
         let description = placement.describe();
         if let Some((peer, name)) = placement.peer() {
             let model = &description.model;
             let device = description.device.as_deref().unwrap_or("an unknown device");
             if let Some(caveat) = placement.caveat() {
-                remark(&format!("the connection to {name}: {caveat}"));
+                remark(&format!("connection to {name}: {caveat}"));
             }
             let caveat = placement.caveat().map(|caveat| format!("; {caveat}")).unwrap_or_default();
             let text = format!("connected to {name}, which runs {model} on {device}{caveat}");
-            let what = IncidentContext { pipeline: Some(&self.config.name), run, peer: Some(peer) };
-            self.context.events.incidents.report(IncidentKind::Connected, what, text);
+            let subject = IncidentSubject { pipeline: Some(&self.config.name), run, peer: Some(peer) };
+            self.context.events.incidents.report(IncidentKind::Connected, subject, text);
             self.follow_remarks(placement, peer);
         }
-        self.display.set_placement(description);
+        self.live_state.set_placement(description);
     }
 
-    /// Reports remarks of the transport about the connection while it is open.
+    /// Reports the transport's remarks about the connection while it is open.
     fn follow_remarks(&self, placement: &Placement, peer: HostId) {
         let Some(mut remarks) = placement.remarks() else { return };
         let (incidents, pipeline) = (self.context.events.incidents.clone(), self.config.name.clone());
@@ -286,21 +296,27 @@ impl Runner {
             while remarks.changed().await.is_ok() {
                 let all = remarks.borrow_and_update().clone();
                 for text in all.get(reported_remarks..).unwrap_or_default() {
-                    let what = IncidentContext { pipeline: Some(&pipeline), run: None, peer: Some(peer) };
-                    incidents.remark(IncidentKind::Connected, what, format!("pipeline {pipeline}: {text}"));
+                    let subject = IncidentSubject { pipeline: Some(&pipeline), run: None, peer: Some(peer) };
+                    incidents.remark(
+                        IncidentKind::Connected,
+                        subject,
+                        format!("pipeline {pipeline}: {text}"),
+                    );
                 }
                 reported_remarks = all.len();
             }
         });
     }
 
-    fn disconnected(&self, placement: &Placement, run: RunId, reason: String) {
+    fn report_disconnected(&self, placement: &Placement, run: RunId, reason: String) {
         let Some((peer, name)) = placement.peer() else { return };
         let address = self.peer_address().map(Address::to_string).unwrap_or_default();
-        let text = format!("lost {name} at {address}: {reason}; the run goes on when it is back");
-        let what = IncidentContext { pipeline: Some(&self.config.name), run: Some(run), peer: Some(peer) };
-        self.context.events.incidents.report(IncidentKind::Disconnected, what, text);
-        self.display.set_state(PipelineState::Waiting(reason));
+        let text = format!(
+            "lost the connection to {name} at {address}: {reason}; the run continues after a reconnect"
+        );
+        let subject = IncidentSubject { pipeline: Some(&self.config.name), run: Some(run), peer: Some(peer) };
+        self.context.events.incidents.report(IncidentKind::Disconnected, subject, text);
+        self.live_state.set_state(PipelineState::Waiting(reason));
     }
 
     fn peer_address(&self) -> Option<&Address> {
@@ -311,8 +327,8 @@ impl Runner {
     }
 
     pub(super) fn report(&self, kind: IncidentKind, run: Option<RunId>, text: String) {
-        let what = IncidentContext { pipeline: Some(&self.config.name), run, peer: None };
-        self.context.events.incidents.report(kind, what, text);
+        let subject = IncidentSubject { pipeline: Some(&self.config.name), run, peer: None };
+        self.context.events.incidents.report(kind, subject, text);
     }
 }
 

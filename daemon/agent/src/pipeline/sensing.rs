@@ -9,13 +9,15 @@ use peernet_sample::Sample;
 use peernet_sensors::{Sensor, SensorError, Transform};
 use tokio::sync::oneshot;
 
-/// The sensor's sample and the recorder with the node `sensing`. `Ok(None)` if the sensor has no more samples.
+/// Output of a sensor for one request.
 pub(super) struct SensorOutput {
+    /// The recorder with the node `sensing`.
     pub(super) log: Recorder,
+    /// The transformed sample; `Ok(None)` if the sensor has no more samples.
     pub(super) sample: Result<Option<Sample>, SensorError>,
 }
 
-/// The sensor and the transforms after it.
+/// A sensor and the transforms that are applied to its samples, in order.
 pub(super) struct SensorChain {
     pub(super) sensor: Box<dyn Sensor>,
     pub(super) transforms: Vec<Box<dyn Transform>>,
@@ -23,13 +25,13 @@ pub(super) struct SensorChain {
 
 /// Runs a sensor and its transforms.
 pub(super) enum SensorExecutor {
-    /// In the pipeline's own task, for a sensor that neither blocks nor computes: a thread would add two wake-ups.
+    /// In the pipeline's task, for a sensor that neither blocks nor computes: a thread would add two wake-ups.
     Inline(SensorChain),
     /// On a separate thread, named after the pipeline.
     Thread(SyncSender<SampleRequest>),
 }
 
-/// Answer to the request for a sample.
+/// Response to a request for a sample.
 #[expect(clippy::large_enum_variant, reason = "lives for a moment; boxing would allocate once an iteration")]
 pub(super) enum SensorResponse {
     Done(SensorOutput),
@@ -68,34 +70,34 @@ impl SensorExecutor {
     /// Starts a thread for the chain if it blocks or computes.
     ///
     /// # Errors
-    /// When the system gives no thread.
+    /// When the operating system refuses a thread.
     pub(super) fn new(chain: SensorChain, pipeline: &Slug) -> io::Result<Self> {
         if !chain.sensor.blocks() && chain.transforms.is_empty() {
             return Ok(Self::Inline(chain));
         }
-        let (orders, taken) = sync_channel(1);
-        thread::Builder::new().name(pipeline.to_string()).spawn(move || serve(chain, &taken))?;
-        Ok(Self::Thread(orders))
+        let (requests, received) = sync_channel(1);
+        thread::Builder::new().name(pipeline.to_string()).spawn(move || serve_requests(chain, &received))?;
+        Ok(Self::Thread(requests))
     }
 
-    /// Requests a sample. At most one request is pending.
-    pub(super) fn begin(&mut self, log: Recorder) -> SensorResponse {
+    /// Requests a sample. The caller has at most one pending request.
+    pub(super) fn request_sample(&mut self, log: Recorder) -> SensorResponse {
         match self {
             Self::Inline(chain) => SensorResponse::Done(chain.run(log)),
-            Self::Thread(orders) => {
-                let (reply, sensed) = oneshot::channel();
+            Self::Thread(requests) => {
+                let (reply, output) = oneshot::channel();
                 // If the thread has ended, the request is dropped with `reply`, which closes the receiver.
-                let _ = orders.try_send(SampleRequest { log, reply });
-                SensorResponse::Pending(sensed)
+                let _ = requests.try_send(SampleRequest { log, reply });
+                SensorResponse::Pending(output)
             }
         }
     }
 }
 
 /// Serves requests until the pipeline drops its end of the channel.
-fn serve(mut chain: SensorChain, orders: &Receiver<SampleRequest>) {
-    while let Ok(SampleRequest { log, reply }) = orders.recv() {
-        // The pipeline may have stopped meanwhile.
+fn serve_requests(mut chain: SensorChain, requests: &Receiver<SampleRequest>) {
+    while let Ok(SampleRequest { log, reply }) = requests.recv() {
+        // The send fails if the pipeline has stopped in the meantime; the output is not needed then.
         let _ = reply.send(chain.run(log));
     }
 }

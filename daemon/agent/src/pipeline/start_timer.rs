@@ -11,21 +11,21 @@ use tokio::io::unix::AsyncFd;
 
 /// A kernel timer (`timerfd`) on the monotonic clock.
 ///
-/// Timers of tokio are rounded up to whole milliseconds. Latency counts from the intended start, so that every iteration
-/// would seem late by up to a millisecond.
+/// Timers of tokio are rounded up to whole milliseconds. Latency counts from the intended start, so every iteration would
+/// have up to a millisecond of additional latency.
 #[derive(Debug)]
 pub(crate) struct StartTimer {
     timer: AsyncFd<OwnedFd>,
     clock: SharedClock,
     /// Time to which the kernel's timer is set.
-    set: Option<MonoTime>,
+    armed_for: Option<MonoTime>,
 }
 
 impl StartTimer {
     /// Creates a timer that is not set.
     ///
     /// # Errors
-    /// When the kernel has no timer to give: too many open files.
+    /// When the kernel refuses a timer because too many files are open.
     pub(crate) fn new(clock: SharedClock) -> io::Result<Self> {
         let flags = TimerfdFlags::NONBLOCK | TimerfdFlags::CLOEXEC;
         let timer = timerfd_create(TimerfdClockId::Monotonic, flags)?;
@@ -34,7 +34,7 @@ impl StartTimer {
             reason = "its successor is unsafe, for types whose descriptor can change; ours cannot"
         )]
         let timer = AsyncFd::new(timer)?;
-        Ok(Self { timer, clock, set: None })
+        Ok(Self { timer, clock, armed_for: None })
     }
 
     /// Waits until `at`; returns at once if that has passed. Cancelling the wait and repeating it for the same moment
@@ -42,26 +42,27 @@ impl StartTimer {
     ///
     /// # Errors
     /// When the kernel refuses to set the timer.
-    pub(crate) async fn until(&mut self, at: MonoTime) -> io::Result<()> {
-        // `at` may be a time of a clock with injected faults, which the kernel does not know. Only the difference is
-        // used.
-        let left = at - self.clock.mono();
-        if left.nanos() <= 0 {
+    pub(crate) async fn wait_until(&mut self, at: MonoTime) -> io::Result<()> {
+        // Only the difference is given to the kernel, because `at` may be a time of a clock with injected faults.
+        let remaining = at - self.clock.mono();
+        if remaining.nanos() <= 0 {
             return Ok(());
         }
-        if self.set != Some(at) {
-            let left =
-                Timespec { tv_sec: left.nanos() / 1_000_000_000, tv_nsec: left.nanos() % 1_000_000_000 };
-            let once = Itimerspec { it_interval: Timespec { tv_sec: 0, tv_nsec: 0 }, it_value: left };
-            timerfd_settime(self.timer.get_ref(), TimerfdTimerFlags::empty(), &once)?;
-            self.set = Some(at);
+        if self.armed_for != Some(at) {
+            let remaining = Timespec {
+                tv_sec: remaining.nanos() / 1_000_000_000,
+                tv_nsec: remaining.nanos() % 1_000_000_000,
+            };
+            let expiry = Itimerspec { it_interval: Timespec { tv_sec: 0, tv_nsec: 0 }, it_value: remaining };
+            timerfd_settime(self.timer.get_ref(), TimerfdTimerFlags::empty(), &expiry)?;
+            self.armed_for = Some(at);
         }
         loop {
             let mut ready = self.timer.readable().await?;
             let mut ticks = [0; 8];
             match ready.try_io(|timer| rustix::io::read(timer.get_ref(), &mut ticks).map_err(Into::into)) {
                 Ok(result) => {
-                    self.set = None;
+                    self.armed_for = None;
                     return result.map(|_| ());
                 }
                 Err(_would_block) => {}
@@ -84,7 +85,7 @@ mod tests {
         let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         for millis in [3, 1, 0, -5, 2] {
             let at = clock.mono() + Span::from_millis(millis);
-            start_timer.until(at).await.expect("rings");
+            start_timer.wait_until(at).await.expect("rings");
             assert!(clock.mono() >= at);
         }
     }
@@ -96,11 +97,11 @@ mod tests {
         let far = clock.mono() + Span::from_seconds(3600);
         tokio::select! {
             biased;
-            _ = start_timer.until(far) => unreachable!("an hour has not passed"),
+            _ = start_timer.wait_until(far) => unreachable!("an hour has not passed"),
             () = std::future::ready(()) => {}
         }
         let near = clock.mono() + Span::from_millis(2);
-        start_timer.until(near).await.expect("rings");
+        start_timer.wait_until(near).await.expect("rings");
         assert!(clock.mono() >= near);
     }
 }

@@ -1,4 +1,4 @@
-//! The cloud's end: connects to the socket of an edge and answers its questions.
+//! The cloud's end: connects to the socket of an edge and answers its queries.
 
 use std::io;
 use std::os::unix::net::UnixStream as StdStream;
@@ -9,9 +9,9 @@ use socket2::{Domain, SockAddr, Socket, Type};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::UnixStream;
 
-use super::messages::{Answer, Question};
+use super::messages::{ClockAnswer, ClockQuery};
 
-/// A connection to the edge of a session, over which it asks for the readings of this process's clocks.
+/// A connection to the edge of a session, over which the edge queries the readings of this process's clocks.
 #[derive(Debug)]
 pub(crate) struct ClockWitness {
     stream: StdStream,
@@ -21,9 +21,9 @@ pub(crate) struct ClockWitness {
 }
 
 impl ClockWitness {
-    /// Connects to the socket that an edge names. Returns `None` if it names none, if the two clocks cannot be one,
-    /// or if the socket cannot be reached, because the edge is on another machine or in another network namespace.
-    /// Never waits.
+    /// Connects to the socket in an edge's hello, without waiting. Returns `None` if the hello names no socket, if the two
+    /// clocks cannot be one, or if the socket cannot be reached because the edge is on another machine or in another
+    /// network namespace.
     pub(crate) fn connect(hello: &SessionHello, session: SessionId, clock: &SharedClock) -> Option<Self> {
         let name = hello.clock_socket?;
         if !hello.clock.may_share_clock_with(clock.identity()) || !clock.shows_kernel_time() {
@@ -41,23 +41,23 @@ impl ClockWitness {
         }
     }
 
-    /// Answers until the edge closes the connection or sends something that is not a question.
+    /// Answers until the edge closes the connection or sends an invalid query.
     pub(crate) async fn answer(self) {
         if let Err(error) = self.answer_all().await {
-            // The edge measures the delays from now on, and reports it.
-            tracing::debug!(session = %self.session, %error, "answers no more questions about the clock");
+            // The edge estimates the delays from now on, and reports it.
+            tracing::debug!(session = %self.session, %error, "stopped answering queries about the clock");
         }
     }
 
     async fn answer_all(&self) -> io::Result<()> {
         let mut stream = UnixStream::from_std(self.stream.try_clone()?)?;
         loop {
-            let mut question = [0; Question::BYTES];
-            stream.read_exact(&mut question).await?;
-            let Some(Question { nonce }) = Question::from_bytes(&question) else {
-                return Err(io::Error::new(io::ErrorKind::InvalidData, "what the edge sent is no question"));
+            let mut query = [0; ClockQuery::BYTES];
+            stream.read_exact(&mut query).await?;
+            let Some(ClockQuery { nonce }) = ClockQuery::from_bytes(&query) else {
+                return Err(io::Error::new(io::ErrorKind::InvalidData, "the edge sent an invalid query"));
             };
-            let answer = Answer {
+            let answer = ClockAnswer {
                 nonce,
                 session: *self.session.as_bytes(),
                 time_namespace: self.time_namespace,
@@ -69,8 +69,8 @@ impl ClockWitness {
     }
 }
 
-/// Connects to an abstract socket of this network namespace, at once or not at all: waiting for an edge that no
-/// longer accepts would delay all other sessions.
+/// Connects to an abstract socket of this network namespace without blocking.
+// Waiting for an edge that no longer accepts connections would delay all other sessions.
 fn connect(name: &str) -> io::Result<StdStream> {
     let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
     socket.set_nonblocking(true)?;

@@ -1,4 +1,4 @@
-//! The edge's end: the socket that a session names, and the questions over its connections.
+//! The edge's end: the socket that a session's hello names, and the queries over its connections.
 
 use std::convert::Infallible;
 use std::io;
@@ -15,17 +15,17 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::UnixStream;
 use uuid::Uuid;
 
-use super::messages::Answer;
+use super::messages::ClockAnswer;
 use super::proof::{NotProven, Outcome, OwnClock, Proof};
 
-/// Largest number of processes that may connect while a session is opened. Usually it is one; others do not belong to
-/// PEERNet.
+/// Largest number of processes that may connect while a session is opened. The cloud is one of them; others are not part
+/// of PEERNet.
 const MAX_PEERS: usize = 16;
-/// Time after which a process that has not answered the first question is ignored: it does not serve the session, or
-/// is stopped. A question that is late because this process was paused has as much time.
+/// Time after which a process that has not answered the first query is ignored: it does not serve the session, or is
+/// stopped. After a pause of this process an answer may take as long.
 const FIRST_ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// The socket that a session names while it is opened.
+/// The socket that a session's hello names.
 #[derive(Debug)]
 pub(crate) struct ClockSocket {
     name: ClockSocketName,
@@ -33,7 +33,7 @@ pub(crate) struct ClockSocket {
 }
 
 impl ClockSocket {
-    /// Listens at a random name. Returns `None` if this process cannot prove anything about its clock.
+    /// Listens at a random name. Returns `None` if this process does not read the kernel's time, or cannot listen.
     pub(crate) fn listen(clock: &dyn Clock) -> Option<Self> {
         if !clock.shows_kernel_time() {
             return None;
@@ -45,7 +45,7 @@ impl ClockSocket {
             Ok(listener) => Some(Self { name, listener }),
             Err(error) => {
                 tracing::warn!(
-                    "cannot listen on an abstract Unix socket, so that delays to clouds on this machine are measured: {error}"
+                    "cannot listen on an abstract Unix socket: {error}; delays to clouds on this machine are estimated"
                 );
                 None
             }
@@ -57,7 +57,7 @@ impl ClockSocket {
     }
 
     /// Closes the socket and returns the connections. A cloud connects before it accepts the session.
-    pub(crate) fn connected(self, session: SessionId) -> ClockPeers {
+    pub(crate) fn into_peers(self, session: SessionId) -> ClockPeers {
         let mut streams = Vec::new();
         // Non-blocking: if no connection waits, `accept` returns an error.
         while let Some((stream, _)) = self.listener.accept().ok().filter(|_| streams.len() < MAX_PEERS) {
@@ -81,11 +81,11 @@ pub(crate) struct ClockPeers {
     streams: Arc<Mutex<Vec<StdStream>>>,
 }
 
-/// Asks the connected processes for proofs as long as the future is polled, and passes each change to `tell`.
+/// Queries the connected processes for proofs as long as the future is polled, and passes each change to `report`.
 pub(crate) async fn prove(
     peers: &ClockPeers,
     clock: &SharedClock,
-    tell: impl Fn(Result<(), NotProven>),
+    report: impl Fn(Result<(), NotProven>),
 ) -> Infallible {
     let streams = std::mem::take(&mut *peers.streams.lock().unwrap_or_else(PoisonError::into_inner));
     let mut last = NotProven::NotConnected;
@@ -94,79 +94,80 @@ pub(crate) async fn prove(
         last = match time_namespace() {
             Ok(namespace) => {
                 let proof = Proof::new(*session.as_bytes(), namespace);
-                let Err(why) = Proving { proof, clock, tell: &tell }.run(stream).await;
+                let Err(why) = Prover { proof, clock, report: &report }.run(stream).await;
                 why
             }
             Err(error) => error.into(),
         };
     }
-    tell(Err(last));
+    report(Err(last));
     std::future::pending().await
 }
 
-/// Asks one process.
-struct Proving<'a, F> {
+/// Queries one process.
+struct Prover<'a, F> {
     proof: Proof,
     clock: &'a SharedClock,
-    tell: &'a F,
+    report: &'a F,
 }
 
-impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
-    /// Asks repeatedly until the other end closes, or turns out to be a foreign process.
+impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
+    /// Sends queries until the other end closes, or turns out not to serve the session.
     async fn run(mut self, stream: StdStream) -> Result<Infallible, NotProven> {
         stream.set_nonblocking(true)?;
         let mut stream = UnixStream::from_std(stream)?;
-        let first = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, self.ask(&mut stream)).await;
+        let first = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, self.send_query(&mut stream)).await;
         first.map_err(|_| NotProven::Foreign)??;
         loop {
             let pause = self.proof.pause();
-            let rest = async {
+            let sleep = async {
                 tokio::time::sleep(pause).await;
                 Ok(())
             };
-            self.meanwhile(rest).await?;
-            self.ask(&mut stream).await?;
+            self.wait_for(sleep).await?;
+            self.send_query(&mut stream).await?;
         }
     }
 
-    /// Asks one question and handles its answer, however long it takes.
-    async fn ask(&mut self, stream: &mut UnixStream) -> Result<(), NotProven> {
-        // A new nonce for each question, so that an old answer is not taken for a new one.
+    /// Sends one query and handles its answer, however long it takes.
+    async fn send_query(&mut self, stream: &mut UnixStream) -> Result<(), NotProven> {
+        // A new nonce for each query, so that an old answer is not mistaken for a new one.
         let nonce = Uuid::new_v4().into_bytes();
-        let question = self.proof.ask(nonce, self.clock.raw()).to_bytes();
-        let answer = self.meanwhile(async {
-            let mut answer = [0; Answer::BYTES];
-            stream.write_all(&question).await?;
+        let query = self.proof.next_query(nonce, self.clock.raw()).to_bytes();
+        let answer = self.wait_for(async {
+            let mut answer = [0; ClockAnswer::BYTES];
+            stream.write_all(&query).await?;
             stream.read_exact(&mut answer).await?;
             Ok(answer)
         });
-        let answer = Answer::from_bytes(&answer.await?);
+        let answer = ClockAnswer::from_bytes(&answer.await?);
         let raw = self.clock.raw();
         let own =
             OwnClock { raw, mono: self.clock.mono(), shows_kernel_time: self.clock.shows_kernel_time() };
-        match self.proof.answered(answer, own) {
-            Outcome::Proven => (self.tell)(Ok(())),
-            Outcome::Refuted(why) => (self.tell)(Err(why)),
+        match self.proof.handle_answer(answer, own) {
+            Outcome::Proven => (self.report)(Ok(())),
+            Outcome::Refuted(why) => (self.report)(Err(why)),
             Outcome::Slow => {}
             Outcome::Foreign => return Err(NotProven::Foreign),
         }
         Ok(())
     }
 
-    /// Waits for a future. If the proof expires before it is ready, passes that to `tell`.
-    async fn meanwhile<T>(&mut self, waiting: impl Future<Output = io::Result<T>>) -> io::Result<T> {
+    /// Waits for a future. If the proof expires before the future is ready, passes that to `report`.
+    async fn wait_for<T>(&mut self, waiting: impl Future<Output = io::Result<T>>) -> io::Result<T> {
         let mut waiting = pin!(waiting);
-        // The proof was not renewed in time because this process was paused, which says nothing about the other
-        // process.
-        let was_paused = self.proof.holds_for(self.clock.mono()) == Some(Span::ZERO);
+        // If the proof has expired already, this process was paused, which says nothing about the other process.
+        let was_paused = self.proof.valid_for(self.clock.mono()) == Some(Span::ZERO);
         if was_paused && let Ok(done) = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, &mut waiting).await {
             return done;
         }
         loop {
-            let left = self.proof.holds_for(self.clock.mono());
+            let remaining = self.proof.valid_for(self.clock.mono());
             let expiry = async {
-                match left {
-                    Some(left) => tokio::time::sleep(Duration::from_nanos(left.nanos().unsigned_abs())).await,
+                match remaining {
+                    Some(remaining) => {
+                        tokio::time::sleep(Duration::from_nanos(remaining.nanos().unsigned_abs())).await;
+                    }
                     None => std::future::pending().await,
                 }
             };
@@ -175,7 +176,7 @@ impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
                 done = &mut waiting => return done,
                 () = expiry => {
                     if self.proof.expire(self.clock.mono()) {
-                        (self.tell)(Err(NotProven::Expired));
+                        (self.report)(Err(NotProven::Expired));
                     }
                 }
             }

@@ -1,41 +1,41 @@
-//! Messages of a clock socket: a question and its answer, each of fixed length. Numbers are big-endian.
+//! Messages of a clock socket: a query and its answer, each of fixed length. Numbers are big-endian.
 
 use peernet_clock::RawTime;
 
-/// Random value that ties an answer to its question.
+/// Random value that identifies the query that an answer belongs to.
 pub(super) type Nonce = [u8; 16];
 
-const ASKS: [u8; 8] = *b"PEERNET?";
-const ANSWERS: [u8; 8] = *b"PEERNET!";
+const QUERY_MAGIC: [u8; 8] = *b"PEERNET?";
+const ANSWER_MAGIC: [u8; 8] = *b"PEERNET!";
 
-/// Question of the edge for the cloud's clock reading.
+/// The edge's query of the cloud's clock reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Question {
+pub(super) struct ClockQuery {
     pub(super) nonce: Nonce,
 }
 
-impl Question {
+impl ClockQuery {
     pub(super) const BYTES: usize = 24;
 
     pub(super) fn to_bytes(self) -> [u8; Self::BYTES] {
         let mut bytes = [0; Self::BYTES];
-        let (kind, nonce) = bytes.split_at_mut(ASKS.len());
-        kind.copy_from_slice(&ASKS);
+        let (kind, nonce) = bytes.split_at_mut(QUERY_MAGIC.len());
+        kind.copy_from_slice(&QUERY_MAGIC);
         nonce.copy_from_slice(&self.nonce);
         bytes
     }
 
-    /// Parses a question; `None` for other bytes.
+    /// Parses a query; `None` for other bytes.
     pub(super) fn from_bytes(bytes: &[u8; Self::BYTES]) -> Option<Self> {
         let (kind, nonce) = bytes.split_first_chunk()?;
-        (*kind == ASKS).then_some(Self { nonce: nonce.try_into().ok()? })
+        (*kind == QUERY_MAGIC).then_some(Self { nonce: nonce.try_into().ok()? })
     }
 }
 
 /// The cloud's answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Answer {
-    /// Nonce of the question.
+pub(super) struct ClockAnswer {
+    /// Nonce of the query.
     pub(super) nonce: Nonce,
     /// Id of the session whose hello named the socket.
     pub(super) session: [u8; 16],
@@ -43,17 +43,17 @@ pub(super) struct Answer {
     pub(super) time_namespace: u64,
     /// `true` if the cloud's process reads the kernel's time.
     pub(super) shows_kernel_time: bool,
-    /// Reading of the cloud's free-running clock after the question arrived.
+    /// Reading of the cloud's free-running clock after the query arrived.
     pub(super) raw: RawTime,
 }
 
-impl Answer {
+impl ClockAnswer {
     pub(super) const BYTES: usize = 57;
 
     pub(super) fn to_bytes(self) -> [u8; Self::BYTES] {
         let mut bytes = [0; Self::BYTES];
         let fields: [&[u8]; 6] = [
-            &ANSWERS,
+            &ANSWER_MAGIC,
             &self.nonce,
             &self.session,
             &self.time_namespace.to_be_bytes(),
@@ -73,7 +73,7 @@ impl Answer {
         let (session, rest) = rest.split_first_chunk()?;
         let (namespace, rest) = rest.split_first_chunk()?;
         let ([shows_kernel_time], raw) = rest.split_first_chunk()?;
-        let is_answer = *kind == ANSWERS && *shows_kernel_time <= 1;
+        let is_answer = *kind == ANSWER_MAGIC && *shows_kernel_time <= 1;
         is_answer.then_some(Self {
             nonce: *nonce,
             session: *session,

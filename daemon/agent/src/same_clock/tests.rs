@@ -15,10 +15,10 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::mpsc;
 use tokio_util::task::AbortOnDropHandle;
 
-use super::messages::{Answer, Question};
+use super::messages::{ClockAnswer, ClockQuery};
 use super::{ClockPeers, ClockSocket, ClockWitness, NotProven, prove};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const WAIT_TIMEOUT: Duration = Duration::from_secs(20);
 
 fn system() -> SharedClock {
     let identity = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
@@ -64,7 +64,7 @@ fn proving(
 }
 
 async fn next(proofs: &mut mpsc::Receiver<Result<(), NotProven>>) -> Result<(), NotProven> {
-    tokio::time::timeout(PATIENCE, proofs.recv()).await.expect("in time").expect("the task lives")
+    tokio::time::timeout(WAIT_TIMEOUT, proofs.recv()).await.expect("in time").expect("the task lives")
 }
 
 fn witness(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
@@ -86,7 +86,7 @@ async fn cloud_of_the_session_proves_one_clock() {
     let socket = listen(&clock);
     let _witness = witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
     let name = socket.name();
-    let (mut proofs, _task) = proving(socket.connected(session(1)), clock);
+    let (mut proofs, _task) = proving(socket.into_peers(session(1)), clock);
     assert!(next(&mut proofs).await.is_ok());
     assert_eq!(connect(name).expect_err("the socket is closed").kind(), ErrorKind::ConnectionRefused);
 }
@@ -96,7 +96,7 @@ async fn cloud_of_another_session_proves_nothing() {
     let clock = system();
     let socket = listen(&clock);
     let _witness = witness(&hello(&clock, Some(socket.name())), 2, &clock).expect("connects");
-    let (mut proofs, _task) = proving(socket.connected(session(1)), clock);
+    let (mut proofs, _task) = proving(socket.into_peers(session(1)), clock);
     assert!(matches!(next(&mut proofs).await, Err(NotProven::Foreign)));
 }
 
@@ -106,7 +106,7 @@ async fn rehearsed_process_neither_listens_nor_connects() {
     assert!(ClockSocket::listen(&*wrong).is_none());
     let socket = listen(&right);
     assert!(witness(&hello(&right, Some(socket.name())), 1, &wrong).is_none());
-    let (mut proofs, _task) = proving(socket.connected(session(1)), right);
+    let (mut proofs, _task) = proving(socket.into_peers(session(1)), right);
     assert!(matches!(next(&mut proofs).await, Err(NotProven::NotConnected)));
 }
 
@@ -139,18 +139,18 @@ async fn garbage_and_silence_do_not_hide_the_cloud() {
     let clock = system();
     let socket = listen(&clock);
     let mut garbage = connect(socket.name()).expect("it listens");
-    garbage.write_all(&[0x55; 4 * Answer::BYTES]).expect("there is room");
+    garbage.write_all(&[0x55; 4 * ClockAnswer::BYTES]).expect("there is room");
     let mut silent = connect(socket.name()).expect("it listens");
     let _gone = connect(socket.name()).map(drop);
     let _witness = witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
-    let (mut proofs, _task) = proving(socket.connected(session(1)), clock);
+    let (mut proofs, _task) = proving(socket.into_peers(session(1)), clock);
     assert!(next(&mut proofs).await.is_ok());
     for stream in [&mut garbage, &mut silent] {
-        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
-        let mut question = [0; Question::BYTES];
-        stream.read_exact(&mut question).expect("it was asked");
+        stream.set_read_timeout(Some(WAIT_TIMEOUT)).expect("a timeout");
+        let mut query = [0; ClockQuery::BYTES];
+        stream.read_exact(&mut query).expect("it was asked");
         // Closed; with unread bytes it is a reset.
-        match stream.read(&mut question) {
+        match stream.read(&mut query) {
             Ok(bytes) => assert_eq!(bytes, 0),
             Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset),
         }
@@ -165,8 +165,8 @@ async fn cloud_closes_connection_that_asks_garbage() {
     let listener = UnixListener::bind_addr(&address).expect("the name is free");
     let witness = ClockWitness::connect(&hello(&clock, Some(name)), session(1), &clock).expect("connects");
     let (mut stream, _) = listener.accept().expect("it connected");
-    stream.write_all(&[0x55; Question::BYTES]).expect("there is room");
-    tokio::time::timeout(PATIENCE, witness.answer()).await.expect("it ends");
+    stream.write_all(&[0x55; ClockQuery::BYTES]).expect("there is room");
+    tokio::time::timeout(WAIT_TIMEOUT, witness.answer()).await.expect("it ends");
     let mut rest = Vec::new();
     assert_eq!(stream.read_to_end(&mut rest).expect("it is closed"), 0);
 }
@@ -177,13 +177,13 @@ async fn proof_expires_when_answers_stop_and_returns_with_them() {
     let clock = system();
     let socket = listen(&clock);
     let cloud = connect(socket.name()).expect("it listens");
-    let (mut proofs, _task) = proving(socket.connected(session(1)), SharedClock::clone(&clock));
+    let (mut proofs, _task) = proving(socket.into_peers(session(1)), SharedClock::clone(&clock));
     cloud.set_nonblocking(true).expect("a socket");
     let mut cloud = tokio::net::UnixStream::from_std(cloud).expect("a socket");
     answer(&mut cloud, &clock).await;
     assert!(next(&mut proofs).await.is_ok());
     assert!(matches!(next(&mut proofs).await, Err(NotProven::Expired)));
-    // The question that waited takes too long to prove anything; the next one is asked at once.
+    // The query that waited takes too long to prove anything; the next one is asked at once.
     answer(&mut cloud, &clock).await;
     answer(&mut cloud, &clock).await;
     assert!(next(&mut proofs).await.is_ok());
@@ -191,12 +191,12 @@ async fn proof_expires_when_answers_stop_and_returns_with_them() {
     assert!(matches!(next(&mut proofs).await, Err(NotProven::Ended(_))));
 }
 
-/// Answers one question as the cloud of the first session does.
+/// Answers one query as the cloud of the first session does.
 async fn answer(cloud: &mut tokio::net::UnixStream, clock: &SharedClock) {
-    let mut question = [0; Question::BYTES];
-    cloud.read_exact(&mut question).await.expect("it is asked");
-    let answer = Answer {
-        nonce: Question::from_bytes(&question).expect("a question").nonce,
+    let mut query = [0; ClockQuery::BYTES];
+    cloud.read_exact(&mut query).await.expect("it is asked");
+    let answer = ClockAnswer {
+        nonce: ClockQuery::from_bytes(&query).expect("a question").nonce,
         session: *session(1).as_bytes(),
         time_namespace: time_namespace().expect("the kernel tells"),
         shows_kernel_time: clock.shows_kernel_time(),

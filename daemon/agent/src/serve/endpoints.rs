@@ -18,18 +18,17 @@ const CALIBRATION: &str = "calibration";
 /// Open ports for sessions, and those for probes unless they are switched off.
 #[derive(Debug)]
 pub(crate) struct ServeEndpoints {
-    /// Random number of this process, which distinguishes it from others behind the same address and from earlier
-    /// ones.
+    /// Random number that distinguishes this process from earlier ones and from others behind the same address.
     pub(super) instance: u64,
-    /// Key that peers are sent with their session to authenticate probes, unless this host has a configured key.
+    /// Key that is sent to peers with their session to authenticate probes; `None` if this host has a configured key.
     pub(super) probe_key: Option<ProbeKey>,
     /// Name of the built-in model, if it is offered.
     pub(super) built_in: Option<Slug>,
     /// Listeners for sessions, one for each address of `[serve] listen`, in that order.
     pub(super) listeners: Vec<Listener>,
-    /// Reflectors of probes, one for each of this machine's addresses that peers know.
+    /// Reflectors of probes, one for each IP address of the listeners.
     pub(super) reflectors: Vec<Reflector>,
-    /// Ports for the probes of a listener's peers, one for each listener.
+    /// UDP port for probes of each listener's peers; `None` if probes are not answered.
     pub(super) probes: Vec<Option<u16>>,
 }
 
@@ -41,13 +40,14 @@ impl ServeEndpoints {
         host: &Host,
     ) -> Result<Option<Self>, StartError> {
         let Some(serve) = &config.serve else { return Ok(None) };
-        let listen = serve.listen.all();
+        let listen = serve.listen.as_slice();
         let listeners = Listener::bind_all(listen, &serve.session, host.id, &host.clock).await?;
         let instance = Uuid::new_v4().as_u64_pair().0;
         let offers_key = config.probes.reflect && probes.key.is_none();
         let probe_key = offers_key.then(|| ProbeKey::new(Key::random_bytes()));
         let (reflectors, probes) = if config.probes.reflect {
-            let answering = reflector::Answering { settings: probes, instance, session_key: probe_key };
+            let answering =
+                reflector::ReflectorSettings { settings: probes, instance, session_key: probe_key };
             reflector::bind_all(listen, &config.probes, answering, &host.clock).await?
         } else {
             (Vec::new(), vec![None; listeners.len()])
@@ -64,8 +64,8 @@ impl ServeEndpoints {
 
 /// Returns the built-in model that answers with its input; `None` if it is switched off or its name is taken.
 pub(crate) fn calibration(config: &AgentConfig) -> Option<ModelConfig> {
-    let wanted = config.serve.as_ref().is_some_and(|serve| serve.calibration);
+    let is_enabled = config.serve.as_ref().is_some_and(|serve| serve.calibration);
     let name: Slug = CALIBRATION.parse().ok()?;
-    let free = config.models.iter().all(|model| *model.name() != name);
-    (wanted && free).then(|| ModelConfig::echo(name))
+    let is_name_free = config.models.iter().all(|model| *model.name() != name);
+    (is_enabled && is_name_free).then(|| ModelConfig::echo(name))
 }

@@ -1,4 +1,4 @@
-//! All ports for sessions as one source of incoming messages.
+//! The listeners for sessions as one source of incoming messages.
 
 use futures::FutureExt;
 use futures::future::{join_all, select_all};
@@ -8,35 +8,35 @@ use peernet_networks::{Address, Incoming, Listener};
 #[derive(Debug)]
 pub(super) struct Listeners {
     listeners: Vec<Listener>,
-    /// Index of the listener that is polled first the next time.
-    turn: usize,
+    /// Index of the listener that is polled first in the next call.
+    next_index: usize,
 }
 
 impl Listeners {
     pub(super) fn new(listeners: Vec<Listener>) -> Self {
-        Self { listeners, turn: 0 }
+        Self { listeners, next_index: 0 }
     }
 
-    /// Waits for the next incoming message. Returns it with the index of its listener; `None` from a listener whose
-    /// port was lost. Dropping the future loses nothing.
+    /// Waits for the next incoming message. Returns it with the index of its listener; the message is `None` if that
+    /// listener's port was lost. Cancel-safe.
     pub(super) async fn next(&mut self) -> (usize, Option<Incoming>) {
-        let Self { listeners, turn } = self;
+        let Self { listeners, next_index } = self;
         if let [alone] = listeners.as_mut_slice() {
             return (0, alone.next().await);
         }
         let count = listeners.len();
-        let (behind, ahead) = listeners.split_at_mut(*turn);
-        // The listeners take turns, so that a busy one cannot block the others.
+        let (behind, ahead) = listeners.split_at_mut(*next_index);
+        // Round robin, so that a busy listener cannot starve the others.
         let in_turn = ahead.iter_mut().chain(behind).map(|listener| listener.next().boxed());
-        let (incoming, place, _) = select_all(in_turn).await;
-        let place = (*turn + place) % count;
-        *turn = (place + 1) % count;
-        (place, incoming)
+        let (incoming, index, _) = select_all(in_turn).await;
+        let index = (*next_index + index) % count;
+        *next_index = (index + 1) % count;
+        (index, incoming)
     }
 
     /// Returns the address of a listener.
-    pub(super) fn address(&self, place: usize) -> &Address {
-        self.listeners[place].address()
+    pub(super) fn address(&self, index: usize) -> &Address {
+        self.listeners[index].address()
     }
 
     /// Closes all ports at the same time; each waits for its own unsent answers.

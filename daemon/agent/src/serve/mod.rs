@@ -12,7 +12,7 @@ mod served;
 mod service;
 
 pub(crate) use endpoints::{ServeEndpoints, calibration};
-pub use served::Served;
+pub use served::ServedCounts;
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -39,7 +39,7 @@ use self::request_counts::RequestCounts;
 use self::service::{Refusal, Service};
 use crate::conditions::InspectionSettings;
 use crate::host::Host;
-use crate::incidents::{IncidentContext, Incidents, remark};
+use crate::incidents::{IncidentSubject, Incidents, remark};
 use crate::observed::ObservedPipelines;
 use crate::same_clock::ClockWitness;
 use crate::telemetry;
@@ -51,19 +51,19 @@ pub(crate) struct ServeContext {
     pub(crate) incidents: Incidents,
     /// Models that are served.
     pub(crate) bank: Arc<Bank>,
-    /// Stamps of the messages that this host's pipelines observe, which peers may ask for.
+    /// Stamps of the messages that this host's pipelines observe, which peers may query.
     pub(crate) observed: ObservedPipelines,
-    /// State of this host's own clocks.
-    pub(crate) own: watch::Receiver<PeerClock>,
-    /// Paths in /proc and /sys that show what can disturb a run.
+    /// State of this host's clocks.
+    pub(crate) host_clock: watch::Receiver<PeerClock>,
+    /// Settings of the inspection of this host's conditions.
     pub(crate) inspection: Arc<InspectionSettings>,
 }
 
-/// Reason why serving ended before it was asked to.
+/// Reason why serving ended before the agent was stopped.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ServeError {
     /// The port for sessions was lost.
-    #[error("the port at {0} was lost")]
+    #[error("the listening socket at {0} was lost")]
     PortLost(Address),
     /// The port for probes was lost.
     #[error(transparent)]
@@ -74,7 +74,7 @@ pub(crate) enum ServeError {
 pub(crate) async fn run(
     endpoints: ServeEndpoints,
     context: ServeContext,
-    served: watch::Sender<Served>,
+    served: watch::Sender<ServedCounts>,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
     let serve_identity = ServeIdentity {
@@ -83,7 +83,7 @@ pub(crate) async fn run(
         probe_key: endpoints.probe_key,
         built_in: endpoints.built_in,
     };
-    let own = context.own.clone();
+    let host_clock = context.host_clock.clone();
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
     for listener in &endpoints.listeners {
         if let Some(caveat) = listener.caveat() {
@@ -97,13 +97,13 @@ pub(crate) async fn run(
         hardware,
         served,
         peers: HashMap::new(),
-        probing: endpoints.reflectors.iter().map(Reflector::peers).collect(),
+        allowed_probers: endpoints.reflectors.iter().map(Reflector::peers).collect(),
         request_counts: RequestCounts::default(),
         caveats,
     };
     let announcers = endpoints.listeners.iter().map(Listener::announcer).collect();
     let announcing = async {
-        announce(own, announcers, stop.clone()).await;
+        announce_clock(host_clock, announcers, stop.clone()).await;
         Ok(())
     };
     let reflectors = endpoints.reflectors.into_iter().map(|reflector| reflector.run(stop.clone()));
@@ -111,7 +111,7 @@ pub(crate) async fn run(
         futures::future::try_join_all(reflectors).await?;
         Ok(())
     };
-    let serving = sessions(Listeners::new(endpoints.listeners), server, stop.clone());
+    let serving = serve_sessions(Listeners::new(endpoints.listeners), server, stop.clone());
     let ((), (), ()) = tokio::try_join!(serving, reflecting, announcing)?;
     Ok(())
 }
@@ -120,10 +120,14 @@ pub(crate) async fn run(
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Sends changes of this host's clocks to all peers at once, and the statistics of each connection periodically.
-async fn announce(mut own: watch::Receiver<PeerClock>, announcers: Vec<Announcer>, stop: CancellationToken) {
+async fn announce_clock(
+    mut host_clock: watch::Receiver<PeerClock>,
+    announcers: Vec<Announcer>,
+    stop: CancellationToken,
+) {
     let announcing = async {
-        while own.changed().await.is_ok() {
-            let clock = own.borrow_and_update().clone();
+        while host_clock.changed().await.is_ok() {
+            let clock = host_clock.borrow_and_update().clone();
             for announcer in &announcers {
                 announcer.announce(clock.clone());
             }
@@ -135,10 +139,10 @@ async fn announce(mut own: watch::Receiver<PeerClock>, announcers: Vec<Announcer
         loop {
             due.tick().await;
             let announcers = announcers.clone();
-            // On a blocking thread, because the system is queried for each connection, which must not delay sessions.
+            // On a blocking thread: the report makes a system call for each connection, which must not delay sessions.
             let report = move || announcers.iter().for_each(Announcer::report_statistics);
             if let Err(error) = tokio::task::spawn_blocking(report).await {
-                tracing::error!(%error, "reporting what was counted on connections panicked");
+                tracing::error!(%error, "the report of connection statistics to peers panicked; no more reports are sent");
                 return;
             }
         }
@@ -147,13 +151,13 @@ async fn announce(mut own: watch::Receiver<PeerClock>, announcers: Vec<Announcer
 }
 
 /// Serves sessions until `stop` is cancelled.
-async fn sessions(
+async fn serve_sessions(
     mut listeners: Listeners,
     mut server: Server,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
     // Models that are being loaded for a peer. Each listener bounds the number of its peers.
-    let mut loading: JoinSet<Loaded> = JoinSet::new();
+    let mut loading: JoinSet<PreparedSession> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
     loop {
         tokio::select! {
@@ -166,18 +170,18 @@ async fn sessions(
             },
             (listener, incoming) = listeners.next() => match incoming {
                 Some(Incoming::Request(request)) => server.compute(request),
-                Some(Incoming::Open(wish)) => {
+                Some(Incoming::Open(request)) => {
                     let context = server.context.clone();
                     // On a blocking thread: a model may load for minutes, and other peers are served meanwhile.
-                    loading.spawn_blocking(move || prepare(wish, listener, &context));
+                    loading.spawn_blocking(move || prepare(request, listener, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, planned_iterations }) => {
                     server.closed(session, said_goodbye, planned_iterations);
                 }
                 Some(Incoming::Remark { session, text }) => server.remark(session, &text),
                 Some(Incoming::Refused { host, text }) => {
-                    let what = IncidentContext { peer: host, ..IncidentContext::default() };
-                    server.context.incidents.remark(IncidentKind::Refused, what, text);
+                    let subject = IncidentSubject { peer: host, ..IncidentSubject::default() };
+                    server.context.incidents.remark(IncidentKind::Refused, subject, text);
                 }
                 None => return Err(ServeError::PortLost(listeners.address(listener).clone())),
             },
@@ -187,16 +191,16 @@ async fn sessions(
     Ok(())
 }
 
-/// Prepares what a peer asks for. Blocks while a model loads.
-fn prepare(wish: OpenRequest, listener: usize, context: &ServeContext) -> Loaded {
-    // Inspected first, because loading a model is a competing load itself.
-    let conditions = conditions(context);
-    let service = Service::prepare(&wish.hello, context);
-    Loaded { wish, listener, service, conditions }
+/// Prepares a session that a peer requests. Blocks while a model loads.
+fn prepare(request: OpenRequest, listener: usize, context: &ServeContext) -> PreparedSession {
+    // The host is inspected first, because loading a model would count as competing load.
+    let conditions = inspect_conditions(context);
+    let service = Service::prepare(&request.hello, context);
+    PreparedSession { request, listener, service, conditions }
 }
 
-/// Returns the conditions of this host that a peer is sent with its session.
-fn conditions(context: &ServeContext) -> Vec<Condition> {
+/// Inspects this host, and returns the conditions that are sent to the peer when its session opens.
+fn inspect_conditions(context: &ServeContext) -> Vec<Condition> {
     let mut found = crate::conditions::inspect_host(&context.inspection, context.host.name.as_str());
     found.truncate(MAX_CONDITIONS);
     found
@@ -215,9 +219,9 @@ struct ServeIdentity {
     built_in: Option<Slug>,
 }
 
-/// A request for a session after its model was loaded, or could not be.
-struct Loaded {
-    wish: OpenRequest,
+/// A request for a session, with the service that was prepared for it.
+struct PreparedSession {
+    request: OpenRequest,
     /// Index of the listener at which it arrived.
     listener: usize,
     service: Result<Service, Refusal>,
@@ -233,9 +237,8 @@ struct Peer {
     address: Option<IpAddr>,
     service: Service,
     /// Counters of its requests and their answers; `None` if they are not counted.
-    counted: Option<(Arc<AtomicU64>, Arc<watch::Sender<Served>>)>,
-    /// Task that proves to the peer that both processes read one clock, if they do. It ends with the session; if it
-    /// ends before, the peer notices.
+    counters: Option<(Arc<AtomicU64>, Arc<watch::Sender<ServedCounts>>)>,
+    /// Task that proves to the peer that both processes read one clock, if they do. Dropping it ends the task.
     _witness: Option<AbortOnDropHandle<()>>,
 }
 
@@ -244,10 +247,10 @@ struct Server {
     serve_identity: ServeIdentity,
     /// Hardware of this host.
     hardware: Hardware,
-    served: Arc<watch::Sender<Served>>,
+    served: Arc<watch::Sender<ServedCounts>>,
     peers: HashMap<SessionId, Peer>,
     /// Channels that give each reflector the addresses of the peers with a session.
-    probing: Vec<watch::Sender<Vec<IpAddr>>>,
+    allowed_probers: Vec<watch::Sender<Vec<IpAddr>>>,
     request_counts: RequestCounts,
     /// Caveat about the connections of each listener, if there is one.
     caveats: Vec<Option<String>>,
@@ -255,8 +258,8 @@ struct Server {
 
 impl Server {
     /// Accepts or refuses a session.
-    fn answer(&mut self, Loaded { wish, listener, service, conditions }: Loaded) {
-        let hello = &wish.hello;
+    fn answer(&mut self, PreparedSession { request, listener, service, conditions }: PreparedSession) {
+        let hello = &request.hello;
         let (host, name, pipeline) = (hello.host, hello.name.clone(), hello.pipeline.clone());
         match service {
             Ok(service) => {
@@ -266,45 +269,45 @@ impl Server {
                     "{name} opened a session for its pipeline {pipeline} with {}{caveat}",
                     service.name()
                 );
-                let (session, accepted) = (wish.session, self.accepted(listener, &service, conditions));
-                let address = wish.address.map(|address| address.ip());
-                // Connected before the edge knows that it has the session, because it closes its socket then.
+                let (session, accepted) = (request.session, self.acceptance(listener, &service, conditions));
+                let address = request.address.map(|address| address.ip());
+                // Connected before the session is accepted, because the edge closes its socket after the acceptance.
                 let witness = ClockWitness::connect(hello, session, &self.context.host.clock);
                 let witness = witness.map(|it| AbortOnDropHandle::new(tokio::spawn(it.answer())));
-                // Announced before the peer knows where to send its probes.
-                self.tell_reflectors(address);
-                if wish.accept(accepted) {
+                // Updated before the session is accepted: the acceptance contains the port to which the peer sends probes.
+                self.update_reflectors(address);
+                if request.accept(accepted) {
                     let counts = match &service {
                         Service::Model(pool) => self.serve_identity.built_in.as_ref() != Some(pool.name()),
                         Service::Stamps(..) => false,
                     };
-                    let counted =
-                        counts.then(|| (self.request_counts.by(host, &pipeline), Arc::clone(&self.served)));
-                    let peer = Peer { host, name, pipeline, address, service, counted, _witness: witness };
+                    let counters = counts
+                        .then(|| (self.request_counts.counter(host, &pipeline), Arc::clone(&self.served)));
+                    let peer = Peer { host, name, pipeline, address, service, counters, _witness: witness };
                     self.peers.insert(session, peer);
                     self.served.send_modify(|served| served.sessions = self.peers.len());
                     self.report(IncidentKind::Connected, host, text);
                 } else {
-                    self.tell_reflectors(None);
+                    self.update_reflectors(None);
                 }
             }
             Err(Refusal { reason, to_peer }) => {
                 let text = format!("refused a session to pipeline {pipeline} of {name}: {reason}");
-                wish.refuse(to_peer);
+                request.refuse(to_peer);
                 self.report(IncidentKind::Refused, host, text);
             }
         }
     }
 
-    /// Gives the reflectors the addresses that have a session, and that of a session being opened.
-    fn tell_reflectors(&self, opening: Option<IpAddr>) {
-        for probing in &self.probing {
+    /// Sends the reflectors the addresses of the peers with a session, and `opening`, that of a session being opened.
+    fn update_reflectors(&self, opening: Option<IpAddr>) {
+        for allowed in &self.allowed_probers {
             let open = self.peers.values().filter_map(|peer| peer.address);
-            probing.send_replace(open.chain(opening).collect());
+            allowed.send_replace(open.chain(opening).collect());
         }
     }
 
-    fn accepted(&self, listener: usize, service: &Service, conditions: Vec<Condition>) -> SessionAccepted {
+    fn acceptance(&self, listener: usize, service: &Service, conditions: Vec<Condition>) -> SessionAccepted {
         SessionAccepted {
             host: self.context.host.id,
             name: self.context.host.name.clone(),
@@ -313,7 +316,7 @@ impl Server {
             model: service.name(),
             device: service.device(),
             facts: service.facts(),
-            host_clock: self.context.own.borrow().clone(),
+            host_clock: self.context.host_clock.borrow().clone(),
             probes: self.serve_identity.probes.get(listener).copied().flatten(),
             instance: self.serve_identity.instance,
             probe_key: self.serve_identity.probe_key,
@@ -329,35 +332,35 @@ impl Server {
             reply.send(log, Err(Failure::Failed("the session is not open".to_owned())));
             return;
         };
-        let served = peer.counted.as_ref().map(|(requests, served)| {
+        let served = peer.counters.as_ref().map(|(requests, served)| {
             requests.fetch_add(1, Ordering::Relaxed);
             Arc::clone(served)
         });
         peer.service.answer(request, move |FinishedJob { log, result }: &FinishedJob| {
             if let Some(served) = served {
-                let inference = result.as_ref().ok().and_then(|_| served::inference(log.tree()));
+                let inference = result.as_ref().ok().and_then(|_| served::inference_duration(log.tree()));
                 served.send_modify(|served| served.add(result.is_err(), inference));
             }
         });
     }
 
-    /// Handles the end of a session. A goodbye is not an incident, because every session ends.
-    fn closed(&mut self, session: SessionId, said_goodbye: bool, planned_iterations: Option<u64>) {
+    /// Handles the end of a session. Only an end without a goodbye is an incident.
+    fn closed(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
         // A session that was never accepted is not in the map.
-        let Some(Peer { host, name, pipeline, counted, .. }) = self.peers.remove(&session) else { return };
-        self.tell_reflectors(None);
-        let is_goodbye = said_goodbye && counted.is_some();
-        let missed =
-            if is_goodbye { self.request_counts.missed(host, &pipeline, planned_iterations) } else { 0 };
+        let Some(Peer { host, name, pipeline, counters, .. }) = self.peers.remove(&session) else { return };
+        self.update_reflectors(None);
+        let is_goodbye = said_goodbye && counters.is_some();
+        let missed = if is_goodbye { self.request_counts.take_missed(host, &pipeline, ordered) } else { 0 };
         self.served.send_modify(|served| {
             served.sessions = self.peers.len();
             served.missed = served.missed.saturating_add(missed);
         });
         if said_goodbye {
-            tracing::info!("the session of {name} for its pipeline {pipeline} is over");
+            tracing::info!("{name} closed the session for its pipeline {pipeline}");
         } else {
-            let text =
-                format!("lost {name}: the session for its pipeline {pipeline} ended without a goodbye");
+            let text = format!(
+                "lost the connection to {name}: the session for its pipeline {pipeline} ended without a goodbye"
+            );
             self.report(IncidentKind::Disconnected, host, text);
         }
     }
@@ -365,21 +368,22 @@ impl Server {
     /// Reports a caveat of a connection, with the peer that has a session on it.
     fn remark(&self, session: Option<SessionId>, text: &str) {
         let peer = session.and_then(|session| self.peers.get(&session));
-        let of =
-            peer.map(|peer| format!("the session of {} for its pipeline {}: ", peer.name, peer.pipeline));
-        let what = IncidentContext { peer: peer.map(|peer| peer.host), ..IncidentContext::default() };
-        let text = format!("{}{text}", of.unwrap_or_default());
-        self.context.incidents.remark(IncidentKind::Connected, what, text);
+        let prefix =
+            peer.map(|peer| format!("session of {} for its pipeline {}: ", peer.name, peer.pipeline));
+        let subject = IncidentSubject { peer: peer.map(|peer| peer.host), ..IncidentSubject::default() };
+        let text = format!("{}{text}", prefix.unwrap_or_default());
+        self.context.incidents.remark(IncidentKind::Connected, subject, text);
     }
 
     fn report(&self, kind: IncidentKind, peer: HostId, text: String) {
-        let what = IncidentContext { peer: Some(peer), ..IncidentContext::default() };
-        self.context.incidents.report(kind, what, text);
+        let subject = IncidentSubject { peer: Some(peer), ..IncidentSubject::default() };
+        self.context.incidents.report(kind, subject, text);
     }
 }
 
-/// Returns the failure for the peer: whether another try may help, or this sample is at fault.
-fn failure(error: &InferenceError) -> Failure {
+/// Returns the failure for the peer. A full queue or a stopped model is an overload, after which a retry may help; any
+/// other error is a failure of this sample.
+fn failure_from_error(error: &InferenceError) -> Failure {
     match error {
         InferenceError::QueueFull { .. } | InferenceError::Stopped { .. } => {
             Failure::Overloaded(error.to_string())

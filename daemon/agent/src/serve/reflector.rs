@@ -1,4 +1,4 @@
-//! The ports at which peers' probes are answered.
+//! Opens the reflectors that answer peers' probes.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -14,19 +14,19 @@ use crate::link::ProbeSettings;
 
 /// Settings of the reflectors.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Answering<'a> {
+pub(super) struct ReflectorSettings<'a> {
     pub(super) settings: &'a ProbeSettings,
     pub(super) instance: u64,
-    /// Key that peers with a session are sent.
+    /// Key that is sent to peers with a session.
     pub(super) session_key: Option<ProbeKey>,
 }
 
-/// Binds to the addresses at which peers connect. Returns one reflector for each IP address, and for each of `listen`
-/// the port of its reflector.
+/// Binds reflectors to the addresses at which peers connect. Returns one reflector for each IP address, and the port of
+/// the reflector for each address in `listen`.
 pub(super) async fn bind_all(
     listen: &[Address],
     config: &ProbesConfig,
-    answering: Answering<'_>,
+    answering: ReflectorSettings<'_>,
     clock: &SharedClock,
 ) -> Result<(Vec<Reflector>, Vec<Option<u16>>), ReflectorError> {
     let port = config.port.unwrap_or(ProbesConfig::DEFAULT_PORT);
@@ -62,7 +62,7 @@ fn find(reflectors: &[Reflector], ip: IpAddr) -> Option<u16> {
 fn bind(
     at: SocketAddr,
     config: &ProbesConfig,
-    Answering { settings, instance, session_key }: Answering<'_>,
+    ReflectorSettings { settings, instance, session_key }: ReflectorSettings<'_>,
     clock: &SharedClock,
 ) -> Result<Reflector, ReflectorError> {
     let bind = |at: SocketAddr| {
@@ -82,7 +82,7 @@ fn bind(
     let reflector = match bind(at) {
         Err(peernet_probes::BindError::InUse(_)) if config.port.is_none() => {
             let any = bind(SocketAddr::new(at.ip(), 0))?;
-            tracing::info!(taken = %at, instead = %any.address(), "the usual port for probes is taken");
+            tracing::info!(taken = %at, instead = %any.address(), "the default port for probes is in use; probes use another one");
             any
         }
         other => other?,

@@ -5,20 +5,20 @@ use peernet_statistics::Summary;
 
 /// Sessions, and answers since the agent started. Answers of the built-in model `calibration` do not count.
 #[derive(Clone, Debug, Default)]
-pub struct Served {
+pub struct ServedCounts {
     /// Number of open sessions.
     pub sessions: usize,
     /// Number of answers, including failures.
     pub answers: u64,
     /// Number of failures.
     pub errors: u64,
-    /// Number of planned iterations that never arrived, of runs that are over, as their edge reported.
+    /// Number of planned iterations of ended runs whose requests never arrived.
     pub missed: u64,
     /// Duration of the stage `inference`, of the answers that have it, in seconds.
     pub inference: Summary,
 }
 
-impl Served {
+impl ServedCounts {
     /// Adds an answer with the duration of its `inference` in seconds.
     pub(super) fn add(&mut self, is_error: bool, inference: Option<f64>) {
         self.answers += 1;
@@ -30,7 +30,7 @@ impl Served {
 }
 
 /// Returns the duration of the stage `inference` in seconds.
-pub(super) fn inference(tree: &Tree) -> Option<f64> {
+pub(super) fn inference_duration(tree: &Tree) -> Option<f64> {
     tree.find(&[stage::INFERENCE.as_str()])?.1.measure.value()
 }
 
@@ -43,7 +43,7 @@ mod tests {
         // The buckets of a sketch are 1 % wide. Some of these values are above the middle of their bucket, some
         // below.
         for value in (1..=50).map(|n| f64::from(n) * 1.03e-3) {
-            let mut served = Served::default();
+            let mut served = ServedCounts::default();
             served.add(false, Some(value));
             assert_eq!(served.inference.quantile(0.5), Some(value));
         }

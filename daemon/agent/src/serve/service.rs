@@ -6,7 +6,7 @@ use peernet_inference::{Bank, FinishedJob, Job, LoadError, Pool};
 use peernet_logger::Slug;
 use peernet_networks::{Failure, IncomingRequest, SessionHello};
 
-use super::{ServeContext, failure};
+use super::{ServeContext, failure_from_error};
 use crate::host::Host;
 use crate::observed::{MODEL, ObservedPipelines};
 
@@ -27,13 +27,13 @@ pub(super) struct Refusal {
 }
 
 impl Service {
-    /// Prepares the service that a peer asks for. Blocks while a model loads.
+    /// Prepares the service that a peer requests. Blocks while a model loads.
     ///
     /// # Errors
-    /// When there is no such model, it cannot be loaded, or no topics are observed here.
+    /// When there is no such model, it cannot be loaded, or this host observes no topics.
     pub(super) fn prepare(hello: &SessionHello, context: &ServeContext) -> Result<Self, Refusal> {
         if hello.model.as_ref().is_some_and(|model| is_stamps(model, &context.bank)) {
-            return match context.observed.refusal(&context.host.name) {
+            return match context.observed.refusal_reason(&context.host.name) {
                 None => Ok(Self::Stamps(context.observed.clone(), context.host.clone())),
                 Some(reason) => Err(Refusal { to_peer: reason.clone(), reason }),
             };
@@ -80,8 +80,8 @@ impl Service {
             Self::Model(pool) => {
                 let reply = Box::new(move |done: FinishedJob| {
                     answered(&done);
-                    let FinishedJob { log, result } = done;
-                    reply.send(log, result.map_err(|error| failure(&error)));
+                    let Done { log, result } = done;
+                    reply.send(log, result.map_err(|error| failure_from_error(&error)));
                 });
                 if let Err(refused) = pool.submit(Job { sample, log, received: received.mono, reply }) {
                     let Job { log, reply, .. } = *refused.job;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use peernet_stream::Hardware;
 use sysinfo::{CpuRefreshKind, MemoryRefreshKind, System};
 
-/// Returns the description of this machine; fields that cannot be read stay empty.
+/// Returns the description of this machine; a field that cannot be read is empty.
 pub(crate) fn hardware() -> Hardware {
     let mut description = Hardware {
         system: system(),
@@ -24,13 +24,13 @@ pub(crate) fn hardware() -> Hardware {
     description
 }
 
-/// Returns the distribution and the kernel, whose network stack and scheduler are part of every latency.
+/// Returns the distribution and the version of the kernel.
 fn system() -> String {
     let kernel = System::kernel_version().map(|release| format!("kernel {release}"));
     System::long_os_version().into_iter().chain(kernel).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the names of NVIDIA's accelerators by their driver, in the order of the bus. On a Jetson, whose
+/// Returns the names of NVIDIA accelerators that their driver lists, in the order of the bus. On a Jetson, whose
 /// accelerator is part of the board, it is the name of the board.
 fn gpus(proc: &Path) -> Vec<String> {
     let listed = fs::read_dir(proc.join("driver/nvidia/gpus")).into_iter().flatten();

@@ -19,7 +19,11 @@ use sampler::Sampler;
 const INTERVAL: Duration = Duration::from_secs(1);
 
 /// Reads the metrics until `stop` is cancelled.
-pub(crate) async fn run(clock: SharedClock, figures: watch::Sender<HostMetrics>, stop: CancellationToken) {
+pub(crate) async fn run(
+    clock: SharedClock,
+    metrics_sender: watch::Sender<HostMetrics>,
+    stop: CancellationToken,
+) {
     let mut sampler = Sampler::new(clock);
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -32,10 +36,10 @@ pub(crate) async fn run(clock: SharedClock, figures: watch::Sender<HostMetrics>,
         match sampled.await {
             Ok((back, metrics)) => {
                 sampler = back;
-                figures.send_replace(metrics);
+                metrics_sender.send_replace(metrics);
             }
             Err(error) => {
-                tracing::error!(%error, "host metrics could not be read and end here");
+                tracing::error!(%error, "reading the host's metrics panicked; they are no longer updated");
                 return;
             }
         }

@@ -22,9 +22,9 @@ impl ProcessUsage {
         let spent = clock_gettime(ClockId::ProcessCPUTime);
         let spent = Span::from_seconds(spent.tv_sec) + Span::from_nanos(spent.tv_nsec);
         let now = self.clock.mono();
-        let (then, before) = self.last.replace((now, spent))?;
-        let passed = (now - then).seconds();
-        (passed > 0.0).then(|| (spent - before).seconds() / passed)
+        let (last_time, last_spent) = self.last.replace((now, spent))?;
+        let passed = (now - last_time).seconds();
+        (passed > 0.0).then(|| (spent - last_spent).seconds() / passed)
     }
 
     /// Returns the resident memory in bytes.

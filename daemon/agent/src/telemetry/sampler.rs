@@ -6,28 +6,26 @@ use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
 
 use super::process_usage::ProcessUsage;
 
-/// State between two readings; shares of time need the previous one.
-///
-/// Readers of accelerators and power belong here as well, each `None` if the host has no such device.
+/// Reads the metrics. It keeps state, because a share of CPU time is a difference between two readings.
 #[derive(Debug)]
 pub(super) struct Sampler {
     system: Option<System>,
     temperatures: Option<Components>,
     process_usage: ProcessUsage,
-    /// `true` after the first reading. The first share of CPU time has nothing to compare with.
-    seen: bool,
+    /// `true` after the first reading. A share of CPU time needs a previous reading.
+    has_previous: bool,
 }
 
 impl Sampler {
     pub(super) fn new(clock: SharedClock) -> Self {
-        let quiet = |what: &str, error: sysinfo::Error| {
-            tracing::info!(%error, "{what} cannot be read on this host and will not be shown");
+        let log_unavailable = |what: &str, error: sysinfo::Error| {
+            tracing::info!(%error, "cannot read {what} on this host; it is not shown");
         };
         Self {
-            system: System::new().map_err(|error| quiet("processor and memory load", error)).ok(),
-            temperatures: Components::new().map_err(|error| quiet("temperatures", error)).ok(),
+            system: System::new().map_err(|error| log_unavailable("processor and memory load", error)).ok(),
+            temperatures: Components::new().map_err(|error| log_unavailable("temperatures", error)).ok(),
             process_usage: ProcessUsage::new(clock),
-            seen: false,
+            has_previous: false,
         }
     }
 
@@ -38,9 +36,9 @@ impl Sampler {
         if let Some(system) = &mut self.system {
             system.refresh_cpu_specifics(CpuRefreshKind::nothing().with_usage());
             system.refresh_memory_specifics(MemoryRefreshKind::nothing().with_ram());
-            metrics.cpu = self.seen.then(|| f64::from(system.global_cpu_usage()) / 100.0);
+            metrics.cpu = self.has_previous.then(|| f64::from(system.global_cpu_usage()) / 100.0);
             metrics.memory_used_bytes = Some(system.used_memory());
-            self.seen = true;
+            self.has_previous = true;
         }
         if let Some(temperatures) = &mut self.temperatures {
             temperatures.refresh(true);

@@ -52,7 +52,7 @@ async fn edge_without_model_name_gets_the_only_model() {
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.runs()[0].placement.model.as_str(), "echo");
     assert_eq!(seen.iterations().len(), 3);
-    assert_eq!(cloud.running.served().borrow().answers, 3);
+    assert_eq!(cloud.running.served_counts().borrow().answers, 3);
     let hosts: Vec<&str> =
         seen.runs()[0].conditions.iter().map(|condition| condition.host.as_str()).collect();
     assert!(hosts.contains(&"edge") && hosts.contains(&"cloud"), "both were looked at: {hosts:?}");
@@ -62,7 +62,7 @@ async fn edge_without_model_name_gets_the_only_model() {
     let calibrating = line(&cloud, ", model = 'calibration'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &calibrating).await;
     aggregator.until(|seen| seen.ended().len() == 2).await;
-    assert_eq!(cloud.running.served().borrow().answers, 3);
+    assert_eq!(cloud.running.served_counts().borrow().answers, 3);
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

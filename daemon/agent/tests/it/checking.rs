@@ -47,7 +47,7 @@ fn all_problems_are_listed_with_key_and_remedy() {
         "serve.listen: cannot listen on tcp://192.0.2.1:5551",
         "serve.session.max_in_flight: 0 must be between",
         "pipeline[0].sensor: cannot read /nowhere",
-        "pipeline[0].placement.model: no [[model]] is named ecco; there is echo",
+        "pipeline[0].placement.model: no model is named ecco; this host has echo",
         "pipeline[0].load.hz: 1e-300 is not a rate",
         "pipeline[0].limit.duration_s: -1.0 is not",
         "pipeline[0].warm_up: ",
@@ -129,7 +129,7 @@ fn more_pipelines_than_pages_show_are_refused() {
         problems(&config)
     };
     assert_eq!(of(256), Vec::<String>::new());
-    assert_eq!(of(257), ["pipeline: 257 is too much; at most 256"]);
+    assert_eq!(of(257), ["pipeline: 257 is too large; at most 256"]);
 }
 
 #[test]
@@ -143,10 +143,10 @@ fn unusable_spool_is_named_with_remedy() {
     std::fs::write(state.path().join("file"), b"").expect("written");
     let folder = state.path().display();
     for (keys, expected) in [
-        ("limit_bytes = 1048575".to_owned(), "spool.limit_bytes: 1048575 is too little; at least 1048576"),
+        ("limit_bytes = 1048575".to_owned(), "spool.limit_bytes: 1048575 is too small; at least 1048576"),
         (
             "limit_bytes = 3999999".to_owned(),
-            "spool.limit_bytes: 3999999 is too little: it must hold at least four batches, 4000000 bytes",
+            "spool.limit_bytes: 3999999 is too small: the spool must have space for four batches, 4000000 bytes",
         ),
         (format!("file = '{folder}'"), "is a folder; name a file"),
         (format!("file = '{folder}/file/spool.sqlite'"), "file is not a folder; choose another spool file"),

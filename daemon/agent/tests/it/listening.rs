@@ -6,7 +6,7 @@ use std::sync::Arc;
 use peernet_networks::{Address, NetworkKind};
 use peernet_stream::{PipelineState, Probing};
 
-use crate::harness::{PATIENCE, TestAgent, clock, config};
+use crate::harness::{TestAgent, WAIT_TIMEOUT, clock, config};
 
 const MODEL: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n";
 
@@ -24,7 +24,9 @@ async fn two_addresses_are_served_within_own_limits() {
         "[serve]\nlisten = ['tcp://127.0.0.1:0', 'tcp://127.0.0.2:0']\nsession = {{ max_sessions = 1 }}\n{MODEL}"
     );
     let cloud = TestAgent::start("cloud", None, &tables).await;
-    let [first, second] = cloud.running.serves() else { panic!("{:?}", cloud.running.serves()) };
+    let [first, second] = cloud.running.serve_addresses() else {
+        panic!("{:?}", cloud.running.serve_addresses())
+    };
     assert_eq!((first.host().as_str(), second.host().as_str()), ("127.0.0.1", "127.0.0.2"));
     assert_eq!(cloud.running.description().serves, Some(format!("{first}, {second}")));
 
@@ -36,8 +38,8 @@ async fn two_addresses_are_served_within_own_limits() {
         live.pipelines.iter().all(|pipeline| pipeline.seconds.iter().any(answered))
     })
     .await;
-    let mut served = cloud.running.served();
-    let served = tokio::time::timeout(PATIENCE, served.wait_for(|served| served.sessions == 2)).await;
+    let mut served = cloud.running.served_counts();
+    let served = tokio::time::timeout(WAIT_TIMEOUT, served.wait_for(|served| served.sessions == 2)).await;
     served.expect("in time").expect("it serves");
     let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
     let [link] = &live.links[..] else { panic!("one pair of hosts, one network: {:?}", live.links) };
@@ -60,7 +62,7 @@ async fn two_addresses_are_served_within_own_limits() {
 async fn probes_are_answered_at_every_address() {
     let tables = format!("[serve]\nlisten = ['tcp://127.0.0.1:0', 'tcp://127.0.0.2:0']\n{MODEL}");
     let cloud = TestAgent::start("cloud", None, &tables).await;
-    for address in cloud.running.serves() {
+    for address in cloud.running.serve_addresses() {
         let tables = config(&pipeline("line", address));
         let edge = TestAgent::start_with("edge", None, tables, "edge").await;
         let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;

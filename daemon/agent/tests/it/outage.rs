@@ -51,7 +51,7 @@ async fn edge_waits_for_cloud_that_is_not_up() {
     assert!(reason.contains(&port.to_string()), "{reason}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
     let reported = seen.incidents(IncidentKind::Disconnected)[0].text.clone();
-    assert!(reported.contains("the pipeline goes on by itself"), "{reported}");
+    assert!(reported.contains("the pipeline continues automatically"), "{reported}");
     assert!(seen.runs().is_empty(), "nothing to run yet");
 
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
@@ -166,7 +166,7 @@ async fn wrong_device_is_refused_with_models_device() {
 async fn only_lost_edge_is_incident() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
-    let mut served = cloud.running.served();
+    let mut served = cloud.running.served_counts();
     let limited = format!("{}limit = {{ iterations = 5 }}\n", edge(port, "slow"));
     let first = TestAgent::start("first", None, &limited).await;
     served.wait_for(|served| served.answers >= 5 && served.sessions == 0).await.expect("serves");
@@ -179,7 +179,7 @@ async fn only_lost_edge_is_incident() {
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
     let lost: Vec<&str> =
         seen.incidents(IncidentKind::Disconnected).iter().map(|it| it.text.as_str()).collect();
-    assert!(matches!(lost[..], [text] if text.starts_with("lost second: ")), "{lost:?}");
+    assert!(matches!(lost[..], [text] if text.starts_with("lost the connection to second: ")), "{lost:?}");
     assert_eq!(served.borrow().sessions, 0);
     second.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
@@ -202,14 +202,14 @@ async fn connections_ended_without_aggregator_are_counted() {
     let aggregator = Aggregator::up(absent).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 1).await;
     let reported = &welcomes(&seen)[0];
-    assert!(reported.contains("1 connection to a cloud ended meanwhile"), "{reported}");
+    assert!(reported.contains("1 connection to a cloud ended in the meantime"), "{reported}");
     aggregator.until(|seen| !seen.lives.is_empty()).await;
 
     // A number that was reported is not reported again.
     let aggregator = Aggregator::up(aggregator.down().await).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 2).await;
     let reported = &welcomes(&seen)[1];
-    assert!(!reported.contains("ended meanwhile"), "{reported}");
+    assert!(!reported.contains("ended in the meantime"), "{reported}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

@@ -33,7 +33,7 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
     assert_eq!(seen.iterations().len(), 305);
     assert!(seen.gaps().is_empty());
     assert!(seen.hellos >= 3);
-    assert_eq!(agent.running.live().accounting.dropped, 0);
+    assert_eq!(agent.running.live_update().accounting.dropped, 0);
     agent.stop().await.expect("stops well");
 }
 
@@ -49,7 +49,7 @@ async fn refusal_of_aggregator_is_retried_and_reported_once() {
     aggregator.until(|seen| seen.hellos >= 2).await;
     let aggregator = Aggregator::up(aggregator.down().await).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert_eq!(seen.iterations().len(), 10, "measured meanwhile");
+    assert_eq!(seen.iterations().len(), 10, "measured while the aggregator refused the agent");
     let refused = seen.incidents(IncidentKind::Refused);
     assert_eq!(refused.len(), 1, "{refused:?}");
     assert!(refused[0].text.contains("another host is named edge"), "{}", refused[0].text);

@@ -13,11 +13,11 @@ async fn iterations_in_flight_are_finished_before_stop() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), SLOW).await;
     aggregator.until(|seen| seen.iterations().len() >= 4).await;
-    let host = agent.running.live().host;
+    let host = agent.running.live_update().host;
     agent.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     assert_eq!(seen.goodbyes, [host]);
-    let last = seen.lives.last().expect("it told of itself");
+    let last = seen.lives.last().expect("it sent live states");
     assert_eq!(last.pipelines[0].state, peernet_stream::PipelineState::Finished);
     assert_eq!((last.accounting.waiting, last.accounting.stored), (0, last.accounting.produced));
     assert_eq!(seen.ended()[0].reason, EndReason::Stopped);

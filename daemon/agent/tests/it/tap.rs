@@ -23,7 +23,7 @@ async fn unreadable_host_secret_is_refused_before_anything_starts() {
     config.agent.aggregator = Some("tcp://127.0.0.1:9".parse().expect("an address"));
     let (tap, mut events) = mpsc::channel(1000);
     let started =
-        Agent::start_observed(config, VERSION, clock("system"), CancellationToken::new(), tap).await;
+        Agent::start_with_tap(config, VERSION, clock("system"), CancellationToken::new(), tap).await;
     let error = started.expect_err("the secret is none");
     assert!(matches!(error, StartError::Identity(_)) && error.to_string().contains("host-secret"), "{error}");
     assert_eq!(events.recv().await, None, "no pipeline ran");
@@ -40,8 +40,8 @@ async fn program_receives_events_and_missed_ones_are_counted() {
         let stop = CancellationToken::new();
         let (tap, mut events) = mpsc::channel(room);
         let running =
-            Agent::start_observed(config, VERSION, clock("system"), stop.clone(), tap).await.expect("starts");
-        while running.live().pipelines[0].state != PipelineState::Finished {
+            Agent::start_with_tap(config, VERSION, clock("system"), stop.clone(), tap).await.expect("starts");
+        while running.live_update().pipelines[0].state != PipelineState::Finished {
             tokio::time::sleep(std::time::Duration::from_millis(5)).await;
         }
         let events_missed_by_tap = running.events_missed_by_tap();

@@ -2,7 +2,7 @@
 
 use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
-use crate::harness::{Aggregator, PATIENCE, TestAgent, assert_contiguous};
+use crate::harness::{Aggregator, TestAgent, WAIT_TIMEOUT, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn broken_picture_fails_iteration_and_run_continues() {
@@ -74,20 +74,23 @@ async fn cloud_learns_of_missing_iterations_at_run_end() {
         )
     };
     let edge = TestAgent::start("edge", None, &tables("{ total = 20 }")).await;
-    let mut served = cloud.running.served();
+    let mut served = cloud.running.served_counts();
     let served = served.wait_for(|served| served.answers + served.missed >= 20);
-    let served =
-        tokio::time::timeout(PATIENCE, served).await.expect("it is told").expect("it serves").clone();
+    let served = tokio::time::timeout(WAIT_TIMEOUT, served)
+        .await
+        .expect("the count changes in time")
+        .expect("the agent serves")
+        .clone();
     assert_eq!((served.answers, served.missed), (10, 10));
     edge.stop().await.expect("stops well");
 
     // A run that was stopped may continue later, so that its missing iterations are not counted.
     let edge = TestAgent::start("edge", None, &tables("{ total = 1000000 }")).await;
-    edge.until(|_| cloud.running.served().borrow().answers > 15).await;
+    edge.until(|_| cloud.running.served_counts().borrow().answers > 15).await;
     edge.stop().await.expect("stops well");
-    let mut served = cloud.running.served();
+    let mut served = cloud.running.served_counts();
     let left = served.wait_for(|served| served.sessions == 0);
-    let left = tokio::time::timeout(PATIENCE, left).await.expect("it leaves").expect("it serves").missed;
+    let left = tokio::time::timeout(WAIT_TIMEOUT, left).await.expect("it leaves").expect("it serves").missed;
     assert_eq!(left, 10);
     cloud.stop().await.expect("stops well");
 }
@@ -136,7 +139,7 @@ async fn pipeline_failing_to_start_reports_reason_and_spares_others() {
         .await;
     assert_eq!(seen.iterations().len(), 15);
     assert_eq!(seen.incidents(IncidentKind::ModelLoaded).len(), 1);
-    let live = agent.running.live();
+    let live = agent.running.live_update();
     let state = |name: &str| {
         let found = live.pipelines.iter().find(|pipeline| pipeline.pipeline.as_str() == name);
         found.map(|pipeline| pipeline.state.clone()).expect("shown")

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use peernet_agent::Running;
+use peernet_agent::RunningAgent;
 use peernet_analysis::calibration::Sample;
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_networks::OpenError;
@@ -97,7 +97,11 @@ impl<'a> SweepObserver<'a> {
 impl RunObserver for SweepObserver<'_> {
     type OwnReason = UnmeasurableSize;
 
-    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<UnmeasurableSize>> {
+    fn handle_event(
+        &mut self,
+        event: Event,
+        running: Option<&RunningAgent>,
+    ) -> Option<Ended<UnmeasurableSize>> {
         if self.over {
             return None;
         }
@@ -141,7 +145,7 @@ impl RunObserver for SweepObserver<'_> {
         None
     }
 
-    fn poll_state(&mut self, running: &Running) -> Option<Ended<UnmeasurableSize>> {
+    fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended<UnmeasurableSize>> {
         let activity = PipelineActivity::current(running);
         let wait_reason = activity.wait_reason();
         if let (Some(kind), Some(reason)) = (self.refused_kind, wait_reason) {
@@ -172,8 +176,8 @@ impl RunObserver for SweepObserver<'_> {
 }
 
 /// Returns the peer's clock as reported now.
-fn cloud_clock(running: &Running) -> Option<HostClock> {
-    running.live().links.into_iter().next()?.cloud
+fn cloud_clock(running: &RunningAgent) -> Option<HostClock> {
+    running.live_update().links.into_iter().next()?.cloud
 }
 
 fn describe_unmeasurable(payload_bytes: u64, reason: &str) -> String {

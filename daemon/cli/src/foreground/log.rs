@@ -9,7 +9,7 @@ use std::io::{self, Write};
 use crate::exit::{Exit, Failure};
 use crate::log::{Line, VARIABLE};
 use crate::output::say;
-use peernet_agent::REMARKS;
+use peernet_agent::REMARK_LOG_TARGET;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Subscriber};
 use tracing_subscriber::filter::EnvFilter;
@@ -39,7 +39,7 @@ pub(crate) enum LogDestination {
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let level = std::env::var(VARIABLE).unwrap_or_else(|_| {
-        format!("off,{}=info,{}=info,{REMARKS}=warn", USER_CODE_TARGETS[0], USER_CODE_TARGETS[1])
+        format!("off,{}=info,{}=info,{REMARK_LOG_TARGET}=warn", USER_CODE_TARGETS[0], USER_CODE_TARGETS[1])
     });
     let filter = EnvFilter::try_new(&level).map_err(|error| {
         wrong(anyhow::anyhow!(
@@ -95,12 +95,12 @@ where
         event: &Event<'_>,
     ) -> fmt::Result {
         let target = event.metadata().target();
-        if target != REMARKS && !USER_CODE_TARGETS.contains(&target) {
+        if target != REMARK_LOG_TARGET && !USER_CODE_TARGETS.contains(&target) {
             return self.other.format_event(context, writer, event);
         }
         let mut message = LogMessage::default();
         event.record(&mut message);
-        if target == REMARKS {
+        if target == REMARK_LOG_TARGET {
             return writeln!(writer, "warning: {}", message.line);
         }
         writeln!(writer, "{}: {}", message.name, message.line)

@@ -35,7 +35,7 @@ use crate::exit::{Exit, Failure};
 use crate::output::complain;
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
-use peernet_agent::{Agent, AgentConfig, IdentityError, Running, StartError};
+use peernet_agent::{Agent, AgentConfig, IdentityError, RunningAgent, StartError};
 use peernet_clock::SharedClock;
 use peernet_stream::Event;
 use tokio::sync::mpsc;
@@ -52,10 +52,14 @@ pub(crate) trait RunObserver {
     type OwnReason;
 
     /// Processes an event; returns the reason if the agent is to end. Without `running` the end was decided before.
-    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Self::OwnReason>>;
+    fn handle_event(
+        &mut self,
+        event: Event,
+        running: Option<&RunningAgent>,
+    ) -> Option<Ended<Self::OwnReason>>;
 
     /// Reads the agent's state, several times a second and after every answer to a peer; returns the reason if it is to end.
-    fn poll_state(&mut self, running: &Running) -> Option<Ended<Self::OwnReason>>;
+    fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended<Self::OwnReason>>;
 
     /// Notes that the end is decided; work in progress is still waited for.
     fn end_decided(&mut self) {}
@@ -134,10 +138,10 @@ async fn watch<E: RunObserver>(
 ) -> Result<Watched<E::OwnReason>, Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let (stop, (tap, mut events)) = (CancellationToken::new(), mpsc::channel(EVENTS));
-    let running = Agent::start_observed(config, VERSION, Arc::clone(clock), stop.clone(), tap).await;
+    let running = Agent::start_with_tap(config, VERSION, Arc::clone(clock), stop.clone(), tap).await;
     let running = running.map_err(|error| Failure::new(Exit::Unavailable, not_started(error)))?;
     let name = running.name().to_string();
-    let mut served = running.served();
+    let mut served = running.served_counts();
     let mut poll = tokio::time::interval(POLL_INTERVAL);
     let mut is_interrupted = false;
     let ended = loop {

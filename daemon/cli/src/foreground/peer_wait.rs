@@ -1,6 +1,6 @@
 //! Wait for a peer that is away: when it is given up, and what is shown of a slow one.
 
-use peernet_agent::Running;
+use peernet_agent::RunningAgent;
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::PipelineState;
 
@@ -25,8 +25,8 @@ pub(crate) enum PipelineActivity {
 
 impl PipelineActivity {
     /// Returns the activity of the first pipeline.
-    pub(crate) fn current(running: &Running) -> Self {
-        let Some(pipeline) = running.live().pipelines.into_iter().next() else { return Self::Running };
+    pub(crate) fn current(running: &RunningAgent) -> Self {
+        let Some(pipeline) = running.live_update().pipelines.into_iter().next() else { return Self::Running };
         match (pipeline.state, running.sensor_busy_since(&pipeline.pipeline)) {
             (PipelineState::Waiting(reason), _) => Self::Away(Some(reason)),
             (PipelineState::Starting, Some(since)) => Self::Preparing(since),

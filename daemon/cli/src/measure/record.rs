@@ -42,7 +42,7 @@ pub(super) fn run_record(
     });
     let conditions =
         conditions.into_iter().filter(|found| cloud.as_ref().is_none_or(|cloud| found.host != cloud.name));
-    let config = order.agent.publishable();
+    let config = order.agent.redacted();
     let pipeline = config.pipelines.first();
     RunRecord {
         format: FORMAT,

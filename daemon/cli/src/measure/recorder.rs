@@ -3,7 +3,7 @@
 use std::convert::Infallible;
 
 use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
-use peernet_agent::{Cloud, Running};
+use peernet_agent::{Cloud, RunningAgent};
 use peernet_analysis::rows::{Outcome, Row, Rows, Units};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
@@ -154,10 +154,10 @@ impl<'a> RunRecorder<'a> {
     }
 
     /// Notes who serves: it may be another program after an absence.
-    fn record_hosts(&mut self, running: Option<&Running>) {
+    fn record_hosts(&mut self, running: Option<&RunningAgent>) {
         let cloud = running.and_then(|running| running.serving_cloud(&self.pipeline));
         self.recorded.cloud = cloud.or(self.recorded.cloud.take());
-        let Some(live) = running.map(Running::live) else { return };
+        let Some(live) = running.map(RunningAgent::live_update) else { return };
         let words = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());
         let peer = self.recorded.cloud.as_ref().map(|cloud| cloud.id);
         let link = live.links.into_iter().find(|link| Some(link.peer) == peer);
@@ -190,11 +190,11 @@ impl<'a> RunRecorder<'a> {
 impl RunObserver for RunRecorder<'_> {
     type OwnReason = Infallible;
 
-    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
+    fn handle_event(&mut self, event: Event, running: Option<&RunningAgent>) -> Option<Ended> {
         match event {
             Event::RunStarted(run) => {
                 self.began(run);
-                self.recorded.edge = running.map(Running::description).or(self.recorded.edge.take());
+                self.recorded.edge = running.map(RunningAgent::description).or(self.recorded.edge.take());
                 self.record_hosts(running);
             }
             Event::Iteration(iteration) => {
@@ -226,13 +226,13 @@ impl RunObserver for RunRecorder<'_> {
         None
     }
 
-    fn poll_state(&mut self, running: &Running) -> Option<Ended> {
+    fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended> {
         self.writer.flush();
         // The peer may leave with the last answer: there is no need for it to return.
         if self.progress.is_complete() {
             return Some(Ended::Finished);
         }
-        let pipelines = running.live().pipelines;
+        let pipelines = running.live_update().pipelines;
         // Its last events were sent before, if there was room for them.
         match pipelines.into_iter().next().map(|one| one.state) {
             Some(PipelineState::Failed(reason)) => return Some(Ended::Failed(reason)),

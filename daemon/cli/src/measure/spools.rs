@@ -7,7 +7,7 @@ use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use peernet_agent::spool::{SpoolReadError, waiting_events};
+use peernet_agent::spool::{SpoolReadError, pending_events};
 use peernet_networks::Address;
 use peernet_statistics::number::counted;
 
@@ -86,7 +86,7 @@ impl UndeliveredEvents {
 
     /// Reads the waiting events of a file; `None` if there are none.
     async fn read(at: String, file: PathBuf) -> Option<Self> {
-        let events = waiting_events(&file).await;
+        let events = pending_events(&file).await;
         let waits = !matches!(events, Ok(0));
         waits.then_some(Self { at, file, events })
     }

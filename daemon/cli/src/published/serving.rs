@@ -1,7 +1,7 @@
 //! Observation of a server: its sessions and its answers.
 
 use futures::FutureExt;
-use peernet_agent::Running;
+use peernet_agent::RunningAgent;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_inference::LoadError;
 use peernet_logger::Slug;
@@ -125,10 +125,10 @@ impl Serving {
     }
 
     /// Loads the model before the first request: errors show at once, and no client waits for it.
-    fn load(&mut self, running: &Running) -> Option<Ended<LoadError>> {
+    fn load(&mut self, running: &RunningAgent) -> Option<Ended<LoadError>> {
         match &mut self.loading {
             Loading::NotBegun => {
-                self.loading = Loading::UnderWay(running.load(&self.model));
+                self.loading = Loading::UnderWay(running.load_model(&self.model));
                 None
             }
             Loading::UnderWay(loading) => {
@@ -136,8 +136,12 @@ impl Serving {
                 self.loading = Loading::Done;
                 match loaded {
                     Ok(Ok(())) => {
-                        let at =
-                            running.serves().iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+                        let at = running
+                            .serve_addresses()
+                            .iter()
+                            .map(ToString::to_string)
+                            .collect::<Vec<_>>()
+                            .join(", ");
                         self.progress.say(format_args!(
                             "serving {} on all interfaces at {at}; ends after {} answers or with Ctrl-C",
                             self.model, self.answers.wanted
@@ -178,15 +182,15 @@ impl RunObserver for Serving {
     /// The model cannot be loaded.
     type OwnReason = LoadError;
 
-    fn handle_event(&mut self, _event: Event, _running: Option<&Running>) -> Option<Ended<LoadError>> {
+    fn handle_event(&mut self, _event: Event, _running: Option<&RunningAgent>) -> Option<Ended<LoadError>> {
         None
     }
 
-    fn poll_state(&mut self, running: &Running) -> Option<Ended<LoadError>> {
+    fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended<LoadError>> {
         if let Some(ended) = self.load(running) {
             return Some(ended);
         }
-        let served = running.served().borrow().clone();
+        let served = running.served_counts().borrow().clone();
         let inference =
             served.inference.quantile(0.5).map(|p50| describe_quantiles(p50, p99(&served.inference)));
         self.inference = inference.map_or_else(String::new, |quantiles| format!(", inference {quantiles}"));

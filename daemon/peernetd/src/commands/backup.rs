@@ -18,9 +18,9 @@ use crate::log;
 /// Interval at which the size of the growing copy is read.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Copies the database to a file that must not exist.
+/// Copies the database to a file that does not exist yet.
 pub(crate) fn backup(database: Database, target: &Path) -> Exit {
-    let _log = log::temporary();
+    let _log = log::install_temporary();
     let made = database.path().and_then(|database| {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
@@ -51,7 +51,7 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
     let (mut interrupts, mut terminations) =
         (signals(SignalKind::interrupt())?, signals(SignalKind::terminate())?);
     let backup = Backup::prepare(database, target).await.map_err(failed)?;
-    let bar = bar(backup.expected_bytes());
+    let bar = progress_bar(backup.expected_bytes());
     let partial = backup.partial().to_owned();
     let stop = CancellationToken::new();
     let made = backup.run(stop.clone());
@@ -75,7 +75,7 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
 }
 
 /// Returns the progress bar of the copy; hidden if standard error is not a terminal.
-fn bar(expected: u64) -> ProgressBar {
+fn progress_bar(expected: u64) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }

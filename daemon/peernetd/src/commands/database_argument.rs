@@ -7,14 +7,14 @@ use peernet_cli::exit::{Exit, Failure};
 
 use crate::configuration::{Problem, data_files};
 
-/// The aggregator's database, by itself or as a configuration names it.
+/// The aggregator's database: its path, or a configuration that names it.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
 pub(crate) struct Database {
     /// The configuration file whose [aggregator] names the database.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The database itself.
+    /// The database file.
     #[arg(long, value_name = "FILE")]
     database: Option<PathBuf>,
 }
@@ -32,15 +32,15 @@ impl Database {
                 .database
                 .ok_or_else(|| {
                     let error =
-                        anyhow!("{} has no table [aggregator], so it names no database", config.display());
+                        anyhow!("{} names no database: it has no table [aggregator]", config.display());
                     Failure::new(Exit::Configuration, error)
                 }),
-            (None, None) => Err(Failure::new(Exit::Usage, anyhow!("name a --config or a --database"))),
+            (None, None) => Err(Failure::new(Exit::Usage, anyhow!("give --config or --database"))),
         }
     }
 }
 
-/// Joins the problems of a configuration, one per line.
+/// Returns the failure for problems of a configuration, one per line.
 pub(super) fn wrong_configuration(problems: &[Problem]) -> Failure {
     let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
     Failure::new(Exit::Configuration, anyhow!(lines.join("\n")))

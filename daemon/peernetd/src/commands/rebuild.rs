@@ -12,10 +12,10 @@ use peernet_store::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
 use super::Database;
 use crate::log;
 
-/// Computes the roll-ups from the stored nodes.
+/// Computes the roll-ups of one run or of all runs from the stored nodes.
 pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
-    let _log = log::temporary();
-    let bar = spinner();
+    let _log = log::install_temporary();
+    let bar = progress_spinner();
     let rebuilt = database.path().and_then(|database| {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
@@ -28,7 +28,7 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
             bar.tick();
         };
         let rebuilt = runtime.block_on(rebuild_rollups(&database, run, progress));
-        rebuilt.map_err(|error| Failure::new(exit(&error), error))
+        rebuilt.map_err(|error| Failure::new(exit_code(&error), error))
     });
     bar.finish_and_clear();
     match rebuilt {
@@ -40,7 +40,7 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
             ));
             if rebuilt.in_part > 0 {
                 say(format_args!(
-                    "{} of them in part: of times whose nodes were deleted the roll-ups are as before",
+                    "{} of them in part: the roll-ups of intervals whose nodes were deleted are unchanged",
                     fixed(rebuilt.in_part as f64, 0)
                 ));
             }
@@ -53,7 +53,7 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
     }
 }
 
-fn exit(error: &RebuildError) -> Exit {
+fn exit_code(error: &RebuildError) -> Exit {
     match error {
         RebuildError::NoRun { .. } => Exit::Usage,
         RebuildError::Open(OpenError::NotADatabase { .. }) => Exit::Data,
@@ -65,7 +65,7 @@ fn exit(error: &RebuildError) -> Exit {
 }
 
 /// Returns the progress display; hidden if standard error is not a terminal.
-fn spinner() -> ProgressBar {
+fn progress_spinner() -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }

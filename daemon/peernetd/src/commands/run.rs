@@ -1,4 +1,4 @@
-//! The command `peernetd run`, with a fixed order: temporary log, configuration with all checks, real log, runtime,
+//! The command `peernetd run`. Its order is fixed: temporary log, configuration with all checks, configured log, runtime,
 //! parts, READY.
 
 use std::path::Path;
@@ -17,12 +17,12 @@ use peernet_cli::VERSION;
 use peernet_cli::exit::{Exit, Failure, error_line};
 use peernet_cli::output::complain;
 
-/// Time that blocking threads have to end after everything else has ended.
+/// Time that blocking threads have to end after all tasks have ended.
 const BLOCKING_THREADS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Runs the roles of a configuration file until a signal arrives.
 pub(crate) fn run(file: &Path) -> Exit {
-    let temporary = log::temporary();
+    let temporary = log::install_temporary();
     let configuration = match load(file) {
         Ok(configuration) => configuration,
         Err(problems) => {
@@ -40,14 +40,16 @@ pub(crate) fn run(file: &Path) -> Exit {
     info!("peernetd {VERSION} with {}", file.display());
     // The limit must be raised before a port computes its share of it.
     if let Err(error) = raise_limit() {
-        warn!("cannot raise the number of files that this process may open, going on with fewer: {error}");
+        warn!(
+            "cannot raise the limit of open files of this process: {error}; continuing with the current limit"
+        );
     }
 
     let runtime =
         match tokio::runtime::Builder::new_multi_thread().thread_name("peernetd").enable_all().build() {
             Ok(runtime) => runtime,
             Err(error) => {
-                tracing::error!("cannot start the threads of the runtime: {error}");
+                tracing::error!("cannot start the runtime's threads: {error}");
                 return Exit::Unavailable;
             }
         };
@@ -59,7 +61,7 @@ pub(crate) fn run(file: &Path) -> Exit {
     exit
 }
 
-/// Starts the parts, receivers before senders, and runs until the end.
+/// Starts the parts, receivers before senders, and runs them until the end of the process.
 async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     let clock = configuration.clock().map_err(|error| unavailable(error.into()))?;

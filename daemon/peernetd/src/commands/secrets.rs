@@ -7,26 +7,26 @@ use peernet_store::maintenance::{ClearSecretError, clear_host_secret};
 use super::Database;
 use crate::log;
 
-/// Deletes the secret of a host, so that the next agent with its id is enrolled.
+/// Deletes the secret of a host, so that the next agent with its id is accepted.
 pub(crate) fn clear_secret(database: Database, host: &str) -> Exit {
-    let _log = log::temporary();
+    let _log = log::install_temporary();
     let cleared = database.path().and_then(|database| {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
         let cleared = runtime.block_on(clear_host_secret(&database, host));
-        cleared.map_err(|error| Failure::new(exit(&error), error))
+        cleared.map_err(|error| Failure::new(exit_code(&error), error))
     });
     match cleared {
         Ok(cleared) if cleared.existed => {
             say(format_args!(
-                "cleared the secret of {} ({}); the next agent that comes with this host id is enrolled",
+                "deleted the secret of {} ({}); the next agent with this host id is accepted",
                 cleared.name, cleared.host
             ));
             Exit::Ok
         }
         Ok(cleared) => {
             say(format_args!(
-                "{} ({}) has no secret; the next agent that comes with this host id is enrolled",
+                "{} ({}) has no secret; the next agent with this host id is accepted",
                 cleared.name, cleared.host
             ));
             Exit::Ok
@@ -38,7 +38,7 @@ pub(crate) fn clear_secret(database: Database, host: &str) -> Exit {
     }
 }
 
-fn exit(error: &ClearSecretError) -> Exit {
+fn exit_code(error: &ClearSecretError) -> Exit {
     match error {
         ClearSecretError::NoHost { .. } | ClearSecretError::SeveralHosts { .. } => Exit::Usage,
         ClearSecretError::NotADatabase { .. } => Exit::Data,

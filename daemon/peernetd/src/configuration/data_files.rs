@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::load::{Problem, read_unchecked};
 
-/// Files of the roles that are on.
+/// Data files of the enabled roles.
 #[derive(Debug)]
 pub(crate) struct DataFiles {
     /// Database of the aggregator.
@@ -13,7 +13,8 @@ pub(crate) struct DataFiles {
     pub(crate) spool: Option<PathBuf>,
 }
 
-/// Returns the files without any other check: a missing model must not prevent a backup.
+/// Returns the data files that a configuration names.
+// Nothing else is checked: a missing model must not prevent a backup.
 ///
 /// # Errors
 /// If the configuration cannot be read or parsed.

@@ -1,4 +1,4 @@
-//! Reading of the configuration file, and checks of everything that it names.
+//! Reads a configuration file, and checks everything that it names.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -26,11 +26,11 @@ use crate::log::LogConfig;
 /// Largest size of a configuration file, bytes.
 const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Tables that belong into another table, and the hint for them.
+/// Tables that belong in another table, and the hint for each.
 const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
 
-/// Pairs of a table and the end of the keys whose check depends on that table. Their problems are not reported if the
-/// table itself has mistakes.
+/// Pairs of a table and the suffix of the keys whose check depends on that table. Problems of these keys are not reported
+/// if the table has mistakes.
 const DEPENDENT: [(&str, &str); 9] = [
     ("model", ".placement.model"),
     ("bank", ".placement.model"),
@@ -80,7 +80,7 @@ pub(crate) struct Configuration {
     pub(crate) agent: Option<AgentConfig>,
 }
 
-/// Problem of a configuration file that prevents its use.
+/// A problem that prevents the use of a configuration file.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Problem {
     file: PathBuf,
@@ -97,17 +97,17 @@ impl fmt::Display for Problem {
             write!(f, ":{line}")?;
         }
         if !self.key.is_empty() {
-            // Both may contain parts of the file, which must not control the terminal.
+            // Key and text may contain parts of the file, whose control characters must not reach the terminal.
             write!(f, ": {}", printable_line(&self.key))?;
         }
         write!(f, ": {}", printable_lines(&self.text))
     }
 }
 
-/// Reads a configuration file and checks everything that it names, without starting anything.
+/// Reads a configuration file and checks everything that it names.
 ///
 /// # Errors
-/// All problems; several only if the file could be read.
+/// All problems that were found. If the file cannot be read or is not TOML, this is the only one.
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable(path, &error)])?;
     let locator = Locator::new(&text);
@@ -183,15 +183,15 @@ fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     roles.chain(found.filter(is_certain)).collect()
 }
 
-/// Returns the problems of tables that contradict each other or make no sense alone: key and text. Tables in
-/// `incomplete` exist in the file, even if `file` does not have them.
+/// Returns the problems (key and text) of tables that need another table. Tables in `incomplete` exist in the file, even if
+/// `file` does not have them.
 fn roles(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'static str)> {
     let (has_agent, has_aggregator) = (
         file.agent.is_some() || incomplete.contains("agent"),
         file.aggregator.is_some() || incomplete.contains("aggregator"),
     );
     if !has_agent && !has_aggregator {
-        return vec![("", "no role is switched on: add a table [agent], a table [aggregator], or both")];
+        return vec![("", "the file enables no role: add a table [agent], a table [aggregator], or both")];
     }
     let mut found = Vec::new();
     let for_agent = [
@@ -212,16 +212,13 @@ fn roles(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'sta
         ));
     }
     if !has_aggregator && file.web.is_some() {
-        found.push(("web", "[web] shows what an aggregator has: add a table [aggregator], or remove [web]"));
+        found.push(("web", "[web] needs an aggregator: add a table [aggregator], or remove [web]"));
     }
     if file.spool.is_some()
         && !incomplete.contains("agent")
         && file.agent.as_ref().is_some_and(|agent| agent.aggregator.is_none())
     {
-        found.push((
-            "spool",
-            "there is no spool without an aggregator: name one with [agent] aggregator, or remove [spool]",
-        ));
+        found.push(("spool", "[spool] needs an aggregator: set [agent] aggregator, or remove [spool]"));
     }
     found
 }
@@ -276,7 +273,7 @@ impl Configuration {
         );
         if let Some(agent_ms) = agent_ms.filter(|ms| *ms > deadline_s.saturating_mul(1000)) {
             let text = format!(
-                "{agent_ms} ms is more than lifecycle.shutdown_deadline_s = {deadline_s} s allows; shorten it or raise the other"
+                "{agent_ms} ms is longer than lifecycle.shutdown_deadline_s = {deadline_s} s; reduce it or raise the deadline"
             );
             problems.push(("agent.stop_timeout_ms".to_owned(), text));
         }
@@ -357,7 +354,7 @@ mod tests {
             ":9: agent.io_threads: invalid type",
             ":13: pipeline[0].placement: missing field `model`",
             ":18: pipeline[1].rate: unknown field `rate`",
-            ":19: web: [web] shows what an aggregator has",
+            ":19: web: [web] needs an aggregator",
             ":20: web.listen: ",
         ]) {
             assert!(line.contains(expected), "{expected} in {text}");
@@ -386,7 +383,7 @@ mod tests {
             ":10: model[0].kind: unknown variant `nonsense`",
             ":14: pipeline[0].placement.kind: unknown variant `nowhere`",
             ":19: pipeline[1].load.hz: ",
-            ":21: pipeline[2].name: another pipeline is named two already",
+            ":21: pipeline[2].name: another pipeline is named two",
             ":22: pipeline[2].sensor: ",
             ":24: pipeline[2].warm_up.iteration: unknown field",
         ] {

@@ -1,4 +1,5 @@
-//! All mistakes of a file that cannot be read: unknown keys, values of the wrong type, and missing keys.
+//! Finds all mistakes of a configuration file that cannot be deserialised: unknown keys, values of the wrong type, and
+//! missing keys.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -15,7 +16,7 @@ const MAX_MISTAKES: usize = 100;
 /// Beginning of serde's message about a missing key.
 const MISSING: &str = "missing field";
 
-/// Key that could not be read, with the error.
+/// A key that cannot be deserialised, with the error.
 #[derive(Debug)]
 pub(super) struct Mistake {
     /// Path of the key; empty for the whole file.
@@ -26,12 +27,12 @@ pub(super) struct Mistake {
 /// The file without the keys that have mistakes, and without the tables that cannot be read without these keys.
 pub(super) struct Remainder<T> {
     pub(super) file: T,
-    /// Names of the tables with mistakes, whether they remain or not.
+    /// Names of all tables with mistakes, including those that were removed.
     pub(super) incomplete: BTreeSet<String>,
     /// Paths of the removed keys.
     removed: Vec<String>,
-    /// For each array of tables, the indices in the file of the elements that remain.
-    places: BTreeMap<String, Vec<usize>>,
+    /// For each array of tables, the indices in the file of the remaining elements.
+    indices_in_file: BTreeMap<String, Vec<usize>>,
 }
 
 /// Reads a file in which only the keys in `arrays` are arrays.
@@ -72,15 +73,14 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     let mut mistakes: Vec<Mistake> =
         root.get_ref().iter().filter_map(|entry| needless_array(entry, arrays)).collect();
     let mut incomplete: BTreeSet<String> = mistakes.iter().map(|mistake| mistake.key.clone()).collect();
-    let (mut rest, mut removed, mut places) = (DeTable::new(), Vec::new(), BTreeMap::new());
-    for part in parts(root.get_ref()) {
+    let (mut rest, mut removed, mut indices_in_file) = (DeTable::new(), Vec::new(), BTreeMap::new());
+    for part in split_into_parts(root.get_ref()) {
         if mistakes.iter().any(|mistake| mistake.key == part.name) {
             continue;
         }
         let before = mistakes.len();
-        let left = part.find::<T>(&mut mistakes, &mut removed);
-        if let Some(left) = left {
-            part.put(left, &mut rest, &mut places);
+        if let Some(valid) = part.find_mistakes::<T>(&mut mistakes, &mut removed) {
+            part.append_to(valid, &mut rest, &mut indices_in_file);
         }
         if mistakes.len() > before {
             incomplete.insert(part.name);
@@ -91,7 +91,7 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     }
     let rest = Spanned::new(root.span(), rest);
     let remainder = T::deserialize(Deserializer::from(rest)).ok();
-    (mistakes, remainder.map(|file| Remainder { file, incomplete, removed, places }))
+    (mistakes, remainder.map(|file| Remainder { file, incomplete, removed, indices_in_file }))
 }
 
 impl<T> Remainder<T> {
@@ -99,9 +99,9 @@ impl<T> Remainder<T> {
     pub(super) fn key_in_file(&self, key: &str) -> String {
         let in_array = || {
             let (array, rest) = key.split_once('[')?;
-            let (place, rest) = rest.split_once(']')?;
-            let place = self.places.get(array)?.get(place.parse::<usize>().ok()?)?;
-            Some(format!("{array}[{place}]{rest}"))
+            let (index, rest) = rest.split_once(']')?;
+            let index = self.indices_in_file.get(array)?.get(index.parse::<usize>().ok()?)?;
+            Some(format!("{array}[{index}]{rest}"))
         };
         in_array().unwrap_or_else(|| key.to_owned())
     }
@@ -124,7 +124,7 @@ struct Part<'a> {
     document: Spanned<DeTable<'a>>,
 }
 
-fn parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
+fn split_into_parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
     let mut parts = Vec::new();
     for (name, value) in root {
         let mut part = |index, value: Spanned<DeValue<'a>>| {
@@ -147,12 +147,12 @@ fn parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
 }
 
 impl<'a> Part<'a> {
-    /// Reads the part repeatedly, each time without the key that could not be read, until the rest is valid; returns
-    /// the rest and adds the paths of the removed keys.
-    fn find<T: Deserialize<'a>>(
+    /// Deserialises the part repeatedly, each time without the key that failed, until the rest is valid. Returns the rest,
+    /// and adds the mistakes and the paths of the removed keys to the lists.
+    fn find_mistakes<T: Deserialize<'a>>(
         &self,
         mistakes: &mut Vec<Mistake>,
-        without: &mut Vec<String>,
+        removed_keys: &mut Vec<String>,
     ) -> Option<Spanned<DeTable<'a>>> {
         let mut document = self.document.clone();
         let mut removed = Vec::new();
@@ -161,7 +161,7 @@ impl<'a> Part<'a> {
             let Err(error) = read else {
                 // Nothing remains if a key was removed that is required at the top of this part.
                 document.get_ref().get(self.name.as_str())?;
-                without.extend(removed.iter().map(|steps: &Vec<Step>| self.key(steps)));
+                removed_keys.extend(removed.iter().map(|steps: &Vec<Step>| self.key(steps)));
                 return Some(document);
             };
             let steps = steps(error.path());
@@ -174,9 +174,7 @@ impl<'a> Part<'a> {
                 return None;
             }
             if mistakes.len() + 1 == MAX_MISTAKES {
-                let error = Error::custom(
-                    "there may be more mistakes, which are not listed; correct those above first",
-                );
+                let error = Error::custom("the list of mistakes is not complete; correct those above first");
                 mistakes.push(Mistake { key: String::new(), error });
                 return None;
             }
@@ -189,15 +187,15 @@ impl<'a> Part<'a> {
         None
     }
 
-    /// Adds the rest of this part to the rest of the file and records its index; an element of an array is appended
-    /// to those before it.
-    fn put(
+    /// Adds the valid rest of this part to that of the file. An element of an array is appended, and its index in the file
+    /// is recorded.
+    fn append_to(
         &self,
-        left: Spanned<DeTable<'a>>,
+        valid: Spanned<DeTable<'a>>,
         rest: &mut DeTable<'a>,
-        places: &mut BTreeMap<String, Vec<usize>>,
+        indices_in_file: &mut BTreeMap<String, Vec<usize>>,
     ) {
-        for (name, value) in left.into_inner() {
+        for (name, value) in valid.into_inner() {
             match (self.index, rest.get_mut(name.get_ref().as_ref())) {
                 (Some(_), Some(array)) => {
                     if let (DeValue::Array(array), DeValue::Array(alone)) =
@@ -209,7 +207,7 @@ impl<'a> Part<'a> {
                 _ => drop(rest.insert(name, value)),
             }
             if let Some(index) = self.index {
-                places.entry(self.name.clone()).or_default().push(index);
+                indices_in_file.entry(self.name.clone()).or_default().push(index);
             }
         }
     }
@@ -260,10 +258,10 @@ fn missing_key(text: &str) -> Option<&str> {
 /// otherwise the indices of the other elements would change. Returns whether the key existed.
 fn remove(table: &mut DeTable<'_>, steps: &[Step], removed: &mut Vec<Vec<Step>>) -> bool {
     let Some(last) = steps.iter().rposition(|step| matches!(step, Step::Key(_))) else { return false };
-    let (Some((Step::Key(name), way)), path) = (steps[..=last].split_last(), &steps[..=last]) else {
+    let (Some((Step::Key(name), parent)), path) = (steps[..=last].split_last(), &steps[..=last]) else {
         return false;
     };
-    let Some(table) = inner_table(table, way) else { return false };
+    let Some(table) = inner_table(table, parent) else { return false };
     removed.push(path.to_vec());
     table.remove(name.as_str()).is_some()
 }

@@ -145,7 +145,7 @@ fn clock_error_introduced_later_is_measured_afterwards() {
     shows(false);
     print_line(&format!("libfaketime begins to show +20 ms: noticed within {:?}", since.elapsed()));
     let lost = hosts.api.wait_until("/api/v1/incidents", |list| {
-        let is_lost = |incident: &&Value| incident["text"].to_string().contains("do not prove any more");
+        let is_lost = |incident: &&Value| incident["text"].to_string().contains("it is no longer proven");
         list["incidents"].as_array()?.iter().find(is_lost).cloned()
     });
     let text = lost["text"].to_string();

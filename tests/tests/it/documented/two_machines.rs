@@ -163,7 +163,7 @@ fn keep(machines: &DocumentedCommands, stop: impl FnOnce()) {
     assert_eq!(query_database(backup, "SELECT count(*) FROM run").trim(), "1");
 
     let cleared = assert_success(machines.on_cloud(CLEAR, &[]).wait_for_end());
-    assert!(cleared.contains("cleared the secret of robot"), "{cleared}");
+    assert!(cleared.contains("deleted the secret of robot"), "{cleared}");
 
     let all = |of: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).wait_for_end();
     assert_eq!(all("").code(), 69, "the aggregator has it");

@@ -48,7 +48,7 @@ fn iterations_without_queue_space_are_lost() {
     }
     let lost: u64 = runs.iter().map(|run| count(run, "lost")).sum();
     assert!(lost > 0 && cloud.logs_before_end("no memory for a frame of"), "{}", cloud.log());
-    assert!(robot.logs_before_end("the run goes on when it is back"), "{}", robot.log());
+    assert!(robot.logs_before_end("the run continues after a reconnect"), "{}", robot.log());
     assert_eq!(robot.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
 }

@@ -122,7 +122,7 @@ fn cleared_secret_permits_a_new_one() {
     let said = fleet.agents[0].process().wait_for("refuses this agent");
     assert!(said.contains("clear-host-secret"), "{said}");
     let told = clear_host_secret(&fleet);
-    assert!(told.contains("cleared the secret of edge"), "{told}");
+    assert!(told.contains("deleted the secret of edge"), "{told}");
     fleet.agents[0].process().wait_for("connected to the aggregator");
     let after = secret(&fleet);
     assert_ne!(after, before);

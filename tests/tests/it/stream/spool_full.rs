@@ -87,10 +87,10 @@ fn start_on_full_disk_counts_dropped_events() {
         serde_json::from_str(&examined.log).unwrap_or_else(|error| panic!("{error}: {}", examined.log));
     assert_eq!((examined.code(), &report["healthy"]), (65, &Value::Bool(false)), "{report}");
     assert!(report["spool"]["disk_free_bytes"].as_u64().is_some_and(|bytes| bytes < 1 << 20), "{report}");
-    assert!(examined.log.contains("KiB of room"), "{report}");
+    assert!(examined.log.contains("KiB of free space"), "{report}");
     let ended = fleet.agents[0].stop();
     let answers = ended.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64;
-    assert!(ended.log.contains("a gap will say so"), "{}", ended.log);
+    assert!(ended.log.contains("a gap reports them"), "{}", ended.log);
 
     state.free();
     fleet.restart_aggregator();

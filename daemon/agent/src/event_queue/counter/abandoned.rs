@@ -5,16 +5,16 @@ use std::path::Path;
 
 use uuid::Uuid;
 
-use super::{CountOwner, SHARED_MEMORY, open_own, read_owner, remove};
+use super::{CountOwner, SHARED_MEMORY, open_owned_file, read_owner, remove};
 
-/// Removes the files of counts in which no process counts, and whose spool is gone or is `own`.
+/// Removes the files of counts in which no process counts, and whose spool is gone or is `spool`.
 ///
-/// Files named in `needed`, which `own` still needs, stay. So does a file without the identity of a spool.
-pub(crate) fn remove_abandoned(own: &CountOwner, needed: &[&str]) {
+/// Files named in `needed`, which `spool` still needs, stay. So does a file without the identity of a spool.
+pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
     let entries = match fs::read_dir(SHARED_MEMORY) {
         Ok(entries) => entries,
         Err(error) => {
-            tracing::debug!(%error, "cannot list {SHARED_MEMORY}: the counts of agents that were killed stay there");
+            tracing::debug!(%error, "cannot list {SHARED_MEMORY}: event counts of killed agents are not removed");
             return;
         }
     };
@@ -22,14 +22,17 @@ pub(crate) fn remove_abandoned(own: &CountOwner, needed: &[&str]) {
     for name in entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()) {
         if is_count_file_name(&name)
             && !needed.contains(&name.as_str())
-            && open_own(&name).is_some_and(|file| is_abandoned(&file, own))
+            && open_owned_file(&name).is_some_and(|file| is_abandoned(&file, spool))
         {
             remove(&name);
             removed += 1;
         }
     }
     if removed > 0 {
-        tracing::info!(files = removed, "removed counts of events in {SHARED_MEMORY} whose spools are gone");
+        tracing::info!(
+            files = removed,
+            "removed event counts in {SHARED_MEMORY} that belong to no spool any more"
+        );
     }
 }
 
@@ -40,7 +43,7 @@ fn is_count_file_name(name: &str) -> bool {
 }
 
 /// Returns whether no process counts in a file and none can need it later. The file is locked during the check.
-fn is_abandoned(file: &File, own: &CountOwner) -> bool {
+fn is_abandoned(file: &File, spool: &CountOwner) -> bool {
     file.try_lock().is_ok()
-        && read_owner(file).is_some_and(|owner| owner.is_same_file(own) || owner.is_gone())
+        && read_owner(file).is_some_and(|owner| owner.is_same_file(spool) || owner.is_gone())
 }

@@ -11,7 +11,7 @@ use std::time::UNIX_EPOCH;
 /// Length of an encoded identity in bytes.
 pub(super) const OWNER_BYTES: usize = 4096;
 /// Bytes before the path: four numbers and the length of the path.
-const NUMBERS: usize = 4 * 8 + 2;
+const NUMBERS_BYTES: usize = 4 * 8 + 2;
 /// Path that identifies the mount namespace, within which paths have their meaning.
 const MOUNT_NAMESPACE: &str = "/proc/self/ns/mnt";
 
@@ -20,9 +20,9 @@ const MOUNT_NAMESPACE: &str = "/proc/self/ns/mnt";
 pub(crate) struct CountOwner {
     device: u64,
     inode: u64,
-    /// Creation time of the file in nanoseconds since 1970; 0 if its file system does not know it. It is needed
-    /// because the inode number of a deleted file is used again.
-    made: u64,
+    /// Creation time of the file in nanoseconds since 1970; 0 if its file system does not store it.
+    // Needed because the inode number of a deleted file is used again.
+    created: u64,
     /// Inode of the mount namespace; 0 if it is unknown.
     mount_namespace: u64,
     /// Path of the file; empty if it is too long to be stored.
@@ -34,14 +34,14 @@ impl CountOwner {
     ///
     /// # Errors
     /// When there is no such file.
-    pub(crate) fn at(path: &Path) -> io::Result<Self> {
+    pub(crate) fn from_path(path: &Path) -> io::Result<Self> {
         let (path, metadata) = (fs::canonicalize(path)?, fs::metadata(path)?);
-        let path = if path.as_os_str().len() > OWNER_BYTES - NUMBERS { PathBuf::new() } else { path };
+        let path = if path.as_os_str().len() > OWNER_BYTES - NUMBERS_BYTES { PathBuf::new() } else { path };
         let mount_namespace = mount_namespace().unwrap_or_default();
         Ok(Self {
             device: metadata.dev(),
             inode: metadata.ino(),
-            made: made(&metadata),
+            created: created(&metadata),
             mount_namespace,
             path,
         })
@@ -49,7 +49,7 @@ impl CountOwner {
 
     /// Returns whether both are the same file, under any path.
     pub(crate) fn is_same_file(&self, other: &Self) -> bool {
-        (self.device, self.inode, self.made) == (other.device, other.inode, other.made)
+        (self.device, self.inode, self.created) == (other.device, other.inode, other.created)
     }
 
     /// Returns whether the file is certainly no longer at its path. It is not certain in another mount namespace, nor
@@ -59,7 +59,9 @@ impl CountOwner {
             return false;
         }
         match fs::metadata(&self.path) {
-            Ok(found) => found.dev() == self.device && (found.ino(), made(&found)) != (self.inode, self.made),
+            Ok(found) => {
+                found.dev() == self.device && (found.ino(), created(&found)) != (self.inode, self.created)
+            }
             Err(error) if error.kind() == io::ErrorKind::NotFound => self.nearest_folder_is_of_its_device(),
             // For example without permission to read the folder: then nothing is certain.
             Err(_) => false,
@@ -71,16 +73,16 @@ impl CountOwner {
         folders.find_map(|folder| fs::metadata(folder).ok()).is_some_and(|found| found.dev() == self.device)
     }
 
-    pub(super) fn encoded(&self) -> Vec<u8> {
+    pub(super) fn encode(&self) -> Vec<u8> {
         let numbers =
-            [self.device, self.inode, self.made, self.mount_namespace].map(u64::to_be_bytes).concat();
+            [self.device, self.inode, self.created, self.mount_namespace].map(u64::to_be_bytes).concat();
         let path = self.path.as_os_str().as_bytes();
         let length = u16::try_from(path.len()).unwrap_or_default().to_be_bytes();
         [&numbers[..], &length, path].concat()
     }
 
-    pub(super) fn decoded(bytes: &[u8]) -> Option<Self> {
-        let (numbers, rest) = bytes.split_at_checked(NUMBERS - 2)?;
+    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
+        let (numbers, rest) = bytes.split_at_checked(NUMBERS_BYTES - 2)?;
         let number =
             |place: usize| numbers[place * 8..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes));
         let (length, path) = rest.split_first_chunk()?;
@@ -88,15 +90,15 @@ impl CountOwner {
         Some(Self {
             device: number(0)?,
             inode: number(1)?,
-            made: number(2)?,
+            created: number(2)?,
             mount_namespace: number(3)?,
             path: Path::new(OsStr::from_bytes(path)).to_owned(),
         })
     }
 }
 
-fn made(metadata: &Metadata) -> u64 {
-    let since = metadata.created().ok().and_then(|made| made.duration_since(UNIX_EPOCH).ok());
+fn created(metadata: &Metadata) -> u64 {
+    let since = metadata.created().ok().and_then(|created| created.duration_since(UNIX_EPOCH).ok());
     since.and_then(|since| u64::try_from(since.as_nanos()).ok()).unwrap_or_default()
 }
 
@@ -113,9 +115,9 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("spool.sqlite");
         fs::write(&path, "spool").expect("written");
-        let owner = CountOwner::at(&path).expect("is there");
-        assert_eq!(CountOwner::decoded(&owner.encoded()).as_ref(), Some(&owner));
-        assert_eq!(CountOwner::decoded(&[0; 12]), None);
+        let owner = CountOwner::from_path(&path).expect("is there");
+        assert_eq!(CountOwner::decode(&owner.encode()).as_ref(), Some(&owner));
+        assert_eq!(CountOwner::decode(&[0; 12]), None);
     }
 
     #[test]
@@ -123,7 +125,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("spool.sqlite");
         fs::write(&path, "spool").expect("written");
-        let owner = CountOwner::at(&path).expect("is there");
+        let owner = CountOwner::from_path(&path).expect("is there");
         assert!(!owner.is_gone());
         let elsewhere = CountOwner { mount_namespace: owner.mount_namespace + 1, ..owner.clone() };
         let unmounted = CountOwner { device: owner.device + 1, ..owner.clone() };

@@ -13,7 +13,7 @@ fn spool() -> (TempDir, CountOwner) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("spool.sqlite");
     fs::write(&path, "").expect("written");
-    let owner = CountOwner::at(&path).expect("is there");
+    let owner = CountOwner::from_path(&path).expect("is there");
     (folder, owner)
 }
 
@@ -65,7 +65,7 @@ fn other_files_of_the_name_are_not_read() {
     let (_folder, owner) = spool();
     let name = format!("peernet-{}.count", Uuid::new_v4());
     let path = Path::new(SHARED_MEMORY).join(&name);
-    let made = std::process::Command::new("mkfifo").arg(&path).status().expect("coreutils");
+    let created = std::process::Command::new("mkfifo").arg(&path).status().expect("coreutils");
     assert!(made.success() && read(&name, &owner).is_none());
     fs::remove_file(path).expect("is there");
 }

@@ -40,8 +40,7 @@ async fn daemon_without_other_source_claims_nothing() {
     let (server, lonely) = (Chronyd::server(), Chronyd::lonely());
     // The server answers commands once a client is synchronised to it.
     let _client = Chronyd::client(&server, 0.0);
-    let expected =
-        [(&server, "chrony, following nothing but its own clock"), (&lonely, "chrony, not synchronised")];
+    let expected = [(&server, "chrony, local reference only"), (&lonely, "chrony, not synchronised")];
     for (daemon, text) in expected {
         let clock = system_clock();
         let (mut published, _running) = watched(daemon.clock_config(), None, &clock);
@@ -74,7 +73,7 @@ async fn host_without_chrony_reports_kernel() {
 #[tokio::test]
 async fn hanging_or_invalid_command_claims_nothing() {
     let clock = system_clock();
-    for (script, words) in [("sleep 60", "no answer within"), ("echo hello", "cannot be understood")] {
+    for (script, words) in [("sleep 60", "no answer within"), ("echo hello", "cannot read the output")] {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let command = folder.path().join("chronyc");
         std::fs::write(&command, format!("#!/bin/sh\n{script}\n")).expect("the temporary folder is writable");

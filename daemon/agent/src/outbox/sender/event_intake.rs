@@ -1,4 +1,4 @@
-//! Takes events from the queue.
+//! Moves events from the queue to the state machine.
 
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_stream::{Accounting, Event, Sending, SentUnspooled};
@@ -15,17 +15,17 @@ pub(super) struct EventIntake {
     receiver: QueueReceiver,
     runs: Runs,
     /// Time at which an event was last received.
-    fed: MonoTime,
+    last_event: MonoTime,
 }
 
 impl EventIntake {
     pub(super) const fn new(receiver: QueueReceiver, runs: Runs, now: MonoTime) -> Self {
-        Self { receiver, runs, fed: now }
+        Self { receiver, runs, last_event: now }
     }
 
     /// Returns whether no event was received for [`IDLE_AFTER`].
     pub(super) fn is_quiet(&self, now: MonoTime) -> bool {
-        now - self.fed >= IDLE_AFTER
+        now - self.last_event >= IDLE_AFTER
     }
 
     /// Waits for the next event.
@@ -35,7 +35,7 @@ impl EventIntake {
 
     /// Passes a received event to the state machine.
     pub(super) fn offer(&mut self, machine: &mut Sending, event: &Event, now: Stamp) {
-        self.fed = now.mono;
+        self.last_event = now.mono;
         machine.offer(event, now);
     }
 
@@ -50,10 +50,10 @@ impl EventIntake {
         machine.tick(now);
     }
 
-    /// Offers the starts of the runs in progress again. The aggregator lacks what it once stored, and an iteration is
-    /// of little use without the start of its run.
+    /// Offers the starts of the runs in progress again, because the aggregator's database has lost them and an iteration
+    /// is of little use without the start of its run.
     pub(super) fn repeat_run_starts(&self, machine: &mut Sending, now: Stamp) {
-        for event in self.runs.run_starts() {
+        for event in self.runs.start_events() {
             let pipeline =
                 if let Event::RunStarted(started) = &event { Some(&started.pipeline) } else { None };
             self.receiver.counter.count(pipeline, event.run(), now.wall);
@@ -61,7 +61,7 @@ impl EventIntake {
         }
     }
 
-    /// Frees the counter's records of runs that have ended and whose events are all settled.
+    /// Frees the counter's records of ended runs whose events are all settled.
     pub(super) fn release_runs(&self, machine: &mut Sending) {
         for (run, events) in machine.settled_runs() {
             if self.receiver.counter.release(run, events) {
@@ -78,13 +78,13 @@ impl EventIntake {
         account.dropped += dropped;
     }
 
-    /// Records a batch that is sent without being in the spool, in the file that survives the process.
-    pub(super) fn note_sent_unspooled(&self, sent: SentUnspooled) {
+    /// Records a batch that is sent without being in the spool, in the counter's file.
+    pub(super) fn record_sent_unspooled(&self, sent: SentUnspooled) {
         self.receiver.counter.record_sent_unspooled(sent);
     }
 
     /// Creates the counter's file again if it was deleted.
-    pub(super) fn keep_counter(&self) {
+    pub(super) fn recreate_counter_if_deleted(&self) {
         self.receiver.counter.recreate_if_deleted();
     }
 

@@ -1,4 +1,4 @@
-//! Decides when a live update is due, and whether the connection has room for it.
+//! Decides when a live update is due, and sends it when the socket can take it.
 
 use peernet_clock::WallTime;
 use peernet_stream::{Accounting, Sending, ToAggregator, codec};
@@ -13,20 +13,20 @@ pub(super) struct LiveLane {
     sources: LiveSources,
     /// `true` if a live update is due.
     is_due: bool,
-    /// `true` if the update waits for room on the socket; otherwise it may wait for the flow control.
+    /// `true` if the update waits for the socket; otherwise it may wait for the flow control.
     is_blocked: bool,
     /// Number of sessions that had ended when the last update was sent. The aggregator stores the totals of their
     /// connections from earlier updates.
-    told_ends: u64,
+    reported_ends: u64,
 }
 
 impl LiveLane {
     pub(super) const fn new(sources: LiveSources) -> Self {
-        Self { sources, is_due: false, is_blocked: false, told_ends: 0 }
+        Self { sources, is_due: false, is_blocked: false, reported_ends: 0 }
     }
 
     /// Makes an update due.
-    pub(super) const fn fall_due(&mut self) {
+    pub(super) const fn mark_due(&mut self) {
         self.is_due = true;
     }
 
@@ -34,7 +34,7 @@ impl LiveLane {
         self.is_due
     }
 
-    /// Returns whether an update waits for room on the connection.
+    /// Returns whether an update waits until the socket can take it.
     pub(super) const fn is_blocked(&self) -> bool {
         self.is_due && self.is_blocked
     }
@@ -44,20 +44,20 @@ impl LiveLane {
         (self.is_due, self.is_blocked) = (false, false);
     }
 
-    /// Returns the number of connections to clouds that ended since the last update was sent: their final totals
-    /// never reached the aggregator.
+    /// Returns the number of connections to clouds that ended since the last update was sent. The aggregator does not
+    /// have their final totals.
     pub(super) fn unreported_ends(&self) -> u64 {
-        self.sources.links.ended_sessions().saturating_sub(self.told_ends)
+        self.sources.links.ended_sessions().saturating_sub(self.reported_ends)
     }
 
     /// Marks all seconds as not sent, because the aggregator may have been restarted.
-    pub(super) fn start_over(&self) {
-        self.sources.live_statistics.start_over();
+    pub(super) fn mark_all_unsent(&self) {
+        self.sources.live_statistics.mark_all_unsent();
     }
 
-    /// Sends a live update if one may be sent, before everything else that waits, because it is useless later. On a
-    /// slow link it is composed when it can be sent, not earlier.
-    pub(super) fn show(
+    /// Sends a live update if the flow control allows it. It is sent before all waiting frames, because it is useless
+    /// later, and composed only when it can be sent.
+    pub(super) fn send_update(
         &mut self,
         machine: &mut Sending,
         connection: &Connection,
@@ -73,15 +73,15 @@ impl LiveLane {
         if !machine.may_send_live() {
             return;
         }
-        // Read before the update is composed: a session that ends in between is not in the update.
+        // Read before the update is composed, so that a session that ends in between is counted as unreported.
         let ends = self.sources.links.ended_sessions();
         let (frame, receipt) = self.update(machine, sent, account);
         let bytes = frame.len();
         self.is_blocked = connection.send(frame).is_err();
         if !self.is_blocked {
-            (self.is_due, self.told_ends) = (false, ends);
-            machine.record_live_sent(bytes);
-            self.sources.live_statistics.delivered(&receipt);
+            (self.is_due, self.reported_ends) = (false, ends);
+            machine.shown(bytes);
+            self.sources.live_statistics.mark_sent(&receipt);
         }
     }
 

@@ -26,17 +26,17 @@ use crate::live;
 use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 
-/// Interval at which the queue is emptied while events come. It is polled, because waking the task for each event
-/// would cost the pipeline more.
+/// Interval at which the queue is emptied while events arrive.
+// Polled, because waking the task for each event would cost the pipelines more time.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Longest wait for the aggregator's answer to the hello. Its machine may be busy, but not for longer.
+/// Longest wait for the aggregator's answer to the hello.
 const WELCOME_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Longest wait for room for the last update and the goodbye, and then for their being sent.
+/// Longest time for passing the last update and the goodbye to the socket, and again for sending them.
 const LAST_FRAMES_TIMEOUT: Duration = Duration::from_millis(250);
 
-/// Longest time for closing the spool. Its content is safe without it.
+/// Longest time for closing the spool. Its content is safe even if it is not closed.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// State of the outbox task.
@@ -49,10 +49,10 @@ pub(super) struct Sender {
     accounting: watch::Sender<Accounting>,
     clock: SharedClock,
     reports: Reports,
-    /// Frames for which the connection had no room: a window of batches at most.
-    held: VecDeque<Vec<u8>>,
+    /// Frames that the socket could not take yet; at most a window of batches.
+    unsent_frames: VecDeque<Vec<u8>>,
     /// `true` if the last attempt to reach the aggregator failed.
-    away: bool,
+    is_unreachable: bool,
 }
 
 impl Sender {
@@ -66,8 +66,18 @@ impl Sender {
         (runs, live): (Runs, LiveSources),
     ) -> Self {
         let intake = EventIntake::new(receiver, runs, clock.mono());
-        let (live, held) = (LiveLane::new(live), VecDeque::new());
-        Self { machine, spool, intake, live, accounting, clock, reports, held, away: false }
+        let (live, unsent_frames) = (LiveLane::new(live), VecDeque::new());
+        Self {
+            machine,
+            spool,
+            intake,
+            live,
+            accounting,
+            clock,
+            reports,
+            unsent_frames,
+            is_unreachable: false,
+        }
     }
 
     /// Sends until `stop` names a deadline. Then the remaining events are written to the spool, and sent as long as
@@ -84,82 +94,82 @@ impl Sender {
         let mut polls = tokio::time::interval(POLL_INTERVAL);
         let mut shows = tokio::time::interval(live::INTERVAL);
         for ticks in [&mut polls, &mut shows] {
-            // One tick is enough after a stall, because each empties the queue completely.
+            // After a stall one tick suffices, because each tick empties the queue completely.
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
         let mut stopping = pin!(deadline_of(stop));
         let mut shutdown: Option<Shutdown> = None;
         let mut alarm = pin!(tokio::time::sleep(Duration::ZERO));
         let mut welcome = pin!(tokio::time::sleep(Duration::ZERO));
-        // Whether a connection is open on which nothing has been received yet.
-        let mut unanswered = false;
+        // `true` while a connection is open on which no message has been received yet.
+        let mut awaits_welcome = false;
         let mut connection_state = ConnectionState::dial(&address, Duration::ZERO);
         loop {
-            let blocked = self.live.is_blocked() || !self.held.is_empty();
+            let blocked = self.live.is_blocked() || !self.unsent_frames.is_empty();
             let quiet = self.intake.is_quiet(self.clock.mono());
             tokio::select! {
                 biased;
                 deadline = &mut stopping, if shutdown.is_none() => {
-                    shutdown = Some(Shutdown::begin(Instant::now(), deadline, self.machine.accounting().stored));
-                    self.take();
+                    shutdown = Some(Shutdown::start(Instant::now(), deadline, self.machine.accounting().stored));
+                    self.drain_queue();
                 }
                 _ = shows.tick() => {
-                    self.live.fall_due();
-                    self.intake.keep_counter();
-                    self.take();
+                    self.live.mark_due();
+                    self.intake.recreate_counter_if_deleted();
+                    self.drain_queue();
                 }
-                done = self.spool.done() => {
-                    self.spooled(done.ok_or(SpoolTaskError::Ended)?);
+                done = self.spool.next_result() => {
+                    self.handle_spool_result(done.ok_or(SpoolTaskError::Ended)?);
                 }
                 event = connection_state.next(blocked) => match event {
                     ConnectionEvent::Connected(connection) => {
-                        unanswered = true;
+                        awaits_welcome = true;
                         welcome.as_mut().reset(Instant::now() + WELCOME_TIMEOUT);
-                        self.away = false;
-                        self.machine.on_connected(self.clock.mono());
+                        self.is_unreachable = false;
+                        self.machine.connected(self.clock.mono());
                         connection_state = ConnectionState::Open(connection);
                     }
                     ConnectionEvent::Failed(reason) => {
-                        self.lost();
-                        self.reports.away(&address, &reason);
-                        connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
+                        self.handle_lost_connection();
+                        self.reports.report_unreachable(&address, &reason);
+                        connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
                     }
-                    ConnectionEvent::Gone(reason) => {
-                        unanswered = false;
-                        self.lost();
-                        self.reports.away(&address, &reason);
-                        connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
+                    ConnectionEvent::Lost(reason) => {
+                        awaits_welcome = false;
+                        self.handle_lost_connection();
+                        self.reports.report_unreachable(&address, &reason);
+                        connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
                     }
                     ConnectionEvent::Message(frame) => {
-                        // Only a valid message proves that an aggregator answers: other programs may accept
-                        // connections as well.
+                        // Only a valid message proves that an aggregator answers: other programs accept connections as
+                        // well.
                         if self.handle_frame(&frame) {
-                            unanswered = false;
+                            awaits_welcome = false;
                             reconnect_backoff.reset();
                         }
                     }
-                    // Frames are sent below.
-                    ConnectionEvent::Room => {}
+                    // `perform_actions` below sends the unsent frames.
+                    ConnectionEvent::SendReady => {}
                 },
-                () = &mut welcome, if unanswered => {
-                    unanswered = false;
-                    self.lost();
-                    self.reports.silent(&address);
-                    connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
+                () = &mut welcome, if awaits_welcome => {
+                    awaits_welcome = false;
+                    self.handle_lost_connection();
+                    self.reports.report_silent(&address);
+                    connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
                 }
-                _ = polls.tick(), if !quiet => self.take(),
+                _ = polls.tick(), if !quiet => self.drain_queue(),
                 Some(event) = self.intake.next(), if quiet => {
                     self.intake.offer(&mut self.machine, &event, self.clock.stamp());
-                    self.take();
+                    self.drain_queue();
                 }
                 () = &mut alarm, if shutdown.is_some() => {}
             }
             if shutdown.is_some() {
                 // During shutdown an event does not wait for its batch to fill.
-                self.take();
+                self.drain_queue();
                 self.machine.flush(self.clock.wall());
             }
-            self.act(&connection_state)?;
+            self.perform_actions(&connection_state)?;
             self.publish();
             if let Some(shutdown) = &mut shutdown {
                 match shutdown.next(Instant::now(), self.state()) {
@@ -168,46 +178,46 @@ impl Sender {
                 }
             }
         }
-        self.leave(connection_state).await;
+        self.close(connection_state).await;
         Ok(())
     }
 
     /// Moves all queued events to the state machine, and advances its time.
-    fn take(&mut self) {
+    fn drain_queue(&mut self) {
         self.intake.drain(&mut self.machine, self.clock.stamp());
     }
 
     /// Handles the loss of the connection, or a failed attempt.
-    fn lost(&mut self) {
-        self.machine.on_disconnected();
-        self.held.clear();
+    fn handle_lost_connection(&mut self) {
+        self.machine.disconnected();
+        self.unsent_frames.clear();
         self.live.reset();
-        self.away = true;
+        self.is_unreachable = true;
     }
 
-    async fn leave(mut self, connection_state: ConnectionState) {
+    async fn close(mut self, connection_state: ConnectionState) {
         let closed = Instant::now() + CLOSE_TIMEOUT;
-        self.give_up(closed).await;
-        let account = self.count();
+        self.record_losses(closed).await;
+        let account = self.current_accounting();
         if account.waiting > 0 {
             tracing::info!(
                 events = account.waiting,
-                "stopped; what waits in the spool goes out after the next start"
+                "stopped; the events in the spool are sent after the next start"
             );
         }
         let connections = self.live.unreported_ends();
-        // If a session is up, the last update contains the ends of these connections.
+        // If a session is up, the last update contains the final totals of these connections.
         if connections > 0 && !self.machine.is_up() {
             tracing::warn!(
                 connections,
-                "stopped while no aggregator answered: what these connections to clouds sent and received since the last live figures is \
-                 not stored"
+                "stopped while no aggregator answered; the traffic of these connections to clouds since the last live update is not \
+                 stored"
             );
         }
         if let ConnectionState::Open(connection) = connection_state {
             let frames = self.last_frames();
             if tokio::time::timeout(LAST_FRAMES_TIMEOUT, connection.deliver(frames)).await.is_err() {
-                tracing::debug!("the connection had no room for the last words");
+                tracing::debug!("the socket could not take the last frames in time");
             }
             connection.close(LAST_FRAMES_TIMEOUT).await;
         }
@@ -217,41 +227,43 @@ impl Sender {
                 self.intake.remove_counter(self.machine.settled_events());
             }
             Ok(Err(reason)) => tracing::warn!("{reason}"),
-            Err(_) => tracing::warn!("not waited for: the spool's disk takes long to close it"),
+            Err(_) => tracing::warn!(
+                "the spool's disk took too long to close it; the agent stopped without waiting"
+            ),
         }
     }
 
-    /// Returns the last frames of a session: a live update and the goodbye, in this order. The aggregator shows the
-    /// state of that update until the host comes back; from it follows whether the host left with nothing waiting.
+    /// Returns the last frames of a session: a live update, then the goodbye. The aggregator shows the state of that
+    /// update until the host connects again, including the number of waiting events.
     fn last_frames(&mut self) -> Vec<Vec<u8>> {
-        let update = || self.live.update(&self.machine, self.clock.wall(), self.count()).0;
+        let update = || self.live.update(&self.machine, self.clock.wall(), self.current_accounting()).0;
         let update = self.machine.is_up().then(update);
         update.into_iter().chain(self.machine.goodbye()).collect()
     }
 
-    /// Handles events that are only in memory at the end: they are lost, and their number goes into the spool, for
-    /// the next start to report.
-    async fn give_up(&mut self, by: Instant) {
+    /// Handles events that are only in memory at the end: they are lost. Their number is written to the spool, and the
+    /// next start reports it.
+    async fn record_losses(&mut self, by: Instant) {
         if self.machine.is_spooled() {
             return;
         }
-        self.take();
+        self.drain_queue();
         if self.machine.is_appending() {
             // A write in progress may still succeed.
-            let appended = self.appended(by).await;
-            self.spooled(Done::Appended(appended));
+            let appended = self.wait_for_append(by).await;
+            self.handle_spool_result(Done::Appended(appended));
         }
         if self.machine.is_spooled() {
             return;
         }
-        let counted = self.intake.is_counted();
-        let unsafe_events = self.machine.unspooled_events();
-        if counted && self.machine.has_sent_unspooled() {
-            // Only the aggregator knows which of these it stored. Writing now that all are lost would be wrong.
+        let is_counted = self.intake.is_counted();
+        let unspooled_events = self.machine.unspooled_events();
+        if is_counted && self.machine.has_sent_unspooled() {
+            // Only the aggregator knows which of these events it stored, so they must not be recorded as lost.
             tracing::warn!(
-                events = unsafe_events,
-                "stopped before these events were in the spool or known to be stored; after the next start a gap will say \
-                 which are lost"
+                events = unspooled_events,
+                "stopped before these events were in the spool or known to be stored; after the next start a gap reports the \
+                 lost ones"
             );
             return;
         }
@@ -259,34 +271,34 @@ impl Sender {
         let totals = self.machine.give_up();
         let events = totals.dropped - dropped;
         let order = Order::Append { batches: Vec::new(), totals };
-        let kept = match self.spool.order(order) {
-            Ok(()) => self.appended(by).await,
+        let written = match self.spool.order(order) {
+            Ok(()) => self.wait_for_append(by).await,
             refused => refused,
         };
-        match kept {
+        match written {
             Ok(()) => tracing::warn!(
                 events,
-                "stopped before these events were in the spool or stored: they are lost, and a gap will say so after \
-                 the next start"
+                "stopped before these events were in the spool or stored: they are lost; a gap reports them after the next \
+                 start"
             ),
-            Err(reason) if counted => tracing::warn!(
+            Err(reason) if is_counted => tracing::warn!(
                 events,
                 %reason,
-                "stopped before these events were in the spool or stored: they are lost, and a gap will say so after \
-                 the next start"
+                "stopped before these events were in the spool or stored: they are lost; a gap reports them after the next \
+                 start"
             ),
             Err(reason) => tracing::error!(
                 events,
                 %reason,
-                "stopped before these events were in the spool or stored: they are lost, and no gap will say so"
+                "stopped before these events were in the spool or stored: they are lost, and no gap reports them"
             ),
         }
     }
 
     /// Waits for the result of the append in progress.
-    async fn appended(&mut self, by: Instant) -> Result<(), SpoolTaskError> {
+    async fn wait_for_append(&mut self, by: Instant) -> Result<(), SpoolTaskError> {
         loop {
-            match tokio::time::timeout_at(by, self.spool.done()).await {
+            match tokio::time::timeout_at(by, self.spool.next_result()).await {
                 Ok(Some(Done::Appended(appended))) => return appended,
                 Ok(Some(_)) => {}
                 Ok(None) => return Err(SpoolTaskError::Ended),
@@ -296,7 +308,7 @@ impl Sender {
     }
 }
 
-/// Waits for the deadline that `stop` names; for ever if it is dropped.
+/// Waits for the deadline that `stop` receives; for ever if its sender is dropped.
 async fn deadline_of(stop: oneshot::Receiver<Instant>) -> Instant {
     match stop.await {
         Ok(deadline) => deadline,

@@ -1,4 +1,4 @@
-//! Handles actions of the state machine, results of the spool, and messages of the aggregator.
+//! Performs the actions of the state machine, and handles results of the spool and messages of the aggregator.
 
 use peernet_stream::{Accounting, Action, Notice, ToAgent, codec};
 
@@ -9,23 +9,26 @@ use crate::outbox::shutdown::OutboxState;
 use crate::outbox::spool::{Done, Order, SpoolTaskError};
 
 impl Sender {
-    /// Performs the actions that the state machine wants.
-    pub(super) fn act(&mut self, connection_state: &ConnectionState) -> Result<(), SpoolTaskError> {
+    /// Sends a due live update, performs the actions of the state machine, and sends the waiting frames.
+    pub(super) fn perform_actions(
+        &mut self,
+        connection_state: &ConnectionState,
+    ) -> Result<(), SpoolTaskError> {
         if self.live.is_due()
             && let ConnectionState::Open(connection) = connection_state
         {
-            let account = self.count();
-            self.live.show(&mut self.machine, connection, self.clock.wall(), account);
+            let account = self.current_accounting();
+            self.live.send_update(&mut self.machine, connection, self.clock.wall(), account);
         }
         while let Some(action) = self.machine.next(self.clock.mono()) {
             let order = match action {
                 Action::Send(frame) => {
-                    // Recorded before it is sent. If the process is killed in between, the aggregator is asked about
-                    // a batch that it does not have, which does no harm.
+                    // Recorded before it is sent. If the process is killed in between, the aggregator is queried for a
+                    // batch that it does not have, which does no harm.
                     if let Some(sent) = self.machine.sent_unspooled() {
-                        self.intake.note_sent_unspooled(sent);
+                        self.intake.record_sent_unspooled(sent);
                     }
-                    self.held.push_back(frame);
+                    self.unsent_frames.push_back(frame);
                     continue;
                 }
                 Action::Append { batches, totals } => Order::Append { batches, totals },
@@ -38,9 +41,9 @@ impl Sender {
             self.spool.order(order)?;
         }
         let ConnectionState::Open(connection) = connection_state else { return Ok(()) };
-        while let Some(frame) = self.held.pop_front() {
+        while let Some(frame) = self.unsent_frames.pop_front() {
             if let Err(back) = connection.send(frame) {
-                self.held.push_front(back);
+                self.unsent_frames.push_front(back);
                 break;
             }
         }
@@ -48,7 +51,7 @@ impl Sender {
     }
 
     /// Handles a result of the spool's task.
-    pub(super) fn spooled(&mut self, done: Done) {
+    pub(super) fn handle_spool_result(&mut self, done: Done) {
         let now = self.clock.stamp();
         let notice = match done {
             Done::Appended(Ok(())) => {
@@ -59,7 +62,7 @@ impl Sender {
             Done::Appended(Err(reason)) => self.machine.on_append_failed(reason.to_string(), now),
             Done::Loaded(Ok(loaded)) => {
                 if let Some(what) = loaded.damage {
-                    self.reports.damage(what);
+                    self.reports.report_damage(what);
                 }
                 self.machine.on_loaded(loaded.batches, now)
             }
@@ -76,7 +79,7 @@ impl Sender {
             Done::Renewed(Err(reason)) => self.machine.on_renew_failed(reason.to_string(), now),
         };
         if let Some(notice) = notice {
-            self.noticed(notice);
+            self.handle_notice(notice);
         }
     }
 
@@ -85,62 +88,62 @@ impl Sender {
         let message: ToAgent = match codec::decode(frame) {
             Ok(message) => message,
             Err(error) => {
-                tracing::warn!(%error, "what the aggregator sent makes no sense and is dropped");
+                tracing::warn!(%error, "dropped an invalid message of the aggregator");
                 return false;
             }
         };
-        if let Some(notice) = self.machine.on_message(&message, self.clock.stamp()) {
-            self.noticed(notice);
+        if let Some(notice) = self.machine.received(&message, self.clock.stamp()) {
+            self.handle_notice(notice);
         }
         true
     }
 
-    fn noticed(&mut self, notice: Notice) {
+    fn handle_notice(&mut self, notice: Notice) {
         match notice {
             Notice::Welcomed { aggregator, stored, has_lost_batches: lacks } => {
                 let welcome = Welcome {
                     stored,
-                    lacks,
-                    waiting: self.count().waiting,
+                    lacks_batches: lacks,
+                    waiting: self.current_accounting().waiting,
                     unreported_ends: self.live.unreported_ends(),
                 };
-                self.reports.welcomed(&aggregator, &welcome);
-                self.live.start_over();
+                self.reports.report_welcome(&aggregator, &welcome);
+                self.live.mark_all_unsent();
                 if lacks {
                     self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
                 }
             }
-            Notice::Enrolling { aggregator } => self.reports.enrolling(&aggregator),
-            Notice::Refused(reason) => self.reports.refused(&reason),
+            Notice::Enrolling { aggregator } => self.reports.report_enrollment(&aggregator),
+            Notice::Refused(reason) => self.reports.report_refusal(&reason),
             Notice::StreamRenewed { stored, newest } => {
-                self.reports.renewed(stored, newest);
+                self.reports.report_renewal(stored, newest);
                 self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
             }
-            Notice::SpoolFailed(reason) => self.reports.spool_failed(&reason),
-            Notice::SpoolRecovered => self.reports.spool_recovered(),
+            Notice::SpoolFailed(reason) => self.reports.report_spool_failure(&reason),
+            Notice::SpoolRecovered => self.reports.report_spool_recovery(),
         }
     }
 
     pub(super) fn state(&self) -> OutboxState {
         let account = self.machine.accounting();
         OutboxState {
-            spooled: self.machine.is_spooled(),
-            away: self.away,
+            is_spooled: self.machine.is_spooled(),
+            is_unreachable: self.is_unreachable,
             stored: account.stored,
             waiting: account.waiting,
         }
     }
 
-    /// Returns the counts of the state machine, with the events that have not reached it.
-    pub(super) fn count(&self) -> Accounting {
+    /// Returns the counts of the state machine, plus the events that are still in the queue.
+    pub(super) fn current_accounting(&self) -> Accounting {
         let mut account = self.machine.accounting();
         self.intake.add_to(&mut account);
         account
     }
 
     pub(super) fn publish(&mut self) {
-        let account = self.count();
-        self.reports.account(&account, self.clock.mono());
+        let account = self.current_accounting();
+        self.reports.report_dropping(&account, self.clock.mono());
         self.accounting.send_if_modified(|shown| {
             let changed = *shown != account;
             *shown = account;

@@ -17,7 +17,7 @@ const NOT_A_DATABASE: i32 = 26;
 #[derive(Debug, thiserror::Error)]
 pub enum SpoolError {
     /// SQLite cannot open or read the file.
-    #[error("cannot open the spool {}: {source}; check that its folder exists, that this user may write there, and that the disk has room", .path.display())]
+    #[error("cannot open the spool {}: {source}; check that its folder exists, that this user may write there, and that the disk is not full", .path.display())]
     Open {
         /// Path of the spool.
         path: PathBuf,
@@ -35,7 +35,7 @@ pub enum SpoolError {
         source: io::Error,
     },
     /// Another agent has locked the spool.
-    #[error("another agent uses the spool {}; stop it, or give each agent a [spool] file of its own", .0.display())]
+    #[error("another agent uses the spool {}; stop it, or configure a separate [spool] file for each agent", .0.display())]
     InUse(PathBuf),
     /// The file is not a spool.
     #[error("the file {} {objection}", .path.display())]
@@ -46,7 +46,7 @@ pub enum SpoolError {
         objection: &'static str,
     },
     /// The spool was written by a newer version.
-    #[error("the spool {} was written by a newer version (its schema {found}, known here {known}); update this program, or choose another file with [spool] file", .path.display())]
+    #[error("the spool {} was written by a newer version (schema {found}; this version supports {known}); update this program, or choose another file with [spool] file", .path.display())]
     NewerSchema {
         /// Path of the spool.
         path: PathBuf,
@@ -56,7 +56,7 @@ pub enum SpoolError {
         known: i64,
     },
     /// The schema cannot be migrated.
-    #[error("cannot bring the schema of the spool {} up to date: {source}; move the file away to begin with an empty one", .path.display())]
+    #[error("cannot migrate the schema of the spool {}: {source}; move the file away to start with an empty spool", .path.display())]
     Migrate {
         /// Path of the spool.
         path: PathBuf,
@@ -64,7 +64,7 @@ pub enum SpoolError {
         source: MigrateError,
     },
     /// The spool belongs to another host.
-    #[error("the spool {} holds events of the host {found}, and this host is {own}; put back the file host-id that belongs to it, or choose another file with [spool] file", .path.display())]
+    #[error("the spool {} has events of the host {found}, and this host is {own}; restore the file host-id that belongs to the spool, or choose another file with [spool] file", .path.display())]
     OtherHost {
         /// Path of the spool.
         path: PathBuf,
@@ -73,12 +73,12 @@ pub enum SpoolError {
         /// Id of this host.
         own: HostId,
     },
-    /// The data of the spool contradict each other.
+    /// The data in the spool is inconsistent.
     #[error("the spool {} is damaged: {what}", .path.display())]
     Damaged {
         /// Path of the spool.
         path: PathBuf,
-        /// Contradiction that was found.
+        /// Inconsistency that was found.
         what: SpoolDefect,
     },
 }
@@ -86,17 +86,19 @@ pub enum SpoolError {
 /// Defect of a spool that SQLite can read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDefect {
-    /// An earlier process found the file broken and left a mark with the reason.
+    /// An earlier process found the file broken and created a mark file with the reason.
     #[error("{0}")]
     Condemned(String),
     /// The id of its stream cannot be read.
-    #[error("{0:?} is no id of a stream")]
+    #[error("{0:?} is not a stream id")]
     StreamId(String),
     /// A chain has the wrong length.
     #[error("a chain has {0} bytes, not 16")]
     ChainLength(usize),
-    /// The numbers of its batches contradict each other.
-    #[error("it begins at batch {first}, was acknowledged up to {acknowledged} and ends at {newest}")]
+    /// The numbers of its batches are inconsistent.
+    #[error(
+        "its batch numbers are inconsistent: first {first}, acknowledged {acknowledged}, newest {newest}"
+    )]
     BatchNumbers {
         /// First batch of the stream.
         first: i64,
@@ -108,7 +110,7 @@ pub enum SpoolDefect {
 }
 
 impl SpoolError {
-    /// Returns whether the file itself is broken, so that trying again, other permissions or more room will not help.
+    /// Returns whether the file itself is broken, so that a retry, other permissions or free disk space do not help.
     pub(super) fn is_damage(&self) -> bool {
         match self {
             Self::Damaged { .. } => true,
@@ -119,9 +121,9 @@ impl SpoolError {
         }
     }
 
-    /// Returns whether more room may help. SQLite is not always clear: if the index of its log does not fit, it
-    /// reports an error of opening or of input and output.
-    pub(super) fn may_lack_room(&self) -> bool {
+    /// Returns whether the cause may be a full disk. SQLite reports an I/O error or an error of opening if the index of
+    /// its log does not fit.
+    pub(super) fn may_be_full_disk(&self) -> bool {
         matches!(
             self,
             Self::Open { source, .. } | Self::Migrate { source: MigrateError::Execute(source), .. }
@@ -133,11 +135,11 @@ impl SpoolError {
 /// Error of an operation on an open spool.
 #[derive(Debug, thiserror::Error)]
 pub(in crate::outbox) enum SpoolFileError {
-    /// The path names another file or none. What is written now would be lost when this process ends.
-    #[error("the spool {} was deleted, moved or replaced while it was in use; put it back. A restart of the agent begins a new one, and what the old one held and was not stored is lost with it", .0.display())]
+    /// The path refers to another file or none. Batches that are written now would be lost when this process ends.
+    #[error("the spool {} was deleted, moved or replaced while it was in use; move it back. A restart of the agent creates a new spool; events in the old one that are not stored are then lost", .0.display())]
     Moved(PathBuf),
     /// The disk is full.
-    #[error("cannot {action} the spool {}: the disk is full; free some room, it is tried again", .path.display())]
+    #[error("cannot {action} the spool {}: the disk is full; free some space; the agent retries", .path.display())]
     Full {
         /// Verb that says what was tried.
         action: &'static str,
@@ -145,7 +147,7 @@ pub(in crate::outbox) enum SpoolFileError {
         path: PathBuf,
     },
     /// The file is broken.
-    #[error("cannot {action} the spool {}: {source}; restart the agent, which then puts the file aside and begins a new one", .path.display())]
+    #[error("cannot {action} the spool {}: {source}; restart the agent, which then quarantines the file and creates a new one", .path.display())]
     Corrupt {
         /// Verb that says what was tried.
         action: &'static str,
@@ -155,7 +157,7 @@ pub(in crate::outbox) enum SpoolFileError {
         source: sqlx::Error,
     },
     /// Any other error.
-    #[error("cannot {action} the spool {}: {source}; check the disk and the file's permissions, it is tried again", .path.display())]
+    #[error("cannot {action} the spool {}: {source}; check the disk and the file's permissions; the agent retries", .path.display())]
     Failed {
         /// Verb that says what was tried.
         action: &'static str,

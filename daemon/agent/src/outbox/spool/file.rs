@@ -1,4 +1,4 @@
-//! Operations on an open spool file, each in one transaction.
+//! An open spool file and its operations, each in one transaction.
 
 use std::fmt;
 use std::fs::File;
@@ -12,12 +12,12 @@ use peernet_stream::{Chain, SpooledBatch, StreamId, Totals};
 use sqlx::{Connection, SqliteConnection};
 use tokio::task::JoinHandle;
 
-use super::aside::beside;
 use super::error::SpoolFileError;
 use super::open::chain;
+use super::quarantine::with_suffix;
 use super::reserve::Reserve;
-use super::statements::{checkpoint, delete, give_all_back, insert, vacuum};
-use super::sync::ended;
+use super::statements::{checkpoint, delete, insert, vacuum, vacuum_all};
+use super::sync::wait_for_sync;
 use super::tail;
 use crate::event_queue::counter;
 use crate::lock::FileLock;
@@ -30,7 +30,7 @@ pub(in crate::outbox) struct SpoolFile {
     identity: (u64, u64),
     connection: SqliteConnection,
     reserve: Reserve,
-    /// `true` if this process counts the events that are queued.
+    /// `true` if this process counts the events that it queues.
     counts: bool,
     _lock: FileLock,
 }
@@ -38,8 +38,7 @@ pub(in crate::outbox) struct SpoolFile {
 /// Result of reading batches.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::outbox) struct Loaded {
-    /// Contiguous batches that are unchanged, as far as that can be checked. The first one cannot be checked if the
-    /// previous one is missing.
+    /// Contiguous batches whose chains were checked. The first one cannot be checked if the previous batch is missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
     /// Damage that ends the list; `None` if it ends for another reason.
     pub(in crate::outbox) damage: Option<String>,
@@ -62,8 +61,8 @@ impl SpoolFile {
         &self.path
     }
 
-    /// Writes batches together with the totals up to the last of them, or nothing. Without batches the totals are
-    /// synced to the disk, and the reserve is used if the disk is full, because the number of lost events must not be
+    /// Writes batches together with the totals up to the last of them, in one transaction. Without batches the totals are
+    /// synced to the disk. If the disk is full, the reserve is then used, because the number of lost events must not be
     /// lost as well.
     pub(in crate::outbox) async fn append(
         &mut self,
@@ -71,9 +70,9 @@ impl SpoolFile {
         totals: &Totals,
     ) -> Result<(), SpoolFileError> {
         const ACTION: &str = "append to";
-        self.in_place()?;
-        // Batches must not use the last room: without a complete reserve nothing could be deleted on a full disk.
-        if !self.reserve.take() && !batches.is_empty() {
+        self.check_in_place()?;
+        // Batches must not use the space of the reserve: without it nothing could be deleted on a full disk.
+        if !self.reserve.allocate() && !batches.is_empty() {
             return Err(SpoolFileError::Full { action: ACTION, path: self.path.clone() });
         }
         let resolved = match totals.unreported {
@@ -85,24 +84,24 @@ impl SpoolFile {
         match self.try_to_append(ACTION, batches, totals).await {
             Err(SpoolFileError::Full { .. }) if batches.is_empty() && self.reserve.release() => {
                 let appended = self.append_on_full_disk(ACTION, totals).await;
-                self.reserve.take();
+                self.reserve.allocate();
                 appended?;
             }
             appended => appended?,
         }
-        // The file now has the losses of the earlier process, whose counts are no longer needed.
+        // The file now contains the losses of the earlier process, so that process's counts are no longer needed.
         if let Some(counter) = resolved {
             counter::remove(&counter);
         }
         if batches.is_empty() {
-            // The aggregator may store what is sent next. A power cut must not make the file forget which process
-            // sent it.
+            // The next batches are sent without being in the spool, and the aggregator may store them. After a power cut
+            // the file must still contain which process sent them.
             self.sync(ACTION).await?;
         }
         Ok(())
     }
 
-    /// Reads batches from number `from` on: at least one, until their length exceeds `bytes`.
+    /// Reads batches from number `from` on: at least one, and further ones until their total length is `bytes` or more.
     pub(in crate::outbox) async fn load(
         &mut self,
         from: u64,
@@ -110,8 +109,7 @@ impl SpoolFile {
     ) -> Result<Loaded, SpoolFileError> {
         let mut loaded = Loaded { batches: Vec::new(), damage: None };
         let mut size = 0;
-        // A damaged page before `from` must not prevent reading. After a gap the first batch cannot be checked
-        // either.
+        // If the chain before `from` is on a damaged page, the first batch is read without a check, as after a gap.
         let mut before = match self.chain_before(from).await {
             Err(SpoolFileError::Corrupt { .. }) => None,
             chain => chain?,
@@ -133,7 +131,7 @@ impl SpoolFile {
                     loaded.damage = Some(self.damage(number, format!("cannot be read ({source})")));
                     break;
                 }
-                // What was read is sent first. If the error persists, the next call returns it.
+                // The batches that were read are returned. If the error persists, the next call returns it.
                 Err(_) if !loaded.batches.is_empty() => break,
                 Err(file_error) => return Err(file_error),
             }
@@ -148,26 +146,26 @@ impl SpoolFile {
         through: u64,
         chain: Chain,
     ) -> Result<(), SpoolFileError> {
-        self.in_place()?;
+        self.check_in_place()?;
         match self.try_to_delete(through, chain).await {
             Err(SpoolFileError::Full { .. }) if self.reserve.release() => {
                 let deleted = self.delete_on_full_disk(through, chain).await;
-                self.reserve.take();
+                self.reserve.allocate();
                 deleted
             }
             deleted => deleted,
         }
     }
 
-    /// Changes the file to another stream, which begins at batch `first` after `events_before` events.
+    /// Changes the file to another stream, whose first batch is `first`, after `events_before` events.
     pub(in crate::outbox) async fn renew(
         &mut self,
         stream: StreamId,
         previous: StreamId,
         (first, events_before): (u64, u64),
     ) -> Result<(), SpoolFileError> {
-        const ACTION: &str = "begin a new stream in";
-        self.in_place()?;
+        const ACTION: &str = "start a new stream in";
+        self.check_in_place()?;
         let statement =
             "UPDATE stream SET uuid = ?, previous = ?, first = ?, events_before_first = ? WHERE id = 1";
         let renewed = sqlx::query(statement)
@@ -178,19 +176,19 @@ impl SpoolFile {
             .execute(&mut self.connection)
             .await;
         renewed.map_err(self.file_error(ACTION))?;
-        self.in_place()?;
-        // Without this sync a power cut could restore the old stream, and what was stored in the new one would be
-        // sent again.
+        self.check_in_place()?;
+        // Without this sync a power cut could restore the old stream, and batches that were stored in the new stream
+        // would be sent again.
         self.sync(ACTION).await
     }
 
-    /// Returns part of the unused pages to the file system, after a backlog. Returns whether there is more to do.
+    /// Returns some of the unused pages to the file system, after a backlog. Returns whether there may be more.
     pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, SpoolFileError> {
         let shrunk = vacuum(&mut self.connection).await;
         match shrunk.map_err(self.file_error("shrink")) {
             Err(SpoolFileError::Full { .. }) if self.reserve.release() => {
                 let shrunk = self.shrink_on_full_disk().await;
-                self.reserve.take();
+                self.reserve.allocate();
                 shrunk.map(|()| false)
             }
             shrunk => shrunk,
@@ -199,7 +197,7 @@ impl SpoolFile {
 
     /// Returns SQLite's log, to which every change is written before it is moved to the file.
     pub(in crate::outbox) fn log(&self) -> Log {
-        Log(beside(&self.path, "-wal"))
+        Log(with_suffix(&self.path, "-wal"))
     }
 
     /// Moves the log to the file and closes the file.
@@ -221,10 +219,10 @@ impl SpoolFile {
         totals: &Totals,
     ) -> Result<(), SpoolFileError> {
         let written = insert(&mut self.connection, batches, totals, self.counts).await;
-        self.end(action, written).await
+        self.end_transaction(action, written).await
     }
 
-    /// Empties the log first, so that repeated writes of the totals do not make it longer each time.
+    /// Writes the totals after emptying the log, so that repeated writes do not make it longer each time.
     async fn append_on_full_disk(
         &mut self,
         action: &'static str,
@@ -236,10 +234,11 @@ impl SpoolFile {
 
     async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
         let deleted = delete(&mut self.connection, through, chain).await;
-        self.end("delete from", deleted).await
+        self.end_transaction("delete from", deleted).await
     }
 
-    /// Empties the log first, which may be longer than the reserve, and returns the deleted pages to the file system.
+    /// Deletes batches after emptying the log, which may be longer than the reserve. Returns the deleted pages to the file
+    /// system.
     async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
         checkpoint(&mut self.connection).await.map_err(self.file_error("delete from"))?;
         self.try_to_delete(through, chain).await?;
@@ -250,12 +249,12 @@ impl SpoolFile {
     async fn shrink_on_full_disk(&mut self) -> Result<(), SpoolFileError> {
         let given = async {
             checkpoint(&mut self.connection).await?;
-            give_all_back(&mut self.connection).await
+            vacuum_all(&mut self.connection).await
         };
         given.await.map_err(self.file_error("shrink"))
     }
 
-    /// Returns the chain of the batch before `number`; `None` if it is no longer known.
+    /// Returns the chain of the batch before `number`; `None` if the file does not contain it.
     async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, SpoolFileError> {
         let bytes: Option<Vec<u8>> = sqlx::query_scalar(
             "SELECT chain FROM batch WHERE number = ?1 UNION ALL SELECT chain FROM stream WHERE acknowledged = ?1",
@@ -290,17 +289,17 @@ impl SpoolFile {
     }
 
     fn damage(&self, number: u64, what: impl fmt::Display) -> String {
-        format!("batch {number} in the spool {} {what}; it cannot be sent", self.path.display())
+        format!("batch {number} in the spool {} {what}; it is not sent", self.path.display())
     }
 
     /// Waits until the log is on the disk.
     async fn sync(&mut self, action: &'static str) -> Result<(), SpoolFileError> {
-        let synced = ended(&mut self.log().sync()).await;
+        let synced = wait_for_sync(&mut self.log().sync()).await;
         synced.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
     }
 
     /// Commits a transaction that succeeded, and rolls back one that failed.
-    async fn end(
+    async fn end_transaction(
         &mut self,
         action: &'static str,
         result: Result<(), sqlx::Error>,
@@ -316,11 +315,12 @@ impl SpoolFile {
             }
             return Err(self.file_error(action)(error));
         }
-        self.in_place()
+        self.check_in_place()
     }
 
-    /// Checks that the path still names the open file. This is cheap: the file system answers from its cache.
-    fn in_place(&self) -> Result<(), SpoolFileError> {
+    /// Checks that the path still refers to the open file.
+    // Cheap enough for each operation: the file system answers from its cache.
+    fn check_in_place(&self) -> Result<(), SpoolFileError> {
         match identity(&self.path) {
             Ok(identity) if identity == self.identity => Ok(()),
             _ => Err(SpoolFileError::Moved(self.path.clone())),
@@ -336,9 +336,9 @@ impl SpoolFile {
 /// Damage of one batch.
 #[derive(Debug, thiserror::Error)]
 enum BatchDamage {
-    #[error("is not there")]
+    #[error("is missing")]
     Missing,
-    #[error("is not what was written")]
+    #[error("was changed")]
     Changed,
 }
 
@@ -347,10 +347,9 @@ enum BatchDamage {
 pub(in crate::outbox) struct Log(PathBuf);
 
 impl Log {
-    /// Syncs the log to the disk, on a thread that may block, because a memory card sometimes takes seconds.
-    ///
-    /// The log is opened for it. SQLite does not lock the log, so that closing this descriptor releases no lock. (The
-    /// spool's own file must never be opened besides SQLite: closing that descriptor would release SQLite's locks.)
+    /// Syncs the log to the disk on a blocking thread, because a memory card sometimes takes seconds.
+    // The log is opened for it. SQLite does not lock the log, so closing this descriptor releases no lock. The spool file
+    // must never be opened in this way, because closing that descriptor would release SQLite's locks.
     pub(super) fn sync(&self) -> JoinHandle<io::Result<()>> {
         let path = self.0.clone();
         tokio::task::spawn_blocking(move || match File::open(path) {

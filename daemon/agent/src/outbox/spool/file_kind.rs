@@ -1,4 +1,4 @@
-//! Recognises files before they are used as a spool: the files of others must not be overwritten or moved.
+//! Determines the kind of a file before it is used as a spool, because other files must not be overwritten or moved.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -19,7 +19,7 @@ const HEAD: usize = 105;
 /// Kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FileKind {
-    /// A spool, or nothing yet: no file, an empty one, or a database without tables.
+    /// A spool, or a path at which a spool can be created: no file, an empty file, or a database without tables.
     Spool,
     /// A database of another program.
     Database,
@@ -28,22 +28,22 @@ pub(crate) enum FileKind {
 }
 
 impl FileKind {
-    /// Reads the kind of a file without SQLite, which would create files beside it. Tables that are only in the log
-    /// of a killed process are not seen: such a file seems to have none.
+    /// Reads the kind of a file without SQLite, which would create further files. Tables that are only in the log of a
+    /// killed process are not found: such a file seems to have no tables.
     ///
     /// # Errors
     /// When the file exists and cannot be read.
-    pub(crate) fn at(path: &Path) -> io::Result<Self> {
+    pub(crate) fn from_path(path: &Path) -> io::Result<Self> {
         let mut head = Vec::with_capacity(HEAD);
         match File::open(path) {
             Ok(file) => file.take(HEAD as u64).read_to_end(&mut head)?,
             Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
             Err(error) => return Err(error),
         };
-        Ok(Self::of(&head))
+        Ok(Self::from_header(&head))
     }
 
-    fn of(head: &[u8]) -> Self {
+    fn from_header(head: &[u8]) -> Self {
         if !head.iter().zip(MAGIC).all(|(found, expected)| found == expected) {
             return Self::Other;
         }
@@ -58,7 +58,7 @@ impl FileKind {
         }
     }
 
-    /// Returns why the file cannot be used and what to do, for a file that the user named.
+    /// Returns why a file that the user configured cannot be used, and what to do; `None` if it can be used.
     pub(crate) fn objection(self) -> Option<&'static str> {
         match self {
             Self::Spool => None,
@@ -66,8 +66,8 @@ impl FileKind {
                 "is the database of another program and not a spool; name another file with [spool] file",
             ),
             Self::Other => Some(
-                "is not a spool; name another file with [spool] file, or, if it was one that its disk has spoilt, move \
-                 it and the files with its name beside it away",
+                "is not a spool; name another file with [spool] file, or, if it is a damaged spool, move it away together with \
+                 the files that have its name as a prefix",
             ),
         }
     }
@@ -81,17 +81,17 @@ mod tests {
     fn first_bytes_identify_file_kind() {
         let mut head = [0; HEAD];
         head[..MAGIC.len()].copy_from_slice(MAGIC);
-        assert_eq!(FileKind::of(&head), FileKind::Spool, "without tables");
+        assert_eq!(FileKind::from_header(&head), FileKind::Spool, "without tables");
         head[CELLS_AT + 1] = 3;
-        assert_eq!(FileKind::of(&head), FileKind::Database, "with tables");
+        assert_eq!(FileKind::from_header(&head), FileKind::Database, "with tables");
         head[ID_AT..ID_AT + 4].copy_from_slice(b"PNsp");
-        assert_eq!(FileKind::of(&head), FileKind::Spool);
+        assert_eq!(FileKind::from_header(&head), FileKind::Spool);
         head[ID_AT] = b'X';
-        assert_eq!(FileKind::of(&head), FileKind::Database, "another program's");
+        assert_eq!(FileKind::from_header(&head), FileKind::Database, "another program's");
         for (text, expected) in
             [("", FileKind::Spool), ("SQLite for", FileKind::Spool), ("d3adb33f\n", FileKind::Other)]
         {
-            assert_eq!(FileKind::of(text.as_bytes()), expected, "{text:?}");
+            assert_eq!(FileKind::from_header(text.as_bytes()), expected, "{text:?}");
         }
     }
 }

@@ -38,19 +38,19 @@ pub struct Inspection {
     pub produced: i64,
     /// Number of these events that were dropped and counted in gaps.
     pub dropped: i64,
-    /// Number of dropped events that were in the memory of a killed agent; the others found no room. `None` in a
-    /// spool of an earlier release, which did not count them separately.
+    /// Number of dropped events that were in the memory of a killed agent; the others did not fit. `None` in a spool of
+    /// an earlier release, which did not count them separately.
     pub lost_when_killed: Option<i64>,
     /// All damage that was found.
     #[serde(skip)]
     pub damages: Vec<SpoolDamage>,
 }
 
-/// One damage of a spool.
+/// A kind of damage in a spool.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDamage {
     /// SQLite finds the file broken.
-    #[error("the spool is damaged in {places} places, the first: {first}")]
+    #[error("the spool is damaged in {places} places; the first: {first}")]
     Pages {
         /// Number of findings, at most 100.
         places: usize,
@@ -58,13 +58,13 @@ pub enum SpoolDamage {
         first: String,
     },
     /// SQLite cannot read further.
-    #[error("the spool is damaged, or none: {0}")]
+    #[error("the spool is damaged, or the file is not a spool: {0}")]
     Unreadable(String),
-    /// The spool has no stream, and so no host.
+    /// The spool has no row for its stream and its host.
     #[error("the spool has no stream")]
     NoStream,
     /// Batches do not match their hashes.
-    #[error("{batches} batches are not what was spooled, the first is number {first}")]
+    #[error("{batches} batches were changed after they were spooled; the first is number {first}")]
     Altered {
         /// Number of these batches.
         batches: usize,
@@ -123,7 +123,7 @@ pub async fn inspect(path: &Path) -> Result<Inspection, InspectError> {
 ///
 /// # Errors
 /// When the spool cannot be read.
-pub async fn waiting_events(path: &Path) -> Result<u64, SpoolReadError> {
+pub async fn pending_events(path: &Path) -> Result<u64, SpoolReadError> {
     let mut connection = reading(path).connect().await?;
     let events: i64 =
         sqlx::query_scalar("SELECT COALESCE(SUM(events), 0) FROM batch").fetch_one(&mut connection).await?;
@@ -171,18 +171,18 @@ struct Batch {
 impl Inspection {
     async fn read(&mut self, path: &Path) -> Result<(), InspectError> {
         let mut connection = reading(path).connect().await?;
-        // One transaction, so that writes of the agent meanwhile do not look like damage.
+        // One transaction, so that concurrent writes of the agent do not look like damage.
         sqlx::query("BEGIN").execute(&mut connection).await?;
-        let is_spool = refuse_others(&mut connection).await;
+        let is_spool = check_is_spool(&mut connection).await;
         if is_spool.is_ok() {
-            self.pages(&mut connection).await?;
-            self.contents(&mut connection).await?;
+            self.check_pages(&mut connection).await?;
+            self.read_batches(&mut connection).await?;
         }
         connection.close().await?;
         is_spool
     }
 
-    async fn pages(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    async fn check_pages(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
         let mut found: Vec<String> =
             sqlx::query_scalar("PRAGMA quick_check(100)").fetch_all(connection).await?;
         found.retain(|line| line != "ok");
@@ -191,7 +191,7 @@ impl Inspection {
         Ok(())
     }
 
-    async fn contents(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    async fn read_batches(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
         let stream: Option<Stream> =
             sqlx::query_as("SELECT uuid, host, acknowledged, chain, produced, dropped FROM stream")
                 .fetch_optional(&mut *connection)
@@ -209,15 +209,17 @@ impl Inspection {
             "SELECT number, since_ns, events, chain, body FROM batch ORDER BY number",
         )
         .fetch(connection);
-        let (mut altered, mut holes) = (Vec::new(), Vec::new());
+        let (mut altered, mut gaps) = (Vec::new(), Vec::new());
         while let Some(batch) = rows.try_next().await? {
             let follows = batch.number == before.0 + 1;
             let stored = chain(&batch.chain);
             if !follows {
-                holes.push(batch.number);
+                gaps.push(batch.number);
             }
             // A batch after a missing one cannot be checked, because the hash before it is unknown.
-            if stored.is_none() || (follows && before.1.is_some_and(|before| batch.after(before) != stored)) {
+            if stored.is_none()
+                || (follows && before.1.is_some_and(|before| batch.chain_after(before) != stored))
+            {
                 altered.push(batch.number);
             }
             before = (batch.number, stored);
@@ -226,7 +228,7 @@ impl Inspection {
         if let Some(first) = altered.first() {
             self.damages.push(SpoolDamage::Altered { batches: altered.len(), first: *first });
         }
-        self.damages.extend(holes.first().copied().map(SpoolDamage::Missing));
+        self.damages.extend(gaps.first().copied().map(SpoolDamage::Missing));
         Ok(())
     }
 
@@ -241,8 +243,8 @@ impl Inspection {
 
 impl Batch {
     /// Returns the hash that the batch has if the previous one has the hash `before`.
-    fn after(&self, before: Chain) -> Option<Chain> {
-        Some(before.next(u32::try_from(self.events).unwrap_or(u32::MAX), &self.body))
+    fn chain_after(&self, before: Chain) -> Option<Chain> {
+        Some(before.then(u32::try_from(self.events).unwrap_or(u32::MAX), &self.body))
     }
 }
 
@@ -250,8 +252,8 @@ fn chain(bytes: &[u8]) -> Option<Chain> {
     bytes.try_into().ok().map(Chain::from_bytes)
 }
 
-/// Refuses a file that is not a spool, by its application id; the tables decide which error is returned.
-async fn refuse_others(connection: &mut SqliteConnection) -> Result<(), InspectError> {
+/// Checks by the application id that the file is a spool. The tables of another file determine the returned error.
+async fn check_is_spool(connection: &mut SqliteConnection) -> Result<(), InspectError> {
     let id: i32 = sqlx::query_scalar("PRAGMA application_id").fetch_one(&mut *connection).await?;
     if id == APPLICATION_ID {
         return Ok(());

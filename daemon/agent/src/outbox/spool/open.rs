@@ -11,10 +11,10 @@ use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
 
-use super::aside::{beside, condemned, quarantine};
 use super::error::{SpoolDefect, is_full};
 use super::file::SpoolFile;
 use super::file_kind::{APPLICATION_ID, FileKind};
+use super::quarantine::{quarantine, quarantine_reason, with_suffix};
 use super::reserve::Reserve;
 use super::statements::MAX_PROCESSES;
 use super::{QuarantinedSpool, SpoolError, tail};
@@ -26,9 +26,9 @@ pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool"
 
 /// Longest wait for another program that reads the file.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
-/// Number of pages in the log after which it is moved to the file: 1 MiB.
+/// Number of pages in SQLite's log after which it is moved to the file: 1 MiB.
 const LOG_PAGES: &str = "256";
-/// Length of the log that is kept after a large transaction, in bytes.
+/// Length to which the log is truncated after a large transaction, in bytes.
 const LOG_BYTES: &str = "8388608";
 
 /// A spool that is ready for use.
@@ -38,20 +38,21 @@ pub(crate) struct OpenSpool {
     pub(in crate::outbox) state: SpoolState,
     /// Counter of the events that this process queues.
     pub(crate) counter: EventCounter,
-    /// The broken spool that was moved aside, if there was one.
-    pub(in crate::outbox) aside: Option<QuarantinedSpool>,
+    /// The broken spool that was quarantined, if there was one.
+    pub(in crate::outbox) quarantined: Option<QuarantinedSpool>,
 }
 
 impl OpenSpool {
-    /// Opens the spool of a host, and creates it if missing. A broken spool is moved aside. So is a file that cannot
-    /// be recognised, but only at the agent's default path: elsewhere it may be somebody's data.
+    /// Opens the spool of a host, and creates it if missing. A broken spool is quarantined. At the default path
+    /// (`is_default_path`) a file that is not a spool is quarantined, too; at a configured path it is an error, because it
+    /// may be other data.
     ///
     /// # Errors
     /// When the spool cannot be opened, is not one, or belongs to another host.
     pub(crate) async fn open(
         path: &Path,
         host: HostId,
-        kept_by_agent: bool,
+        is_default_path: bool,
         clock: &SharedClock,
     ) -> Result<Self, SpoolError> {
         let io = |action, path: &Path| {
@@ -60,46 +61,46 @@ impl OpenSpool {
         };
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let folder = folder.unwrap_or_else(|| Path::new("."));
-        fs::create_dir_all(folder).map_err(io("make", folder))?;
+        fs::create_dir_all(folder).map_err(io("create", folder))?;
         // A separate file, because closing a second descriptor of the spool would release SQLite's locks on it.
-        let lock_file = beside(path, "-lock");
-        let lock = FileLock::take(&lock_file).map_err(io("lock", &lock_file))?;
+        let lock_file = with_suffix(path, "-lock");
+        let lock = FileLock::try_acquire(&lock_file).map_err(io("lock", &lock_file))?;
         let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
 
-        // Recognised before SQLite opens the file, which may change it.
-        let file_kind = FileKind::at(path).map_err(io("read", path))?;
-        if !(kept_by_agent && file_kind == FileKind::Other)
+        // Checked before SQLite opens the file, because SQLite may change it.
+        let file_kind = FileKind::from_path(path).map_err(io("read", path))?;
+        if !(is_default_path && file_kind == FileKind::Other)
             && let Some(objection) = file_kind.objection()
         {
             return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
         }
-        let mut reserve = Reserve::new(beside(path, "-reserve"));
-        let mut aside = None;
-        let opened = match connect_in_any_room(path, host, &mut reserve).await {
-            // A broken spool must not keep the robot from measuring. The file is kept, because its events may be
-            // recovered by hand.
+        let mut reserve = Reserve::new(with_suffix(path, "-reserve"));
+        let mut quarantined = None;
+        let opened = match connect_despite_full_disk(path, host, &mut reserve).await {
+            // A broken spool must not prevent the robot from measuring. The file is not deleted, because a user may
+            // recover its events.
             Err(error) if error.is_damage() => {
-                let put = quarantine(path, error.to_string(), clock.wall());
-                aside = Some(put.map_err(io("put aside the damaged spool", path))?);
-                connect_in_any_room(path, host, &mut reserve).await
+                let moved = quarantine(path, error.to_string(), clock.wall());
+                quarantined = Some(moved.map_err(io("quarantine the damaged spool", path))?);
+                connect_despite_full_disk(path, host, &mut reserve).await
             }
             opened => opened,
         };
         let (connection, state, counter) = opened?;
-        // A new directory entry must be on the disk before the content counts as safe.
+        // The directory entry of a new file must be on the disk, or a power cut could remove the file.
         File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("write", folder))?;
-        // After the spool is open, because opening it may need that room.
-        reserve.take();
+        // Allocated after the spool was opened, because opening it may need the space.
+        reserve.allocate();
         let file = SpoolFile::new(path.to_owned(), connection, reserve, counter.name().is_some(), lock)
-            .map_err(io("look at", path))?;
-        Ok(Self { file, state, counter, aside })
+            .map_err(io("read", path))?;
+        Ok(Self { file, state, counter, quarantined })
     }
 }
 
 /// Returns the settings of the connection.
 ///
-/// With WAL and `synchronous=NORMAL` SQLite syncs only when it moves the log to the file. A crash of the process
-/// loses nothing. A power cut loses what came since the log was last synced, which the spool's task does.
+/// With WAL and `synchronous=NORMAL` SQLite syncs only when it moves the log to the file. A crash of the process loses
+/// nothing. A power cut loses the transactions since the spool's task last synced the log.
 fn settings(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
@@ -116,21 +117,21 @@ fn settings(path: &Path) -> SqliteConnectOptions {
 /// A connection, the state in the file, and the counter of this process.
 type Connected = (SqliteConnection, SpoolState, EventCounter);
 
-/// Connects, with the room of the reserve if the disk is full. Without any room this process does not count events,
-/// and the losses of the previous process are found by a later start.
-async fn connect_in_any_room(
+/// Connects. If the disk is full, the reserve is released first. If it is still full, this process does not count its
+/// events, and a later start determines the losses of the previous process.
+async fn connect_despite_full_disk(
     path: &Path,
     host: HostId,
     reserve: &mut Reserve,
 ) -> Result<Connected, SpoolError> {
     let opened = match connect(path, host, true).await {
-        Err(error) if error.may_lack_room() && reserve.release() => connect(path, host, true).await,
+        Err(error) if error.may_be_full_disk() && reserve.release() => connect(path, host, true).await,
         opened => opened,
     };
     match opened {
-        Err(error) if error.may_lack_room() => {
+        Err(error) if error.may_be_full_disk() => {
             let opened = connect(path, host, false).await?;
-            tracing::warn!(%error, "the spool's disk is full: what is lost when the agent is killed now is not reported");
+            tracing::warn!(%error, "the spool's disk is full; if the agent is killed, its lost events are not reported");
             Ok(opened)
         }
         opened => opened,
@@ -138,7 +139,7 @@ async fn connect_in_any_room(
 }
 
 async fn connect(path: &Path, host: HostId, counts: bool) -> Result<Connected, SpoolError> {
-    if let Some(reason) = condemned(path) {
+    if let Some(reason) = quarantine_reason(path) {
         return Err(SpoolError::Damaged { path: path.to_owned(), what: SpoolDefect::Condemned(reason) });
     }
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
@@ -146,9 +147,9 @@ async fn connect(path: &Path, host: HostId, counts: bool) -> Result<Connected, S
     match prepare(path, host, &mut connection, counts).await {
         Ok((state, counter)) => Ok((connection, state, counter)),
         Err(error) => {
-            // Closed before the file is moved, because closing deletes the log by its name.
+            // Closed before the file is renamed, because closing deletes the log by its name.
             if let Err(error) = connection.close().await {
-                tracing::debug!(%error, "the spool that could not be used was not closed cleanly");
+                tracing::debug!(%error, "closing the unusable spool failed");
             }
             Err(error)
         }
@@ -162,7 +163,7 @@ async fn prepare(
     counts: bool,
 ) -> Result<(SpoolState, EventCounter), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
-    // SQLite opens a read-only file without an error: starting a write transaction reveals it.
+    // SQLite opens a read-only file without an error; the start of a write transaction fails.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut *connection).await.map_err(cannot_open)?;
     claim(path, connection).await?;
     MIGRATIONS.run_direct(None, connection, false).await.map_err(|source| match source {
@@ -173,31 +174,31 @@ async fn prepare(
         MigrateError::Execute(source) if is_full(&source) => cannot_open(source),
         source => SpoolError::Migrate { path: path.to_owned(), source },
     })?;
-    let row = stream(connection, host).await.map_err(cannot_open)?;
-    // Its batches are events of that host: this one would report them as its own.
+    let row = read_or_create_stream(connection, host).await.map_err(cannot_open)?;
+    // This host would send the other host's events as its own.
     if row.host != host.to_string() {
         return Err(SpoolError::OtherHost { path: path.to_owned(), found: row.host, own: host });
     }
-    let held = held(connection).await.map_err(cannot_open)?;
-    let reached = reached(connection).await.map_err(cannot_open)?;
-    let state = row.state(held, reached);
+    let waiting = waiting_totals(connection).await.map_err(cannot_open)?;
+    let sent_batches = newest_sent_batches(connection).await.map_err(cannot_open)?;
+    let state = row.into_state(waiting, sent_batches);
     let mut state = state.map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })?;
-    state.unreported = tail::unreported(connection).await.map_err(cannot_open)?;
-    let own = CountOwner::at(path).map_err(|source| SpoolError::Io {
-        action: "look at",
+    state.unreported = tail::read_unreported(connection).await.map_err(cannot_open)?;
+    let owner = CountOwner::from_path(path).map_err(|source| SpoolError::Io {
+        action: "read",
         path: path.to_owned(),
         source,
     })?;
-    state.unresolved = tail::unresolved(connection, &own).await.map_err(cannot_open)?;
+    state.unresolved = tail::read_unresolved(connection, &owner).await.map_err(cannot_open)?;
     let counter = match counts {
-        true => tail::begin(connection, &mut state, &own).await.map_err(cannot_open)?,
+        true => tail::start_counter(connection, &mut state, &owner).await.map_err(cannot_open)?,
         false => EventCounter::default(),
     };
     Ok((state, counter))
 }
 
-/// Marks an empty database as a spool before it has tables. If the disk becomes full then, the file is still
-/// recognised.
+/// Sets the application id of an empty database before it has tables, so that the file is recognised as a spool even if
+/// the disk becomes full then.
 async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let (id, tables): (i32, i64) = sqlx::query_as(
@@ -231,8 +232,11 @@ struct StreamRow {
     told: i64,
 }
 
-/// Returns the stream of the file. A new file begins one.
-async fn stream(connection: &mut SqliteConnection, host: HostId) -> Result<StreamRow, sqlx::Error> {
+/// Returns the stream of the file; creates it in a new file.
+async fn read_or_create_stream(
+    connection: &mut SqliteConnection,
+    host: HostId,
+) -> Result<StreamRow, sqlx::Error> {
     sqlx::query(
         "INSERT OR IGNORE INTO stream (id, uuid, host, first, events_before_first, acknowledged, chain) \
          VALUES (1, ?, ?, 1, 0, 0, ?)",
@@ -261,7 +265,7 @@ struct WaitingTotals {
     chain: Option<Vec<u8>>,
 }
 
-async fn held(connection: &mut SqliteConnection) -> Result<WaitingTotals, sqlx::Error> {
+async fn waiting_totals(connection: &mut SqliteConnection) -> Result<WaitingTotals, sqlx::Error> {
     // length() of a blob reads its header only.
     sqlx::query_as(
         "SELECT COUNT(*) AS batches, COALESCE(SUM(events), 0) AS events, COALESCE(SUM(length(body)), 0) AS bytes,
@@ -273,8 +277,8 @@ async fn held(connection: &mut SqliteConnection) -> Result<WaitingTotals, sqlx::
     .await
 }
 
-/// Returns the last batch numbers of the newest processes.
-async fn reached(connection: &mut SqliteConnection) -> Result<Vec<NewestSentBatch>, sqlx::Error> {
+/// Returns the last batch number of each of the newest processes.
+async fn newest_sent_batches(connection: &mut SqliteConnection) -> Result<Vec<NewestSentBatch>, sqlx::Error> {
     let rows: Vec<(i64, i64)> =
         sqlx::query_as("SELECT process, number FROM reached ORDER BY number DESC LIMIT ?")
             .bind(MAX_PROCESSES)
@@ -288,20 +292,24 @@ async fn reached(connection: &mut SqliteConnection) -> Result<Vec<NewestSentBatc
 }
 
 impl StreamRow {
-    fn state(self, held: WaitingTotals, reached: Vec<NewestSentBatch>) -> Result<SpoolState, SpoolDefect> {
+    fn into_state(
+        self,
+        waiting: WaitingTotals,
+        reached: Vec<NewestSentBatch>,
+    ) -> Result<SpoolState, SpoolDefect> {
         let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
         let before = chain(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
-        let newest = match (held.newest, held.chain) {
+        let newest = match (waiting.newest, waiting.chain) {
             (Some(newest), Some(bytes)) => (newest.cast_unsigned(), chain(&bytes)?),
             _ => (acknowledged, before),
         };
         if newest.0 < acknowledged || self.first.cast_unsigned() > acknowledged + 1 {
             return Err(SpoolDefect::BatchNumbers { first: self.first, acknowledged, newest: newest.0 });
         }
-        if held.batches.cast_unsigned() != newest.0 - acknowledged {
+        if waiting.batches.cast_unsigned() != newest.0 - acknowledged {
             tracing::warn!(
-                batches = held.batches,
+                batches = waiting.batches,
                 "the spool lacks some of the batches {} to {}",
                 acknowledged + 1,
                 newest.0
@@ -315,8 +323,8 @@ impl StreamRow {
             oldest: acknowledged + 1,
             before,
             newest,
-            since: held.since_ns.map(WallTime::from_unix_nanos),
-            waiting_usage: Usage { events: held.events.cast_unsigned(), bytes: held.bytes.cast_unsigned() },
+            since: waiting.since_ns.map(WallTime::from_unix_nanos),
+            held: Usage { events: waiting.events.cast_unsigned(), bytes: waiting.bytes.cast_unsigned() },
             totals: Totals {
                 produced: self.produced.cast_unsigned(),
                 dropped: self.dropped.cast_unsigned(),

@@ -1,9 +1,9 @@
 //! Disk space that is reserved for deleting.
 //!
-//! SQLite writes before it deletes: first to the log, then to the file. A spool that filled its disk could neither be
-//! emptied nor record how many events did not fit. So a file beside it occupies some space, which is released for a
-//! deletion or such a record and allocated again afterwards. The file stays when the process ends, because on a full
-//! disk the next process could not allocate it.
+//! To delete rows, SQLite writes first to the log and then to the file. A spool that filled its disk could neither be
+//! emptied nor record how many events did not fit. Therefore a file next to the spool occupies some space. It is released
+//! for a deletion or such a record, and allocated again afterwards. The file remains when the process ends, because on a
+//! full disk the next process could not allocate it.
 
 use std::fs::{self, File};
 use std::io;
@@ -13,81 +13,82 @@ use std::path::PathBuf;
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::Errno;
 
-/// Size of the reserve in bytes: the log when the disk becomes full (256 pages and the largest transaction), and what
-/// deleting adds.
-const BYTES: u64 = 6 << 20;
-/// Step in which the reserve is allocated on a disk with less room, in bytes.
-const STEP: u64 = 128 << 10;
+/// Size of the reserve in bytes: the largest log (256 pages and the largest transaction), and the pages that a deletion
+/// adds to it.
+const RESERVE_BYTES: u64 = 6 << 20;
+/// Step in bytes in which the reserve is allocated on a disk with less free space.
+const STEP_BYTES: u64 = 128 << 10;
 /// Unit of `st_blocks` in bytes (undefined in POSIX; 512 in Linux).
-const BLOCK: u64 = 512;
+const BLOCK_BYTES: u64 = 512;
 
 /// The reserved space.
 #[derive(Debug)]
 pub(super) struct Reserve {
     file: PathBuf,
-    /// Bytes that are allocated. Below [`BYTES`] nothing but deletions and totals may be written.
-    held: u64,
+    /// Number of allocated bytes. Below [`RESERVE_BYTES`] only deletions and totals may be written.
+    allocated: u64,
     /// `true` if the file system cannot allocate space.
-    impossible: bool,
+    is_unsupported: bool,
 }
 
 impl Reserve {
-    /// Takes over the reserve of an earlier process.
+    /// Creates the reserve from the file of an earlier process, if it exists.
     pub(super) fn new(file: PathBuf) -> Self {
-        let held = fs::metadata(&file).map_or(0, |held| BYTES.min(held.blocks() * BLOCK));
-        Self { file, held, impossible: false }
+        let allocated =
+            fs::metadata(&file).map_or(0, |metadata| RESERVE_BYTES.min(metadata.blocks() * BLOCK_BYTES));
+        Self { file, allocated, is_unsupported: false }
     }
 
     /// Releases the space. Returns whether there was any.
     pub(super) fn release(&mut self) -> bool {
-        if self.held == 0 {
+        if self.allocated == 0 {
             return false;
         }
         match fs::remove_file(&self.file) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                tracing::debug!(%error, "the spool's reserve {} cannot be given free", self.file.display());
+                tracing::debug!(%error, "cannot release the spool's reserve {}", self.file.display());
                 false
             }
             _ => {
-                self.held = 0;
+                self.allocated = 0;
                 true
             }
         }
     }
 
-    /// Allocates the space, or as much as there is. Returns whether the reserve is complete, or cannot exist on this
-    /// file system.
-    pub(super) fn take(&mut self) -> bool {
-        if self.impossible || self.held == BYTES {
+    /// Allocates the space, or as much as is free. Returns whether the reserve is complete, or the file system does not
+    /// support it.
+    pub(super) fn allocate(&mut self) -> bool {
+        if self.is_unsupported || self.allocated == RESERVE_BYTES {
             return true;
         }
-        match self.allocate() {
+        match self.try_allocate() {
             Ok(()) => {}
-            Err(Errno::OPNOTSUPP) => self.impossible = true,
+            Err(Errno::OPNOTSUPP) => self.is_unsupported = true,
             Err(error) => {
-                tracing::debug!(%error, held = self.held, "the disk lacks room for the spool's reserve {}", self.file.display());
+                tracing::debug!(%error, allocated = self.allocated, "the disk has no space for the spool's reserve {}", self.file.display());
             }
         }
-        if self.held == 0
+        if self.allocated == 0
             && let Err(error) = fs::remove_file(&self.file)
         {
             tracing::debug!(%error, "no reserve to remove");
         }
-        self.impossible || self.held == BYTES
+        self.is_unsupported || self.allocated == RESERVE_BYTES
     }
 
-    fn allocate(&mut self) -> Result<(), Errno> {
+    fn try_allocate(&mut self) -> Result<(), Errno> {
         let file = File::options().create(true).truncate(false).write(true).open(&self.file);
         let file = file.map_err(|error| Errno::from_io_error(&error).unwrap_or(Errno::IO))?;
         let none = FallocateFlags::empty();
-        if fallocate(&file, none, 0, BYTES).is_err() {
-            while self.held < BYTES {
-                let step = STEP.min(BYTES - self.held);
-                fallocate(&file, none, self.held, step)?;
-                self.held += step;
+        if fallocate(&file, none, 0, RESERVE_BYTES).is_err() {
+            while self.allocated < RESERVE_BYTES {
+                let step = STEP_BYTES.min(RESERVE_BYTES - self.allocated);
+                fallocate(&file, none, self.allocated, step)?;
+                self.allocated += step;
             }
         }
-        self.held = BYTES;
+        self.allocated = RESERVE_BYTES;
         Ok(())
     }
 }

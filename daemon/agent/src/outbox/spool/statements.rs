@@ -1,4 +1,4 @@
-//! The SQL statements that change the file.
+//! The SQL statements that change the spool file.
 
 use peernet_clock::WallTime;
 use peernet_stream::{Chain, SpooledBatch, Totals};
@@ -6,14 +6,14 @@ use sqlx::SqliteConnection;
 
 use super::tail;
 
-/// Number of processes whose last batch is kept, the newest ones. Each start of the agent is a process.
+/// Number of newest processes whose last batch is recorded. Each start of the agent is a process.
 pub(super) const MAX_PROCESSES: i64 = 64;
 
 /// Number of unused pages that are kept for the next batches: 8 MiB.
 const SPARE_PAGES: i64 = 2048;
 
-/// Begins a transaction that inserts these batches; `counts` is `true` if the process counts the events that are
-/// queued. A batch replaces itself if a commit succeeded that seemed to fail.
+/// Starts a transaction that inserts these batches. `counts` is `true` if the process counts the events that it queues.
+// A batch replaces itself if a commit that seemed to fail had succeeded.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     batches: &[SpooledBatch],
@@ -41,9 +41,9 @@ pub(super) async fn insert(
     .bind(totals.produced.cast_signed())
     .bind(totals.dropped.cast_signed())
     .bind(totals.gaps.cast_signed())
-    .bind(totals.reported_drops.cast_signed())
-    .bind(settled.as_ref().map(|settled| tail::encoded(&settled.events)))
-    .bind(settled.as_ref().map(|settled| settled.batched.cast_signed()))
+    .bind(totals.told.cast_signed())
+    .bind(settled.as_ref().map(|settled| tail::encode_counts(&settled.events)))
+    .bind(settled.as_ref().map(|settled| settled.taken.cast_signed()))
     .bind(settled.and_then(|settled| settled.last).map(WallTime::unix_nanos))
     .execute(&mut *connection)
     .await?;
@@ -63,7 +63,7 @@ pub(super) async fn insert(
         .map(drop)
 }
 
-/// Begins a transaction that deletes the batches up to number `through`.
+/// Starts a transaction that deletes the batches up to number `through`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     through: u64,
@@ -95,8 +95,7 @@ async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
 /// Returns some unused pages to the file system if more than half of the file is unused. Returns whether there may be
 /// more.
 ///
-/// Below that share the pages at the end of the file would have to be moved, and the next batches need the room
-/// anyway.
+/// Below that share the pages at the end of the file would have to be moved, and the next batches need the space.
 pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
     let (free, all) = pages(connection).await?;
     if free <= all - free + SPARE_PAGES {
@@ -107,7 +106,7 @@ pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sq
 }
 
 /// Returns all unused pages and the log to the file system.
-pub(super) async fn give_all_back(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+pub(super) async fn vacuum_all(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     while pages(connection).await?.0 > 0 {
         vacuum_step(connection).await?;
         checkpoint(connection).await?;

@@ -1,4 +1,4 @@
-//! Syncs the log in the background, while it is written.
+//! Syncs SQLite's log to the disk in the background.
 
 use std::io;
 
@@ -10,25 +10,25 @@ use super::file::Log;
 #[derive(Debug)]
 pub(super) struct Syncing {
     log: Log,
-    /// `true` if something was written since the last sync began.
-    dirty: bool,
+    /// `true` if a transaction was written since the last sync started.
+    is_dirty: bool,
     running: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Syncing {
     pub(super) const fn new(log: Log) -> Self {
-        Self { log, dirty: false, running: None }
+        Self { log, is_dirty: false, running: None }
     }
 
-    /// Records that something was written.
-    pub(super) const fn written(&mut self) {
-        self.dirty = true;
+    /// Records that a transaction was written.
+    pub(super) const fn mark_written(&mut self) {
+        self.is_dirty = true;
     }
 
-    /// Begins to sync what was written, unless a sync is in progress.
-    pub(super) fn begin(&mut self) {
-        if self.dirty && self.running.is_none() {
-            self.dirty = false;
+    /// Starts a sync if a transaction was written and no sync is in progress.
+    pub(super) fn start(&mut self) {
+        if self.is_dirty && self.running.is_none() {
+            self.is_dirty = false;
             self.running = Some(self.log.sync());
         }
     }
@@ -38,25 +38,25 @@ impl Syncing {
         self.running.is_some()
     }
 
-    /// Waits for the end of the sync in progress. A failed one is repeated at the next [`begin`](Self::begin).
-    /// Dropping the future loses nothing.
-    pub(super) async fn ended(&mut self) -> io::Result<()> {
+    /// Waits for the end of the sync in progress. A failed sync is repeated by the next [`start`](Self::start).
+    /// Cancel-safe.
+    pub(super) async fn wait(&mut self) -> io::Result<()> {
         let Some(running) = &mut self.running else { return Ok(()) };
-        let synced = ended(running).await;
+        let synced = wait_for_sync(running).await;
         self.running = None;
-        self.dirty |= synced.is_err();
+        self.is_dirty |= synced.is_err();
         synced
     }
 
-    /// Syncs everything that was written, and waits for it.
+    /// Syncs all written transactions, and waits for the end of the sync.
     pub(super) async fn finish(&mut self) -> io::Result<()> {
-        self.ended().await?;
-        self.begin();
-        self.ended().await
+        self.wait().await?;
+        self.start();
+        self.wait().await
     }
 }
 
 /// Waits for a sync and returns its result.
-pub(super) async fn ended(sync: &mut JoinHandle<io::Result<()>>) -> io::Result<()> {
+pub(super) async fn wait_for_sync(sync: &mut JoinHandle<io::Result<()>>) -> io::Result<()> {
     sync.await.unwrap_or_else(|died| Err(io::Error::other(died)))
 }

@@ -1,4 +1,5 @@
-//! Losses of an earlier process that was killed: found when the spool is opened, reported by this process.
+//! Losses of an earlier process that was killed. They are determined when the spool is opened, and this process reports
+//! them.
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
@@ -38,8 +39,8 @@ struct Unreported {
 }
 
 /// Encodes counts for a column.
-pub(super) fn encoded(counts: &RunCounts) -> Vec<u8> {
-    let mut bytes = counts.total.to_be_bytes().to_vec();
+pub(super) fn encode_counts(counts: &RunCounts) -> Vec<u8> {
+    let mut bytes = counts.all.to_be_bytes().to_vec();
     for (run, events) in &counts.runs {
         bytes.extend(run.as_bytes());
         bytes.extend(events.to_be_bytes());
@@ -47,7 +48,7 @@ pub(super) fn encoded(counts: &RunCounts) -> Vec<u8> {
     bytes
 }
 
-fn decoded(bytes: &[u8]) -> Option<RunCounts> {
+fn decode_counts(bytes: &[u8]) -> Option<RunCounts> {
     let (all, runs) = bytes.split_first_chunk()?;
     let mut counts = RunCounts { total: u64::from_be_bytes(*all), ..RunCounts::default() };
     for entry in runs.chunks_exact(24) {
@@ -58,7 +59,7 @@ fn decoded(bytes: &[u8]) -> Option<RunCounts> {
 }
 
 /// Returns the losses that no gap has reported yet, in the order in which they will be reported.
-pub(super) async fn unreported(connection: &mut SqliteConnection) -> Result<Vec<Gap>, sqlx::Error> {
+pub(super) async fn read_unreported(connection: &mut SqliteConnection) -> Result<Vec<Gap>, sqlx::Error> {
     let rows: Vec<Unreported> = sqlx::query_as(
         "SELECT pipeline, run, from_ns, to_ns, count, reason FROM unreported ORDER BY told_through",
     )
@@ -75,11 +76,11 @@ pub(super) async fn unreported(connection: &mut SqliteConnection) -> Result<Vec<
     Ok(rows.into_iter().map(gap).collect())
 }
 
-/// Returns the end of an earlier process whose losses only the aggregator can determine. `None` if its file of counts
-/// is gone, after a restart of the machine, or belongs to the spool of which `own` is a copy.
-pub(super) async fn unresolved(
+/// Returns the unresolved batches of an earlier process, whose losses only the aggregator can determine. `None` if its
+/// file of counts no longer exists, after a restart of the machine, or belongs to the spool of which this one is a copy.
+pub(super) async fn read_unresolved(
     connection: &mut SqliteConnection,
-    own: &CountOwner,
+    owner: &CountOwner,
 ) -> Result<Option<UnresolvedBatches>, sqlx::Error> {
     let row: Option<UnresolvedRow> =
         sqlx::query_as("SELECT counter, counted, taken, counted_ns, told, events FROM unresolved")
@@ -87,10 +88,10 @@ pub(super) async fn unresolved(
             .await?;
     Ok(row.and_then(|row| {
         Some(UnresolvedBatches {
-            counted: counter::read(&row.counter, own)?,
+            counted: counter::read(&row.counter, owner)?,
             settled: SettledEvents {
-                events: decoded(&row.counted).unwrap_or_default(),
-                batched: row.taken.cast_unsigned(),
+                events: decode_counts(&row.counted).unwrap_or_default(),
+                taken: row.taken.cast_unsigned(),
                 last: row.counted_ns.map(WallTime::from_unix_nanos),
             },
             reported_drops: row.told.cast_unsigned(),
@@ -106,35 +107,35 @@ pub(super) async fn unresolved_counter(
     sqlx::query_scalar("SELECT counter FROM unresolved").fetch_optional(connection).await
 }
 
-/// Determines what the previous process lost, records it, and starts a new counter. This is one transaction, so that
-/// each loss is reported once, whenever a process is killed. Without shared memory nothing is counted. The copy of a
-/// spool does not use the counts of the original, which reports its losses itself.
-pub(super) async fn begin(
+/// Determines which events the previous process lost, records them, and starts a new counter. The record is one
+/// transaction, so that each loss is reported once, whenever a process is killed. Without shared memory events are not
+/// counted. The copy of a spool does not use the counts of the original, which reports its losses itself.
+pub(super) async fn start_counter(
     connection: &mut SqliteConnection,
     state: &mut SpoolState,
-    own: &CountOwner,
+    owner: &CountOwner,
 ) -> Result<EventCounter, sqlx::Error> {
     let mut before: Before =
         sqlx::query_as("SELECT counter, counted, taken, counted_ns FROM stream WHERE id = 1")
             .fetch_one(&mut *connection)
             .await?;
-    if before.counter.take_if(|name| counter::belongs_to_another_spool(name, own)).is_some() {
+    if before.counter.take_if(|name| counter::belongs_to_another_spool(name, owner)).is_some() {
         tracing::warn!(
-            "the spool is the copy of another one, to which the count of handed-in events belongs: what the agent that wrote the \
-             spool lost is reported by the other one"
+            "the spool is a copy: the count of queued events belongs to the original spool, whose agent reports the events that \
+             were lost"
         );
     }
-    // `None` means that only the aggregator knows how many events were lost.
+    // Number of lost events; `None` if only the aggregator knows it.
     let mut lost = Some(0);
-    let counted = before.counter.as_deref().and_then(|name| counter::read(name, own));
+    let counted = before.counter.as_deref().and_then(|name| counter::read(name, owner));
     if let Some(counted) = counted {
-        let events = before.counted.as_deref().and_then(decoded).unwrap_or_default();
+        let events = before.counted.as_deref().and_then(decode_counts).unwrap_or_default();
         let taken = before.taken.unwrap_or_default().cast_unsigned();
         let last = before.counted_ns.map(WallTime::from_unix_nanos);
         lost = state.lose_tail(counted, SettledEvents { events, batched: taken, last });
     }
-    let counter = EventCounter::create(own).unwrap_or_else(|error| {
-        tracing::warn!(%error, "there is no shared memory to count events in: what is lost when the agent is killed is not reported");
+    let counter = EventCounter::create(owner).unwrap_or_else(|error| {
+        tracing::warn!(%error, "cannot count events in shared memory; if the agent is killed, its lost events are not reported");
         EventCounter::default()
     });
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
@@ -151,11 +152,11 @@ pub(super) async fn begin(
     }
     match (lost, &before.counter) {
         (None, _) => tracing::warn!(
-            "the agent was killed while it sent events that its spool could not take: the aggregator will say which of them \
-             are stored, and a gap reports the others"
+            "the agent was killed while it sent events that its spool could not store: the aggregator reports which of them are \
+             stored, and a gap reports the others"
         ),
         (Some(lost), Some(name)) => {
-            // After the commit: if this process is killed before it, the next one needs the file again.
+            // Removed after the commit: if this process is killed before it, the next one needs the file again.
             counter::remove(name);
             if lost > 0 {
                 tracing::warn!(
@@ -169,26 +170,26 @@ pub(super) async fn begin(
     // Files of counts whose spool was deleted would stay in shared memory until the machine restarts.
     let (unresolved, current) = (unresolved_counter(connection).await?, counter.name());
     let needed: Vec<&str> = [&unresolved, &current].into_iter().filter_map(Option::as_deref).collect();
-    counter::remove_abandoned(own, &needed);
+    counter::remove_abandoned(owner, &needed);
     Ok(counter)
 }
 
-/// Writes the state. `leaves_doubt` is `true` if the previous process has become [`SpoolState::unresolved`].
+/// Writes the state. `is_unresolved` is `true` if the previous process has become [`SpoolState::unresolved`].
 async fn write(
     connection: &mut SqliteConnection,
     state: &SpoolState,
-    leaves_doubt: bool,
+    is_unresolved: bool,
     counter: &EventCounter,
 ) -> Result<(), sqlx::Error> {
     match &state.unresolved {
         None => sqlx::query("DELETE FROM unresolved").execute(&mut *connection).await.map(drop)?,
-        Some(unresolved) if leaves_doubt => {
+        Some(unresolved) if is_unresolved => {
             sqlx::query(
                 "INSERT OR REPLACE INTO unresolved (id, counter, counted, taken, counted_ns, told, events) \
                  SELECT id, counter, coalesce(counted, ?), coalesce(taken, 0), counted_ns, ?, ? FROM stream",
             )
-            .bind(encoded(&RunCounts::default()))
-            .bind(unresolved.reported_drops.cast_signed())
+            .bind(encode_counts(&RunCounts::default()))
+            .bind(unresolved.told.cast_signed())
             .bind(unresolved.events.cast_signed())
             .execute(&mut *connection)
             .await?;
@@ -243,8 +244,7 @@ async fn write_unreported(
     Ok(())
 }
 
-/// Records in the current transaction that the earlier process is no longer unresolved, and which losses are to be
-/// reported.
+/// Records in the current transaction that the batches of the earlier process are resolved, and the losses to report.
 pub(super) async fn resolve(
     connection: &mut SqliteConnection,
     told: u64,
@@ -264,7 +264,7 @@ mod tests {
         counts.add(Some(RunId::random()), 7);
         counts.add(Some(RunId::random()), 1 << 40);
         counts.add(None, 2);
-        assert_eq!(decoded(&encoded(&counts)), Some(counts));
-        assert_eq!(decoded(&[1, 2]), None);
+        assert_eq!(decode_counts(&encode_counts(&counts)), Some(counts));
+        assert_eq!(decode_counts(&[1, 2]), None);
     }
 }

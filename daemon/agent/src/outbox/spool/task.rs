@@ -1,4 +1,4 @@
-//! The task that owns the spool file. It receives orders and sends results.
+//! The task that owns the spool file. It executes orders and returns results over channels.
 
 use std::io;
 use std::time::Duration;
@@ -9,16 +9,16 @@ use tokio::task::JoinError;
 use tokio::time::MissedTickBehavior;
 use tokio_util::task::AbortOnDropHandle;
 
-use super::aside::condemn;
 use super::error::SpoolFileError;
 use super::file::{Loaded, SpoolFile};
+use super::quarantine::mark_broken;
+use super::range_log;
 use super::sync::Syncing;
-use super::tally;
 
 /// Capacity of the channels. The state machine has at most one order of each of the four kinds in progress.
 const MAX_ORDERS: usize = 8;
 
-/// An operation that the task is asked to do.
+/// An operation on the spool.
 #[derive(Clone, Debug)]
 pub(in crate::outbox) enum Order {
     /// Appends batches; answered by [`Done::Appended`].
@@ -27,7 +27,7 @@ pub(in crate::outbox) enum Order {
     Load { from: u64, bytes: usize },
     /// Deletes batches; answered by [`Done::Deleted`].
     Delete { through: u64, chain: Chain },
-    /// Begins another stream; answered by [`Done::Renewed`].
+    /// Starts another stream; answered by [`Done::Renewed`].
     Renew { stream: StreamId, previous: StreamId, first: u64, events_before_first: u64 },
 }
 
@@ -47,13 +47,13 @@ pub(in crate::outbox) enum SpoolTaskError {
     #[error(transparent)]
     File(#[from] SpoolFileError),
     /// The task has ended.
-    #[error("the spool's task ended")]
+    #[error("the spool's task has ended")]
     Ended,
     /// The channel is full, which the state machine never causes.
-    #[error("the spool was given more orders than it can have: {0:?}")]
+    #[error("too many orders for the spool's task: {0:?}")]
     Overloaded(Box<Order>),
     /// The disk does not answer in time.
-    #[error("the spool's disk takes long")]
+    #[error("the spool's disk does not answer in time")]
     Slow,
     /// The task panicked.
     #[error(transparent)]
@@ -71,9 +71,9 @@ pub(in crate::outbox) struct SpoolTask {
 impl SpoolTask {
     /// Starts the task.
     pub(in crate::outbox) fn start(file: SpoolFile, sync_interval: Duration) -> Self {
-        let (orders, ordered) = mpsc::channel(MAX_ORDERS);
-        let (answers, done) = mpsc::channel(MAX_ORDERS);
-        let task = AbortOnDropHandle::new(tokio::spawn(work(file, sync_interval, ordered, answers)));
+        let (orders, received_orders) = mpsc::channel(MAX_ORDERS);
+        let (results, done) = mpsc::channel(MAX_ORDERS);
+        let task = AbortOnDropHandle::new(tokio::spawn(run(file, sync_interval, received_orders, results)));
         Self { orders, done, task }
     }
 
@@ -89,11 +89,11 @@ impl SpoolTask {
     }
 
     /// Waits for the next result; `None` if the task has ended.
-    pub(in crate::outbox) async fn done(&mut self) -> Option<Done> {
+    pub(in crate::outbox) async fn next_result(&mut self) -> Option<Done> {
         self.done.recv().await
     }
 
-    /// Waits until all orders are done, closes the file, and ends the task.
+    /// Waits until all orders are done and the task has closed the file.
     pub(in crate::outbox) async fn close(self) -> Result<(), SpoolTaskError> {
         let Self { orders, done, task } = self;
         drop((orders, done));
@@ -101,11 +101,11 @@ impl SpoolTask {
     }
 }
 
-async fn work(
+async fn run(
     mut file: SpoolFile,
     sync_interval: Duration,
     mut orders: mpsc::Receiver<Order>,
-    answers: mpsc::Sender<Done>,
+    results: mpsc::Sender<Done>,
 ) -> Result<(), SpoolFileError> {
     let mut ticks = tokio::time::interval(sync_interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -113,18 +113,17 @@ async fn work(
     loop {
         tokio::select! {
             biased;
-            synced = syncing.ended(), if syncing.is_running() => report(&file, synced),
+            synced = syncing.wait(), if syncing.is_running() => report(&file, synced),
             _ = ticks.tick() => {
-                syncing.begin();
-                // In steps between orders, because a vacuum of the whole file would delay the orders that come
-                // meanwhile.
+                syncing.start();
+                // In steps between orders, because a vacuum of the whole file would delay orders.
                 shrink(&mut file, &orders).await;
             }
             order = orders.recv() => {
                 let Some(order) = order else { break };
                 let done = execute(&mut file, &mut syncing, order).await;
-                // The outbox may have ended; the order is done all the same.
-                let _ = answers.send(done).await;
+                // Sending fails only if the outbox has ended; the order is done nevertheless.
+                let _ = results.send(done).await;
             }
         }
     }
@@ -138,39 +137,39 @@ async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> D
         Order::Append { batches, totals } => {
             let appended = file.append(&batches, &totals).await;
             if appended.is_ok() {
-                syncing.written();
-                tally::log_ranges(&batches);
+                syncing.mark_written();
+                range_log::log_ranges(&batches);
             }
-            Done::Appended(condemn_if_corrupt(file, appended))
+            Done::Appended(mark_if_corrupt(file, appended))
         }
         Order::Load { from, bytes } => Done::Loaded(file.load(from, bytes).await.map_err(Into::into)),
         Order::Delete { through, chain } => {
             let deleted = file.delete_through(through, chain).await;
-            Done::Deleted(condemn_if_corrupt(file, deleted))
+            Done::Deleted(mark_if_corrupt(file, deleted))
         }
         Order::Renew { stream, previous, first, events_before_first } => {
             let renewed = file.renew(stream, previous, (first, events_before_first)).await;
-            Done::Renewed(condemn_if_corrupt(file, renewed))
+            Done::Renewed(mark_if_corrupt(file, renewed))
         }
     }
 }
 
-/// Marks a file that turned out to be broken, so that the next start moves it aside.
-fn condemn_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
+/// Marks the file as broken if SQLite reports damage, so that the next start quarantines it.
+fn mark_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
     if let Err(file_error @ SpoolFileError::Corrupt { .. }) = &result {
-        condemn(file.path(), &file_error.to_string());
+        mark_broken(file.path(), &file_error.to_string());
     }
     Ok(result?)
 }
 
-/// Shrinks the file step by step, until an order comes.
+/// Shrinks the file step by step, until an order arrives.
 async fn shrink(file: &mut SpoolFile, orders: &mpsc::Receiver<Order>) {
     while orders.is_empty() {
         match file.shrink().await {
             Ok(true) => {}
             Ok(false) => return,
             Err(file_error) => {
-                tracing::debug!(trouble = %file_error, "the spool keeps its size");
+                tracing::debug!(error = %file_error, "cannot shrink the spool");
                 return;
             }
         }
@@ -180,6 +179,6 @@ async fn shrink(file: &mut SpoolFile, orders: &mpsc::Receiver<Order>) {
 fn report(file: &SpoolFile, synced: io::Result<()>) {
     if let Err(error) = synced {
         let spool = file.path().display();
-        tracing::warn!(%error, "cannot sync the spool {spool}: a power cut may lose what it holds; tried again");
+        tracing::warn!(%error, "cannot sync the spool {spool}; a power cut may lose its newest events; retrying");
     }
 }

@@ -1,4 +1,4 @@
-//! Period and jitter of one topic. No I/O.
+//! Period and jitter of a topic's messages. No I/O.
 
 use peernet_clock::{MonoTime, Span};
 

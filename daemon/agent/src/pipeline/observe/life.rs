@@ -8,9 +8,9 @@ use peernet_stream::{EndReason, IncidentKind, PipelineState};
 use super::peer::{PeerDescription, PeerStamps};
 use super::session::{Observation, SessionEnded};
 use super::source::{Source, SourceError, node_name};
-use super::topic::{PublisherPlace, Topic};
+use super::topic::{PublisherLocation, Topic};
 use crate::config::ObserveConfig;
-use crate::pipeline::placement::{conditions, observed};
+use crate::pipeline::placement::{conditions, describe_observed};
 use crate::pipeline::run::Run;
 use crate::pipeline::runner::{PipelineError, Runner};
 use crate::reconnect_backoff::ReconnectBackoff;
@@ -18,49 +18,52 @@ use crate::reconnect_backoff::ReconnectBackoff;
 /// Time without a publisher after which a topic is reported.
 const PUBLISHER_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Observes until the run reaches its limit or the agent stops. If the node ends, for example because the ROS master
-/// is away, this waits for it to come back.
+/// Observes until the run reaches its limit or the agent stops. If the node ends, for example because the ROS master is
+/// unreachable, it subscribes again.
 ///
 /// # Errors
-/// When the configuration or the types of the topics have to be changed first.
-pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -> Result<(), PipelineError> {
+/// When the topics cannot be observed without a change of the configuration or of their types.
+pub(in crate::pipeline) async fn run_to_end(
+    runner: &Runner,
+    config: &ObserveConfig,
+) -> Result<(), PipelineError> {
     config.check_peer().map_err(SourceError::from)?;
-    let mut underway: Option<(Run, Observation<'_>)> = None;
+    let mut active: Option<(Run, Observation<'_>)> = None;
     loop {
-        let Some(mut source) = connect(runner, config, underway.as_ref().map(|(run, _)| run.id())).await?
+        let Some(mut source) = connect(runner, config, active.as_ref().map(|(run, _)| run.id())).await?
         else {
-            if let Some((mut run, mut observation)) = underway {
+            if let Some((mut run, mut observation)) = active {
                 let reason = "the agent stopped before the output message came";
-                observation.give_up(reason, &mut run, runner).await;
+                observation.abandon(reason, &mut run, runner).await;
                 run.end(EndReason::Stopped, &runner.context);
                 observation.close().await;
             }
             return Ok(());
         };
-        let (run, observation) = match &mut underway {
-            Some(underway) => underway,
+        let (run, observation) = match &mut active {
+            Some(active) => active,
             None => {
                 let peer = PeerStamps::open(runner, config).await;
                 if peer.is_none() && config.peer.is_some() {
-                    // `open` gives up only if the agent stops.
+                    // `open` retries until the agent stops.
                     source.close().await;
                     return Ok(());
                 }
-                let run = begin(runner, config, &source, peer.as_ref(), false).await;
-                underway.insert((run, Observation::new(config, runner, peer)))
+                let run = start_run(runner, config, &source, peer.as_ref(), false).await;
+                active.insert((run, Observation::new(config, runner, peer)))
             }
         };
-        runner.display.set_state(PipelineState::Running);
+        runner.live_state.set_state(PipelineState::Running);
         let reason = loop {
             match observation.run(&mut source, run, runner).await {
                 SessionEnded::Midnight => {
                     run.end(EndReason::Finished, &runner.context);
-                    *run = begin(runner, config, &source, observation.peer(), true).await;
+                    *run = start_run(runner, config, &source, observation.peer(), true).await;
                 }
                 SessionEnded::Limit => break Some(EndReason::Finished),
                 SessionEnded::Stopped => break Some(EndReason::Stopped),
                 SessionEnded::SourceLost(error) => {
-                    report_trouble(runner, run.id(), Some(&error.to_string()));
+                    report_problem(runner, run.id(), Some(&error.to_string()));
                     // The run continues with the next source.
                     break None;
                 }
@@ -69,7 +72,7 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
         source.close().await;
         if let Some(reason) = reason {
             run.end(reason, &runner.context);
-            if let Some((_, observation)) = underway {
+            if let Some((_, observation)) = active {
                 observation.close().await;
             }
             return Ok(());
@@ -77,24 +80,24 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
     }
 }
 
-async fn begin(
+async fn start_run(
     runner: &Runner,
     config: &ObserveConfig,
     source: &Source,
     peer: Option<&PeerStamps>,
-    warm: bool,
+    is_continuation: bool,
 ) -> Run {
     let peer_description = peer.map(PeerStamps::peer_description);
     let conditions = conditions(
         peer_description.map(|peer_description| &*peer_description.conditions),
         &runner.context,
-        warm,
+        is_continuation,
     )
     .await;
     let description =
-        observed(config, peer_description.map(|peer_description| peer_description.name.clone()));
-    runner.display.set_placement(description.clone());
-    runner.begin_run(facts(config, source, peer_description), description, conditions, warm)
+        describe_observed(config, peer_description.map(|peer_description| peer_description.name.clone()));
+    runner.live_state.set_placement(description.clone());
+    runner.start_run(facts(config, source, peer_description), description, conditions, is_continuation)
 }
 
 /// Returns the facts about the observed system for the run's page.
@@ -111,14 +114,16 @@ fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerDescription>
 }
 
 fn publishers(topic: &Topic, peer: Option<&PeerDescription>) -> String {
-    let places = topic.publishers();
-    let is_peer = |place: &PublisherPlace| peer.is_some_and(|peer| peer.is_at(place.host.as_deref()));
-    let places: Vec<String> = places.iter().map(|place| place.describe(is_peer(place))).collect();
-    places.join(", ")
+    let locations = topic.publishers();
+    let is_peer =
+        |location: &PublisherLocation| peer.is_some_and(|peer| peer.is_at(location.host.as_deref()));
+    let locations: Vec<String> =
+        locations.iter().map(|location| location.describe(is_peer(location))).collect();
+    locations.join(", ")
 }
 
-/// Subscribes to both topics, with as many attempts as it takes, and before a run waits for publishers of both.
-/// Returns `None` if the agent stops.
+/// Subscribes to both topics, and retries until that succeeds. If no run is in progress, also waits for publishers of
+/// both. Returns `None` if the agent stops.
 async fn connect(
     runner: &Runner,
     config: &ObserveConfig,
@@ -145,16 +150,17 @@ async fn connect(
             },
             Err(error) => error,
         };
-        if !error.may_pass() {
+        if !error.is_temporary() {
             return Err(error);
         }
         let text = error.to_string();
         if reported != text {
-            runner.report(IncidentKind::Disconnected, run, format!("{text} (trying again)"));
+            runner.report(IncidentKind::Disconnected, run, format!("{text} (retrying)"));
             reported.clone_from(&text);
         }
-        runner.display.set_state(PipelineState::Waiting(text));
-        if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.grow())).await.is_none() {
+        runner.live_state.set_state(PipelineState::Waiting(text));
+        if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.next_pause())).await.is_none()
+        {
             return Ok(None);
         }
     }
@@ -167,42 +173,42 @@ async fn await_publishers(
     source: &mut Source,
     run: Option<RunId>,
 ) -> Result<bool, SourceError> {
-    let mut quiet = std::pin::pin!(tokio::time::sleep(PUBLISHER_TIMEOUT));
+    let mut report_timer = std::pin::pin!(tokio::time::sleep(PUBLISHER_TIMEOUT));
     let mut is_reported = false;
     loop {
         source.follow_publishers()?;
-        // Created before the check, so that no change in between is missed.
+        // Created before the check, so that a change during the check is not missed.
         let (input, output) = (source.input.publishers_changed(), source.output.publishers_changed());
         source.check_types(config.pair_by)?;
-        let Some(trouble) = source.trouble().filter(|_| run.is_none()) else { return Ok(true) };
-        runner.display.set_state(PipelineState::Waiting(source.advised(&trouble)));
+        let Some(problem) = source.problem().filter(|_| run.is_none()) else { return Ok(true) };
+        runner.live_state.set_state(PipelineState::Waiting(source.with_advice(&problem)));
         tokio::select! {
             () = input => {}
             () = output => {}
             error = source.ended() => return Err(error),
             () = runner.stop.cancelled() => return Ok(false),
-            () = &mut quiet, if !is_reported => {
+            () = &mut report_timer, if !is_reported => {
                 is_reported = true;
-                let since = format!("{trouble} since {} s", PUBLISHER_TIMEOUT.as_secs());
-                let text = format!("{}; the run begins when one does", source.advised(&since));
+                let since = format!("{problem} since {} s", PUBLISHER_TIMEOUT.as_secs());
+                let text = format!("{}; the run starts when both topics have a publisher", source.with_advice(&since));
                 runner.report(IncidentKind::Disconnected, None, text);
             }
         }
     }
 }
 
-/// Reports the reason why topics are silent during a run, or with `None` that they no longer are.
-pub(super) fn report_trouble(runner: &Runner, run: RunId, trouble: Option<&str>) {
-    match trouble {
-        Some(trouble) => {
-            let text = format!("{trouble}; the run goes on when there are messages again");
+/// Reports the reason why topics have no messages during a run, or with `None` that both have a publisher again.
+pub(super) fn report_problem(runner: &Runner, run: RunId, problem: Option<&str>) {
+    match problem {
+        Some(problem) => {
+            let text = format!("{problem}; the run continues when messages arrive again");
             runner.report(IncidentKind::Disconnected, Some(run), text);
-            runner.display.set_state(PipelineState::Waiting(trouble.to_owned()));
+            runner.live_state.set_state(PipelineState::Waiting(problem.to_owned()));
         }
         None => {
             let text = "both observed topics have a publisher again".to_owned();
             runner.report(IncidentKind::Connected, Some(run), text);
-            runner.display.set_state(PipelineState::Running);
+            runner.live_state.set_state(PipelineState::Running);
         }
     }
 }

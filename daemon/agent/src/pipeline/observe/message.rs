@@ -1,4 +1,4 @@
-//! A message as it is kept: without its content.
+//! A message of an observed topic, without its content.
 
 use bytes::Bytes;
 use peernet_clock::Stamp;
@@ -6,10 +6,10 @@ use peernet_ros::messages::{Field, Header, Reader, WireForm};
 
 use crate::config::PairBy;
 
-/// A message of an observed topic, without its content.
+/// Header, length and reception time of a message of an observed topic.
 #[derive(Clone, Debug)]
 pub(super) struct TopicMessage {
-    /// Time at which the agent had its last byte.
+    /// Time at which the agent received its last byte.
     pub(super) received: Stamp,
     /// Length of the serialised message in bytes.
     pub(super) length: usize,
@@ -18,7 +18,7 @@ pub(super) struct TopicMessage {
     pub(super) stamp: Option<i64>,
     /// `header.seq`: the publisher's number of the message, one more than that of the previous message.
     pub(super) sequence: Option<i64>,
-    /// Number of messages of the same publisher that should have come before it, by their sequence numbers.
+    /// Number of messages of the same publisher that are missing before it, according to their sequence numbers.
     pub(super) missing: u64,
 }
 
@@ -29,14 +29,14 @@ impl TopicMessage {
             PairBy::Stamp => self
                 .stamp
                 .map(Some)
-                .ok_or("it has no header.stamp, or one of 0; pair_by = \"order\" needs none"),
+                .ok_or("its header.stamp is 0 or missing; set pair_by = \"order\", which does not use it"),
             PairBy::Sequence => self.sequence.map(Some).ok_or("it has no sequence number"),
             PairBy::Order => Ok(None),
         }
     }
 }
 
-/// Returns whether messages of a type begin with a `std_msgs/Header`, by the text of its definition.
+/// Returns whether messages of a type begin with a `std_msgs/Header`; `definition` is the text of the type's definition.
 pub(super) fn begins_with_header(definition: &str) -> bool {
     let lines = definition.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
     // A line with `=` defines a constant, which is not a field.
@@ -45,11 +45,11 @@ pub(super) fn begins_with_header(definition: &str) -> bool {
     kind.is_some_and(|kind| ["Header", "std_msgs/Header", "roslib/Header"].contains(&kind))
 }
 
-/// Reads the header at the beginning of a message; `None` if its first bytes cannot be one.
+/// Reads the header at the beginning of a message; `None` if its first bytes are not a header.
 pub(super) fn read_header(form: WireForm, message: &Bytes) -> Option<Header> {
     let mut reader = Reader::new(form, message.clone()).ok()?;
-    // In ROS 2 the fields of a type are unknown here. Values other than a time rarely have a second part below 1e9,
-    // the number of nanoseconds in a second.
+    // In ROS 2 the fields of a type are unknown to the subscriber, so the bytes are checked for plausibility: the second
+    // field of a time is below 1e9 (nanoseconds of a second), that of another value rarely is.
     Header::read(&mut reader).ok().filter(|header| header.stamp.nanosec < 1_000_000_000)
 }
 

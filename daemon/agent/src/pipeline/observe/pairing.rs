@@ -9,22 +9,22 @@ mod tests;
 
 /// Pairs the messages of two topics.
 ///
-/// Messages with a key are paired with the oldest message of the other topic that has the same key, in whichever
-/// order they arrive: the observed node may receive the input before the agent does. Messages without a key are
-/// paired in the order of arrival.
+/// A message with a key is paired with the oldest message of the other topic that has the same key. Either may arrive
+/// first, because the observed node may receive the input before the agent does. Messages without a key are paired in
+/// the order of arrival.
 #[derive(Debug)]
 pub(super) struct Pairing<I, O> {
     /// Longest time that a message waits for its counterpart.
     timeout: Span,
-    /// Largest number of messages of each topic that wait.
+    /// Largest number of unpaired messages of each topic.
     capacity: usize,
-    inputs: VecDeque<Waiting<I>>,
-    outputs: VecDeque<Waiting<O>>,
+    inputs: VecDeque<Unpaired<I>>,
+    outputs: VecDeque<Unpaired<O>>,
 }
 
-/// A message that waits for its counterpart of the other topic.
+/// A message that waits for its counterpart.
 #[derive(Debug)]
-struct Waiting<T> {
+struct Unpaired<T> {
     key: Option<i64>,
     since: MonoTime,
     message: T,
@@ -33,7 +33,7 @@ struct Waiting<T> {
 /// Result for one message or a pair.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Resolution<I, O> {
-    /// The two messages belong together.
+    /// The two messages are a pair.
     Paired { input: I, output: O },
     /// The input message has no output message.
     Unanswered { input: I, cause: Unanswered },
@@ -44,9 +44,9 @@ pub(super) enum Resolution<I, O> {
 /// Reason why an input message has no output message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unanswered {
-    /// No output message came in time.
+    /// No output message arrived in time.
     Expired,
-    /// Too many input messages came after it.
+    /// Too many input messages arrived after it.
     Displaced,
 }
 
@@ -63,11 +63,11 @@ impl<I, O> Pairing<I, O> {
         at: MonoTime,
         input: I,
     ) -> Option<Resolution<I, O>> {
-        // An output message without a key never waits, because it would be paired with a later input message.
+        // Only output messages with a key wait: one without a key would be paired with a later input message.
         if let Some(output) = remove(&mut self.outputs, key) {
             return Some(Resolution::Paired { input, output });
         }
-        self.inputs.push_back(Waiting { key, since: at, message: input });
+        self.inputs.push_back(Unpaired { key, since: at, message: input });
         let displaced = (self.inputs.len() > self.capacity).then(|| self.inputs.pop_front()).flatten()?;
         Some(Resolution::Unanswered { input: displaced.message, cause: Unanswered::Displaced })
     }
@@ -83,19 +83,19 @@ impl<I, O> Pairing<I, O> {
             // An input message that was received later cannot be the cause of this output message.
             let oldest = self.inputs.pop_front_if(|oldest| oldest.since <= at);
             return Some(match oldest {
-                Some(Waiting { message: input, .. }) => Resolution::Paired { input, output },
+                Some(Unpaired { message: input, .. }) => Resolution::Paired { input, output },
                 None => Resolution::Unmatched(output),
             });
         }
         if let Some(input) = remove(&mut self.inputs, key) {
             return Some(Resolution::Paired { input, output });
         }
-        self.outputs.push_back(Waiting { key, since: at, message: output });
+        self.outputs.push_back(Unpaired { key, since: at, message: output });
         let displaced = (self.outputs.len() > self.capacity).then(|| self.outputs.pop_front()).flatten()?;
         Some(Resolution::Unmatched(displaced.message))
     }
 
-    /// Removes the next message that has waited for too long by `now`. Call it until it returns `None`.
+    /// Removes a message whose timeout has passed by `now`. The caller repeats this until it returns `None`.
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<Resolution<I, O>> {
         let timeout = self.timeout;
         if let Some(oldest) = self.inputs.pop_front_if(|oldest| now - oldest.since >= timeout) {
@@ -105,7 +105,7 @@ impl<I, O> Pairing<I, O> {
         Some(Resolution::Unmatched(oldest.message))
     }
 
-    /// Returns the time at which the next message will have waited for too long.
+    /// Returns the time at which the next message expires.
     pub(super) fn next_deadline(&self) -> Option<MonoTime> {
         let input = self.inputs.front().map(|oldest| oldest.since);
         let output = self.outputs.front().map(|oldest| oldest.since);
@@ -118,13 +118,13 @@ impl<I, O> Pairing<I, O> {
     }
 
     /// Removes and returns all input messages that wait, the oldest first.
-    pub(super) fn take_waiting(&mut self) -> impl Iterator<Item = I> + use<I, O> {
+    pub(super) fn take_unpaired_inputs(&mut self) -> impl Iterator<Item = I> + use<I, O> {
         std::mem::take(&mut self.inputs).into_iter().map(|waiting| waiting.message)
     }
 }
 
 /// Removes the oldest message with this key.
-fn remove<T>(waiting: &mut VecDeque<Waiting<T>>, key: Option<i64>) -> Option<T> {
+fn remove<T>(waiting: &mut VecDeque<Unpaired<T>>, key: Option<i64>) -> Option<T> {
     let wanted = key?;
     let index = waiting.iter().position(|message| message.key == Some(wanted))?;
     waiting.remove(index).map(|waiting| waiting.message)

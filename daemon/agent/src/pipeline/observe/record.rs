@@ -15,12 +15,11 @@ use crate::pipeline::iteration;
 use crate::pipeline::load::Start;
 use crate::pipeline::progress::Position;
 
-/// Largest difference between `header.stamp` and this host's clock that is recorded as the age of a message. Beyond
-/// it the stamp is that of another clock, for example of a simulation.
+/// Largest difference between `header.stamp` and this host's clock that is recorded as the age of a message. A larger
+/// one means that the stamp is of another clock, for example of a simulation.
 const MAX_AGE: Span = Span::from_seconds(3600);
 
-/// Name of the number of output messages without an input message since the previous iteration. Absent if there were
-/// none.
+/// Name of the count of output messages without an input message since the previous iteration. Absent if it is zero.
 const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
 
 /// A message with period and jitter of its topic.
@@ -28,7 +27,7 @@ const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
 pub(super) struct Received {
     pub(super) message: TopicMessage,
     pub(super) arrival: Arrival,
-    /// Stamp of its reception, for the judgement of its delay.
+    /// Stamp of its reception, from which its delay is computed.
     pub(super) at: HostStamp,
 }
 
@@ -39,9 +38,9 @@ pub(super) struct Input {
     pub(super) received: Received,
 }
 
-/// Messages that did not become iterations, since the last answered one.
+/// Counts of messages without an iteration, since the last answered iteration.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Uncounted {
+pub(super) struct UnpairedCounts {
     pub(super) input_missing: u64,
     pub(super) output_missing: u64,
     pub(super) output_unmatched: u64,
@@ -58,7 +57,7 @@ struct TopicNames {
     jitter: Name,
     /// Size of the serialised message.
     bytes: Name,
-    /// Number of messages that should have come since the previous answered iteration, by their sequence numbers.
+    /// Number of missing messages since the previous answered iteration, according to their sequence numbers.
     missing: Name,
 }
 
@@ -86,28 +85,28 @@ pub(super) fn answered(
     host: HostId,
     input: &Input,
     output: &Received,
-    uncounted: Uncounted,
+    unpaired_counts: UnpairedCounts,
 ) -> (Tree, Stamp) {
-    let (begun, ended) = ends(input, output);
-    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, begun);
-    log.record_timer(stage::INFERENCE, begun.mono, ended.mono);
-    add_topics(log.tree_mut(), input, output, ended.mono - begun.mono, uncounted);
-    (iteration::close(log, &pending(input.position, begun), ended.mono, true, None), ended)
+    let (started, ended) = start_and_end(input, output);
+    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, started);
+    log.timed(stage::INFERENCE, started.mono, ended.mono);
+    add_topics(log.tree_mut(), input, output, ended.mono - started.mono, unpaired_counts);
+    (iteration::close(log, &pending(input.position, started), ended.mono, true, None), ended)
 }
 
 /// Returns the times at which the iteration of a pair began and ended.
-fn ends(input: &Input, output: &Received) -> (Stamp, Stamp) {
-    let (begun, seen) = (input.received.message.received, output.message.received);
-    // The observed node may receive the input before the agent does. Then the latency is shorter than can be observed
-    // here, and is recorded as 0.
-    (begun, if seen.mono < begun.mono { begun } else { seen })
+fn start_and_end(input: &Input, output: &Received) -> (Stamp, Stamp) {
+    let (started, seen) = (input.received.message.received, output.message.received);
+    // The observed node may receive the input before the agent does. Then the agent cannot measure the latency, and it is
+    // recorded as 0.
+    (started, if seen.mono < started.mono { started } else { seen })
 }
 
-fn add_topics(tree: &mut Tree, input: &Input, output: &Received, at: Span, uncounted: Uncounted) {
-    add(tree, &INPUT, &input.received, Span::ZERO, uncounted.input_missing);
-    add(tree, &OUTPUT, output, at, uncounted.output_missing);
-    if uncounted.output_unmatched > 0 {
-        count(tree, OUTPUT_UNMATCHED, at, uncounted.output_unmatched);
+fn add_topics(tree: &mut Tree, input: &Input, output: &Received, at: Span, unpaired_counts: UnpairedCounts) {
+    add(tree, &INPUT, &input.received, Span::ZERO, unpaired_counts.input_missing);
+    add(tree, &OUTPUT, output, at, unpaired_counts.output_missing);
+    if unpaired_counts.output_unmatched > 0 {
+        count(tree, OUTPUT_UNMATCHED, at, unpaired_counts.output_unmatched);
     }
 }
 
@@ -119,10 +118,10 @@ pub(super) fn unanswered(
     input: &Received,
     ended: Stamp,
 ) -> Tree {
-    let begun = input.message.received;
-    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, begun);
+    let started = input.message.received;
+    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, started);
     add(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
-    iteration::close(log, &pending(position, begun), ended.mono, true, None)
+    iteration::close(log, &pending(position, started), ended.mono, true, None)
 }
 
 fn add(tree: &mut Tree, names: &TopicNames, received: &Received, at: Span, missing: u64) {
@@ -152,8 +151,12 @@ fn age(message: &TopicMessage) -> Option<Span> {
     (age.abs() <= MAX_AGE).then_some(age)
 }
 
-const fn pending(position: Position, begun: Stamp) -> PendingIteration {
-    PendingIteration { position, start: Start { intended: begun.mono, skipped: 0 }, began_at: begun.mono }
+const fn pending(position: Position, started: Stamp) -> PendingIteration {
+    PendingIteration {
+        position,
+        start: Start { intended: started.mono, skipped: 0 },
+        started_at: started.mono,
+    }
 }
 
 #[cfg(test)]
@@ -191,9 +194,9 @@ mod tests {
         let input = Input { position: POSITION, received: received(clock.stamp(), Some(captured)) };
         clock.advance(Span::from_millis(20));
         let output = received(clock.stamp(), Some(captured));
-        let uncounted = Uncounted { input_missing: 2, output_missing: 0, output_unmatched: 1 };
+        let unpaired_counts = UnpairedCounts { input_missing: 2, output_missing: 0, output_unmatched: 1 };
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let (tree, ended) = answered(&shared, HostId::random(), &input, &output, uncounted);
+        let (tree, ended) = answered(&shared, HostId::random(), &input, &output, unpaired_counts);
         for (name, expected) in [
             ("inference", 20.0),
             ("total", 20.0),
@@ -216,7 +219,7 @@ mod tests {
         clock.advance(Span::from_millis(1));
         let input = Input { position: POSITION, received: received(clock.stamp(), None) };
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let (tree, ended) = answered(&shared, HostId::random(), &input, &output, Uncounted::default());
+        let (tree, ended) = answered(&shared, HostId::random(), &input, &output, UnpairedCounts::default());
         assert_eq!(millis(&tree, "inference"), Some(0.0));
         assert_eq!(ended, input.received.message.received);
     }

@@ -1,4 +1,4 @@
-//! The loop of an observed run: makes iterations of the messages of two topics.
+//! The loop of an observed run: turns the messages of two topics into iterations.
 
 use std::pin::pin;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use super::arrivals::Arrivals;
 use super::message::TopicMessage;
 use super::pairing::{Pairing, Resolution, Unanswered};
 use super::peer::{Pair, PeerStamps, SettledPair, record_without_peer};
-use super::record::{self as trees, Input, Received, Uncounted};
+use super::record::{self as trees, Input, Received, UnpairedCounts};
 use super::source::{Source, SourceError};
 use super::stamps::MessageStamps;
 use super::topic::Topic;
@@ -21,9 +21,8 @@ use crate::pipeline::context::PipelineContext;
 use crate::pipeline::run::Run;
 use crate::pipeline::runner::Runner;
 
-/// Largest number of messages of each topic that wait for one of the other: those of a topic of 1 kHz in four
-/// seconds.
-const MAX_WAITING: usize = 4096;
+/// Largest number of unpaired messages of each topic: those of four seconds at 1 kHz.
+const MAX_UNPAIRED: usize = 4096;
 /// Longest time between two checks of the publishers and of the end of the run.
 const CHECK_INTERVAL: Span = Span::from_seconds(1);
 
@@ -40,15 +39,15 @@ pub(super) enum SessionEnded {
     SourceLost(SourceError),
 }
 
-/// State of the observation, over all connections and runs.
+/// State of the observation, which outlives connections and runs.
 pub(super) struct Observation<'a> {
     config: &'a ObserveConfig,
     timeout: Span,
     pairing: Pairing<Input, Received>,
     input: Arrivals,
     output: Arrivals,
-    uncounted: Uncounted,
-    /// Messages received before this time are ignored: they belong to no run.
+    unpaired_counts: UnpairedCounts,
+    /// Start of the observation. Messages received earlier belong to no run and are ignored.
     since: MonoTime,
     /// `true` once output messages without a key have been reported.
     has_reported_output: bool,
@@ -62,15 +61,15 @@ impl<'a> Observation<'a> {
     pub(super) fn new(config: &'a ObserveConfig, runner: &Runner, peer: Option<PeerStamps>) -> Self {
         let PipelineContext { host, observed, .. } = &runner.context;
         let timeout = Span::from(runner.config.timeout());
-        let kept = observed.find(&runner.config.name);
-        let stamps = MessageStamps::new(SharedClock::clone(&host.clock), kept);
+        let published = observed.find(&runner.config.name);
+        let stamps = MessageStamps::new(SharedClock::clone(&host.clock), published);
         Self {
             config,
             timeout,
-            pairing: Pairing::new(timeout, MAX_WAITING),
+            pairing: Pairing::new(timeout, MAX_UNPAIRED),
             input: Arrivals::default(),
             output: Arrivals::default(),
-            uncounted: Uncounted::default(),
+            unpaired_counts: UnpairedCounts::default(),
             since: host.clock.mono(),
             has_reported_output: false,
             stamps,
@@ -82,118 +81,120 @@ impl<'a> Observation<'a> {
         self.peer.as_ref()
     }
 
-    /// Makes iterations of `run` until the session ends. All iterations that had begun are recorded by then, unless
+    /// Records iterations of `run` until the session ends. All iterations that had started are recorded by then, unless
     /// the node has ended.
     pub(super) async fn run(&mut self, source: &mut Source, run: &mut Run, runner: &Runner) -> SessionEnded {
         let clock = &runner.context.host.clock;
         let mut stopping = pin!(runner.stop.cancelled());
-        let mut given_up = pin!(tokio::time::sleep(Duration::ZERO));
+        let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
         let mut ending: Option<SessionEnded> = None;
-        let mut trouble: Option<String> = None;
+        let mut problem: Option<String> = None;
         let mut dropped = source.input.dropped() + source.output.dropped();
-        let mut look_at = clock.mono();
+        let mut next_check_at = clock.mono();
         loop {
             let now = clock.mono();
             while let Some(resolution) = self.pairing.expire(now) {
                 self.settle(resolution, run, runner);
             }
-            if now >= look_at {
-                look_at = now + CHECK_INTERVAL;
-                let current = source.trouble();
-                if current != trouble {
-                    let reported = current.as_ref().map(|trouble| source.advised(trouble));
-                    super::life::report_trouble(runner, run.id(), reported.as_deref());
-                    trouble = current;
+            if now >= next_check_at {
+                next_check_at = now + CHECK_INTERVAL;
+                let current = source.problem();
+                if current != problem {
+                    let reported = current.as_ref().map(|problem| source.with_advice(problem));
+                    super::life::report_problem(runner, run.id(), reported.as_deref());
+                    problem = current;
                 }
                 report_dropped(source, &mut dropped);
             }
             if ending.is_none() {
-                if run.is_over(now) {
+                if run.is_limit_reached(now) {
                     ending = Some(SessionEnded::Limit);
                 } else if run.is_from_previous_day(clock.wall()) {
                     ending = Some(SessionEnded::Midnight);
                 }
             }
-            // Iterations that have begun are completed first, so that the end of a run cuts off no pair.
+            // The session ends only when all iterations that have started are complete, so that the end of a run
+            // separates no pair.
             if self.pairing.is_settled()
                 && self.peer.as_ref().is_none_or(PeerStamps::is_settled)
                 && let Some(ending) = ending.take()
             {
                 return ending;
             }
-            let wakes_at = self.pairing.next_deadline().map_or(look_at, |deadline| deadline.min(look_at));
-            let pause = tokio::time::sleep((wakes_at - now).to_duration());
+            let wakeup_at =
+                self.pairing.next_deadline().map_or(next_check_at, |deadline| deadline.min(next_check_at));
+            let pause = tokio::time::sleep((wakeup_at - now).to_duration());
             let is_stopping = matches!(ending, Some(SessionEnded::Stopped));
             tokio::select! {
                 () = &mut stopping, if !is_stopping => {
-                    given_up.as_mut().reset(tokio::time::Instant::now() + runner.patience);
+                    drain_deadline.as_mut().reset(tokio::time::Instant::now() + runner.drain_timeout);
                     ending = Some(SessionEnded::Stopped);
                 }
                 message = source.input.next() => match message {
-                    Ok(message) if ending.is_none() => self.take_input(message, run, runner),
-                    // The run is over; only messages that belong to its open iterations still count.
+                    Ok(message) if ending.is_none() => self.handle_input(message, run, runner),
+                    // The run is over: no further iteration starts.
                     Ok(_) => {}
                     Err(error) => return SessionEnded::SourceLost(error.into()),
                 },
                 message = source.output.next() => match message {
                     Ok(message) => {
-                        // Input messages that have been received already may have arrived before this output message.
+                        // Input messages that were received before this output message must be handled before it.
                         if ending.is_none() {
-                            self.take_arrived(&mut source.input, run, runner);
+                            self.handle_received_inputs(&mut source.input, run, runner);
                         }
-                        self.take_output(message, run, runner);
+                        self.handle_output(message, run, runner);
                     }
                     Err(error) => return SessionEnded::SourceLost(error.into()),
                 },
                 settled = next_settled(&mut self.peer) => record(settled, run, runner),
                 () = pause => {}
-                () = &mut given_up, if is_stopping => {
-                    self.give_up("the agent stopped before the output message came", run, runner).await;
+                () = &mut drain_deadline, if is_stopping => {
+                    self.abandon("the agent stopped before the output message came", run, runner).await;
                     return SessionEnded::Stopped;
                 }
             }
         }
     }
 
-    /// Records the waiting input messages as lost, and the pairs that wait for the peer with the stamps that it has
-    /// sent.
-    pub(super) async fn give_up(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
-        for input in self.pairing.take_waiting() {
+    /// Records the unpaired input messages as lost. The pairs that wait for the peer are recorded with the stamps that it
+    /// has sent so far.
+    pub(super) async fn abandon(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
+        for input in self.pairing.take_unpaired_inputs() {
             record_lost(&input, reason.to_owned(), run, runner);
         }
         if let Some(peer) = &mut self.peer {
-            peer.give_up().await.into_iter().for_each(|settled| record(settled, run, runner));
+            peer.abandon().await.into_iter().for_each(|settled| record(settled, run, runner));
         }
     }
 
-    /// Ends the session with the peer.
+    /// Closes the session with the peer.
     pub(super) async fn close(self) {
         if let Some(peer) = self.peer {
             peer.close().await;
         }
     }
 
-    /// Adds the input messages that have been received already.
-    fn take_arrived(&mut self, input: &mut Topic, run: &mut Run, runner: &Runner) {
-        // An error is returned again when the next message is waited for.
+    /// Handles the input messages that have been received already.
+    fn handle_received_inputs(&mut self, input: &mut Topic, run: &mut Run, runner: &Runner) {
+        // An error is not lost: the next wait for a message returns it again.
         while let Some(Ok(message)) = input.next().now_or_never() {
-            if !run.is_over(message.received.mono) {
-                self.take_input(message, run, runner);
+            if !run.is_limit_reached(message.received.mono) {
+                self.handle_input(message, run, runner);
             }
         }
     }
 
-    fn take_input(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
+    fn handle_input(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
         let at = message.received.mono;
         if at < self.since {
             return;
         }
         let arrival = self.input.record(at);
-        self.uncounted.input_missing += message.missing;
-        // The input message numbers the iteration, so that an input without an output is counted as well.
-        let position = run.place(at);
+        self.unpaired_counts.input_missing += message.missing;
+        // The position is assigned to the input message, so that an input without an output is an iteration, too.
+        let position = run.assign_position(at);
         let key = message.key(self.config.pair_by);
-        let at_host = self.stamps.take(Side::Input, &message, key.ok().flatten());
+        let at_host = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
         let received = Received { message, arrival, at: at_host };
         match key {
             Ok(key) => {
@@ -206,32 +207,36 @@ impl<'a> Observation<'a> {
                 let host = &runner.context.host;
                 let ended = host.clock.stamp();
                 let tree = trees::unanswered(&host.clock, host.id, position, &received, ended);
-                let outcome = Outcome::Failed(format!("a message of {}: {reason}", self.config.input));
-                run.record(position, outcome, tree, ended, &runner.context, &runner.display);
+                let outcome =
+                    Outcome::Failed(format!("a message of {} cannot be paired: {reason}", self.config.input));
+                run.record(position, outcome, tree, ended, &runner.context, &runner.live_state);
             }
         }
     }
 
-    fn take_output(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
+    fn handle_output(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
         let at = message.received.mono;
         if at < self.since {
             return;
         }
         let arrival = self.output.record(at);
-        self.uncounted.output_missing += message.missing;
+        self.unpaired_counts.output_missing += message.missing;
         match message.key(self.config.pair_by) {
             Ok(key) => {
-                let at_host = self.stamps.take(Side::Output, &message, key);
+                let at_host = self.stamps.stamp(Side::Output, &message, key);
                 let output = Received { message, arrival, at: at_host };
                 if let Some(resolution) = self.pairing.take_output(key, at, output) {
                     self.settle(resolution, run, runner);
                 }
             }
             Err(reason) => {
-                self.uncounted.output_unmatched += 1;
+                self.unpaired_counts.output_unmatched += 1;
                 if !std::mem::replace(&mut self.has_reported_output, true) {
                     let topic = &self.config.output;
-                    tracing::warn!(topic, "a message cannot be paired: {reason}; such messages are counted");
+                    tracing::warn!(
+                        topic,
+                        "a message cannot be paired: {reason}; such messages count as output-unmatched"
+                    );
                 }
             }
         }
@@ -240,14 +245,14 @@ impl<'a> Observation<'a> {
     fn settle(&mut self, resolution: Resolution<Input, Received>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {
-                // Missing messages have no iteration. The next complete one carries their numbers.
-                let uncounted = std::mem::take(&mut self.uncounted);
+                // Missing messages have no iteration. The next complete one records their counts.
+                let unpaired_counts = std::mem::take(&mut self.unpaired_counts);
                 let host = &runner.context.host;
                 if let Some(peer) = &mut self.peer {
                     let key = input.received.message.key(self.config.pair_by).ok().flatten();
-                    let pair = Pair { input, output, uncounted };
+                    let pair = Pair { input, output, unpaired_counts };
                     let refused = match key {
-                        Some(key) => peer.ask(key, pair).err(),
+                        Some(key) => peer.query(key, pair).err(),
                         None => Some(Box::new(pair)),
                     };
                     if let Some(pair) = refused {
@@ -255,8 +260,8 @@ impl<'a> Observation<'a> {
                     }
                     return;
                 }
-                let (tree, ended) = trees::answered(&host.clock, host.id, &input, &output, uncounted);
-                run.record(input.position, Outcome::Ok, tree, ended, &runner.context, &runner.display);
+                let (tree, ended) = trees::answered(&host.clock, host.id, &input, &output, unpaired_counts);
+                run.record(input.position, Outcome::Ok, tree, ended, &runner.context, &runner.live_state);
             }
             Resolution::Unanswered { input, cause } => {
                 let ObserveConfig { output, pair_by, .. } = self.config;
@@ -266,15 +271,17 @@ impl<'a> Observation<'a> {
                         format!("no message of {output} with its {by} within {millis} ms")
                     }
                     Unanswered::Displaced => {
-                        format!("{MAX_WAITING} newer messages came before one of {output} with its {by}")
+                        format!(
+                            "{MAX_UNPAIRED} newer input messages arrived before a message of {output} with its {by}"
+                        )
                     }
                 };
                 record_lost(&input, reason, run, runner);
             }
             Resolution::Unmatched(output) => {
-                // The first output messages may belong to input messages from before the run.
+                // The first output messages may belong to input messages that preceded the run.
                 if output.message.received.mono - self.since >= self.timeout {
-                    self.uncounted.output_unmatched += 1;
+                    self.unpaired_counts.output_unmatched += 1;
                 }
             }
         }
@@ -290,17 +297,17 @@ async fn next_settled(peer: &mut Option<PeerStamps>) -> SettledPair {
 }
 
 fn record(SettledPair { position, tree, ended }: SettledPair, run: &mut Run, runner: &Runner) {
-    run.record(position, Outcome::Ok, tree, ended, &runner.context, &runner.display);
+    run.record(position, Outcome::Ok, tree, ended, &runner.context, &runner.live_state);
 }
 
 fn record_lost(input: &Input, reason: String, run: &mut Run, runner: &Runner) {
     let host = &runner.context.host;
     let ended = host.clock.stamp();
     let tree = trees::unanswered(&host.clock, host.id, input.position, &input.received, ended);
-    run.record(input.position, Outcome::Lost(reason), tree, ended, &runner.context, &runner.display);
+    run.record(input.position, Outcome::Lost(reason), tree, ended, &runner.context, &runner.live_state);
 }
 
-/// Logs that this agent dropped messages, because that is not a fault of the observed nodes.
+/// Logs that this agent dropped messages: it is no fault of the observed nodes.
 fn report_dropped(source: &Source, reported: &mut u64) {
     let dropped = source.input.dropped() + source.output.dropped();
     if dropped > *reported {
@@ -309,7 +316,7 @@ fn report_dropped(source: &Source, reported: &mut u64) {
             input,
             output,
             more,
-            "this agent was too busy and dropped messages of observed topics"
+            "this agent was too slow and dropped messages of observed topics"
         );
         *reported = dropped;
     }

@@ -22,7 +22,7 @@ pub(in crate::pipeline) enum SourceError {
     Topic(#[from] TopicError),
     /// The messages of a topic have no header to be paired by.
     #[error(
-        "topic {topic} has the type {kind}, which does not begin with a std_msgs/Header; write pair_by = \"order\""
+        "topic {topic} has the type {kind}, which does not begin with a std_msgs/Header; set pair_by = \"order\""
     )]
     WithoutHeader {
         /// Name of the topic.
@@ -33,8 +33,8 @@ pub(in crate::pipeline) enum SourceError {
 }
 
 impl SourceError {
-    /// Returns whether the error may pass without a change of the configuration.
-    pub(super) fn may_pass(&self) -> bool {
+    /// Returns whether a retry may succeed without a change of the configuration.
+    pub(super) fn is_temporary(&self) -> bool {
         match self {
             Self::Config(_) | Self::WithoutHeader { .. } => false,
             Self::Topic(error) => match error {
@@ -73,8 +73,8 @@ pub(super) struct Source {
 enum SourceNode {
     /// A separate node for each pipeline.
     Ros1 { node: Node, master: String },
-    /// The node of this process, which is shared: each further participant would make publishers send every message
-    /// once more.
+    /// The shared node of this process. With a separate participant for each pipeline, publishers would send every
+    /// message once per pipeline.
     Ros2(Arc<Ros2Node>),
 }
 
@@ -90,7 +90,7 @@ impl Source {
         name: &str,
         clock: &SharedClock,
     ) -> Result<Self, SourceError> {
-        match config.version(|name| std::env::var(name).ok())? {
+        match config.resolve_version(|name| std::env::var(name).ok())? {
             RosVersion::Ros1 => {
                 let environment = Environment::from_process().map_err(TopicError::from)?;
                 let master = environment.master.to_string();
@@ -109,7 +109,7 @@ impl Source {
         }
     }
 
-    /// Returns version and master or domain, for people.
+    /// Returns the version of ROS and the master or domain, as a text for the run's page.
     pub(super) fn describe(&self) -> String {
         match &self.node {
             SourceNode::Ros1 { master, .. } => format!("{}, master {master}", RosVersion::Ros1),
@@ -117,7 +117,7 @@ impl Source {
         }
     }
 
-    /// Subscribes with the types that the publishers of both topics have now.
+    /// Subscribes with the current types of the publishers of both topics.
     ///
     /// # Errors
     /// When a type has a name that ROS does not allow, or the client fails.
@@ -144,22 +144,22 @@ impl Source {
         Ok(())
     }
 
-    /// Returns the reason why a topic has no messages at the moment; `None` while both have a publisher.
-    pub(super) fn trouble(&self) -> Option<String> {
-        let troubles: Vec<String> =
-            [&self.input, &self.output].into_iter().filter_map(Topic::trouble).collect();
-        (!troubles.is_empty()).then(|| troubles.join("; "))
+    /// Returns the reason why a topic has no messages; `None` while both have a publisher.
+    pub(super) fn problem(&self) -> Option<String> {
+        let problems: Vec<String> =
+            [&self.input, &self.output].into_iter().filter_map(Topic::problem).collect();
+        (!problems.is_empty()).then(|| problems.join("; "))
     }
 
-    /// Returns a trouble together with an observation and advice, for ROS 2, whose own text lacks them.
-    pub(super) fn advised(&self, trouble: &str) -> String {
+    /// Returns the text of a problem, in ROS 2 with the domain and with advice.
+    pub(super) fn with_advice(&self, problem: &str) -> String {
         match &self.node {
-            SourceNode::Ros1 { .. } => trouble.to_owned(),
-            SourceNode::Ros2(node) => format!("{trouble} ({}; {})", node.describe_domain(), node.advise()),
+            SourceNode::Ros1 { .. } => problem.to_owned(),
+            SourceNode::Ros2(node) => format!("{problem} ({}; {})", node.describe_domain(), node.advise()),
         }
     }
 
-    /// Waits until the node has ended by itself, and returns the reason.
+    /// Waits until the node has ended unexpectedly, and returns the reason.
     pub(super) async fn ended(&self) -> SourceError {
         match &self.node {
             SourceNode::Ros1 { node, .. } => node.ended().await.into(),
@@ -168,11 +168,11 @@ impl Source {
         }
     }
 
-    /// Ends the subscriptions and the node.
+    /// Closes the subscriptions and the node.
     pub(super) async fn close(self) {
         let SourceNode::Ros1 { node, .. } = self.node else { return };
         if let Err(error) = node.shutdown().await {
-            tracing::warn!("{error}; the master lists this node until `rosnode cleanup` removes it");
+            tracing::warn!("{error}; the master still lists this node; remove it with `rosnode cleanup`");
         }
     }
 }

@@ -65,7 +65,7 @@ impl Clock for PanickingClock {
 fn context(
     sensor: &str,
     clock: SharedClock,
-) -> (PipelineContext, Arc<PipelineConfig>, Arc<Display>, QueueReceiver) {
+) -> (PipelineContext, Arc<PipelineConfig>, Arc<PipelineLiveState>, QueueReceiver) {
     let tables = format!(
         "[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = '{PIPELINE}'\nsensor = {sensor}\n\
@@ -76,11 +76,11 @@ fn context(
     let of_host = HostConfig { aggregator, ..HostConfig::default() };
     let (event_queue, receiver) = crate::event_queue::create(&of_host, &clock, EventCounter::default());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
-    let (_own, own) = watch::channel(PeerClock::default());
+    let (_publish, host_clock) = watch::channel(PeerClock::default());
     let link_context = LinkContext {
         name: "edge".parse().expect("a name"),
         clock: Arc::clone(&clock),
-        own,
+        host_clock,
         event_queue: event_queue.clone(),
         incidents: incidents.clone(),
     };
@@ -100,9 +100,10 @@ fn context(
         inspection: Arc::default(),
     };
     let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
-    let placement = crate::pipeline::intended(&pipeline.placement);
-    let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
-    (context, pipeline, display, receiver.expect("there is an aggregator"))
+    let placement = crate::pipeline::describe_planned(&pipeline.placement);
+    let live_state =
+        Arc::new(PipelineLiveState::new(pipeline.name.clone(), pipeline.load.describe(), placement));
+    (context, pipeline, live_state, receiver.expect("there is an aggregator"))
 }
 
 /// Runs a pipeline until the clock panics for this reader. Returns the reason of the run's end, after checking that
@@ -111,9 +112,9 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     let system = SystemClock::new(ClockIdentity::new("boot", "system"));
     let fragile = Arc::new(PanickingClock { clock: system, broken: AtomicBool::new(false), reader });
     let clock: SharedClock = Arc::<PanickingClock>::clone(&fragile);
-    let (context, pipeline, display, mut receiver) = context(sensor, clock);
+    let (context, pipeline, live_state, mut receiver) = context(sensor, clock);
     let running =
-        run(pipeline, Arc::clone(&display), context, CancellationToken::new(), Duration::from_secs(1));
+        run(pipeline, Arc::clone(&live_state), context, CancellationToken::new(), Duration::from_secs(1));
     let running = tokio::spawn(running);
     let mut started = None;
     while let Some(event) = receiver.next().await {
@@ -138,7 +139,7 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     assert_eq!(Some(ended.run), started);
     let reason = ended.reason.failure().expect("it broke off").to_owned();
     assert_eq!(incident.expect("seen").text, reason);
-    let (shown, _) = crate::live::LiveStatistics::new(vec![display]).snapshot();
+    let (shown, _) = crate::live::LiveStatistics::new(vec![live_state]).snapshot();
     assert_eq!(shown[0].state, PipelineState::Failed(reason.clone()));
     reason
 }
@@ -152,7 +153,7 @@ async fn panic_fails_pipeline_with_reason_and_ends_run() {
 #[tokio::test]
 async fn dead_sensor_thread_ends_pipeline_and_is_named() {
     let reason = broken("{ kind = 'text', length = 5000 }", Reader::Sensor).await;
-    assert!(reason.contains("the sensor's thread has died"), "{reason}");
+    assert!(reason.contains("the sensor's thread has panicked"), "{reason}");
 }
 
 /// Returns the outcomes recorded after a connection came back, when the sensor gave a sample meanwhile that the run
@@ -160,23 +161,23 @@ async fn dead_sensor_thread_ends_pipeline_and_is_named() {
 async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
-    let (context, pipeline, display, mut receiver) = context(sensor, Arc::clone(&clock));
+    let (context, pipeline, live_state, mut receiver) = context(sensor, Arc::clone(&clock));
     let mut resources = PipelineResources::assemble(
         Arc::clone(&pipeline),
-        Arc::clone(&display),
+        Arc::clone(&live_state),
         Arc::clone(&clock),
         &context.fingerprints,
     )
     .expect("sound");
-    let description = crate::pipeline::intended(&pipeline.placement);
-    let mut run = Run::begin(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &display);
+    let description = crate::pipeline::describe_planned(&pipeline.placement);
+    let mut run = Run::start(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &live_state);
 
     let start = Start { intended: clock.mono(), skipped: 0 };
-    let (log, began_at) = iteration::begin(&clock, context.host.id, start.intended);
+    let (log, started_at) = iteration::start(&clock, context.host.id, start.intended);
     let (tell, sample) = oneshot::channel();
     let came = Sample::from_part(Description::bytes(), "x".into());
     assert!(tell.send(SensorOutput { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
-    resources.sensing = Some(PendingSample { run: requesting_run(run.id()), start, began_at, sample });
+    resources.sensing = Some(PendingSample { run: requesting_run(run.id()), start, started_at, sample });
     drop(PipelineLoop::new(&mut resources, &mut run, &context));
     assert!(resources.sensing.is_none());
     run.end(EndReason::Stopped, &context);

@@ -60,7 +60,9 @@ async fn each_network_of_pair_has_all_probe_results() {
     let aggregator = Aggregator::start().await;
     let listen = "[serve]\nlisten = ['tcp://127.0.0.1:0', 'udp://127.0.0.1:0']\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
     let cloud = TestAgent::start_with("cloud", None, config(listen), "cloud").await;
-    let [tcp, udp] = cloud.running.serves() else { panic!("two addresses: {:?}", cloud.running.serves()) };
+    let [tcp, udp] = cloud.running.serve_addresses() else {
+        panic!("two addresses: {:?}", cloud.running.serve_addresses())
+    };
     let pipeline = |name: &str, address: &dyn std::fmt::Display| {
         format!(
             "[[pipeline]]\nname = '{name}'\nsensor = {{ kind = 'synthetic', size_bytes = 2000 }}\n\

@@ -71,6 +71,6 @@ fn assert_holds(delay: &OneWayDelay, truth: Span) {
     let (Some(value), Some(bounds)) = (delay.value, delay.bounds) else { panic!("{delay:?}") };
     assert!(bounds.lo <= value && value <= bounds.hi, "{delay:?}");
     assert!(!bounds.lo.is_negative(), "{delay:?}");
-    let holds = bounds.lo - APART <= truth && truth <= bounds.hi + APART;
-    assert!(holds, "{truth} is not within {delay:?}");
+    let is_within = bounds.lo - APART <= truth && truth <= bounds.hi + APART;
+    assert!(is_within, "{truth} is not within {delay:?}");
 }

@@ -88,7 +88,7 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
         } else {
             let [reported] = &of_link(&seen)[..] else { panic!("{:?}", of_link(&seen)) };
             assert!(
-                reported.text.starts_with("the wall clock of cloud was stepped or ran off"),
+                reported.text.starts_with("the wall clock of cloud was stepped or slewed"),
                 "{}",
                 reported.text
             );
@@ -117,7 +117,7 @@ async fn step_is_announced_to_idle_peers() {
     assert_eq!(epoch(&live), Some(0));
     switchable_clock.go_wrong(stepping(Span::from_seconds(3)));
     let live = edge.until(|live| epoch(live) == Some(1)).await;
-    assert!(live.links[0].now.offset.is_some(), "what was learnt of the free-running clocks holds");
+    assert!(live.links[0].now.offset.is_some(), "the estimate of the free-running clocks is still valid");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

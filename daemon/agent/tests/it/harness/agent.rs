@@ -4,17 +4,17 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_agent::{Agent, AgentConfig, Failure, Running, StartError};
+use peernet_agent::{Agent, AgentConfig, Failure, RunningAgent, StartError};
 use peernet_clock::{ClockFaults, ClockIdentity, FaultyClock, SharedClock, SystemClock};
 use peernet_stream::{LiveUpdate, PipelineLive, PipelineState};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 
-use super::{PATIENCE, VERSION};
+use super::{VERSION, WAIT_TIMEOUT};
 
 /// A running agent with its token and folder.
 pub(crate) struct TestAgent {
-    pub(crate) running: Running,
+    pub(crate) running: RunningAgent,
     stop: CancellationToken,
     /// Folder that is deleted after the last agent that uses it.
     state: State,
@@ -95,12 +95,12 @@ impl TestAgent {
 
     /// Returns the address at which it serves.
     pub(crate) fn address(&self) -> String {
-        self.running.serves().first().expect("it serves").to_string()
+        self.running.serve_addresses().first().expect("it serves").to_string()
     }
 
     /// Returns the live state of its only pipeline.
     pub(crate) fn pipeline(&self) -> PipelineLive {
-        self.running.live().pipelines.pop().expect("it has a pipeline")
+        self.running.live_update().pipelines.pop().expect("it has a pipeline")
     }
 
     /// Waits until its only pipeline is in a wanted state.
@@ -111,18 +111,18 @@ impl TestAgent {
 
     /// Waits until its live update is as wanted. It is polled, because changes are not announced.
     pub(crate) async fn until(&self, wanted: impl Fn(&LiveUpdate) -> bool) -> LiveUpdate {
-        let looks = async {
+        let checks = async {
             loop {
-                let live = self.running.live();
+                let live = self.running.live_update();
                 if wanted(&live) {
                     return live;
                 }
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
         };
-        match tokio::time::timeout(PATIENCE, looks).await {
+        match tokio::time::timeout(WAIT_TIMEOUT, checks).await {
             Ok(live) => live,
-            Err(_) => panic!("never came: {:?}", self.running.live()),
+            Err(_) => panic!("never came: {:?}", self.running.live_update()),
         }
     }
 
@@ -134,7 +134,7 @@ impl TestAgent {
     /// Stops it like a regular end of the process, and returns its folder.
     pub(crate) async fn stop_and_keep(self) -> Result<State, Failure> {
         self.stop.cancel();
-        tokio::time::timeout(PATIENCE, self.running.join()).await.expect("stops in time")?;
+        tokio::time::timeout(WAIT_TIMEOUT, self.running.join()).await.expect("stops in time")?;
         Ok(self.state)
     }
 
@@ -154,7 +154,7 @@ impl TestAgent {
                 file.lock().expect("becomes free");
             }
         });
-        tokio::time::timeout(PATIENCE, free).await.expect("ends in time").expect("no panic");
+        tokio::time::timeout(WAIT_TIMEOUT, free).await.expect("ends in time").expect("no panic");
         self.state
     }
 }

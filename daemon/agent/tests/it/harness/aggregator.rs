@@ -17,7 +17,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use zeromq::{IdentitySocket, Message, Options, Socket, SocketType};
 
-use super::{PATIENCE, clock};
+use super::{WAIT_TIMEOUT, clock};
 
 /// Everything that an aggregator has received, over restarts.
 #[derive(Clone, Debug, Default)]
@@ -84,7 +84,7 @@ impl Aggregator {
 
     /// Waits until it has ended by itself. What it received is kept.
     pub(crate) async fn fell(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
-        tokio::time::timeout(PATIENCE, self.task).await.expect("in time").expect("no panic");
+        tokio::time::timeout(WAIT_TIMEOUT, self.task).await.expect("in time").expect("no panic");
         (self.address, self.seen)
     }
 
@@ -102,7 +102,7 @@ impl Aggregator {
     /// Waits until what it has received is enough.
     pub(crate) async fn until(&self, enough: impl FnMut(&ReceivedEvents) -> bool) -> ReceivedEvents {
         let mut changes = self.seen.subscribe();
-        match tokio::time::timeout(PATIENCE, changes.wait_for(enough)).await {
+        match tokio::time::timeout(WAIT_TIMEOUT, changes.wait_for(enough)).await {
             Ok(seen) => seen.expect("the sender is here").clone(),
             Err(_) => panic!("never came: {:#?}", self.seen.borrow().summary()),
         }
@@ -165,7 +165,7 @@ async fn bind(socket: &Socket, address: &str) -> String {
             }
         }
     };
-    tokio::time::timeout(PATIENCE, binding).await.expect("the port becomes free")
+    tokio::time::timeout(WAIT_TIMEOUT, binding).await.expect("the port becomes free")
 }
 
 async fn serve(
@@ -195,7 +195,7 @@ async fn serve(
             return;
         }
         for reply in replies {
-            // An agent that has gone meanwhile says hello when it is back.
+            // An agent that disconnected in the meantime sends a hello after it has reconnected.
             let _ = socket.send_to(peer.to_bytes(), Message::single(codec::encode(&reply))).await;
         }
     }

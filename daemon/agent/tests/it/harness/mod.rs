@@ -16,7 +16,7 @@ use peernet_stream::Iteration;
 /// Version that the agents of tests report.
 pub(crate) const VERSION: &str = "1.2.3 (a commit)";
 /// Longest wait before a test fails. No test waits this long unless something is broken.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const WAIT_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Returns the value of a node directly below the root.
 pub(crate) fn value(tree: &Tree, name: &str) -> Option<f64> {

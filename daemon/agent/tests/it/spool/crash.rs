@@ -12,7 +12,7 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
     let (address, seen) = nobody().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let agent = TestAgent::start("edge", Some(&address), "").await;
-    let host = agent.running.live().host;
+    let host = agent.running.live_update().host;
     let state = agent.stop_and_keep().await.expect("stops well");
 
     let agent = TestAgent::start_in(state, &address, line(keys)).await;
@@ -24,7 +24,7 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
 
     // It crashes once more while it delivers.
     let agent = TestAgent::start_in(state, &address, idle()).await;
-    let restarted = agent.running.live().accounting;
+    let restarted = agent.running.live_update().accounting;
     assert_eq!(
         (restarted.spooled, restarted.waiting >= left.len() as u64),
         (left.len() as u64, true),
@@ -43,7 +43,7 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
 
     assert!(seen.streams.iter().all(|stream| *stream == seen.streams[0]), "one stream: {:?}", seen.streams);
     assert!(seen.missing.is_empty() && seen.replaced.is_empty());
-    assert_eq!(agent.running.live().host, host);
+    assert_eq!(agent.running.live_update().host, host);
     agent.stop().await.expect("stops well");
 }
 
@@ -88,7 +88,7 @@ async fn undelivered_events_are_sent_after_next_start() {
     config.agent.batch_delay_ms = 10;
     let agent = TestAgent::start_in(state(), &aggregator.address, config).await;
     agent.until(|live| live.accounting.waiting > 1000).await;
-    let before = agent.running.live().accounting.stored;
+    let before = agent.running.live_update().accounting.stored;
     let state = agent.stop_and_keep().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     assert!(seen.events.len() as u64 > before, "some was handed over while it stopped");

@@ -52,7 +52,7 @@ async fn two_agents_cannot_use_one_spool() {
     first.stop().await.expect("stops well");
     // The spool holds the events of another host.
     let refused = start(config).await.err().expect("it is not its own").to_string();
-    assert!(refused.contains("holds events of the host"), "{refused}");
+    assert!(refused.contains("has events of the host"), "{refused}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

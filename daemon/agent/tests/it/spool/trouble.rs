@@ -20,7 +20,7 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
     assert!(trouble.as_ref().is_some_and(|words| words.contains("moved")), "{trouble:?}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Gap).is_empty()).await;
     let reported = &seen.incidents(IncidentKind::Gap)[0].text;
-    assert!(reported.contains("spool.sqlite") && reported.contains("measuring goes on"), "{reported}");
+    assert!(reported.contains("spool.sqlite") && reported.contains("measuring continues"), "{reported}");
     let before = seen.iterations().len();
     aggregator.until(|seen| seen.iterations().len() >= before + 100).await;
 

@@ -19,12 +19,12 @@ use super::database_argument::wrong_configuration;
 use crate::configuration::{DataFiles, data_files};
 use crate::log;
 
-/// What `peernetd doctor` can be told.
+/// Arguments of `peernetd doctor`.
 #[derive(Debug, clap::Args)]
 #[group(skip)]
 #[command(group = ArgGroup::new("files").required(true).multiple(true).args(["config", "database", "spool"]))]
 pub(crate) struct Arguments {
-    /// The configuration file: its [aggregator]'s database and its agent's spool are looked at, as far as it has them.
+    /// The configuration file whose database ([aggregator]) and spool ([agent] aggregator) are examined.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["database", "spool"])]
     config: Option<PathBuf>,
     /// An aggregator's database.
@@ -33,11 +33,11 @@ pub(crate) struct Arguments {
     /// An agent's spool.
     #[arg(long, value_name = "FILE")]
     spool: Option<PathBuf>,
-    /// Compare indexes with their tables and follow references, too: takes several times as long.
+    /// Also compare indexes with their tables and check references, which takes several times as long.
     #[arg(long)]
     full: bool,
-    /// Repair a damaged database while the aggregator is stopped: all rows that can be read go to a new file that takes its
-    /// place, and the damaged one is kept beside it.
+    /// Repair a damaged database while the aggregator is stopped: all readable rows are copied to a new file, which replaces
+    /// the damaged one; the damaged file is renamed.
     #[arg(long, conflicts_with_all = ["spool", "full", "json"])]
     repair: bool,
     /// Print one JSON object; fields named _ns are nanoseconds since 1970 UTC.
@@ -58,9 +58,9 @@ struct Examined {
     unavailable: Vec<String>,
 }
 
-/// Examines stored data; the exit code tells whether something is wrong.
+/// Examines databases and spools. The exit code is that of the worst finding.
 pub(crate) fn doctor(arguments: Arguments) -> Exit {
-    let _log = log::temporary();
+    let _log = log::install_temporary();
     let (full, json, repair) = (arguments.full, arguments.json, arguments.repair);
     let result = arguments.data_files().and_then(|data_files| {
         let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
@@ -100,7 +100,7 @@ impl Arguments {
 
 fn no_database() -> Failure {
     let error =
-        anyhow::anyhow!("the configuration has no table [aggregator], so it names no database to repair");
+        anyhow::anyhow!("the configuration names no database to repair: it has no table [aggregator]");
     Failure::new(Exit::Configuration, error)
 }
 

@@ -16,10 +16,10 @@ const MAX_FINDINGS: usize = 10;
 
 pub(super) fn print(examined: &Examined, now: WallTime) {
     if let Some(report) = &examined.database {
-        database(report, now);
+        print_database(report, now);
     }
     if let Some(report) = &examined.spool {
-        spool(report, now);
+        print_spool(report, now);
     }
     for finding in examined.findings().take(MAX_FINDINGS) {
         let severity = match finding.severity {
@@ -42,10 +42,10 @@ pub(super) fn print(examined: &Examined, now: WallTime) {
     }
 }
 
-fn database(report: &Report, now: WallTime) {
+fn print_database(report: &Report, now: WallTime) {
     let file = &report.file;
     say(format_args!(
-        "database {}\n  {}, of it {} free for reuse; the log beside it {}; room on the disk {}",
+        "database {}\n  {}, {} of it free for reuse; write-ahead log {}; free disk space {}",
         report.database.display(),
         size(file.bytes),
         size(file.free_bytes),
@@ -53,19 +53,19 @@ fn database(report: &Report, now: WallTime) {
         size(file.disk_free_bytes)
     ));
     if let Some(schema) = report.schema {
-        say(format_args!("  schema {} (this program's is {})", schema.found, schema.known));
+        say(format_args!("  schema {} (this program supports {})", schema.found, schema.known));
     }
     let how = if report.integrity.full { "full check" } else { "quick check" };
-    let said = match report.integrity.problems.as_slice() {
+    let result = match report.integrity.problems.as_slice() {
         [] if report.is_healthy() => "ok".to_owned(),
-        [] => "nothing found, but see below".to_owned(),
+        [] => "no damage found; see the problems below".to_owned(),
         problems if problems.len() > MAX_FINDINGS => {
             let more = problems.len() - MAX_FINDINGS;
             format!("{}\n    … and {more} more (--json shows all)", problems[..MAX_FINDINGS].join("\n    "))
         }
         problems => problems.join("\n    "),
     };
-    say(format_args!("  {how}: {said}\n"));
+    say(format_args!("  {how}: {result}\n"));
     let rows = report.tables.iter().map(|table| {
         let about = if table.estimated { "about " } else { "" };
         vec![table.table.to_owned(), format!("{about}{}", fixed(table.rows as f64, 0))]
@@ -82,18 +82,18 @@ fn database(report: &Report, now: WallTime) {
         };
         vec![format!("{} s", fixed(extent.resolution_s as f64, 0)), at(extent.oldest_s), at(extent.newest_s)]
     });
-    section(&["roll-ups of", "oldest begins", "newest begins"], rows);
+    section(&["roll-ups of", "oldest starts", "newest starts"], rows);
     let rows = report.gaps.iter().map(|gap| {
         let host = gap.host.clone().unwrap_or_else(|| "unknown".to_owned());
         let events = if gap.uncounted > 0 { format!("≥ {}", gap.events) } else { gap.events.to_string() };
         vec![gap.reason.clone(), host, gap.gaps.to_string(), events, ago(gap.to_ns, now)]
     });
-    section(&["never arrived because", "host", "gaps", "events", "last"], rows);
+    section(&["reason of gaps", "host", "gaps", "events", "last"], rows);
     let rows = report.quarantine.iter().map(|group| {
         let host = group.host.clone().unwrap_or_else(|| "unknown".to_owned());
         vec![group.reason.clone(), host, group.batches.to_string(), ago(group.last_ns, now)]
     });
-    section(&["put aside because", "host", "batches", "last"], rows);
+    section(&["reason of quarantine", "host", "batches", "last"], rows);
     let rows = report.open_runs.iter().map(|run| {
         let host = run.host.clone().unwrap_or_else(|| "unknown".to_owned());
         vec![format!("#{}", run.number), format!("{host}/{}", run.pipeline), ago(run.last_seen_ns, now)]
@@ -101,9 +101,9 @@ fn database(report: &Report, now: WallTime) {
     section(&["run without end", "pipeline", "host heard of"], rows);
 }
 
-fn spool(report: &SpoolReport, now: WallTime) {
+fn print_spool(report: &SpoolReport, now: WallTime) {
     say(format_args!(
-        "spool {}\n  {}; room on the disk {}",
+        "spool {}\n  {}; free disk space {}",
         report.spool.display(),
         size(report.file_bytes),
         size(report.disk_free_bytes)
@@ -113,7 +113,7 @@ fn spool(report: &SpoolReport, now: WallTime) {
         return say("");
     }
     say(format_args!(
-        "  stream {} of host {}\n  stored by the aggregator up to batch {}\n  {} events handed in, {} lost",
+        "  stream {} of host {}\n  stored by the aggregator up to batch {}\n  {} events produced, {} lost",
         found.stream,
         found.host,
         fixed(found.acknowledged as f64, 0),
@@ -122,12 +122,12 @@ fn spool(report: &SpoolReport, now: WallTime) {
     ));
     match (found.waiting, found.oldest_ns) {
         (Some((first, last)), Some(oldest)) => say(format_args!(
-            "  waiting: batches {first} to {last}, {} events, {}, the oldest of {}\n",
+            "  waiting: batches {first} to {last}, {} events, {}, the oldest from {}\n",
             fixed(found.events as f64, 0),
             size(found.bytes),
             ago(oldest, now)
         )),
-        _ => say("  nothing waits\n"),
+        _ => say("  no events wait\n"),
     }
 }
 

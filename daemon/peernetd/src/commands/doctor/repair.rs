@@ -22,14 +22,14 @@ pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Ex
     let repaired = repair(database, now, &stamp, progress).await;
     match repaired.map_err(|error| Failure::new(exit(&error), error))? {
         Some(repaired) => print(database, &repaired),
-        None => say(format_args!("database {}: not damaged, nothing to repair", database.display())),
+        None => say(format_args!("database {}: not damaged, so it was not repaired", database.display())),
     }
     Ok(Exit::Ok)
 }
 
 fn print(database: &Path, repaired: &Repaired) {
     say(format_args!(
-        "repaired {}\n  the damaged file is kept as {}\n",
+        "repaired {}\n  the damaged file was renamed to {}\n",
         database.display(),
         repaired.damaged.display()
     ));
@@ -50,12 +50,10 @@ fn print(database: &Path, repaired: &Repaired) {
         .collect();
     say(text(&["table", "rows salvaged", "rows lost"], &rows));
     if repaired.lost_iterations > 0 {
-        say(format_args!(
-            "\n{iterations} iterations are lost; each run that lacks some has a gap that says so"
-        ));
+        say(format_args!("\n{iterations} iterations are lost; a gap in each affected run reports them"));
     }
     if repaired.without_log {
-        say("\nthe log beside it (-wal) could not be taken over: what was stored last is missing");
+        say("\nthe write-ahead log (-wal) could not be read: the latest transactions are missing");
     }
 }
 

@@ -10,11 +10,11 @@ use serde::Serialize;
 /// A disk with less free space counts as full, bytes.
 const MIN_FREE_BYTES: u64 = 16 << 20;
 /// Advice about a damaged spool.
-const RENEW_ADVICE: &str = "stop the agent, move the file with its -wal to another folder and keep it, start the agent again: it \
-                     makes a new one, and the aggregator records what was lost as a gap";
+const RENEW_ADVICE: &str = "stop the agent, move the file and its -wal to another folder, and start the agent again: it creates \
+                     a new spool, and the aggregator records the lost events as a gap";
 /// Advice about a full disk.
-const FREE_SPACE_ADVICE: &str = "make room: what is measured while the aggregator is away and does not fit into the agent's \
-                         memory is lost, and counted";
+const FREE_SPACE_ADVICE: &str = "free disk space: while the aggregator is unreachable, events that do not fit into the agent's \
+                         memory are lost and counted";
 
 /// State of a spool.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -33,7 +33,7 @@ pub(super) struct SpoolReport {
 pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     if !path.is_file() {
         bail!(
-            "there is no spool {}; an agent makes it when it starts with [agent] aggregator",
+            "the spool {} does not exist; an agent with [agent] aggregator creates it at its start",
             path.display()
         );
     }
@@ -54,9 +54,9 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
         }
         Err(other) => {
             let advice = match other {
-                InspectError::Database => "look at it with `peernetd doctor --database FILE`",
-                InspectError::Empty => "start its agent, which makes it",
-                _ => "name the file of [spool] file",
+                InspectError::Database => "examine it with `peernetd doctor --database FILE`",
+                InspectError::Empty => "start its agent, which creates the spool",
+                _ => "give the path of [spool] file",
             };
             report.problem(other.to_string(), advice);
         }
@@ -70,10 +70,15 @@ impl SpoolReport {
             Ok(bytes) => {
                 self.disk_free_bytes = bytes;
                 if bytes < MIN_FREE_BYTES {
-                    self.problem(format!("its disk has only {} KiB of room", bytes >> 10), FREE_SPACE_ADVICE);
+                    self.problem(
+                        format!("its disk has only {} KiB of free space", bytes >> 10),
+                        FREE_SPACE_ADVICE,
+                    );
                 }
             }
-            Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
+            Err(error) => {
+                self.problem(format!("cannot read the free space of its disk: {error}"), "check it with `df`")
+            }
         }
     }
 
@@ -96,22 +101,22 @@ fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
     let finding = |events: i64, how: &str, advice: &str| {
         (events > 0).then(|| Finding {
             severity: Severity::Notice,
-            what: format!("{events} events {how}, and are counted in gaps"),
+            what: format!("{events} events {how}; gaps report them"),
             advice: advice.to_owned(),
         })
     };
-    const ROOM: &str = "raise [spool] limit_bytes, or look why the aggregator was away";
+    const ADVICE: &str = "raise [spool] limit_bytes, or check why the aggregator was unreachable";
     let Some(killed) = lost_when_killed else {
-        let how = "were dropped for want of room, or lost when the agent was killed";
+        let how = "were dropped for lack of space, or lost when the agent was killed";
         return Vec::from_iter(finding(dropped, how, "look up the reason of the gaps on the page Incidents"));
     };
-    let room = finding(dropped - killed, "were dropped for want of room", ROOM);
+    let dropped = finding(dropped - killed, "were dropped for lack of space", ADVICE);
     let killed = finding(
         killed,
         "were lost when the agent was killed before they reached its spool",
         "stop the agent with SIGTERM or Ctrl-C, which writes everything to the spool first",
     );
-    room.into_iter().chain(killed).collect()
+    dropped.into_iter().chain(killed).collect()
 }
 
 #[cfg(test)]
@@ -137,6 +142,6 @@ mod tests {
         assert!(room.starts_with("3 events") && room.contains("limit_bytes"), "{room}");
         assert!(killed.starts_with("2 events"), "{killed}");
         let [either] = &told(4, None)[..] else { panic!("{:?}", told(4, None)) };
-        assert!(either.contains("for want of room, or") && either.contains("Incidents"), "{either}");
+        assert!(either.contains("for lack of space, or") && either.contains("Incidents"), "{either}");
     }
 }

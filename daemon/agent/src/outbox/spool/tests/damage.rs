@@ -8,18 +8,18 @@ use sqlx::ConnectOptions;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
 
 use super::*;
-use crate::outbox::spool::aside::{beside, condemn, condemned};
+use crate::outbox::spool::quarantine::{mark_broken, quarantine_reason, with_suffix};
 
 #[tokio::test]
 async fn invalid_database_is_quarantined_and_replaced() {
     let place = Place::new();
     fs::write(place.path(), b"this is no database at all, and long enough to be seen as none".repeat(100))
         .expect("written");
-    let OpenSpool { mut file, state, aside, .. } = place.open().await.expect("opens");
-    let aside = aside.expect("put aside");
-    assert_eq!(aside.kept, place.folder.path().join("spool.sqlite.damaged-5"));
-    assert!(aside.reason.contains("spool.sqlite"), "{}", aside.reason);
-    assert!(fs::read(&aside.kept).expect("kept").starts_with(b"this is no database"));
+    let OpenSpool { mut file, state, quarantined, .. } = place.open().await.expect("opens");
+    let quarantined = quarantined.expect("put quarantined");
+    assert_eq!(quarantined.new_path, place.folder.path().join("spool.sqlite.damaged-5"));
+    assert!(quarantined.reason.contains("spool.sqlite"), "{}", quarantined.reason);
+    assert!(fs::read(&quarantined.new_path).expect("kept").starts_with(b"this is no database"));
     file.append(&batches(Chain::START, 1..=2, 10), &totals(6)).await.expect("appends");
     drop(file.close().await);
 
@@ -27,8 +27,8 @@ async fn invalid_database_is_quarantined_and_replaced() {
     assert_eq!((again.stream, again.newest.0), (state.stream, 2));
     drop(file.close().await);
     fs::write(place.path(), b"once more").expect("written");
-    let second = place.open().await.expect("opens").aside.expect("put aside");
-    assert_eq!(second.kept, place.folder.path().join("spool.sqlite.damaged-6"), "none is overwritten");
+    let second = place.open().await.expect("opens").quarantined.expect("put quarantined");
+    assert_eq!(second.new_path, place.folder.path().join("spool.sqlite.damaged-6"), "none is overwritten");
 }
 
 #[tokio::test]
@@ -62,7 +62,7 @@ async fn spool_that_is_only_in_log_is_recognised() {
     let (file, state) = place.sound().await;
     let killed = Place::new();
     for ending in ["", "-wal"] {
-        fs::copy(beside(&place.path(), ending), beside(&killed.path(), ending)).expect("copied");
+        fs::copy(with_suffix(&place.path(), ending), with_suffix(&killed.path(), ending)).expect("copied");
     }
     drop(file);
     let (_, again) = killed.sound().await;
@@ -82,8 +82,8 @@ async fn file_with_broken_tables_is_quarantined() {
     broken.write_all(&vec![0xa5; (length - 4096) as usize]).expect("written");
     drop(broken);
 
-    let OpenSpool { state, aside, .. } = place.open().await.expect("opens");
-    assert!(aside.is_some());
+    let OpenSpool { state, quarantined, .. } = place.open().await.expect("opens");
+    assert!(quarantined.is_some());
     assert_eq!(state.newest, (0, Chain::START));
     assert_eq!(names(place.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
@@ -101,7 +101,7 @@ async fn damaged_batch_ends_list_and_is_named() {
     let loaded = file.load(1, usize::MAX).await.expect("loads");
     assert_eq!(loaded.batches, written[..2]);
     let said = loaded.damage.expect("said");
-    assert!(said.contains("batch 3") && said.contains("not what was written"), "{said}");
+    assert!(said.contains("batch 3") && said.contains("was changed"), "{said}");
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty() && loaded.damage.is_some());
     assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what follows is sound");
@@ -174,9 +174,9 @@ async fn damaged_page_loses_only_its_batches() {
 #[tokio::test]
 async fn mark_without_spool_allows_new_spool() {
     let place = Place::new();
-    condemn(&place.path(), "a page was broken");
+    mark_broken(&place.path(), "a page was broken");
     let (_, state) = place.sound().await;
     assert_eq!(state.newest, (0, Chain::START));
-    assert_eq!(condemned(&place.path()), None);
-    assert!(!beside(&place.path(), "-condemned").exists());
+    assert_eq!(quarantine_reason(&place.path()), None);
+    assert!(!with_suffix(&place.path(), "-condemned").exists());
 }

@@ -78,5 +78,5 @@ async fn folder_that_cannot_be_created_is_named() {
     fs::write(place.folder.path().join("file"), b"").expect("written");
     let path = place.folder.path().join("file").join("spool.sqlite");
     let refused = OpenSpool::open(&path, host(), true, &clock()).await.expect_err("no folder").to_string();
-    assert!(refused.contains("cannot make") && refused.contains("[spool] file"), "{refused}");
+    assert!(refused.contains("cannot create") && refused.contains("[spool] file"), "{refused}");
 }

@@ -15,7 +15,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::super::file_kind::APPLICATION_ID;
 use super::super::open::MIGRATIONS;
-use super::tally::batch;
+use super::range_log::batch;
 use super::*;
 
 /// Texts of the events in each of them.

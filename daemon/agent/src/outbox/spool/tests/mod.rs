@@ -5,8 +5,8 @@ mod disk;
 mod file;
 mod fixtures;
 mod growth;
+mod range_log;
 mod tail;
-mod tally;
 mod task;
 
 use std::path::{Path, PathBuf};
@@ -46,8 +46,8 @@ impl Place {
 
     /// Opens a spool that must not be broken.
     async fn sound(&self) -> (SpoolFile, SpoolState) {
-        let OpenSpool { file, state, aside, counter } = self.open().await.expect("opens");
-        assert_eq!(aside, None);
+        let OpenSpool { file, state, quarantined, counter } = self.open().await.expect("opens");
+        assert_eq!(quarantined, None);
         // The counter's file is left behind only by a process that is killed.
         counter.remove();
         (file, state)

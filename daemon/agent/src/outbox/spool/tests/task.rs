@@ -22,11 +22,11 @@ async fn orders_are_done_in_sequence_and_answered() {
     let stream = StreamId::random();
     task.order(Order::Renew { stream, previous: fresh.stream, first: 2, events_before_first: 3 })
         .expect("takes it");
-    assert!(matches!(task.done().await, Some(Done::Appended(Ok(())))));
-    let Some(Done::Loaded(Ok(loaded))) = task.done().await else { panic!("loads") };
+    assert!(matches!(task.next_result().await, Some(Done::Appended(Ok(())))));
+    let Some(Done::Loaded(Ok(loaded))) = task.next_result().await else { panic!("loads") };
     assert_eq!(loaded.batches, written[1..]);
-    assert!(matches!(task.done().await, Some(Done::Deleted(Ok(())))));
-    assert!(matches!(task.done().await, Some(Done::Renewed(Ok(())))));
+    assert!(matches!(task.next_result().await, Some(Done::Deleted(Ok(())))));
+    assert!(matches!(task.next_result().await, Some(Done::Renewed(Ok(())))));
     task.close().await.expect("closes");
     let (_, state) = place.sound().await;
     assert_eq!((state.stream, state.oldest, state.newest.0), (stream, 2, 3));
@@ -51,7 +51,7 @@ async fn error_names_the_moved_file() {
     std::fs::rename(place.path(), place.folder.path().join("away")).expect("moved");
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
-    let Some(Done::Appended(Err(error))) = task.done().await else { panic!("fails") };
+    let Some(Done::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
     assert!(matches!(error, SpoolTaskError::File(SpoolFileError::Moved(_))), "{error}");
     assert!(error.to_string().contains("spool.sqlite"), "{error}");
 }
@@ -72,10 +72,10 @@ async fn file_found_broken_is_quarantined_at_next_start() {
     let mut task = SpoolTask::start(file, HOUR);
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
-    let Some(Done::Appended(Err(error))) = task.done().await else { panic!("fails") };
-    assert!(error.to_string().contains("puts the file aside"), "{error}");
+    let Some(Done::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
+    assert!(error.to_string().contains("quarantines the file"), "{error}");
     drop(task.close().await);
-    let aside = place.open().await.expect("opens").aside.expect("put aside");
-    assert!(aside.reason.contains("append"), "{}", aside.reason);
+    let quarantined = place.open().await.expect("opens").quarantined.expect("put quarantined");
+    assert!(quarantined.reason.contains("append"), "{}", quarantined.reason);
     assert_eq!(names(place.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }

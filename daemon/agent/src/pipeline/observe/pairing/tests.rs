@@ -165,7 +165,7 @@ proptest! {
             let waiting: BTreeSet<i64> = inputs.values().filter_map(|(key, _)| *key).collect();
             prop_assert!(outputs.values().all(|(key, _)| key.is_some_and(|key| !waiting.contains(&key))));
         }
-        let left: Vec<u32> = pairing.take_waiting().collect();
+        let left: Vec<u32> = pairing.take_unpaired_inputs().collect();
         prop_assert_eq!(left, inputs.keys().copied().collect::<Vec<_>>());
     }
 

@@ -13,7 +13,7 @@ use peernet_stream::{IncidentKind, Outcome, PipelineState};
 use super::PeerDescription;
 use crate::config::{ObserveConfig, PairBy, RemoteConfig};
 use crate::host::Host;
-use crate::incidents::IncidentContext;
+use crate::incidents::IncidentSubject;
 use crate::link::Crossing;
 use crate::observed::{MODEL, StampAnswer, StampRequest};
 use crate::pipeline::context::PipelineContext;
@@ -48,40 +48,40 @@ pub(super) struct PeerConnection {
 
 /// Reason why there is no session with the peer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct PeerTrouble {
+pub(super) struct PeerProblem {
     /// `true` if the peer answered and refused.
     is_refusal: bool,
     text: String,
 }
 
-impl PeerTrouble {
+impl PeerProblem {
     pub(super) const fn kind(&self) -> IncidentKind {
         if self.is_refusal { IncidentKind::Refused } else { IncidentKind::Disconnected }
     }
 
-    /// Returns the trouble and the time of the next attempt, for people.
+    /// Returns a text with the problem and the interval of the retries.
     pub(super) fn describe(&self) -> String {
         let (shortest, longest) =
-            (ReconnectBackoff::SHORTEST.as_secs_f64(), ReconnectBackoff::LONGEST.as_secs());
-        let again = match self.is_refusal {
-            true => format!("every {} s", ReconnectBackoff::REFUSED.as_secs()),
+            (ReconnectBackoff::MIN_PAUSE.as_secs_f64(), ReconnectBackoff::MAX_PAUSE.as_secs());
+        let interval = match self.is_refusal {
+            true => format!("every {} s", ReconnectBackoff::PAUSE_AFTER_REFUSAL.as_secs()),
             false => format!("every {shortest} to {longest} s"),
         };
-        format!("{} (trying again {again})", self.text)
+        format!("{} (retrying {interval})", self.text)
     }
 
     pub(super) const fn is_refusal(&self) -> bool {
         self.is_refusal
     }
 
-    /// Returns what is wrong and what to do.
+    /// Returns a text that says what is wrong and what to do.
     pub(super) fn text(&self) -> &str {
         &self.text
     }
 
     /// Returns the pause before the next attempt.
     pub(super) fn pause(&self, reconnect_backoff: &mut ReconnectBackoff) -> Duration {
-        if self.is_refusal { reconnect_backoff.refused() } else { reconnect_backoff.grow() }
+        if self.is_refusal { reconnect_backoff.refusal_pause() } else { reconnect_backoff.next_pause() }
     }
 }
 
@@ -111,29 +111,29 @@ impl PeerConnector {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         let mut reported = None;
         loop {
-            let trouble = match runner.stop.run_until_cancelled(self.open()).await? {
+            let problem = match runner.stop.run_until_cancelled(self.open()).await? {
                 Ok(connection) => return Some(connection),
-                Err(trouble) => trouble,
+                Err(problem) => problem,
             };
-            runner.display.set_state(PipelineState::Waiting(trouble.text.clone()));
-            let pause = trouble.pause(&mut reconnect_backoff);
-            if reported.as_ref() != Some(&trouble) {
-                let text = format!("{}; the run begins when the peer answers", trouble.describe());
-                self.report(trouble.kind(), None, text);
-                reported = Some(trouble);
+            runner.live_state.set_state(PipelineState::Waiting(problem.text.clone()));
+            let pause = problem.pause(&mut reconnect_backoff);
+            if reported.as_ref() != Some(&problem) {
+                let text = format!("{}; the run starts when the peer answers", problem.describe());
+                self.report(problem.kind(), None, text);
+                reported = Some(problem);
             }
             runner.stop.run_until_cancelled(tokio::time::sleep(pause)).await?;
         }
     }
 
     /// Opens a session and checks that the peer has the pipeline.
-    pub(super) async fn open(&self) -> Result<PeerConnection, PeerTrouble> {
+    pub(super) async fn open(&self) -> Result<PeerConnection, PeerProblem> {
         let settings = self.remote.session.clone();
         let opened = Placement::open_remote(&self.remote, settings, &self.pipeline, &self.context).await;
-        let placement = opened.map_err(|failure| self.trouble(failure))?;
+        let placement = opened.map_err(|failure| self.problem_from_failure(failure))?;
         let Some((host, name)) = placement.peer().map(|(host, name)| (host, name.clone())) else {
-            let text = format!("{} did not say who it is", self.remote.peer);
-            return Err(PeerTrouble { is_refusal: false, text });
+            let text = format!("{} did not send its host id and name", self.remote.peer);
+            return Err(PeerProblem { is_refusal: false, text });
         };
         let connection = PeerConnection {
             placement,
@@ -147,7 +147,7 @@ impl PeerConnector {
             timeout: self.timeout,
         };
         // A request without keys shows whether the peer has the pipeline.
-        match connection.ask(Vec::new()).await {
+        match connection.query(Vec::new()).await {
             Ok(_) => {
                 let text = format!(
                     "connected to {}, which observes the same messages with its pipeline {}",
@@ -156,21 +156,23 @@ impl PeerConnector {
                 self.report(IncidentKind::Connected, Some(connection.host), text);
                 Ok(connection)
             }
-            Err(trouble) => {
+            Err(problem) => {
                 connection.close().await;
-                Err(trouble)
+                Err(problem)
             }
         }
     }
 
-    fn trouble(&self, failure: OpenFailure) -> PeerTrouble {
+    fn problem_from_failure(&self, failure: OpenFailure) -> PeerProblem {
         match failure {
-            OpenFailure::Away(error) => PeerTrouble { is_refusal: false, text: error.to_string() },
-            OpenFailure::Refused(error) => PeerTrouble { is_refusal: true, text: advised(error.to_string()) },
-            // Cannot happen: this session uses no model of this host.
+            OpenFailure::Unreachable(error) => PeerProblem { is_refusal: false, text: error.to_string() },
+            OpenFailure::Refused(error) => {
+                PeerProblem { is_refusal: true, text: with_advice(error.to_string()) }
+            }
+            // Unreachable: a remote placement loads no model of this host.
             OpenFailure::Model(_) | OpenFailure::Panicked => {
                 let text = format!("cannot open a session with {}", self.remote.peer);
-                PeerTrouble { is_refusal: false, text }
+                PeerProblem { is_refusal: false, text }
             }
         }
     }
@@ -178,8 +180,8 @@ impl PeerConnector {
     /// Reports an incident of the pipeline, and of its run if one is in progress.
     pub(super) fn report(&self, kind: IncidentKind, peer: Option<HostId>, text: String) {
         let events = &self.context.events;
-        let run = events.runs.current(&self.pipeline);
-        events.incidents.report(kind, IncidentContext { pipeline: Some(&self.pipeline), run, peer }, text);
+        let run = events.runs.current_run(&self.pipeline);
+        events.incidents.report(kind, IncidentSubject { pipeline: Some(&self.pipeline), run, peer }, text);
     }
 
     pub(super) const fn host(&self) -> &Host {
@@ -195,8 +197,8 @@ impl PeerConnector {
         self.timeout
     }
 
-    /// Waits until `at`; for ever if it is `None`.
-    pub(super) async fn until(&self, at: Option<MonoTime>) {
+    /// Waits until `at`; for ever if `at` is `None`.
+    pub(super) async fn sleep_until(&self, at: Option<MonoTime>) {
         match at {
             Some(at) => tokio::time::sleep((at - self.context.host.clock.mono()).to_duration()).await,
             None => std::future::pending().await,
@@ -205,31 +207,31 @@ impl PeerConnector {
 }
 
 impl PeerConnection {
-    /// Asks for the stamps of messages by their keys.
+    /// Queries the stamps of messages by their keys.
     ///
     /// # Errors
-    /// When there was no answer, or one that refuses or cannot be read.
-    pub(super) async fn ask(&self, keys: Vec<i64>) -> Result<StampAnswer, PeerTrouble> {
-        let away = |reason: String| PeerTrouble {
+    /// When the peer does not answer, refuses, or sends an answer that cannot be read.
+    pub(super) async fn query(&self, keys: Vec<i64>) -> Result<StampAnswer, PeerProblem> {
+        let failed = |reason: String| PeerProblem {
             is_refusal: false,
-            text: format!("{} at {} does not tell what it observed: {reason}", self.name, self.address),
+            text: format!("cannot query the observed stamps of {} at {}: {reason}", self.name, self.address),
         };
-        let refused = |reason: String| PeerTrouble { is_refusal: true, ..away(reason) };
+        let refused = |reason: String| PeerProblem { is_refusal: true, ..failed(reason) };
         let request = StampRequest::new(self.observed.clone(), self.pair_by, keys);
         let sample = request.to_sample().map_err(|error| refused(error.to_string()))?;
-        // The recorder is not part of any iteration and is dropped. Only the answer counts, and the exchange that the
-        // link learns from.
-        let log = Recorder::new(Arc::clone(&self.clock), self.own);
+        // The recorder belongs to no iteration and is dropped. Only the answer is used, and the exchange, from which the
+        // link learns.
+        let log = Recorder::begin(Arc::clone(&self.clock), self.own);
         match self.placement.compute(log, &sample, self.timeout).await.result {
             Ok(answer) => {
-                let answer = answer.unwrap_or_else(empty);
+                let answer = answer.unwrap_or_else(empty_sample);
                 StampAnswer::read(&answer)
                     .map_err(|error| refused(format!("the answer cannot be read: {error}")))
             }
             Err(Outcome::Failed(reason)) => Err(refused(reason)),
-            Err(Outcome::Lost(reason)) => Err(away(reason)),
+            Err(Outcome::Lost(reason)) => Err(failed(reason)),
             Err(Outcome::Timeout | Outcome::Ok) => {
-                Err(away(format!("no answer within {} ms", self.timeout.as_millis())))
+                Err(failed(format!("no answer within {} ms", self.timeout.as_millis())))
             }
         }
     }
@@ -244,7 +246,7 @@ impl PeerConnection {
         let mut facts =
             vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.observed))];
         facts.extend(self.placement.facts());
-        // If the name cannot be resolved any more, publishers are merely not marked as being on the peer's host.
+        // If the name cannot be resolved, the list is empty: publishers are then not marked as being on the peer's host.
         let found = tokio::net::lookup_host((self.address.host(), 0)).await;
         let addresses: Vec<IpAddr> =
             found.map(|found| found.map(|found| found.ip()).collect()).unwrap_or_default();
@@ -267,8 +269,8 @@ impl PeerConnection {
 }
 
 /// Returns the text of a refusal with advice, where the peer itself does not give it.
-fn advised(refusal: String) -> String {
-    // An agent of an earlier release takes the request for one of a model.
+fn with_advice(refusal: String) -> String {
+    // An agent of an earlier release treats the request as one for a model of this name.
     if refusal.contains(&format!("no model named {MODEL}")) {
         return format!(
             "{refusal}; its agent must be PEERNet 0.3 or later, with a [[pipeline]] that observes the same messages"
@@ -277,7 +279,7 @@ fn advised(refusal: String) -> String {
     refusal
 }
 
-fn empty() -> Sample {
+fn empty_sample() -> Sample {
     Sample { parts: Vec::new(), source: String::new(), label: None }
 }
 
@@ -292,7 +294,7 @@ mod tests {
     fn earlier_release_of_peer_is_told_to_update() {
         let refused = |reason: String| {
             let address = "tcp://rack:5551".parse().expect("an address");
-            advised(OpenError::Refused { address, reason }.to_string())
+            with_advice(OpenError::Refused { address, reason }.to_string())
         };
         let unknown = LoadError::UnknownModel { name: MODEL.to_owned(), known: vec!["echo".to_owned()] };
         let text = refused(unknown.to_peer(MODEL));

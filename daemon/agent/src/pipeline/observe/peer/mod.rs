@@ -1,12 +1,12 @@
 //! The agent on another host that observes the same messages there.
 //!
-//! [`PeerStamps`] is the observer's end; the session runs in a task, in which iterations wait in bounded number, so
-//! that waiting for the network does not delay messages. `connection` is the session with the peer, `pending` the
-//! pairs that wait for an answer (without I/O), and `task` drives both.
+//! [`PeerStamps`] is the observer's end of a task. The session runs in that task, so that waiting for the network does
+//! not delay messages; the number of waiting pairs is bounded. `connection` is the session with the peer, `pending` has
+//! the pairs that wait for an answer (without I/O), and `task` drives both.
 //!
-//! The first stamp of an observed message is that of another receiver and not of its departure. So a message bounds
-//! no offset: its delays are judged by the relation, which learns nothing from them, and a difference may be
-//! negative.
+//! The first stamp of an observed message is its reception by another receiver and not its departure. Therefore a message
+//! does not bound the offset of the clocks: the clock relation judges its delays but does not learn from them, and a
+//! delay may be negative.
 
 mod connection;
 mod pending;
@@ -23,13 +23,13 @@ use tokio::task::JoinHandle;
 
 use self::connection::PeerConnector;
 use self::task::PeerTask;
-use super::record::{self, Input, Received, Uncounted};
+use super::record::{self, Input, Received, UnpairedCounts};
 use crate::config::ObserveConfig;
 use crate::host::Host;
 use crate::pipeline::progress::Position;
 use crate::pipeline::runner::Runner;
 
-/// Largest number of pairs that may wait for the peer; further ones are recorded without its stamps.
+/// Largest number of pairs that wait for the peer. Further pairs are recorded without its stamps.
 const MAX_PENDING: usize = 1024;
 
 /// An input message and the output message that belongs to it.
@@ -37,10 +37,10 @@ const MAX_PENDING: usize = 1024;
 pub(in crate::pipeline::observe) struct Pair {
     pub(in crate::pipeline::observe) input: Input,
     pub(in crate::pipeline::observe) output: Received,
-    pub(in crate::pipeline::observe) uncounted: Uncounted,
+    pub(in crate::pipeline::observe) unpaired_counts: UnpairedCounts,
 }
 
-/// The tree of a pair, with the stamps that the peer has of it.
+/// The tree of a pair, with the peer's stamps of it.
 #[derive(Debug)]
 pub(super) struct SettledPair {
     pub(super) position: Position,
@@ -48,12 +48,12 @@ pub(super) struct SettledPair {
     pub(super) ended: Stamp,
 }
 
-/// The observer's end of the task that asks the peer.
+/// The observer's end of the task that queries the peer.
 pub(super) struct PeerStamps {
-    /// Channel for questions; `None` once no more are asked.
-    ask: Option<mpsc::Sender<(i64, Pair)>>,
+    /// Channel of pairs to query; `None` once no more are queried.
+    queries: Option<mpsc::Sender<(i64, Pair)>>,
     settled: mpsc::Receiver<SettledPair>,
-    /// Number of pairs that were sent to the task and have not come back.
+    /// Number of pairs that were sent to the task and are not settled.
     waiting: usize,
     peer_description: PeerDescription,
     task: JoinHandle<()>,
@@ -78,33 +78,33 @@ impl PeerDescription {
 }
 
 impl PeerStamps {
-    /// Opens a session with the peer of a pipeline, with as many attempts as it takes. Returns `None` without a peer,
-    /// and when the agent stops.
+    /// Opens a session with the peer of a pipeline, and retries until that succeeds. Returns `None` without a peer, and
+    /// when the agent stops.
     pub(super) async fn open(runner: &Runner, config: &ObserveConfig) -> Option<Self> {
         let connector = PeerConnector::new(runner, config)?;
         let connection = connector.connect_first(runner).await?;
         let peer_description = connection.peer_description().await;
-        let (ask, requests) = mpsc::channel(MAX_PENDING);
+        let (queries, requests) = mpsc::channel(MAX_PENDING);
         let (settle, settled) = mpsc::channel(MAX_PENDING);
         let task = tokio::spawn(PeerTask::new(connector, requests, settle).run(connection));
-        Some(Self { ask: Some(ask), settled, waiting: 0, peer_description, task })
+        Some(Self { queries: Some(queries), settled, waiting: 0, peer_description, task })
     }
 
     pub(super) const fn peer_description(&self) -> &PeerDescription {
         &self.peer_description
     }
 
-    /// Asks the peer about a pair. Returns the pair if too many wait, or if no more are asked.
-    pub(super) fn ask(&mut self, key: i64, pair: Pair) -> Result<(), Box<Pair>> {
-        let Some(ask) = self.ask.as_ref().filter(|_| self.waiting < MAX_PENDING) else {
+    /// Queries the peer for the stamps of a pair. Returns the pair if too many wait, or if the task has ended.
+    pub(super) fn query(&mut self, key: i64, pair: Pair) -> Result<(), Box<Pair>> {
+        let Some(queries) = self.queries.as_ref().filter(|_| self.waiting < MAX_PENDING) else {
             return Err(Box::new(pair));
         };
-        ask.try_send((key, pair)).map_err(|refused| Box::new(refused.into_inner().1))?;
+        queries.try_send((key, pair)).map_err(|refused| Box::new(refused.into_inner().1))?;
         self.waiting += 1;
         Ok(())
     }
 
-    /// Waits for the next pair that the peer has answered or that has expired. Dropping the future loses no pair.
+    /// Waits for the next pair that the peer has answered or that has expired. Cancel-safe.
     pub(super) async fn next(&mut self) -> SettledPair {
         if self.waiting > 0
             && let Some(settled) = self.settled.recv().await
@@ -113,8 +113,8 @@ impl PeerStamps {
             return settled;
         }
         if self.waiting > 0 {
-            // The task has panicked, which is logged: no further answers will come.
-            (self.ask, self.waiting) = (None, 0);
+            // The task has panicked, which is logged: no further answers will arrive.
+            (self.queries, self.waiting) = (None, 0);
         }
         std::future::pending().await
     }
@@ -124,9 +124,9 @@ impl PeerStamps {
         self.waiting == 0
     }
 
-    /// Gives up all waiting pairs. Returns them with the stamps that the peer has sent so far.
-    pub(super) async fn give_up(&mut self) -> Vec<SettledPair> {
-        self.ask = None;
+    /// Ends the wait of all pairs. Returns them with the stamps that the peer has sent so far.
+    pub(super) async fn abandon(&mut self) -> Vec<SettledPair> {
+        self.queries = None;
         let mut settled = Vec::with_capacity(self.waiting);
         while let Some(pair) = self.settled.recv().await {
             settled.push(pair);
@@ -135,11 +135,11 @@ impl PeerStamps {
         settled
     }
 
-    /// Ends the session with the peer.
+    /// Closes the session with the peer.
     pub(super) async fn close(mut self) {
-        self.ask = None;
+        self.queries = None;
         if self.task.await.is_err() {
-            tracing::error!("the task that asks the peer for stamps panicked; the log says where");
+            tracing::error!("the task that queries the peer for stamps panicked; see the log for the place");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Pairs of messages about which the peer has yet to be asked. No I/O.
+//! Pairs of messages that wait for the peer's stamps. No I/O.
 
 use std::collections::VecDeque;
 
@@ -7,7 +7,7 @@ use peernet_logger::HostId;
 
 use crate::observed::ObservedPair;
 
-/// Time until the peer is asked about the same messages again, because it may receive them later than this host.
+/// Time until the peer is queried for the same messages again, because it may receive them later than this host.
 const RETRY_INTERVAL: Span = Span::from_millis(100);
 
 /// Pairs of messages that wait for the peer's stamps.
@@ -19,7 +19,7 @@ pub(super) struct PendingPairs<P> {
     pairs: VecDeque<Pending<P>>,
 }
 
-/// Stamps that a peer has of a pair. The session in which they came may be over.
+/// A peer's stamps of a pair. The session over which they arrived may be over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PeerAnswer {
     pub(super) peer: HostId,
@@ -29,9 +29,9 @@ pub(super) struct PeerAnswer {
 #[derive(Debug)]
 struct Pending<P> {
     key: i64,
-    ask_at: MonoTime,
-    give_up_at: MonoTime,
-    /// Latest answer, which has not both messages yet.
+    query_at: MonoTime,
+    expires_at: MonoTime,
+    /// Latest answer, in which a message is still missing.
     answer: Option<PeerAnswer>,
     pair: P,
 }
@@ -43,15 +43,15 @@ impl<P> PendingPairs<P> {
 
     /// Adds a pair that was completed at `now`.
     pub(super) fn add(&mut self, key: i64, pair: P, now: MonoTime) {
-        let give_up_at = now + self.timeout;
-        self.pairs.push_back(Pending { key, ask_at: now, give_up_at, answer: None, pair });
+        let expires_at = now + self.timeout;
+        self.pairs.push_back(Pending { key, query_at: now, expires_at, answer: None, pair });
     }
 
-    /// Returns up to `most` keys to ask for at `now`. They are due again after [`RETRY_INTERVAL`].
-    pub(super) fn take_due(&mut self, now: MonoTime, most: usize) -> Vec<i64> {
-        let due = self.pairs.iter_mut().filter(|pending| pending.ask_at <= now).take(most);
+    /// Returns up to `max_keys` keys that are due to be queried at `now`. They are due again after [`RETRY_INTERVAL`].
+    pub(super) fn take_due(&mut self, now: MonoTime, max_keys: usize) -> Vec<i64> {
+        let due = self.pairs.iter_mut().filter(|pending| pending.query_at <= now).take(max_keys);
         due.map(|pending| {
-            pending.ask_at = now + RETRY_INTERVAL;
+            pending.query_at = now + RETRY_INTERVAL;
             pending.key
         })
         .collect()
@@ -59,42 +59,42 @@ impl<P> PendingPairs<P> {
 
     /// Returns the time at which the next pair is due.
     pub(super) fn next_due(&self) -> Option<MonoTime> {
-        self.pairs.iter().map(|pending| pending.ask_at).min()
+        self.pairs.iter().map(|pending| pending.query_at).min()
     }
 
     /// Handles an answer. Returns the pairs for which it has both messages.
     pub(super) fn take_answer(&mut self, answer: &PeerAnswer) -> Vec<P> {
-        let is_known = |pending: &Pending<P>| pending.key == answer.seen.key;
+        let has_key = |pending: &Pending<P>| pending.key == answer.seen.key;
         if !answer.seen.is_complete() {
             self.pairs
                 .iter_mut()
-                .filter(|pending| is_known(pending))
+                .filter(|pending| has_key(pending))
                 .for_each(|pending| pending.answer = Some(*answer));
             return Vec::new();
         }
         let mut settled = Vec::new();
         // Several pairs may have the same key.
-        while let Some(index) = self.pairs.iter().position(is_known) {
+        while let Some(index) = self.pairs.iter().position(has_key) {
             settled.extend(self.pairs.remove(index).map(|pending| pending.pair));
         }
         settled
     }
 
-    /// Removes the next pair that has waited for too long by `now`, with the latest answer about it. Call it until it
-    /// returns `None`.
+    /// Removes a pair whose timeout has passed by `now`, and returns it with the latest answer about it. The caller
+    /// repeats this until it returns `None`.
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<(P, Option<PeerAnswer>)> {
-        // All pairs wait for the same time, so that they expire in the order in which they were added.
-        let oldest = self.pairs.pop_front_if(|oldest| oldest.give_up_at <= now)?;
+        // All pairs have the same timeout, so they expire in the order in which they were added.
+        let oldest = self.pairs.pop_front_if(|oldest| oldest.expires_at <= now)?;
         Some((oldest.pair, oldest.answer))
     }
 
     /// Returns the time at which the next pair expires.
     pub(super) fn next_expiry(&self) -> Option<MonoTime> {
-        self.pairs.front().map(|oldest| oldest.give_up_at)
+        self.pairs.front().map(|oldest| oldest.expires_at)
     }
 
     /// Removes the oldest pair, whether it has expired or not.
-    pub(super) fn give_up(&mut self) -> Option<(P, Option<PeerAnswer>)> {
+    pub(super) fn abandon(&mut self) -> Option<(P, Option<PeerAnswer>)> {
         self.pairs.pop_front().map(|oldest| (oldest.pair, oldest.answer))
     }
 }
@@ -143,7 +143,7 @@ mod tests {
         assert_eq!(pending.expire(at(499)), None);
         assert_eq!(pending.expire(at(500)), Some(("seven", Some(answer(7, false)))));
         assert_eq!(pending.expire(at(500)), None);
-        assert_eq!(pending.give_up(), Some(("eight", None)));
+        assert_eq!(pending.abandon(), Some(("eight", None)));
         assert_eq!(pending.next_expiry(), None);
     }
 }

@@ -1,8 +1,8 @@
-//! Detects that the peer observes other messages, or none. No I/O.
+//! Detects that the peer does not receive the messages that this host receives. No I/O.
 
 use peernet_clock::{MonoTime, Span};
 
-/// Time without a message that both hosts received, after which it is reported.
+/// Time without a pair of messages that both hosts received, after which this is reported.
 const REPORT_AFTER: Span = Span::from_seconds(10);
 
 /// Watches whether the peer receives the messages that are received here.
@@ -13,19 +13,19 @@ pub(super) struct SilenceWatch {
     is_reported: bool,
 }
 
-/// Change that is to be reported.
+/// A change to report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SilenceReport {
-    /// The peer received none of the messages of the last ten seconds.
+    /// The peer received no pair of messages within the last ten seconds.
     Began,
     /// The peer receives the same messages again.
     Ended,
 }
 
 impl SilenceWatch {
-    /// Records whether the peer knew a pair.
-    pub(super) fn note(&mut self, is_known: bool, now: MonoTime) -> Option<SilenceReport> {
-        if is_known {
+    /// Records whether the peer received both messages of a pair. Returns a change to report.
+    pub(super) fn record(&mut self, has_both: bool, now: MonoTime) -> Option<SilenceReport> {
+        if has_both {
             self.since = None;
             return std::mem::take(&mut self.is_reported).then_some(SilenceReport::Ended);
         }
@@ -37,8 +37,8 @@ impl SilenceWatch {
         Some(SilenceReport::Began)
     }
 
-    /// Restarts the measurement of silence, because the peer cannot answer without a session. A reported silence
-    /// stays reported until the peer knows a message.
+    /// Restarts the measurement of the silence, because the peer cannot answer without a session. A reported silence
+    /// lasts until the peer has received a pair.
     pub(super) const fn lose_session(&mut self) {
         self.since = None;
     }
@@ -52,7 +52,7 @@ mod tests {
     fn silence_is_reported_once_until_it_ends() {
         let mut watch = SilenceWatch::default();
         let mut note =
-            |is_known, seconds: i64| watch.note(is_known, MonoTime::from_nanos(seconds * 1_000_000_000));
+            |has_both, seconds: i64| watch.record(has_both, MonoTime::from_nanos(seconds * 1_000_000_000));
         assert_eq!(note(false, 0), None);
         assert_eq!(note(true, 8), None, "one that is known begins anew");
         assert_eq!((note(false, 9), note(false, 18)), (None, None));
@@ -64,12 +64,12 @@ mod tests {
     fn time_without_session_is_no_silence_of_the_peer() {
         let mut watch = SilenceWatch::default();
         let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
-        assert_eq!(watch.note(false, at(0)), None);
+        assert_eq!(watch.record(false, at(0)), None);
         watch.lose_session();
-        assert_eq!((watch.note(false, at(60)), watch.note(false, at(69))), (None, None));
-        assert_eq!(watch.note(false, at(70)), Some(SilenceReport::Began));
+        assert_eq!((watch.record(false, at(60)), watch.record(false, at(69))), (None, None));
+        assert_eq!(watch.record(false, at(70)), Some(SilenceReport::Began));
         watch.lose_session();
-        assert_eq!((watch.note(false, at(99)), watch.note(false, at(200))), (None, None), "said already");
-        assert_eq!(watch.note(true, at(201)), Some(SilenceReport::Ended));
+        assert_eq!((watch.record(false, at(99)), watch.record(false, at(200))), (None, None), "said already");
+        assert_eq!(watch.record(true, at(201)), Some(SilenceReport::Ended));
     }
 }

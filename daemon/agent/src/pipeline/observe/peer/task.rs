@@ -1,4 +1,4 @@
-//! The task that asks the peer about observed pairs, and keeps the session with it.
+//! The task that queries the peer for the stamps of observed pairs, and owns the session with it.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -32,7 +32,7 @@ pub(super) struct PeerTask {
 
 /// Result of a wait.
 enum WaitResult<T> {
-    /// The future that was waited for is ready.
+    /// The awaited future is ready.
     Done(T),
     /// A pair was added, or one has expired.
     Woken,
@@ -59,13 +59,13 @@ impl PeerTask {
         }
     }
 
-    /// Asks the peer, reopening the session when it is lost, until the observer closes its channel.
+    /// Queries the peer until the observer closes its channel. A lost session is reopened.
     pub(super) async fn run(mut self, first: PeerConnection) {
         let mut next = Some(first);
         while let Some(connection) = next.map(Arc::new) {
             self.connection = Some(Arc::clone(&connection));
-            let Some(reason) = self.ask_over(&connection).await else {
-                self.give_up();
+            let Some(reason) = self.query_over(&connection).await else {
+                self.abandon();
                 // Dropping the channels lets the observer continue: it need not wait for the goodbye.
                 drop(self);
                 connection.close().await;
@@ -75,29 +75,30 @@ impl PeerTask {
             self.silence.lose_session();
             let name = &connection.name;
             let text = format!(
-                "lost {name}: {reason}; until it is back, iterations are recorded without its stamps (peer-unanswered)"
+                "lost the connection to {name}: {reason}; until it is reconnected, iterations are recorded without its stamps \
+                 (peer-unanswered)"
             );
             self.connector.report(IncidentKind::Disconnected, Some(connection.host), text);
             drop(connection);
             next = self.reconnect().await;
         }
-        self.give_up();
+        self.abandon();
     }
 
-    /// Asks over one session. Returns the reason of its end, or `None` if the observer has closed its channel.
-    async fn ask_over(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
+    /// Queries the peer over one session. Returns the reason of its end, or `None` if the observer has closed its channel.
+    async fn query_over(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
         let connector = Arc::clone(&self.connector);
         let mut closed = pin!(connection.closed());
         loop {
             self.expire();
             let keys = self.pending.take_due(self.now(), MAX_KEYS);
             if !keys.is_empty() {
-                match self.wait_for(connection.ask(keys)).await? {
-                    // An answer is limited to as many pairs as can be asked for, whatever the peer sends.
+                match self.wait_for(connection.query(keys)).await? {
+                    // A peer may send more pairs than were requested: no more than the largest request are used.
                     Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|pair| {
                         self.take_answer(&PeerAnswer { peer: connection.host, seen: *pair });
                     }),
-                    Err(trouble) => self.log(trouble.text()),
+                    Err(problem) => self.log(problem.text()),
                 }
                 continue;
             }
@@ -105,7 +106,7 @@ impl PeerTask {
             let idle = async {
                 tokio::select! {
                     reason = &mut closed => Some(reason),
-                    () = connector.until(due) => None,
+                    () = connector.sleep_until(due) => None,
                 }
             };
             match self.wait(idle).await {
@@ -116,21 +117,21 @@ impl PeerTask {
         }
     }
 
-    /// Reopens the session, with as many attempts as it takes. Returns `None` if the observer has closed its channel.
+    /// Reopens the session, and retries until that succeeds. Returns `None` if the observer has closed its channel.
     async fn reconnect(&mut self) -> Option<PeerConnection> {
         let connector = Arc::clone(&self.connector);
         let mut reconnect_backoff = ReconnectBackoff::new(connector.host().id);
         let mut reported = None;
         loop {
-            let trouble = match self.wait_for(connector.open()).await? {
+            let problem = match self.wait_for(connector.open()).await? {
                 Ok(connection) => return Some(connection),
-                Err(trouble) => trouble,
+                Err(problem) => problem,
             };
-            let pause = trouble.pause(&mut reconnect_backoff);
-            // The loss itself has been reported; only a refusal is news.
-            if trouble.is_refusal() && reported.as_ref() != Some(&trouble) {
-                connector.report(trouble.kind(), None, trouble.describe());
-                reported = Some(trouble);
+            let pause = problem.pause(&mut reconnect_backoff);
+            // The loss of the session has been reported already; only a refusal is new information.
+            if problem.is_refusal() && reported.as_ref() != Some(&problem) {
+                connector.report(problem.kind(), None, problem.describe());
+                reported = Some(problem);
             }
             self.wait_for(tokio::time::sleep(pause)).await?;
         }
@@ -161,18 +162,18 @@ impl PeerTask {
                 }
                 None => WaitResult::Finished,
             },
-            () = connector.until(expiry) => WaitResult::Woken,
+            () = connector.sleep_until(expiry) => WaitResult::Woken,
         }
     }
 
     fn take_answer(&mut self, answer: &PeerAnswer) {
         for pair in self.pending.take_answer(answer) {
-            self.note(true);
+            self.record_silence(true);
             self.settle_with(&pair, answer);
         }
     }
 
-    /// Records the pairs that have waited for too long.
+    /// Records the pairs whose timeout has passed.
     fn expire(&mut self) {
         let now = self.now();
         while let Some((pair, answer)) = self.pending.expire(now) {
@@ -181,11 +182,11 @@ impl PeerTask {
     }
 
     /// Records all waiting pairs.
-    fn give_up(&mut self) {
+    fn abandon(&mut self) {
         while let Ok((key, pair)) = self.requests.try_recv() {
             self.pending.add(key, pair, self.now());
         }
-        while let Some((pair, answer)) = self.pending.give_up() {
+        while let Some((pair, answer)) = self.pending.abandon() {
             self.settle_incomplete(&pair, answer.as_ref());
         }
     }
@@ -193,7 +194,7 @@ impl PeerTask {
     fn settle_incomplete(&mut self, pair: &Pair, answer: Option<&PeerAnswer>) {
         match answer {
             Some(answer) => {
-                self.note(false);
+                self.record_silence(false);
                 self.settle_with(pair, answer);
             }
             None => self.settle(record_without_peer(self.connector.host(), pair)),
@@ -201,8 +202,8 @@ impl PeerTask {
     }
 
     fn settle_with(&self, pair: &Pair, answer: &PeerAnswer) {
-        // A delay needs the relation of both clocks, which only a session with this peer has. Without it the stamps
-        // are recorded and no delay is known.
+        // A delay needs the clock relation, which belongs to a session with this peer. Without a session the stamps are
+        // recorded without delays.
         let connection = self.connection.as_ref().filter(|connection| connection.host == answer.peer);
         let judge = |up: &Crossing, down: Option<&Crossing>| {
             connection.map_or([None, None], |connection| connection.judge(up, down))
@@ -211,24 +212,25 @@ impl PeerTask {
     }
 
     fn settle(&self, settled: SettledPair) {
-        // The channel has room for all pairs that may wait. It is closed only if the pipeline has ended.
+        // The channel has capacity for all waiting pairs, so sending fails only if the pipeline has ended.
         if self.settle.try_send(settled).is_err() {
-            tracing::debug!("an observed iteration is not recorded: its pipeline has ended");
+            tracing::debug!("an observed iteration was dropped: its pipeline has ended");
         }
     }
 
-    /// Records whether the peer knew a pair, and reports a change. Nothing is reported without a session.
-    fn note(&mut self, is_known: bool) {
+    /// Records whether the peer received both messages of a pair, and reports a change. Nothing is reported without a
+    /// session.
+    fn record_silence(&mut self, has_both: bool) {
         let Some(connection) = &self.connection else { return };
         let (name, peer) = (connection.name.to_string(), connection.host);
-        let Some(report) = self.silence.note(is_known, self.connector.host().clock.mono()) else { return };
+        let Some(report) = self.silence.record(has_both, self.connector.host().clock.mono()) else { return };
         let observed = self.connector.observed();
         let (kind, text) = match report {
             SilenceReport::Began => (
                 IncidentKind::Disconnected,
                 format!(
-                    "{name} received none of the pairs of messages of the last 10 s; see on its page whether its pipeline \
-                     {observed} runs, whether it observes the same messages, and whether the nodes copy what they are paired by"
+                    "{name} received none of the pairs of messages of the last 10 s; check on its page that its pipeline \
+                     {observed} runs and observes the same topics, and that the nodes copy the field by which messages are paired"
                 ),
             ),
             SilenceReport::Ended => (
@@ -239,13 +241,13 @@ impl PeerTask {
         self.connector.report(kind, Some(peer), text);
     }
 
-    /// Logs why a question was not answered. The question is repeated.
-    fn log(&mut self, trouble: &str) {
+    /// Logs why a query failed. The query is repeated.
+    fn log(&mut self, problem: &str) {
         let now = self.now();
         if let Some(times) = self.throttle.count("ask", None, now) {
             tracing::warn!(
                 times,
-                "{trouble}; iterations of which the peer does not tell in time count as peer-unanswered"
+                "{problem}; iterations whose stamps do not arrive in time count as peer-unanswered"
             );
         }
     }

@@ -5,7 +5,7 @@ use peernet_logger::{
     Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, TreeDelta, stage,
 };
 
-use super::{add_topics, count, ends, pending};
+use super::{add_topics, count, pending, start_and_end};
 use crate::link::{Crossing, HostStamp};
 use crate::observed::ObservedPair;
 use crate::pipeline::iteration;
@@ -15,7 +15,7 @@ use crate::pipeline::observe::peer::Pair;
 const PEER_INPUT_MISSING: Name = Name::from_static("peer-input-missing");
 /// Name of the number of output messages that the peer did not receive.
 const PEER_OUTPUT_MISSING: Name = Name::from_static("peer-output-missing");
-/// Name of the number of iterations about which the peer was not asked, or did not answer.
+/// Name of the count of iterations for which the peer was not queried or did not answer.
 const PEER_UNANSWERED: Name = Name::from_static("peer-unanswered");
 
 /// Index of the peer in the tree's list of hosts; there is no other one.
@@ -31,20 +31,21 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     judge: impl FnOnce(&Crossing, Option<&Crossing>) -> [Option<OneWayDelay>; 2],
 ) -> (Tree, Stamp) {
     let (input, output) = (&pair.input, &pair.output);
-    let (begun, ended) = ends(input, output);
-    let total = ended.mono - begun.mono;
-    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, begun);
+    let (started, ended) = start_and_end(input, output);
+    let total = ended.mono - started.mono;
+    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, started);
     let mut transport = None;
     if let Some(arrived) = seen.input() {
         let up = Crossing { sender: input.received.at, receiver: arrived };
         let down = |departed| Crossing { sender: departed, receiver: output.at };
-        let way_back = seen.output().zip(seen.elapsed()).map(|(departed, elapsed)| (down(departed), elapsed));
-        let [up_delay, down_delay] = judge(&up, way_back.as_ref().map(|(down, _)| down));
-        let upload = log.start_transit(stage::UPLOAD, begun);
-        let nodes = way_back.map(|(down, elapsed)| at_peer(&down, elapsed, down_delay));
+        let return_path =
+            seen.output().zip(seen.elapsed()).map(|(departed, elapsed)| (down(departed), elapsed));
+        let [up_delay, down_delay] = judge(&up, return_path.as_ref().map(|(down, _)| down));
+        let upload = log.depart(stage::UPLOAD, started);
+        let nodes = return_path.map(|(down, elapsed)| peer_nodes(&down, elapsed, down_delay));
         // The sum of both directions needs no clock relation: this host's waiting time minus the peer's elapsed time,
         // each by its own monotonic clock.
-        transport = way_back.map(|(_, elapsed)| total - elapsed);
+        transport = return_path.map(|(_, elapsed)| total - elapsed);
         let base = u32::try_from(log.tree().nodes().len()).unwrap_or(u32::MAX);
         let delta = TreeDelta {
             base,
@@ -61,7 +62,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
             }
             Err(error) => {
                 transport = None;
-                tracing::error!(%error, "stamps of a peer make no tree; the iteration is recorded without them");
+                tracing::error!(%error, "the stamps of the peer are invalid; the iteration is recorded without them");
             }
         }
     }
@@ -77,14 +78,14 @@ pub(in crate::pipeline::observe) fn answered_without_peer(
     (clock, host): (&SharedClock, HostId),
     pair: &Pair,
 ) -> (Tree, Stamp) {
-    let (begun, ended) = ends(&pair.input, &pair.output);
-    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, begun);
-    count(log.tree_mut(), PEER_UNANSWERED, ended.mono - begun.mono, 1);
+    let (started, ended) = start_and_end(&pair.input, &pair.output);
+    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, started);
+    count(log.tree_mut(), PEER_UNANSWERED, ended.mono - started.mono, 1);
     close(log, pair, ended, None)
 }
 
-/// Returns the nodes of the time at the peer and of the way back.
-fn at_peer(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node; 2] {
+/// Returns the nodes `inference` and `download`, which the peer's stamps determine.
+fn peer_nodes(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node; 2] {
     // The observed node may receive the input before the peer's agent does.
     let elapsed = elapsed.max(Span::ZERO);
     let node = |name, start, measure| Node { parent: Some(NodeId::ROOT), name, host: PEER, start, measure };
@@ -94,11 +95,11 @@ fn at_peer(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node;
     ]
 }
 
-/// Closes the tree; `transport` is the sum of both directions, without which the sum of the stages is unknown.
+/// Closes the tree. `transport` is the sum of upload and download; without it the sum of the stages is unknown.
 fn close(mut log: Recorder, pair: &Pair, ended: Stamp, transport: Option<Span>) -> (Tree, Stamp) {
-    let begun = pair.input.received.message.received;
-    add_topics(log.tree_mut(), &pair.input, &pair.output, ended.mono - begun.mono, pair.uncounted);
-    let pending_iteration = pending(pair.input.position, begun);
+    let started = pair.input.received.message.received;
+    add_topics(log.tree_mut(), &pair.input, &pair.output, ended.mono - started.mono, pair.unpaired_counts);
+    let pending_iteration = pending(pair.input.position, started);
     let tree = match transport {
         Some(_) => iteration::close(log, &pending_iteration, ended.mono, true, transport),
         None => iteration::close_without_stages(log, &pending_iteration, ended.mono),
@@ -115,7 +116,7 @@ mod tests {
     use super::*;
     use crate::pipeline::observe::arrivals::Arrival;
     use crate::pipeline::observe::message::TopicMessage;
-    use crate::pipeline::observe::record::{Input, Received, Uncounted};
+    use crate::pipeline::observe::record::{Input, Received, UnpairedCounts};
     use crate::pipeline::progress::Position;
 
     /// Offset of the peer's clock.
@@ -151,7 +152,7 @@ mod tests {
         clock.advance(Span::from_millis(5));
         let output = received(clock.stamp());
         let seen = ObservedPair::new(7, Some(arrived), Some(departed), Some(Span::from_millis(20)));
-        (Pair { input, output, uncounted: Uncounted::default() }, seen)
+        (Pair { input, output, unpaired_counts: UnpairedCounts::default() }, seen)
     }
 
     /// Judges delays like a relation that knows the offset exactly.

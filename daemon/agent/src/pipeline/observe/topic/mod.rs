@@ -21,22 +21,21 @@ pub(super) enum Topic {
 pub(super) struct ObservedType {
     /// Name in the notation of its version of ROS.
     pub(super) name: String,
-    /// `true` if its messages begin with a `std_msgs/Header`; `None` if only the messages can show it.
+    /// `true` if its messages begin with a `std_msgs/Header`; `None` if the type alone does not show it.
     pub(super) has_header: Option<bool>,
 }
 
 /// A publisher of an observed topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct PublisherPlace {
+pub(super) struct PublisherLocation {
     /// Name of the node, or of the endpoint if the node has none.
     pub(super) node: String,
     /// Address of its host; `None` for this host.
     pub(super) host: Option<String>,
 }
 
-impl PublisherPlace {
-    /// Returns node and host, for people. `has_peer` is `true` if the agent that observes the same messages is on
-    /// that host.
+impl PublisherLocation {
+    /// Returns node and host as a text. `has_peer` is `true` if the peer's agent is on that host.
     pub(super) fn describe(&self, has_peer: bool) -> String {
         let node = &self.node;
         match &self.host {
@@ -48,7 +47,7 @@ impl PublisherPlace {
 }
 
 impl Topic {
-    /// Waits for the next message. Dropping the future loses none.
+    /// Waits for the next message. Cancel-safe.
     ///
     /// # Errors
     /// When the node has ended, or the topic cannot be subscribed to with its current type.
@@ -59,7 +58,7 @@ impl Topic {
         }
     }
 
-    /// Subscribes with the type that the publishers have now.
+    /// Subscribes with the current type of the publishers.
     ///
     /// # Errors
     /// When the type has a name that ROS does not allow, or the client fails.
@@ -87,23 +86,23 @@ impl Topic {
         }
     }
 
-    /// Returns the reason why the topic has no messages at the moment; `None` while it has a publisher.
-    pub(super) fn trouble(&self) -> Option<String> {
+    /// Returns the reason why the topic has no messages; `None` while it has a publisher.
+    pub(super) fn problem(&self) -> Option<String> {
         match self {
-            Self::Ros1(topic) => topic.trouble(),
-            Self::Ros2(topic) => topic.trouble(),
+            Self::Ros1(topic) => topic.problem(),
+            Self::Ros2(topic) => topic.problem(),
         }
     }
 
     /// Returns the publishers whose messages are received.
-    pub(super) fn publishers(&self) -> Vec<PublisherPlace> {
+    pub(super) fn publishers(&self) -> Vec<PublisherLocation> {
         match self {
             Self::Ros1(topic) => topic.publishers(),
             Self::Ros2(topic) => topic.publishers(),
         }
     }
 
-    /// Waits until the publishers have changed since this was called, or since `follow_publishers`.
+    /// Waits until the publishers have changed since this call or since `follow_publishers`.
     pub(super) async fn publishers_changed(&self) {
         match self {
             Self::Ros1(topic) => topic.publishers_changed().await,
@@ -111,7 +110,7 @@ impl Topic {
         }
     }
 
-    /// Returns the number of messages that were received and dropped because the agent was too busy.
+    /// Returns the number of received messages that were dropped because the agent was too slow.
     pub(super) fn dropped(&self) -> u64 {
         match self {
             Self::Ros1(topic) => topic.dropped(),

@@ -10,7 +10,7 @@ use peernet_ros::ros1::{
 use peernet_ros::topics::TopicError;
 
 use super::sequence_gaps::SequenceGaps;
-use super::{ObservedType, PublisherPlace};
+use super::{ObservedType, PublisherLocation};
 use crate::pipeline::observe::message::{TopicMessage, begins_with_header, read_header};
 
 /// A subscription of a topic of ROS 1.
@@ -56,7 +56,7 @@ impl Ros1Topic {
         Some(ObservedType { name: publisher.kind.name.to_string(), has_header })
     }
 
-    pub(super) fn trouble(&self) -> Option<String> {
+    pub(super) fn problem(&self) -> Option<String> {
         let publishers = self.subscriber.publishers();
         if publishers.iter().any(|publisher| matches!(publisher.state, PublisherState::Connected(_))) {
             return None;
@@ -69,13 +69,13 @@ impl Ros1Topic {
         Some(failed.map_or_else(|| silent.clone(), |reason| format!("{silent} ({reason})")))
     }
 
-    pub(super) fn publishers(&self) -> Vec<PublisherPlace> {
-        let place = |info: Arc<PublisherInfo>| {
+    pub(super) fn publishers(&self) -> Vec<PublisherLocation> {
+        let location = |info: Arc<PublisherInfo>| {
             // A connection within one host has the same address at both ends.
             let host = (info.remote.ip() != info.local.ip()).then(|| info.remote.ip().to_string());
-            PublisherPlace { node: info.node.to_string(), host }
+            PublisherLocation { node: info.node.to_string(), host }
         };
-        self.connected().map(place).collect()
+        self.connected().map(location).collect()
     }
 
     pub(super) fn publishers_changed(&self) -> impl Future<Output = ()> + '_ {

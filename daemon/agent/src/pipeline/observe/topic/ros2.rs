@@ -11,10 +11,10 @@ use peernet_ros::ros2::{
 use peernet_ros::topics::TopicError;
 use tokio::sync::watch;
 
-use super::{ObservedType, PublisherPlace};
+use super::{ObservedType, PublisherLocation};
 use crate::pipeline::observe::message::{TopicMessage, read_header};
 
-/// Largest number of unread messages. They are in memory: 64 MB of pictures of 1 MB.
+/// Largest number of unread messages. They are in memory: images of 1 MB need 64 MB.
 const DEPTH: u32 = 64;
 
 /// A topic of ROS 2. It is subscribed to once a publisher shows its type.
@@ -24,7 +24,7 @@ pub(in crate::pipeline::observe) struct Ros2Topic {
     node: Arc<Ros2Node>,
     /// Absolute name of the topic.
     name: String,
-    /// Counter of changes that discovery has found; marked as seen when the publishers are followed.
+    /// Counter of the changes that discovery has found; marked as seen by `follow_publishers`.
     discovery: watch::Receiver<u64>,
     /// Types of publishers that were reported because the subscription has another type.
     reported_types: BTreeSet<String>,
@@ -69,7 +69,7 @@ impl Ros2Topic {
                 continue;
             };
             tokio::select! {
-                sample = subscription.ends.receive() => return Ok(observed(&sample?, &self.clock)),
+                sample = subscription.ends.receive() => return Ok(message_from_sample(&sample?, &self.clock)),
                 () = changed(&mut self.discovery) => {}
             }
         }
@@ -84,7 +84,7 @@ impl Ros2Topic {
         let publishers = self.node.publishers_of(&self.name);
         let current = self.subscription.as_ref().map(|subscription| subscription.type_name.as_str());
         if let Some(type_name) = type_to_subscribe(&publishers, current) {
-            // Best-effort matches best-effort publishers as well, and no publisher waits for the agent.
+            // A best-effort subscription matches publishers of both kinds, and no publisher waits for the agent.
             let qos =
                 QosProfile { reliability: Reliability::BestEffort, depth: DEPTH, ..QosProfile::default() };
             let ends = self.node.create_subscription(&self.name, type_name, &qos)?;
@@ -101,8 +101,8 @@ impl Ros2Topic {
         for other in others {
             if self.reported_types.insert(other.type_name.clone()) {
                 tracing::warn!(
-                    "topic {} has publishers of two types, {type_name} and {}; only the former are observed: stop the \
-                     others, or let them publish another topic",
+                    "topic {} has publishers of two types, {type_name} and {}; only {type_name} is observed: stop the other \
+                     publishers, or let them publish another topic",
                     self.name,
                     other.type_name
                 );
@@ -116,13 +116,13 @@ impl Ros2Topic {
 
     pub(super) fn kind(&self) -> Option<ObservedType> {
         let name = self.subscription.as_ref()?.type_name.clone();
-        // DDS does not transmit the fields of a type. In std_msgs only the type Header has a header; of other
-        // packages the messages show it.
+        // DDS does not transmit the fields of a type. In std_msgs only the type Header has a header. For types of other
+        // packages only the messages can show it.
         let has_header = name.starts_with("std_msgs/msg/").then(|| name == "std_msgs/msg/Header");
         Some(ObservedType { name, has_header })
     }
 
-    pub(super) fn trouble(&self) -> Option<String> {
+    pub(super) fn problem(&self) -> Option<String> {
         let silent = format!("no node publishes {}", self.name);
         let Some(TypedSubscription { ends, .. }) = &self.subscription else { return Some(silent) };
         let peers = ends.peers();
@@ -131,7 +131,7 @@ impl Ros2Topic {
             let refused = peers.refused.values().next();
             return Some(refused.map_or_else(
                 || silent.clone(),
-                |refusal| format!("{silent} for this agent: a publisher is there, but {refusal}"),
+                |refusal| format!("{silent} for this agent: a publisher exists, but {refusal}"),
             ));
         }
         let counts = ends.counts();
@@ -140,16 +140,16 @@ impl Ros2Topic {
         })
     }
 
-    pub(super) fn publishers(&self) -> Vec<PublisherPlace> {
-        let of_type = |publisher: &DiscoveredPublisher| {
+    pub(super) fn publishers(&self) -> Vec<PublisherLocation> {
+        let of_type = |publisher: &FoundPublisher| {
             self.subscription.as_ref().is_some_and(|own| own.type_name == publisher.type_name)
         };
         let found = self.node.publishers_of(&self.name).into_iter().filter(of_type);
-        let place = |publisher: DiscoveredPublisher| PublisherPlace {
+        let location = |publisher: FoundPublisher| PublisherLocation {
             node: publisher.name(),
             host: publisher.host.map(|host| host.to_string()),
         };
-        found.map(place).collect()
+        found.map(location).collect()
     }
 
     pub(super) async fn publishers_changed(&self) {
@@ -174,7 +174,7 @@ fn type_to_subscribe<'a>(publishers: &'a [DiscoveredPublisher], current: Option<
 }
 
 /// Converts a received sample.
-fn observed(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
+fn message_from_sample(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
     let header = read_header(WireForm::Cdr, &sample.payload);
     TopicMessage {
         received: stamp_of(clock.apply_faults(sample.received_time), clock.stamp()),
@@ -228,7 +228,7 @@ mod tests {
             sequence: 9,
             missing_before: 2,
         };
-        let message = observed(&sample, &clock);
+        let message = message_from_sample(&sample, &clock);
         assert_eq!((message.stamp, message.missing, message.length), (Some(3_000_000_005), 2, 18));
         assert_eq!((message.received.wall, message.sequence), (now, None));
     }

@@ -1,9 +1,10 @@
-//! Counts missing messages by the sequence numbers of their publishers. No I/O.
+//! Counts missing messages by the publishers' sequence numbers. No I/O.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Largest number of publishers whose sequence numbers are kept, because anybody on the network can publish.
+/// Largest number of publishers whose sequence numbers are kept. Anybody on the network can publish, so the memory must
+/// be bounded.
 const MAX_PUBLISHERS: usize = 256;
 
 /// The last sequence number of each publisher of a topic.
@@ -11,7 +12,7 @@ const MAX_PUBLISHERS: usize = 256;
 pub(super) struct SequenceGaps(BTreeMap<Arc<str>, i64>);
 
 impl SequenceGaps {
-    /// Records the number of a message. Returns how many messages of the same publisher should have come before it.
+    /// Records the sequence number of a message. Returns the number of missing messages of the same publisher before it.
     pub(super) fn record(&mut self, publisher: &Arc<str>, sequence: i64) -> u64 {
         if self.0.len() >= MAX_PUBLISHERS && !self.0.contains_key(publisher) {
             self.0.clear();
@@ -33,7 +34,7 @@ mod tests {
         let mut missing = |node, sequence| gaps.record(node, sequence);
         assert_eq!((missing(&left, 7), missing(&right, 100)), (0, 0), "nothing is known of what was before");
         assert_eq!((missing(&left, 8), missing(&right, 104)), (0, 3));
-        assert_eq!((missing(&left, 0), missing(&left, 2)), (0, 1), "the node was started anew");
+        assert_eq!((missing(&left, 0), missing(&left, 2)), (0, 1), "the node was restarted");
     }
 
     #[test]

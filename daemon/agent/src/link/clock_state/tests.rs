@@ -37,18 +37,18 @@ fn exchange(sent: i64, ahead: i64) -> ExchangeObservation {
     ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
 }
 
-fn knowledge() -> Knowledge {
-    knowledge_of(RelatedClocks::Raw)
+fn clock_state() -> LinkClockState {
+    clock_state_of(RelatedClocks::Raw)
 }
 
-fn knowledge_of(clocks: RelatedClocks) -> Knowledge {
+fn clock_state_of(clocks: RelatedClocks) -> LinkClockState {
     let settings = RelationSettings { clocks, trust_time_daemons: true, ..RelationSettings::default() };
     let relation = Relation::new(settings);
     let peer = (HostId::random(), "cloud".parse().expect("a name"));
-    let mut knowledge =
-        Knowledge::new(peer, relation, (announcement(0, None), announcement(0, None)), now(0));
-    knowledge.join(&network());
-    knowledge
+    let mut clock_state =
+        LinkClockState::new(peer, relation, (announcement(0, None), announcement(0, None)), now(0));
+    clock_state.join(&network());
+    clock_state
 }
 
 fn network() -> NetworkName {
@@ -57,21 +57,23 @@ fn network() -> NetworkName {
 
 #[test]
 fn announcement_without_step_keeps_window() {
-    let mut knowledge = knowledge();
-    knowledge.edge_announced(announcement(0, None), now(0).raw);
-    let _ = knowledge.cloud_announced(announcement(0, None), now(0).raw);
-    let ([up, _], _) = knowledge.judge(&network(), &exchange(0, 0), WAYS, now(4));
+    let mut clock_state = clock_state();
+    clock_state.handle_edge_announcement(announcement(0, None), now(0).raw);
+    let _ = clock_state.handle_cloud_announcement(announcement(0, None), now(0).raw);
+    let ([up, _], _) = clock_state.judge(&network(), &exchange(0, 0), WAYS, now(4));
     assert!(up.value.is_some(), "{up:?}");
-    let _ = knowledge
-        .cloud_announced(PeerClock { text: "something else".into(), ..announcement(0, None) }, now(5).raw);
-    assert_eq!(knowledge.judge(&network(), &exchange(10, 0), WAYS, now(14)).1.restart, None);
+    let _ = clock_state.handle_cloud_announcement(
+        PeerClock { text: "something else".into(), ..announcement(0, None) },
+        now(5).raw,
+    );
+    assert_eq!(clock_state.judge(&network(), &exchange(10, 0), WAYS, now(14)).1.restart, None);
 }
 
 #[test]
 fn nonempty_second_is_reported_once_when_over() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     for sent in [0, 300, 600] {
-        let ([up, down], changes) = knowledge.judge(
+        let ([up, down], changes) = clock_state.judge(
             &network(),
             &exchange(sent, 5000),
             [MessageDelay { raw: Span::ZERO, bits: Some(1e6) }, WAY],
@@ -83,15 +85,15 @@ fn nonempty_second_is_reported_once_when_over() {
             assert!(bounds.lo <= Span::from_millis(1) && Span::from_millis(1) <= bounds.hi, "{delay:?}");
         }
     }
-    let _ = knowledge.probed(&ProbeResult::Sent, true, now(700));
-    let _ = knowledge.probed(&ProbeResult::Answered(exchange(700, 5000)), true, now(704));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(700));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Answered(exchange(700, 5000)), true, now(704));
     assert_eq!(
-        knowledge.now(&network(), now(800)).up.map(|up| up.count),
+        clock_state.latest_sample(&network(), now(800)).up.map(|up| up.count),
         Some(3),
         "as much of it as has passed"
     );
 
-    let changes = knowledge.turn(now(1001));
+    let changes = clock_state.advance_second(now(1001));
     let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
     assert_eq!(sample.at, at(1000));
     assert_eq!((sample.probes.sent, sample.probes.answered, sample.probes.lost), (1, 1, 0));
@@ -103,54 +105,54 @@ fn nonempty_second_is_reported_once_when_over() {
     let offset = sample.offset.as_ref().expect("known");
     let truth = Span::from_seconds(5);
     assert!(offset.bounds.lo <= truth && truth <= offset.bounds.hi, "{offset:?}");
-    assert_eq!(knowledge.now(&network(), now(1500)), *sample);
+    assert_eq!(clock_state.latest_sample(&network(), now(1500)), *sample);
 
-    assert!(knowledge.turn(now(2500)).samples.is_empty(), "nothing new, nothing told");
-    assert!(knowledge.now(&network(), now(2600)).up.is_none());
+    assert!(clock_state.advance_second(now(2500)).samples.is_empty(), "nothing new, nothing told");
+    assert!(clock_state.latest_sample(&network(), now(2600)).up.is_none());
 }
 
 #[test]
 fn step_of_peers_clock_begins_window_and_is_named() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     for sent in [0, 100, 200] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
+        let _ = clock_state.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
-    let before = knowledge.now(&network(), now(250)).window;
-    let _ = knowledge.cloud_announced(announcement(1, None), now(250).raw);
+    let before = clock_state.latest_sample(&network(), now(250)).window;
+    let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(250).raw);
     // An exchange that was in flight when the step was announced is not used, however plausible it is.
-    let under_way = ExchangeObservation { cloud_epoch: Some(1), ..exchange(300, 3000) };
-    let ([up, down], changes) = knowledge.judge(&network(), &under_way, WAYS, now(304));
+    let in_flight = ExchangeObservation { cloud_epoch: Some(1), ..exchange(300, 3000) };
+    let ([up, down], changes) = clock_state.judge(&network(), &in_flight, WAYS, now(304));
     assert_eq!((up.value, down.value, changes.restart), (None, None, None));
     assert_eq!((up.verdict, down.verdict), (Verdict::Stepped, Verdict::Stepped));
     let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
     assert_eq!((sample.window, sample.at), (before, at(304)), "what was before belongs to the old window");
     assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
     let after = ExchangeObservation { cloud_epoch: Some(1), ..exchange(400, 3000) };
-    let (_, changes) = knowledge.judge(&network(), &after, WAYS, now(404));
+    let (_, changes) = clock_state.judge(&network(), &after, WAYS, now(404));
     let restart = changes.restart.expect("told");
     assert!((restart.edge, restart.cloud) == (false, true), "{restart:?}");
     if let Some(moved) = restart.moved {
         assert!((moved - Span::from_seconds(3)).abs() < Span::from_millis(10), "{moved}");
     }
     assert!(changes.samples.is_empty(), "{changes:?}");
-    let changes = knowledge.turn(now(1000));
+    let changes = clock_state.advance_second(now(1000));
     assert_ne!(changes.samples[0].window, before);
     assert_eq!(changes.samples[0].upper, Some(after.exchange));
 
-    let _ = knowledge.cloud_announced(announcement(1, None), now(250).raw);
+    let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(250).raw);
     let again = ExchangeObservation { cloud_epoch: Some(1), ..exchange(1100, 3000) };
-    assert_eq!(knowledge.judge(&network(), &again, WAYS, now(1104)).1.restart, None, "once");
+    assert_eq!(clock_state.judge(&network(), &again, WAYS, now(1104)).1.restart, None, "once");
 }
 
 #[test]
 fn exchange_across_step_is_counted_without_value() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     let message_delay = MessageDelay { raw: Span::from_seconds(3), bits: None };
-    let (delays, _) = knowledge.stepped(&network(), [message_delay, message_delay], now(4));
+    let (delays, _) = clock_state.judge_interrupted(&network(), [message_delay, message_delay], now(4));
     for delay in delays {
         assert_eq!((delay.raw, delay.value, delay.verdict), (Span::from_seconds(3), None, Verdict::Stepped));
     }
-    let changes = knowledge.finish(now(500));
+    let changes = clock_state.finish(now(500));
     assert_eq!(
         (changes.samples[0].up.map(|up| (up.count, up.median)), changes.samples[0].at),
         (Some((1, None)), at(500))
@@ -159,64 +161,64 @@ fn exchange_across_step_is_counted_without_value() {
 
 #[test]
 fn claims_after_step_do_not_reach_earlier_window() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     let claiming = |millis, epoch| {
         let error = Interval::exactly(Span::from_millis(millis));
         announcement(epoch, Some(Discipline { source: DelaySource::Chrony, error }))
     };
-    let _ = knowledge.cloud_announced(claiming(0, 0), now(5000).raw);
-    let _ = knowledge.judge(&network(), &exchange(5000, 0), WAYS, now(5004));
-    let before = knowledge.now(&network(), now(5010)).window;
+    let _ = clock_state.handle_cloud_announcement(claiming(0, 0), now(5000).raw);
+    let _ = clock_state.judge(&network(), &exchange(5000, 0), WAYS, now(5004));
+    let before = clock_state.latest_sample(&network(), now(5010)).window;
     // Set back by three seconds, and chrony knows at once by how much.
-    knowledge.edge_announced(claiming(-3000, 1), now(2200).raw);
-    assert_eq!(knowledge.now(&network(), now(2200)).offset, None);
-    let changes = knowledge.turn(now(2200));
+    clock_state.handle_edge_announcement(claiming(-3000, 1), now(2200).raw);
+    assert_eq!(clock_state.latest_sample(&network(), now(2200)).offset, None);
+    let changes = clock_state.advance_second(now(2200));
     let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
     assert_eq!((sample.window, sample.at, &sample.offset), (before, at(6000), &None));
-    let now = knowledge.now(&network(), now(2300));
+    let now = clock_state.latest_sample(&network(), now(2300));
     assert_ne!(now.window, before);
     assert_eq!(now.offset.map(|offset| offset.estimate), Some(Span::from_seconds(3)));
 }
 
 #[test]
 fn probe_across_own_step_reports_only_step() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     for millis in [0, 100, 200] {
-        let _ = knowledge.judge(&network(), &exchange(millis, 0), WAYS, now(millis + 4));
+        let _ = clock_state.judge(&network(), &exchange(millis, 0), WAYS, now(millis + 4));
     }
-    assert!(knowledge.now(&network(), now(300)).offset.is_some());
-    let _ = knowledge.probed(&ProbeResult::Sent, true, now(300));
-    let _ = knowledge.probed(&ProbeResult::Stepped(1), true, now(304));
-    assert_eq!(knowledge.now(&network(), now(305)).offset, None);
-    let changes = knowledge.probed(&ProbeResult::Stepped(1), true, now(306));
+    assert!(clock_state.latest_sample(&network(), now(300)).offset.is_some());
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(300));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Stepped(1), true, now(304));
+    assert_eq!(clock_state.latest_sample(&network(), now(305)).offset, None);
+    let changes = clock_state.handle_probe_result(&ProbeResult::Stepped(1), true, now(306));
     assert!(changes.restart.is_none(), "{changes:?}");
     let after = |millis| ExchangeObservation { edge_epoch: 1, ..exchange(millis, -3000) };
     // The relation cannot exclude that this exchange was in flight during the step.
-    let _ = knowledge.judge(&network(), &after(400), WAYS, now(404));
-    let (_, changes) = knowledge.judge(&network(), &after(500), WAYS, now(504));
+    let _ = clock_state.judge(&network(), &after(400), WAYS, now(404));
+    let (_, changes) = clock_state.judge(&network(), &after(500), WAYS, now(504));
     assert!(changes.restart.is_some_and(|restart| restart.edge && !restart.cloud), "{changes:?}");
 }
 
 #[test]
 fn claim_before_step_stays_void() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     let claim = |epoch| {
         let error = Interval::exactly(Span::ZERO);
         let discipline = Some(Discipline { source: DelaySource::Chrony, error });
         announcement(epoch, discipline)
     };
-    knowledge.edge_announced(claim(0), now(0).raw);
-    let _ = knowledge.cloud_announced(claim(0), now(0).raw);
+    clock_state.handle_edge_announcement(claim(0), now(0).raw);
+    let _ = clock_state.handle_cloud_announcement(claim(0), now(0).raw);
     for sent in [0, 10, 20] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
+        let _ = clock_state.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
     // The cloud is set forward by 5 s; an exchange carries the new epoch before the announcement does.
     let stepped = |sent| ExchangeObservation { cloud_epoch: Some(1), ..exchange(sent, 5000) };
-    let _ = knowledge.judge(&network(), &stepped(30), WAYS, now(34));
-    knowledge.edge_announced(claim(0), now(0).raw);
-    let _ = knowledge.cloud_announced(claim(0), now(0).raw);
+    let _ = clock_state.judge(&network(), &stepped(30), WAYS, now(34));
+    clock_state.handle_edge_announcement(claim(0), now(0).raw);
+    let _ = clock_state.handle_cloud_announcement(claim(0), now(0).raw);
     for sent in [40, 50] {
-        let ([up, down], _) = knowledge.judge(&network(), &stepped(sent), WAYS, now(sent + 4));
+        let ([up, down], _) = clock_state.judge(&network(), &stepped(sent), WAYS, now(sent + 4));
         assert!(up.value.is_some() && down.value.is_some(), "{up:?} {down:?}");
         assert_eq!((up.source, down.source), (DelaySource::InBand, DelaySource::InBand));
     }
@@ -224,68 +226,68 @@ fn claim_before_step_stays_void() {
 
 #[test]
 fn networks_of_pair_share_relation_but_not_delays() {
-    let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
-    knowledge.join(&other);
+    let (mut clock_state, other) = (clock_state(), "zmq-udp".parse::<NetworkName>().expect("a name"));
+    clock_state.join(&other);
     for sent in [0, 100, 200] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
+        let _ = clock_state.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
-    let _ = knowledge.judge(&other, &exchange(300, 0), WAYS, now(304));
-    let _ = knowledge.probed(&ProbeResult::Sent, true, now(310));
-    let of_now = |network| knowledge.now(network, now(400)).up.map(|up| up.count);
+    let _ = clock_state.judge(&other, &exchange(300, 0), WAYS, now(304));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(310));
+    let of_now = |network| clock_state.latest_sample(network, now(400)).up.map(|up| up.count);
     assert_eq!((of_now(&network()), of_now(&other)), (Some(3), Some(1)));
 
-    let changes = knowledge.turn(now(1001));
+    let changes = clock_state.advance_second(now(1001));
     let [tcp, udp] = &changes.samples[..] else { panic!("one for each network: {changes:?}") };
     assert_eq!((&tcp.network, &udp.network), (&network(), &other));
     assert_eq!((tcp.up.map(|up| up.count), udp.up.map(|up| up.count)), (Some(3), Some(1)));
     let delays_apart = ClockSample { network: network(), up: tcp.up, down: tcp.down, ..udp.clone() };
     assert_eq!(*tcp, delays_apart, "the relation is that of the pair of hosts");
     assert_eq!(
-        (knowledge.now(&network(), now(1100)), knowledge.now(&other, now(1100))),
+        (clock_state.latest_sample(&network(), now(1100)), clock_state.latest_sample(&other, now(1100))),
         (tcp.clone(), udp.clone())
     );
 
     // A network whose session had its last delays in this second gets one more sample.
-    let _ = knowledge.judge(&network(), &exchange(1200, 0), WAYS, now(1204));
-    knowledge.leave(&network());
-    let networks = |changes: KnowledgeChanges| {
+    let _ = clock_state.judge(&network(), &exchange(1200, 0), WAYS, now(1204));
+    clock_state.leave(&network());
+    let networks = |changes: ClockStateChanges| {
         changes.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>()
     };
-    assert_eq!(networks(knowledge.settle_sessions(now(1300))), [network()]);
-    assert_eq!(networks(knowledge.turn(now(2001))), std::slice::from_ref(&other));
-    let _ = knowledge.probed(&ProbeResult::Sent, true, now(2100));
-    knowledge.leave(&other);
-    assert_eq!(networks(knowledge.finish(now(2200))), [other]);
+    assert_eq!(networks(clock_state.settle_sessions(now(1300))), [network()]);
+    assert_eq!(networks(clock_state.advance_second(now(2001))), std::slice::from_ref(&other));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(2100));
+    clock_state.leave(&other);
+    assert_eq!(networks(clock_state.finish(now(2200))), [other]);
 }
 
 #[test]
 fn ended_network_is_sampled_for_two_more_seconds() {
-    let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
-    knowledge.join(&other);
-    knowledge.leave(&other);
+    let (mut clock_state, other) = (clock_state(), "zmq-udp".parse::<NetworkName>().expect("a name"));
+    clock_state.join(&other);
+    clock_state.leave(&other);
     let mut sample_count = |second: i64| {
-        let _ = knowledge.probed(&ProbeResult::Sent, true, now(1_000 * second + 100));
-        knowledge.turn(now(1_000 * (second + 1) + 1)).samples.len()
+        let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(1_000 * second + 100));
+        clock_state.advance_second(now(1_000 * (second + 1) + 1)).samples.len()
     };
     assert_eq!([0, 1, 2, 3].map(&mut sample_count), [2, 2, 1, 1]);
 }
 
 #[test]
 fn samples_of_ended_network_include_all_its_probes() {
-    let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
-    knowledge.join(&other);
-    let _ = knowledge.probed(&ProbeResult::Sent, true, now(900));
-    let mut changes = vec![knowledge.turn(now(1_001))];
-    let _ = knowledge.probed(&ProbeResult::Sent, true, now(1_100));
-    knowledge.leave(&network());
+    let (mut clock_state, other) = (clock_state(), "zmq-udp".parse::<NetworkName>().expect("a name"));
+    clock_state.join(&other);
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(900));
+    let mut changes = vec![clock_state.advance_second(now(1_001))];
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(1_100));
+    clock_state.leave(&network());
     // The second ends before the link's task counts the unanswered probes.
-    changes.push(knowledge.turn(now(2_001)));
-    let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_002));
-    let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_003));
-    changes.push(knowledge.settle_sessions(now(2_004)));
-    changes.push(knowledge.turn(now(3_001)));
-    let _ = knowledge.probed(&ProbeResult::Sent, true, now(3_100));
-    changes.push(knowledge.turn(now(4_001)));
+    changes.push(clock_state.advance_second(now(2_001)));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Lost, true, now(2_002));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Lost, true, now(2_003));
+    changes.push(clock_state.settle_sessions(now(2_004)));
+    changes.push(clock_state.advance_second(now(3_001)));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(3_100));
+    changes.push(clock_state.advance_second(now(4_001)));
 
     let probes = |of: &NetworkName| {
         let samples =
@@ -298,11 +300,11 @@ fn samples_of_ended_network_include_all_its_probes() {
 
 #[test]
 fn late_answer_counts_neither_as_answered_nor_as_refused() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     for result in [ProbeResult::Sent, ProbeResult::Lost, ProbeResult::Late] {
-        let _ = knowledge.probed(&result, true, now(100));
+        let _ = clock_state.handle_probe_result(&result, true, now(100));
     }
-    let probes = knowledge.now(&network(), now(200)).probes;
+    let probes = clock_state.latest_sample(&network(), now(200)).probes;
     assert_eq!((probes.sent, probes.answered, probes.lost, probes.refused), (1, 0, 1, 0));
 }
 
@@ -310,26 +312,26 @@ fn late_answer_counts_neither_as_answered_nor_as_refused() {
 fn wall_clock_of_cloud_counts_only_if_related() {
     for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
         let is_related = clocks == RelatedClocks::RawToWall;
-        let mut knowledge = knowledge_of(clocks);
+        let mut clock_state = clock_state_of(clocks);
         for sent in [0, 100, 200] {
-            let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
+            let _ = clock_state.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
         }
         // A cloud of an earlier release announces nothing about its free-running clock.
         let raw = announcement(0, None).raw.filter(|_| !is_related);
         let stepped = PeerClock { epoch: 1, raw, ..PeerClock::default() };
-        let changes = knowledge.cloud_announced(stepped.clone(), now(250).raw);
+        let changes = clock_state.handle_cloud_announcement(stepped.clone(), now(250).raw);
         assert_eq!(changes.is_cloud_wall_set, !is_related);
-        assert_eq!(knowledge.now(&network(), now(260)).offset.is_none(), is_related, "{clocks}");
-        assert!(!knowledge.cloud_announced(stepped, now(270).raw).is_cloud_wall_set, "told once");
+        assert_eq!(clock_state.latest_sample(&network(), now(260)).offset.is_none(), is_related, "{clocks}");
+        assert!(!clock_state.handle_cloud_announcement(stepped, now(270).raw).is_cloud_wall_set, "told once");
     }
 }
 
 #[test]
 fn raw_difference_is_of_wall_clocks() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     let hour = Span::from_seconds(3_600);
     let message_delays = [MessageDelay { raw: hour, bits: None }, MessageDelay { raw: -hour, bits: None }];
-    let ([up, down], _) = knowledge.judge(&network(), &exchange(0, 0), message_delays, now(4));
+    let ([up, down], _) = clock_state.judge(&network(), &exchange(0, 0), message_delays, now(4));
     assert_eq!((up.raw, down.raw), (hour, -hour));
     let bounds = up.bounds.expect("bounded by itself alone");
     assert!(bounds.contains(Span::from_millis(1)) && bounds.hi < Span::from_millis(10), "{bounds:?}");
@@ -337,12 +339,12 @@ fn raw_difference_is_of_wall_clocks() {
 
 #[test]
 fn sample_has_basis_of_bounds_and_end_of_second() {
-    let mut knowledge = knowledge();
-    let _ = knowledge.judge(&network(), &exchange(300, 0), WAYS, now(304));
+    let mut clock_state = clock_state();
+    let _ = clock_state.judge(&network(), &exchange(300, 0), WAYS, now(304));
     // `turn` is called 80 ms late, after the wall clock was slewed: 900 ms of it were 890 ms of the free-running
     // clock.
     let late = Stamp { raw: now(1_080).raw - Span::from_millis(10), ..now(1_080) };
-    let changes = knowledge.turn(late);
+    let changes = clock_state.advance_second(late);
     let [sample] = &changes.samples[..] else { panic!("one second: {changes:?}") };
     let basis = sample.basis.expect("told");
     assert_eq!((sample.at, basis.clocks), (at(1_000), RelatedClocks::Raw));
@@ -368,16 +370,16 @@ fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
 
 #[test]
 fn observed_stamps_are_judged_without_learning() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     let (up, down) = observed(0, 0, 0);
-    let [unknown, _] = knowledge.judge_stamps(&up, Some(&down));
+    let [unknown, _] = clock_state.judge_stamps(&up, Some(&down));
     assert_eq!(unknown.map(|delay| delay.verdict), Some(Verdict::Unsynchronised));
     for sent in [0, 100, 200, 300] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 5000), WAYS, now(sent + 4));
+        let _ = clock_state.judge(&network(), &exchange(sent, 5000), WAYS, now(sent + 4));
     }
-    let before = knowledge.relation.counts();
+    let before = clock_state.relation.counts();
     let (up, down) = observed(320, 0, 0);
-    let [up_delay, down_delay] = knowledge.judge_stamps(&up, Some(&down));
+    let [up_delay, down_delay] = clock_state.judge_stamps(&up, Some(&down));
     for (delay, truth) in [(up_delay, 30), (down_delay, 5)] {
         let (delay, truth) = (delay.expect("it is judged"), Span::from_millis(truth));
         assert!(delay.bounds.is_some_and(|bounds| bounds.contains(truth)), "{delay:?}");
@@ -388,39 +390,39 @@ fn observed_stamps_are_judged_without_learning() {
     // The receiver on this host was 40 ms late: the cloud received the message before.
     let mut late = up;
     late.sender.raw = late.sender.raw + Span::from_millis(40);
-    let [negative, _] = knowledge.judge_stamps(&late, None);
+    let [negative, _] = clock_state.judge_stamps(&late, None);
     let bounds = negative.and_then(|difference| difference.bounds).expect("it is judged");
     assert!(bounds.contains(Span::from_millis(-10)) && bounds.hi.is_negative(), "{negative:?}");
-    let [alone, none] = knowledge.judge_stamps(&up, None);
+    let [alone, none] = clock_state.judge_stamps(&up, None);
     assert_eq!((alone.and_then(|delay| delay.bounds), none), (up_delay.and_then(|delay| delay.bounds), None));
-    assert_eq!(knowledge.relation.counts(), before);
+    assert_eq!(clock_state.relation.counts(), before);
 }
 
 #[test]
 fn observed_stamps_of_another_epoch_are_stepped() {
-    let mut knowledge = knowledge();
+    let mut clock_state = clock_state();
     for sent in [0, 100, 200, 300] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 5000), WAYS, now(sent + 4));
+        let _ = clock_state.judge(&network(), &exchange(sent, 5000), WAYS, now(sent + 4));
     }
-    let verdicts = |knowledge: &Knowledge, edge, cloud| {
+    let verdicts = |clock_state: &LinkClockState, edge, cloud| {
         let (up, down) = observed(320, edge, cloud);
-        knowledge.judge_stamps(&up, Some(&down)).map(|delay| delay.map(|delay| delay.verdict))
+        clock_state.judge_stamps(&up, Some(&down)).map(|delay| delay.map(|delay| delay.verdict))
     };
     let stepped = [Some(Verdict::Stepped); 2];
-    assert_ne!(verdicts(&knowledge, 0, 0), stepped);
-    assert_eq!(verdicts(&knowledge, 0, 1), stepped, "the relation does not know of the step yet");
-    let _ = knowledge.cloud_announced(announcement(1, None), now(400).raw);
-    assert_eq!(verdicts(&knowledge, 0, 0), stepped, "they were made before the step");
+    assert_ne!(verdicts(&clock_state, 0, 0), stepped);
+    assert_eq!(verdicts(&clock_state, 0, 1), stepped, "the relation does not know of the step yet");
+    let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(400).raw);
+    assert_eq!(verdicts(&clock_state, 0, 0), stepped, "they were made before the step");
     let (mut up, _) = observed(320, 0, 1);
     up.sender.epoch = None;
-    assert_eq!(knowledge.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
+    assert_eq!(clock_state.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
 }
 
 /// Ten exchanges a second, whose middle moves by 8 ms from the 20th on, and back from the 40th on.
 #[test]
 fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
-    let mut knowledge = knowledge();
-    let before = knowledge.now(&network(), now(0)).window;
+    let mut clock_state = clock_state();
+    let before = clock_state.latest_sample(&network(), now(0)).window;
     let (mut jumps, mut windows) = (Vec::new(), BTreeSet::new());
     for n in 0..60 {
         let sent = n * 100;
@@ -431,10 +433,10 @@ fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
         // Twelve milliseconds on the way, so that no exchange contradicts another one.
         stamps.sent = stamps.sent - Span::from_millis(5);
         stamps.returned = stamps.returned + Span::from_millis(5);
-        let (_, changes) = knowledge.judge(&network(), &observation, WAYS, now(sent + 9));
+        let (_, changes) = clock_state.judge(&network(), &observation, WAYS, now(sent + 9));
         jumps.extend(changes.jump);
         assert!(changes.restart.is_none() && changes.excess.is_none(), "{changes:?}");
-        windows.insert(knowledge.now(&network(), now(sent + 9)).window);
+        windows.insert(clock_state.latest_sample(&network(), now(sent + 9)).window);
     }
     let [jump] = jumps[..] else { panic!("{jumps:?}") };
     assert!(

@@ -15,33 +15,33 @@ use peernet_probes::ProbeResult;
 use peernet_stream::{Event, IncidentKind, LinkLive, NetworkName, Probing};
 use tokio::sync::watch;
 
+use super::clock_state::{ClockStateChanges, LinkClockState, MessageDelay};
 use super::connections::Connections;
 use super::correction::{bits, correct};
 use super::incident_texts::{excess_text, jump_text, lost_proof_text, restart_text, wall_set_text};
 use super::judged_stamps::Crossing;
-use super::knowledge::{Knowledge, KnowledgeChanges, MessageDelay};
 use super::named_reflector::NamedReflector;
 use super::probe_pace::ProbePace;
 use super::shared::{Session, Shared, lock};
-use crate::incidents::IncidentContext;
+use crate::incidents::IncidentSubject;
 use crate::same_clock::NotProven;
 
-/// Longest wait of a session for the proof that both ends read one clock. A cloud that has connected answers within a
+/// Longest wait of a session for the proof that both ends read one clock. A cloud on this machine answers within a
 /// millisecond.
 const FIRST_PROOF_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// The link to one cloud, over whatever networks. Locks are held for microseconds, never while waiting; that of the
-/// connections is taken by live updates only.
+/// The link to one cloud, over all networks.
+// Locks are held for microseconds, never across a wait. Only live updates take the lock of the connections.
 #[derive(Debug)]
-pub(crate) struct Link {
+pub(crate) struct CloudLink {
     pub(super) shared: Arc<Shared>,
     pub(super) cloud: LinkedCloud,
-    /// `true` if it is proven that both processes read one clock; `None` until the first attempt is over.
+    /// `true` if it is proven that both processes read one clock; `None` until the first attempt has ended.
     same_clock: watch::Sender<Option<bool>>,
-    /// Sessions with the cloud, oldest first; empty when the link is over.
+    /// Sessions with the cloud, oldest first; empty when the link has ended.
     pub(super) sessions: watch::Sender<Vec<Session>>,
     pub(super) pace: ProbePace,
-    knowledge: Mutex<Knowledge>,
+    clock_state: Mutex<LinkClockState>,
     pub(super) probing: Mutex<Probing>,
     /// Reflector that the configuration names for the cloud.
     reflector: Option<NamedReflector>,
@@ -55,21 +55,21 @@ pub(super) struct LinkedCloud {
     pub(super) name: Slug,
     /// Identity of its clock.
     pub(super) clock: ClockIdentity,
-    /// Clocks of the two hosts that are related.
+    /// Kind of the clocks that the relation relates.
     pub(super) clocks: RelatedClocks,
 }
 
-impl Link {
+impl CloudLink {
     pub(super) fn new(shared: &Arc<Shared>, accepted: &SessionAccepted, clocks: RelatedClocks) -> Self {
         let clock = &shared.host.clock;
         let now = clock.stamp();
         let settings = RelationSettings { clocks, ..shared.relation };
         let relation = Relation::new(settings);
-        let announcements = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
-        let mut knowledge =
-            Knowledge::new((accepted.host, accepted.name.clone()), relation, announcements, now);
+        let announcements = (shared.host.host_clock.borrow().clone(), accepted.host_clock.clone());
+        let mut clock_state =
+            LinkClockState::new((accepted.host, accepted.name.clone()), relation, announcements, now);
         // The announcement of the latest interruption may not have arrived yet.
-        knowledge.begin_epoch_of_edge(clock.epoch());
+        clock_state.begin_epoch_of_edge(clock.epoch());
         let named = shared.probes.reflectors.get(&accepted.name);
         let reflector = named.map(|address| NamedReflector::new(address.clone(), shared.relation));
         let link = Self {
@@ -83,8 +83,8 @@ impl Link {
             same_clock: watch::Sender::new(None),
             sessions: watch::Sender::new(Vec::new()),
             pace: ProbePace::new(now.mono),
-            knowledge: Mutex::new(knowledge),
-            probing: Mutex::new(Probing::Off("about to begin".to_owned())),
+            clock_state: Mutex::new(clock_state),
+            probing: Mutex::new(Probing::Off("not started yet".to_owned())),
             reflector,
             connections: Mutex::default(),
         };
@@ -93,19 +93,18 @@ impl Link {
     }
 
     /// Judges the delays of an answered exchange over a network and sets them in its tree. Returns the sum of both
-    /// directions by the hosts' monotonic clocks, which is known even if a wall clock was stepped meanwhile.
+    /// directions by the hosts' monotonic clocks, which is known even if a wall clock was stepped in the meantime.
     pub(super) fn correct(&self, network: &NetworkName, exchange: &mut Exchange) -> Option<Span> {
-        let (Some(up), Some(down), Some(arrived)) = (exchange.upload, exchange.download, exchange.arrived_at)
-        else {
-            // Without an answer no clock is related, and neither direction is known to have ended.
+        let (Some(up), Some(down), Some(arrived)) = (exchange.up, exchange.down, exchange.arrived) else {
+            // Without an answer neither delay is known.
             return None;
         };
         let transport = transport(&exchange.log, up, down, arrived);
         let tree = exchange.log.tree_mut();
         let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
         let message_delays = [
-            MessageDelay { raw: raw(tree, up)?, bits: bits[0] },
-            MessageDelay { raw: raw(tree, down)?, bits: bits[1] },
+            MessageDelay { raw: raw_difference(tree, up)?, bits: bits[0] },
+            MessageDelay { raw: raw_difference(tree, down)?, bits: bits[1] },
         ];
         let ([first, second], changes) =
             self.judge(network, exchange.observation.as_ref(), message_delays, arrived);
@@ -115,60 +114,60 @@ impl Link {
         transport
     }
 
-    /// Judges an exchange. It has no observation if one of the clocks was stepped meanwhile, as its host reports.
+    /// Judges an exchange. It has no observation if a host reports that its clock was stepped during the exchange.
     fn judge(
         &self,
         network: &NetworkName,
         observation: Option<&ExchangeObservation>,
         message_delays: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
-        self.pace.note_data(now.mono);
+    ) -> ([OneWayDelay; 2], ClockStateChanges) {
+        self.pace.record_data(now.mono);
         self.adjust_pace(now.mono);
-        let mut knowledge = lock(&self.knowledge);
+        let mut clock_state = lock(&self.clock_state);
         match observation {
-            Some(observation) => knowledge.judge(network, observation, message_delays, now),
-            None => knowledge.stepped(network, message_delays, now),
+            Some(observation) => clock_state.judge(network, observation, message_delays, now),
+            None => clock_state.judge_interrupted(network, message_delays, now),
         }
     }
 
-    /// Judges the delays of messages that others sent, one in each direction. Nothing is learnt from them.
+    /// Judges the delays of observed messages, one in each direction. The relation does not learn from them.
     pub(crate) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
-        lock(&self.knowledge).judge_stamps(up, down)
+        lock(&self.clock_state).judge_stamps(up, down)
     }
 
     /// Handles the result of a probe.
-    pub(super) fn probed(&self, result: &ProbeResult, authenticated: bool) {
+    pub(super) fn handle_probe_result(&self, result: &ProbeResult, authenticated: bool) {
         let now = self.shared.host.clock.stamp();
-        let changes = lock(&self.knowledge).probed(result, authenticated, now);
+        let changes = lock(&self.clock_state).handle_probe_result(result, authenticated, now);
         self.report(changes);
     }
 
-    /// Closes the current second if it is over.
-    pub(super) fn turn(&self) {
+    /// Closes the current second if its time has passed.
+    pub(super) fn advance_second(&self) {
         let now = self.shared.host.clock.stamp();
         self.adjust_pace(now.mono);
-        let changes = lock(&self.knowledge).turn(now);
+        let changes = lock(&self.clock_state).advance_second(now);
         self.report(changes);
     }
 
     /// Closes the current second at the end of the link.
     pub(super) fn finish(&self) {
         let now = self.shared.host.clock.stamp();
-        let changes = lock(&self.knowledge).finish(now);
+        let changes = lock(&self.clock_state).finish(now);
         self.report(changes);
     }
 
-    /// Handles new information about this host's clocks.
-    pub(super) fn edge_announced(&self, clock: PeerClock) {
+    /// Handles an announcement about this host's clocks.
+    pub(super) fn handle_edge_announcement(&self, clock: PeerClock) {
         let now = self.shared.host.clock.raw();
-        lock(&self.knowledge).edge_announced(clock, now);
+        lock(&self.clock_state).handle_edge_announcement(clock, now);
     }
 
-    /// Handles new information from the cloud about its clocks.
-    pub(super) fn cloud_announced(&self, clock: PeerClock) {
+    /// Handles an announcement of the cloud about its clocks.
+    pub(super) fn handle_cloud_announcement(&self, clock: PeerClock) {
         let now = self.shared.host.clock.raw();
-        let changes = lock(&self.knowledge).cloud_announced(clock, now);
+        let changes = lock(&self.clock_state).handle_cloud_announcement(clock, now);
         self.report(changes);
     }
 
@@ -177,35 +176,35 @@ impl Link {
         let is_proven = proof.is_ok();
         let now = self.shared.host.clock.stamp();
         let before = *self.same_clock.borrow();
-        let mut changes = KnowledgeChanges::default();
+        let mut changes = ClockStateChanges::default();
         match proof {
             Ok(()) => {
-                lock(&self.knowledge).clock_proven();
+                lock(&self.clock_state).confirm_same_clock();
                 if before != Some(true) {
-                    tracing::info!(peer = %self.cloud.name, "both processes read one clock: delays are exact");
+                    tracing::info!(peer = %self.cloud.name, "both processes read the same clock; delays are exact");
                 }
             }
             Err(why) if before == Some(true) => {
-                tracing::debug!(peer = %self.cloud.name, "delays are measured from now on: {why}");
-                changes = lock(&self.knowledge).proof_lost(why, now.raw);
+                tracing::debug!(peer = %self.cloud.name, "delays are estimated from now on: {why}");
+                changes = lock(&self.clock_state).handle_lost_proof(why, now.raw);
             }
             Err(why) => {
-                lock(&self.knowledge).clock_not_proven();
-                tracing::debug!(peer = %self.cloud.name, "delays are measured: {why}");
+                lock(&self.clock_state).reject_same_clock();
+                tracing::debug!(peer = %self.cloud.name, "delays are estimated: {why}");
             }
         }
-        // Sent after the knowledge was updated, because a receiver may ask for delays at once.
+        // Sent after the clock state was updated, because a receiver may have a delay judged at once.
         self.same_clock.send_replace(Some(is_proven));
         self.adjust_pace(now.mono);
         self.report(changes);
     }
 
     /// Waits until it is known whether both processes read one clock, at most [`FIRST_PROOF_TIMEOUT`].
-    pub(crate) async fn first_proof(&self) {
+    pub(crate) async fn wait_for_first_proof(&self) {
         let mut same_clock = self.same_clock.subscribe();
-        let known = same_clock.wait_for(Option::is_some);
-        if tokio::time::timeout(FIRST_PROOF_TIMEOUT, known).await.is_err() {
-            tracing::debug!(peer = %self.cloud.name, "not known yet whether both processes read one clock");
+        let first = same_clock.wait_for(Option::is_some);
+        if tokio::time::timeout(FIRST_PROOF_TIMEOUT, first).await.is_err() {
+            tracing::debug!(peer = %self.cloud.name, "no answer yet whether both processes read the same clock");
         }
     }
 
@@ -229,27 +228,27 @@ impl Link {
 
     /// Records that a session was opened.
     pub(super) fn join(&self, session: Session) {
-        lock(&self.knowledge).join(&session.network);
+        lock(&self.clock_state).join(&session.network);
         self.sessions.send_modify(|sessions| sessions.push(session));
     }
 
-    /// Records that a session is over. Returns whether it was the last one.
+    /// Records that a session has ended. Returns whether it was the last one.
     pub(super) fn leave(&self, id: u64, network: &NetworkName) -> bool {
-        lock(&self.knowledge).leave(network);
+        lock(&self.clock_state).leave(network);
         self.sessions.send_modify(|sessions| sessions.retain(|session| session.id != id));
         self.sessions.borrow().is_empty()
     }
 
-    /// Records that the session that probed is over and its probes are counted.
+    /// Records that the session that probed has ended and all of its probes are counted.
     pub(super) fn settle_sessions(&self) {
         let now = self.shared.host.clock.stamp();
-        let changes = lock(&self.knowledge).settle_sessions(now);
+        let changes = lock(&self.clock_state).settle_sessions(now);
         self.report(changes);
     }
 
     /// Returns the live state: a link for each network in use.
     pub(super) fn live(&self) -> Vec<LinkLive> {
-        // Cloned, because reading statistics takes longer than a session may wait to join.
+        // Cloned, so that sessions need not wait to join while statistics are read.
         let sessions = self.sessions.borrow().clone();
         let mut networks: BTreeMap<NetworkName, Vec<Slug>> = BTreeMap::new();
         for session in &sessions {
@@ -260,12 +259,12 @@ impl Link {
             *rate_hz = self.pace.rate_hz();
         }
         let clock = &self.shared.host.clock;
-        let connections = lock(&self.connections).of(&sessions, clock.mono());
+        let connections = lock(&self.connections).read_for(&sessions, clock.mono());
         let now = clock.stamp();
         let rate_hz = self.pace.rate_hz();
         let reflector = self.reflector.as_ref().map(|it| it.live(rate_hz, now, clock.wall_ahead()));
-        let knowledge = lock(&self.knowledge);
-        let (edge, cloud) = knowledge.clocks();
+        let clock_state = lock(&self.clock_state);
+        let (edge, cloud) = clock_state.describe_clocks();
         let link = |(network, mut pipelines): (NetworkName, Vec<Slug>)| {
             pipelines.sort_unstable();
             LinkLive {
@@ -277,7 +276,7 @@ impl Link {
                 probing: probing.clone(),
                 edge: Some(edge.clone()),
                 cloud: Some(cloud.clone()),
-                now: knowledge.now(&network, now),
+                now: clock_state.latest_sample(&network, now),
                 connections: connections
                     .iter()
                     .filter(|connection| connection.network == network)
@@ -293,10 +292,10 @@ impl Link {
         self.pace.adjust(&self.shared.probes, self.is_same_clock(), now);
     }
 
-    fn report(&self, changes: KnowledgeChanges) {
+    fn report(&self, changes: ClockStateChanges) {
         let host = &self.shared.host;
         for sample in changes.samples {
-            host.event_queue.event(None, Event::Clock(Box::new(sample)));
+            host.event_queue.push_event(None, Event::Clock(Box::new(sample)));
         }
         let (edge, cloud) = (&host.name, &self.cloud.name);
         let texts = [
@@ -307,14 +306,14 @@ impl Link {
             changes.lost_proof.map(|lost| lost_proof_text(&lost, edge, cloud)),
         ];
         for text in texts.into_iter().flatten() {
-            let what = IncidentContext { peer: Some(self.cloud.id), ..IncidentContext::default() };
-            host.incidents.report(IncidentKind::ClockStep, what, text);
+            let subject = IncidentSubject { peer: Some(self.cloud.id), ..IncidentSubject::default() };
+            host.incidents.report(IncidentKind::ClockStep, subject, text);
         }
     }
 }
 
-/// Returns the receiver's stamp minus the sender's.
-fn raw(tree: &Tree, transit: NodeId) -> Option<Span> {
+/// Returns the receiver's stamp minus the sender's; `None` if the message has not arrived.
+fn raw_difference(tree: &Tree, transit: NodeId) -> Option<Span> {
     match &tree.get(transit)?.measure {
         Measure::Transit(transit) => Some(transit.received? - transit.sent),
         _ => None,

@@ -6,7 +6,7 @@ use peernet_stream::{
     Action, Event, HostDescription, Iteration, Outcome, Sending, SendingConfig, SpoolState,
 };
 
-use super::super::tally::ranges;
+use super::super::range_log::ranges;
 use super::*;
 use crate::telemetry;
 

@@ -5,32 +5,33 @@ use peernet_logger::{Measure, Name, Node, Tree};
 use peernet_statistics::Summary;
 use peernet_stream::{Outcome, OutcomeCounts, Second};
 
-/// Name of the value that is 1 if an iteration missed its deadline or has no answer, else 0. Absent if the pipeline
-/// has no deadline.
+/// Name of the value that is 1 if an iteration missed its deadline or has no answer, and 0 otherwise. Absent if the
+/// pipeline has no deadline.
 pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
 
-/// Largest number of names per second. A peer adds nodes of its choice, and their memory must be bounded.
+/// Largest number of names per second.
+// A peer adds nodes of its choice to a tree, so the memory for their names must be bounded.
 const MAX_NAMES: usize = 64;
 
 /// Statistics of one second of one pipeline.
 #[derive(Debug)]
-pub(super) struct Cell {
+pub(super) struct SecondStatistics {
     pub(super) at: i64,
-    /// Version of the ring at the last change of this second. The receiver has it up to version `shown`.
+    /// Version of the ring at the last change of this second. The receiver has it up to `sent_version`.
     pub(super) version: u64,
-    pub(super) shown: u64,
+    pub(super) sent_version: u64,
     counts: OutcomeCounts,
     values: Summaries,
     bounds: Summaries,
     verdicts: Vec<(Name, Name, u64)>,
 }
 
-impl Cell {
+impl SecondStatistics {
     pub(super) const fn new(at: i64) -> Self {
         Self {
             at,
             version: 0,
-            shown: 0,
+            sent_version: 0,
             counts: OutcomeCounts { ok: 0, failed: 0, lost: 0, timeout: 0 },
             values: Summaries(Vec::new()),
             bounds: Summaries(Vec::new()),
@@ -46,11 +47,11 @@ impl Cell {
             Outcome::Lost(_) => self.counts.lost += 1,
             Outcome::Timeout => self.counts.timeout += 1,
         }
-        // The durations of a failed iteration say nothing about those of a working one. Only the name of the
-        // deadline's value is kept, so that a second without answers still shows that the pipeline has a deadline.
+        // The durations of a failed iteration are left out: they say nothing about those of a successful one. Only the
+        // name of the deadline's value is added, so that a second without answers still shows that there is a deadline.
         if *outcome != Outcome::Ok {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
-                self.values.open(0, &DEADLINE_MISSED);
+                self.values.find_or_add(0, &DEADLINE_MISSED);
             }
             return;
         }
@@ -59,21 +60,22 @@ impl Cell {
             if let Some(value) = node.measure.value() {
                 hint = self.values.record(hint, &node.name, value);
             }
-            self.judge(node);
+            self.record_delay(node);
         }
     }
 
-    /// Adds verdict and bounds of the one-way delay of a node.
-    fn judge(&mut self, node: &Node) {
+    /// Adds verdict and bounds of the one-way delay of a node, if it has one.
+    fn record_delay(&mut self, node: &Node) {
         let Measure::Transit(transit) = &node.measure else { return };
         let Some(delay) = transit.delay else { return };
-        // A delay without a value is left out of the averages, and its error bar as well.
+        // A delay without a value is not averaged, so its bounds are left out, too.
         if let Some(bounds) = delay.bounds.filter(|_| delay.value.is_some()) {
             self.bounds.record(0, &node.name, half_width(bounds));
         }
         let verdict = delay.verdict.name();
-        let known = self.verdicts.iter_mut().find(|(name, given, _)| *name == node.name && *given == verdict);
-        if let Some((_, _, count)) = known {
+        let counted =
+            self.verdicts.iter_mut().find(|(name, given, _)| *name == node.name && *given == verdict);
+        if let Some((_, _, count)) = counted {
             *count += 1;
         } else if self.verdicts.len() < MAX_NAMES {
             self.verdicts.push((node.name.clone(), Name::from_static(verdict), 1));
@@ -102,16 +104,16 @@ fn half_width(bounds: Interval) -> f64 {
 struct Summaries(Vec<(Name, Summary)>);
 
 impl Summaries {
-    /// Adds a value and returns the probable index of the next name. The trees of a pipeline nearly always have their
-    /// nodes in the same order, so that the first comparison finds the name.
+    /// Adds a value and returns the probable index of the next name, which is the next call's `hint`.
+    // The trees of a pipeline nearly always have their nodes in the same order, so the first comparison finds the name.
     fn record(&mut self, hint: usize, name: &Name, value: f64) -> usize {
-        let Some(index) = self.open(hint, name) else { return hint };
+        let Some(index) = self.find_or_add(hint, name) else { return hint };
         self.0[index].1.record(value);
         index + 1
     }
 
-    /// Returns the index of a name, which is added if it is new; `None` if there is no room for it.
-    fn open(&mut self, hint: usize, name: &Name) -> Option<usize> {
+    /// Returns the index of a name, which is added if it is new; `None` if it is new and there are [`MAX_NAMES`] names.
+    fn find_or_add(&mut self, hint: usize, name: &Name) -> Option<usize> {
         let found = match self.0.get(hint) {
             Some((known, _)) if known == name => Some(hint),
             _ => self.0.iter().position(|(known, _)| known == name),

@@ -27,7 +27,7 @@ pub(super) fn ranges(batch: &SpooledBatch) -> Vec<(RunId, u64, u64)> {
     let events = match codec::decode_events(&batch.body, batch.events) {
         Ok(events) => events,
         Err(error) => {
-            tracing::debug!(target: TARGET, batch = batch.number, %error, "spooled what cannot be read");
+            tracing::debug!(target: TARGET, batch = batch.number, %error, "cannot decode a spooled batch");
             return Vec::new();
         }
     };

@@ -1,4 +1,4 @@
-//! The state of a link's clock relation on the edge. No I/O: the time is an argument.
+//! The clock relation of a link, on the edge. No I/O: the time is an argument.
 
 use std::collections::BTreeSet;
 
@@ -17,16 +17,15 @@ use super::judged_stamps::{Crossing, HostStamp};
 use super::network_sessions::NetworkSessions;
 use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
 use super::second::Second;
-use crate::host_clock::shown;
+use crate::host_clock::describe_clock;
 use crate::same_clock::NotProven;
 
-/// Longest time between the end of a second and the time at which it counts as closed, unless exchanges stopped or
-/// the wall clock was set.
+/// Longest time between the end of a second and its close, unless exchanges stopped or the wall clock was set.
 const MAX_OVERDUE: Span = Span::from_seconds(2);
 
-/// The clock relation of a link, and what the current second adds to it.
+/// The clock relation of a link, and the events of the current second.
 #[derive(Debug)]
-pub(super) struct Knowledge {
+pub(super) struct LinkClockState {
     peer: HostId,
     name: Slug,
     relation: Relation,
@@ -38,21 +37,21 @@ pub(super) struct Knowledge {
     reports: ClockReports,
 }
 
-/// Samples to record and incidents to report.
+/// Results of an update: samples to record and incidents to report.
 #[derive(Debug, Default)]
 #[must_use]
-pub(super) struct KnowledgeChanges {
-    /// Samples of the seconds that are over.
+pub(super) struct ClockStateChanges {
+    /// Samples of the closed seconds.
     pub(super) samples: Vec<ClockSample>,
     pub(super) restart: Option<Restart>,
-    /// `true` if the cloud's wall clock was set or drifted away; no delay depends on it.
+    /// `true` if the cloud's wall clock was stepped or slewed; no delay depends on it.
     pub(super) is_cloud_wall_set: bool,
     pub(super) jump: Option<SuspectedJump>,
     pub(super) excess: Option<ExcessSkew>,
     pub(super) lost_proof: Option<LostProof>,
 }
 
-/// A message that has arrived, and its number of bits.
+/// The raw delay of a message that has arrived, and its number of bits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageDelay {
     /// Difference of the wall-clock stamps.
@@ -60,7 +59,7 @@ pub(super) struct MessageDelay {
     pub(super) bits: Option<f64>,
 }
 
-impl Knowledge {
+impl LinkClockState {
     pub(super) fn new(
         (peer, name): (HostId, Slug),
         relation: Relation,
@@ -71,19 +70,19 @@ impl Knowledge {
         let is_cloud_free_running = relation.settings().clocks == RelatedClocks::Raw;
         let edge = AnnouncedClock::new(edge, true, now.raw);
         let cloud = AnnouncedClock::new(cloud, is_cloud_free_running, now.raw);
-        let mut knowledge = Self {
+        let mut clock_state = Self {
             peer,
             name,
             relation,
-            window: ClockWindow::begin(),
+            window: ClockWindow::new(),
             second,
             networks: NetworkSessions::default(),
             edge,
             cloud,
             reports: ClockReports::default(),
         };
-        knowledge.disciplines(now.raw);
-        knowledge
+        clock_state.update_disciplines(now.raw);
+        clock_state
     }
 
     /// Records that a session over this network was opened.
@@ -91,20 +90,20 @@ impl Knowledge {
         self.networks.join(network);
     }
 
-    /// Records that a session over this network is over.
+    /// Records that a session over this network has ended.
     pub(super) fn leave(&mut self, network: &NetworkName) {
         self.networks.leave(network);
     }
 
-    /// Records the last sample of each network without sessions, after the session that probed is over and its probes
-    /// are counted. Another session probes from now on.
-    pub(super) fn settle_sessions(&mut self, now: Stamp) -> KnowledgeChanges {
-        let mut changes = self.turn(now);
+    /// Returns the last sample of each network without sessions. Called when the session that probed has ended and all of
+    /// its probes are counted; another session probes from now on.
+    pub(super) fn settle_sessions(&mut self, now: Stamp) -> ClockStateChanges {
+        let mut changes = self.advance_second(now);
         for network in self.networks.take_ended(0) {
             if !self.second.is_empty() {
                 let offset = self.relation.offset(now.raw, now.wall);
                 changes.samples.push(self.sample(&network, now, offset));
-                self.second.forget(&network);
+                self.second.remove_network(&network);
             }
         }
         changes
@@ -117,26 +116,26 @@ impl Knowledge {
         observation: &ExchangeObservation,
         [there, back]: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
-        let mut changes = self.turn(now);
+    ) -> ([OneWayDelay; 2], ClockStateChanges) {
+        let mut changes = self.advance_second(now);
         let JudgedExchange { learned, up, down } =
-            self.update_relation(whose(observation), |relation| relation.judge(observation));
-        // The raw value that is kept for ever is the difference of the wall clocks, whichever clocks are related.
+            self.update_relation(epochs_of(observation), |relation| relation.judge(observation));
+        // The stored raw value is the difference of the wall clocks, whichever clocks are related.
         let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
-        self.learned(learned, observation, now, &mut changes);
-        self.second.judged(network, Direction::Up, &up, there.bits);
-        self.second.judged(network, Direction::Down, &down, back.bits);
+        self.handle_learn_result(learned, observation, now, &mut changes);
+        self.second.add_delay(network, Direction::Up, &up, there.bits);
+        self.second.add_delay(network, Direction::Down, &down, back.bits);
         ([up, down], changes)
     }
 
     /// Handles a completed exchange of data during which one of the hosts' related clocks was interrupted.
-    pub(super) fn stepped(
+    pub(super) fn judge_interrupted(
         &mut self,
         network: &NetworkName,
         message_delays: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
-        let changes = self.turn(now);
+    ) -> ([OneWayDelay; 2], ClockStateChanges) {
+        let changes = self.advance_second(now);
         let delays = message_delays.map(|message_delay| OneWayDelay {
             verdict: Verdict::Stepped,
             ..OneWayDelay::unsynchronised(message_delay.raw)
@@ -144,13 +143,14 @@ impl Knowledge {
         for (direction, (delay, message_delay)) in
             [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(message_delays))
         {
-            self.second.judged(network, *direction, delay, message_delay.bits);
+            self.second.add_delay(network, *direction, delay, message_delay.bits);
         }
         (delays, changes)
     }
 
-    /// Judges the delays of messages that others sent, one in each direction. Neither the relation nor the second
-    /// learns from them, because the first stamp is that of another receiver and not of the departure.
+    /// Judges the delays of observed messages, one in each direction.
+    // Neither the relation nor the second learns from them, because the first stamp is the reception by another receiver
+    // and not the departure.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         let is_current = |stamp: &HostStamp, clock: &AnnouncedClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
@@ -175,15 +175,15 @@ impl Knowledge {
     }
 
     /// Handles the result of a probe.
-    pub(super) fn probed(
+    pub(super) fn handle_probe_result(
         &mut self,
         result: &ProbeResult,
         authenticated: bool,
         now: Stamp,
-    ) -> KnowledgeChanges {
-        let mut changes = self.turn(now);
-        let all = self.second.authenticated.unwrap_or(true);
-        self.second.authenticated = Some(all && authenticated);
+    ) -> ClockStateChanges {
+        let mut changes = self.advance_second(now);
+        let all_authenticated = self.second.authenticated.unwrap_or(true);
+        self.second.authenticated = Some(all_authenticated && authenticated);
         let probes = &mut self.second.probes;
         match result {
             ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
@@ -191,13 +191,13 @@ impl Knowledge {
             ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
                 if self.learn(observation, now, &mut changes) {
-                    self.second.round_trip(observation.exchange.round_trip());
+                    self.second.add_round_trip(observation.exchange.round_trip());
                 }
             }
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
-                // Its stamps are from before and after a step of this host's clock, so that only the step is learnt.
-                self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));
+                // A step of this host's clock is between its stamps, so the relation learns only the step.
+                self.update_relation((*epoch, None), |relation| relation.edge_stepped(*epoch));
             }
             // The exchange was counted as answered before.
             ProbeResult::Refined(observation) => {
@@ -211,20 +211,23 @@ impl Knowledge {
     }
 
     /// Handles the proof that both processes read one clock.
-    pub(super) fn clock_proven(&mut self) {
+    pub(super) fn confirm_same_clock(&mut self) {
         self.relation.set_same_clock(true);
-        self.reports.proof_regained();
+        self.reports.clear_ended_proof();
     }
 
-    /// Handles an attempt that did not prove that both processes read one clock.
-    pub(super) fn clock_not_proven(&mut self) {
+    /// Handles a failed attempt to prove that both processes read one clock.
+    pub(super) fn reject_same_clock(&mut self) {
         self.relation.set_same_clock(false);
     }
 
     /// Handles the loss of the proof that both processes read one clock.
-    pub(super) fn proof_lost(&mut self, why: NotProven, now: RawTime) -> KnowledgeChanges {
-        self.clock_not_proven();
-        KnowledgeChanges { lost_proof: self.reports.proof_lost(why, now), ..KnowledgeChanges::default() }
+    pub(super) fn handle_lost_proof(&mut self, why: NotProven, now: RawTime) -> ClockStateChanges {
+        self.reject_same_clock();
+        ClockStateChanges {
+            lost_proof: self.reports.report_lost_proof(why, now),
+            ..ClockStateChanges::default()
+        }
     }
 
     /// Sets the epoch of this host's free-running clock.
@@ -232,67 +235,66 @@ impl Knowledge {
         self.edge.begin_epoch(epoch);
     }
 
-    /// Handles new information about this host's clocks.
-    pub(super) fn edge_announced(&mut self, clock: PeerClock, now: RawTime) {
+    /// Handles an announcement about this host's clocks.
+    pub(super) fn handle_edge_announcement(&mut self, clock: PeerClock, now: RawTime) {
         if let Some(epoch) = self.edge.announce(clock, now) {
             self.update_relation((epoch, None), |relation| relation.restart_after_edge_step(epoch));
         }
-        self.disciplines(now);
+        self.update_disciplines(now);
     }
 
-    /// Handles new information from the cloud about its clocks.
-    pub(super) fn cloud_announced(&mut self, clock: PeerClock, now: RawTime) -> KnowledgeChanges {
+    /// Handles an announcement of the cloud about its clocks.
+    pub(super) fn handle_cloud_announcement(&mut self, clock: PeerClock, now: RawTime) -> ClockStateChanges {
         let before = self.cloud.wall_epoch();
         if let Some(epoch) = self.cloud.announce(clock, now) {
             self.update_relation((0, Some(epoch)), |relation| relation.restart_after_cloud_step(epoch));
         }
-        self.disciplines(now);
+        self.update_disciplines(now);
         let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
-        KnowledgeChanges {
+        ClockStateChanges {
             is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > before,
-            ..KnowledgeChanges::default()
+            ..ClockStateChanges::default()
         }
     }
 
-    /// Closes the current second if it is over.
-    pub(super) fn turn(&mut self, now: Stamp) -> KnowledgeChanges {
-        let mut changes = KnowledgeChanges::default();
-        self.begin_window(now, &mut changes);
+    /// Closes the current second if its time has passed.
+    pub(super) fn advance_second(&mut self, now: Stamp) -> ClockStateChanges {
+        let mut changes = ClockStateChanges::default();
+        self.start_new_window(now, &mut changes);
         if now.wall.unix_seconds() != self.second.at {
-            self.disciplines(now.raw);
-            changes.lost_proof = self.reports.second_over(now.raw);
-            // If the clock was set back, the second is closed early; if it was set forward, it is closed as if it had
-            // been on time.
+            self.update_disciplines(now.raw);
+            changes.lost_proof = self.reports.report_ended_proof(now.raw);
+            // If the clock was set back, the second is closed early. If it was set forward, the second is closed with the
+            // state at its end.
             let end = self.second.end();
             let at = edge_time(now, end);
             let offset = self.relation.offset(at.raw, end);
-            self.close(at, offset.as_ref(), now.wall, &mut changes);
+            self.close_second(at, offset.as_ref(), now.wall, &mut changes);
         }
         changes
     }
 
-    /// Closes the current second now, because nothing more will come.
-    pub(super) fn finish(&mut self, now: Stamp) -> KnowledgeChanges {
-        let mut changes = self.turn(now);
+    /// Closes the current second at the end of the link.
+    pub(super) fn finish(&mut self, now: Stamp) -> ClockStateChanges {
+        let mut changes = self.advance_second(now);
         let offset = self.relation.offset(now.raw, now.wall);
-        self.close(now, offset.as_ref(), now.wall, &mut changes);
+        self.close_second(now, offset.as_ref(), now.wall, &mut changes);
         changes
     }
 
-    /// Returns the sample of the previous second of a network if it is available, else one of the current second so
-    /// far.
-    pub(super) fn now(&self, network: &NetworkName, now: Stamp) -> ClockSample {
+    /// Returns the sample of a network's previous second if it is available, otherwise one of the current second so far.
+    pub(super) fn latest_sample(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
         let current = now.wall.unix_seconds() == self.second.at;
         let last = self.window.last_second(network).filter(|last| current && last.at == previous);
-        // After a step the new offset must not appear under the id of the window before it.
+        // After a step the new offset must not appear in the window that precedes the step.
         let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.window.is_void());
         last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 
-    /// Returns the shown state of the clocks of the edge and the cloud.
-    pub(super) fn clocks(&self) -> (HostClock, HostClock) {
-        (shown(self.edge.clock()), shown(self.cloud.clock()))
+    /// Returns the descriptions of the clocks of edge and cloud for live updates.
+    pub(super) fn describe_clocks(&self) -> (HostClock, HostClock) {
+        (describe_clock(self.edge.clock()), describe_clock(self.cloud.clock()))
     }
 
     /// Adds an exchange to the relation. Returns whether it was accepted.
@@ -300,40 +302,40 @@ impl Knowledge {
         &mut self,
         observation: &ExchangeObservation,
         now: Stamp,
-        changes: &mut KnowledgeChanges,
+        changes: &mut ClockStateChanges,
     ) -> bool {
-        let learned = self.update_relation(whose(observation), |relation| relation.learn(observation));
-        self.learned(learned, observation, now, changes);
+        let learned = self.update_relation(epochs_of(observation), |relation| relation.learn(observation));
+        self.handle_learn_result(learned, observation, now, changes);
         !matches!(learned, LearnResult::Refused(_))
     }
 
-    /// Passes something to the relation that came with these epochs of the related clocks of edge and cloud. If the
-    /// relation restarts, the window becomes void, and a new epoch says whose clock was stepped.
+    /// Updates the relation with information from these epochs of the related clocks of edge and cloud. If the relation
+    /// restarts, the window becomes void. A new epoch shows whose clock was stepped.
     fn update_relation<T>(
         &mut self,
         (edge, cloud): (u32, Option<u32>),
         update: impl FnOnce(&mut Relation) -> T,
     ) -> T {
         let before = self.relation.counts().restarts;
-        let answer = update(&mut self.relation);
+        let result = update(&mut self.relation);
         let edge_new = self.edge.begin_epoch(edge);
         let cloud_new = self.cloud.begin_epoch(cloud.unwrap_or(0));
         let restarted = self.relation.counts().restarts > before;
         if restarted {
             self.window.make_void();
         }
-        self.reports.note_steps(restarted, (edge_new, cloud_new));
-        answer
+        self.reports.record_steps(restarted, (edge_new, cloud_new));
+        result
     }
 
-    fn learned(
+    fn handle_learn_result(
         &mut self,
         learned: LearnResult,
         observation: &ExchangeObservation,
         now: Stamp,
-        changes: &mut KnowledgeChanges,
+        changes: &mut ClockStateChanges,
     ) {
-        self.begin_window(now, changes);
+        self.start_new_window(now, changes);
         let settings = *self.relation.settings();
         match learned {
             LearnResult::Refused(_) => return,
@@ -343,33 +345,39 @@ impl Knowledge {
                     ViolatedLimit::Drift => settings.max_drift_ppm,
                     ViolatedLimit::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
-                let doubt = self.relation.violated_limit().map(|violated| (violated, limit(violated)));
-                changes.restart = self.reports.restarted(moved, doubt).or(changes.restart.take());
+                let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
+                changes.restart = self.reports.report_restart(moved, doubt).or(changes.restart.take());
             }
             LearnResult::Jumped(moved) => {
-                let jump = self.reports.jumped(moved, observation.exchange.returned);
+                let jump = self.reports.report_jump(moved, observation.exchange.returned);
                 changes.jump = jump.or(changes.jump.take());
             }
         }
         let proven = self.relation.excess_skew();
         let excess = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
-        changes.excess = self.reports.proven(excess).or(changes.excess.take());
-        self.second.exchanged(&observation.exchange, settings.max_drift_ppm);
+        changes.excess = self.reports.report_excess_skew(excess).or(changes.excess.take());
+        self.second.add_exchange(&observation.exchange, settings.max_drift_ppm);
     }
 
-    /// Begins a new window after a step. The exchanges of the current second belong to the clocks before the step, so
-    /// that it is closed without an offset.
-    fn begin_window(&mut self, now: Stamp, changes: &mut KnowledgeChanges) {
+    /// Starts a new window after a step. The current second is closed without an offset, because its exchanges preceded
+    /// the step.
+    fn start_new_window(&mut self, now: Stamp, changes: &mut ClockStateChanges) {
         if self.window.is_void() {
             let is_current = now.wall.unix_seconds() == self.second.at;
             let at = if is_current { now } else { edge_time(now, self.second.end()) };
-            self.close(at, None, now.wall, changes);
-            self.window = ClockWindow::begin();
+            self.close_second(at, None, now.wall, changes);
+            self.window = ClockWindow::new();
         }
     }
 
-    /// Closes the second with the state at `at`, its end, and begins the second of `now`.
-    fn close(&mut self, at: Stamp, offset: Option<&Offset>, now: WallTime, changes: &mut KnowledgeChanges) {
+    /// Closes the second with the state at `at`, its end, and starts the second of `now`.
+    fn close_second(
+        &mut self,
+        at: Stamp,
+        offset: Option<&Offset>,
+        now: WallTime,
+        changes: &mut ClockStateChanges,
+    ) {
         if !self.second.is_empty() {
             let networks: BTreeSet<&NetworkName> =
                 self.networks.names().chain(self.second.networks()).collect();
@@ -377,7 +385,7 @@ impl Knowledge {
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
             changes.samples.extend_from_slice(&samples);
             // For live updates, which show the last complete second.
-            self.window.keep(samples);
+            self.window.set_last_second(samples);
         }
         self.networks.close_second();
         self.second = Second::new(now.unix_seconds());
@@ -420,7 +428,7 @@ impl Knowledge {
     }
 
     /// Passes the current claims of the time daemons to the relation.
-    fn disciplines(&mut self, now: RawTime) {
+    fn update_disciplines(&mut self, now: RawTime) {
         let limit = self.relation.settings().max_drift_ppm;
         self.relation.set_claims(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }
@@ -432,8 +440,8 @@ fn edge_time(now: Stamp, at: WallTime) -> Stamp {
     Stamp { wall: at, raw: now.raw - since, ..now }
 }
 
-/// Returns the epochs of edge and cloud in an exchange, which may arrive before the announcement of a new epoch.
-const fn whose(observation: &ExchangeObservation) -> (u32, Option<u32>) {
+/// Returns the epochs of edge and cloud in an exchange. An exchange may arrive before the announcement of a new epoch.
+const fn epochs_of(observation: &ExchangeObservation) -> (u32, Option<u32>) {
     (observation.edge_epoch, observation.cloud_epoch)
 }
 

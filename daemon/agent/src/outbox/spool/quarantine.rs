@@ -1,0 +1,69 @@
+//! Quarantines a broken spool: renames the file, so that a new spool can be created and the robot can measure.
+
+use std::ffi::OsString;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use peernet_clock::WallTime;
+
+/// A quarantined spool.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(in crate::outbox) struct QuarantinedSpool {
+    /// Damage of the file.
+    pub(in crate::outbox) reason: String,
+    /// New path of the file.
+    pub(in crate::outbox) new_path: PathBuf,
+}
+
+/// Renames the spool and its SQLite companions, from which the `sqlite3` shell may recover data. The spool must not
+/// be open.
+pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Result<QuarantinedSpool> {
+    let unused_path = |seconds: i64| {
+        let path = with_suffix(spool, &format!(".damaged-{seconds}"));
+        (!path.exists()).then_some(path)
+    };
+    let first = now.unix_seconds();
+    let new_path = (first..=i64::MAX).find_map(unused_path).unwrap_or_else(|| with_suffix(spool, ".damaged"));
+    for part in ["-wal", "-shm", ""] {
+        match fs::rename(with_suffix(spool, part), with_suffix(&new_path, part)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound || part.is_empty() => return Err(error),
+            _ => {}
+        }
+    }
+    match fs::remove_file(mark_path(spool)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(QuarantinedSpool { reason, new_path }),
+    }
+}
+
+/// Marks an open spool as broken by creating a mark file. The next start quarantines the spool.
+pub(super) fn mark_broken(spool: &Path, reason: &str) {
+    if let Err(error) = fs::write(mark_path(spool), format!("{reason}\n")) {
+        tracing::warn!(%error, "cannot mark the spool {} as broken", spool.display());
+    }
+}
+
+/// Returns the reason why the spool is marked as broken; `None` if it is not marked. A mark file without a spool is
+/// removed: the spool was deleted, or its quarantine was interrupted.
+pub(super) fn quarantine_reason(spool: &Path) -> Option<String> {
+    let reason = fs::read_to_string(mark_path(spool)).ok()?;
+    if !spool.exists() {
+        if let Err(error) = fs::remove_file(mark_path(spool)) {
+            tracing::warn!(%error, "cannot remove {}, the mark of a broken spool that no longer exists", mark_path(spool).display());
+        }
+        return None;
+    }
+    Some(reason.trim().to_owned())
+}
+
+fn mark_path(spool: &Path) -> PathBuf {
+    with_suffix(spool, "-condemned")
+}
+
+/// Returns the path with a suffix appended to its last component.
+pub(super) fn with_suffix(path: &Path, ending: &str) -> PathBuf {
+    let mut name = OsString::from(path);
+    name.push(ending);
+    name.into()
+}
