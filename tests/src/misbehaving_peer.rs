@@ -85,7 +85,7 @@ impl MisbehavingPeer {
         let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = message else { return false };
         if *stream == hello.stream {
             let (host, nonce) = (hello.host.id, *nonce);
-            let code = secret.answer_challenge(&nonce, hello, aggregator);
+            let code = secret.prove(&nonce, hello, aggregator);
             let secret = enrol.then(|| secret.clone());
             self.send_message(&ToAggregator::Proof(Proof { host, nonce, code, secret }));
         }

@@ -158,7 +158,7 @@ impl Acceptor {
         loop {
             match listener.accept().await {
                 Ok((stream, peer)) => {
-                    let (address, evict) = (AddressGroup::of(peer), self.close_all.child_token());
+                    let (address, evict) = (AddressGroup::from_address(peer), self.close_all.child_token());
                     match self.slots.acquire(address, evict.clone()).await {
                         Ok(slot) => return AcceptedConnection { stream, address, evict, slot },
                         Err(_) => self.log_refusal(peer),

@@ -227,7 +227,7 @@ async fn request_beyond_grace_period_is_aborted() {
 async fn streams_are_limited_per_address_and_in_total() {
     let slots = FairSlots::new(3, 2);
     let take = async |address: &str| {
-        let address = AddressGroup::of(format!("{address}:1").parse().expect("an address"));
+        let address = AddressGroup::from_address(format!("{address}:1").parse().expect("an address"));
         let evict = CancellationToken::new();
         StreamSlots { slots: slots.clone(), address, evict }.acquire().await
     };

@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     fn group(text: &str) -> AddressGroup {
-        AddressGroup::of(format!("{text}:1").parse().expect("an address"))
+        AddressGroup::from_address(format!("{text}:1").parse().expect("an address"))
     }
 
     /// Returns the result of `take` if it is ready at once.

@@ -37,7 +37,7 @@ impl TimeDaemons {
             // Right after its first measurement chrony reports an unknown rate of the clock. This waits until the
             // rate is known to 100 ppm, in steps of a tenth of a second.
             let waitsync = ["-h", "127.0.0.1", "-p", COMMAND_PORT, "waitsync", "600", "0", "100", "0.1"];
-            host.run(&chrony("chronyc").display().to_string(), &until);
+            host.run(&chrony("chronyc").display().to_string(), &waitsync);
         }
         Self { _hosts: clients, _server: server }
     }

@@ -72,7 +72,9 @@ async fn export(
             if after >= last_number {
                 return Ok::<_, WebError>(None);
             }
-            let Some((last, iterations)) = app.store().full_iterations(&run, after).await? else { return Ok(None) };
+            let Some((last, iterations)) = app.store().full_iterations(&run, after).await? else {
+                return Ok(None);
+            };
             for iteration in iterations.iter().filter(|iteration| iteration.number <= last_number) {
                 header.write_row(&mut text, &Row::from_iteration(iteration));
             }

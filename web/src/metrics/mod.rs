@@ -44,7 +44,7 @@ pub(crate) fn routes() -> OpenApiRouter<App> {
 async fn serve(State(app): State<App>) -> Result<Response, WebError> {
     let snapshot = app.live_state();
     let figures = AggregatorFigures {
-        ready: app.aggregator.ready() == Readiness::Ready,
+        ready: app.aggregator.current_readiness() == Readiness::Ready,
         database_bytes: app.aggregator.database_bytes(),
         ..AggregatorFigures::from_live_state(&snapshot).with_rejections(app.aggregator.rejections())
     };

@@ -64,7 +64,7 @@ impl Shell {
             topic: None,
             waiting: snapshot.hosts.is_empty(),
             rehearsals: Rehearsed::of(snapshot).banner(),
-            not_storing: storing::notice(&app.aggregator.ready()),
+            not_storing: storing::notice(&app.aggregator.current_readiness()),
         }
     }
 

@@ -30,7 +30,7 @@ async fn missing_database_is_reported_until_it_returns() {
     let answer = dashboard.get("/readyz").await;
     assert_eq!(answer.status, StatusCode::SERVICE_UNAVAILABLE);
     assert!(answer.header("content-type").starts_with("text/plain"));
-    let Readiness::NotStoring(reason) = dashboard.aggregator.ready() else { panic!("not ready") };
+    let Readiness::NotStoring(reason) = dashboard.aggregator.current_readiness() else { panic!("not ready") };
     assert_eq!(answer.text(), format!("not ready: {reason}\n"));
     let request = Request::get("/readyz").header("accept", "application/json").body(Body::empty());
     let answer = dashboard.request(request.expect("a request")).await;
@@ -69,7 +69,7 @@ async fn damaged_database_errors_match_readiness() {
     std::os::unix::fs::FileExt::write_all_at(&file, &noise, 4096).expect("writes");
 
     wait_until_ready_is(&dashboard, false).await;
-    let Readiness::NotStoring(reason) = dashboard.aggregator.ready() else { panic!("not ready") };
+    let Readiness::NotStoring(reason) = dashboard.aggregator.current_readiness() else { panic!("not ready") };
     assert!(reason.contains("is damaged") && reason.contains("peernetd doctor --repair"), "{reason}");
     let answer = dashboard.get("/api/v1/runs/1/iterations").await;
     assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR, "{}", answer.text());

@@ -24,7 +24,7 @@ pub(crate) struct TestDashboard {
     pub(crate) config: WebConfig,
     pub(crate) listening: String,
     router: Router,
-    _running: peernet_aggregator::Running,
+    _running: peernet_aggregator::RunningAggregator,
     folder: tempfile::TempDir,
 }
 

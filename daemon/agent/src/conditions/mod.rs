@@ -101,7 +101,7 @@ pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: Str
         Ok(Err(_)) => "the inspection of the host panicked; see the log for the place".to_owned(),
         Err(_) => format!("the inspection of the host took longer than {} ms", TIMEOUT.as_millis()),
     };
-    vec![Finding::unknown("host", reason).with_host(host)]
+    vec![Finding::unknown("host", reason).with_host(&host)]
 }
 
 /// A condition without the name of the host.

@@ -142,7 +142,7 @@ mod tests {
     const NOT_SYNCHRONISED: &str = "00000000,,0,0.000000000,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,1.000000000,1.000000000,0.0,Not synchronised\n";
 
     fn answer(line: &str) -> SourceReport {
-        Tracking::parse(line).expect("chronyc printed it").answer(MonoTime::from_nanos(0))
+        Tracking::parse(line).expect("chronyc printed it").to_report(MonoTime::from_nanos(0))
     }
 
     #[test]

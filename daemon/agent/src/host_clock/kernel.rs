@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn kernel_of_this_machine_answers() {
-        let answer = ask(MonoTime::from_nanos(0));
+        let answer = query(MonoTime::from_nanos(0));
         assert!(answer.text.starts_with("kernel, "), "{}", answer.text);
     }
 }

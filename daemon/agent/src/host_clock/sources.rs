@@ -73,7 +73,7 @@ impl ClaimSources {
             Claims::Exact => ClaimSummary {
                 discipline: self
                     .clock
-                    .rehearsal()
+                    .injected_faults()
                     .map(|description| rehearsed::exact_claim(description, self.truth.wall(), ahead)),
                 text: "rehearsed, claims its error exactly".to_owned(),
                 is_contradictory: false,

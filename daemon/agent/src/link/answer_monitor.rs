@@ -122,10 +122,12 @@ impl AnswerMonitor {
 fn unanswered_reason(has_key: bool, refused: Option<&str>) -> Option<String> {
     match (has_key, refused) {
         // These answers are authentic if there is a key.
-        (_, Some(why @ (ANOTHER_PROCESS | NOT_OURS))) => Some(format!(
+        (_, Some(why @ (WRONG_PROCESS | NOT_PEERNET))) => Some(format!(
             "{why}; the address of the data must lead to the same machine over UDP: check forwarded ports and load balancers"
         )),
-        (_, Some(why @ (ALTERED_ANSWER | ALTERED_PROBE | UNNAMED))) => Some(format!("the replies are {why}")),
+        (_, Some(why @ (ALTERED_REPLY_TLVS | ALTERED_PROBE_TLVS | NO_ORIGIN))) => {
+            Some(format!("the replies are {why}"))
+        }
         (false, None) => None,
         (true, None) => Some("no answer; with [probes] key_file both ends need the same key".to_owned()),
         (true, Some(why)) => Some(format!(
@@ -153,7 +155,7 @@ mod tests {
         monitor.record(&ProbeResult::Late, now, &mut shown);
         let Probing::Unanswered { reason: Some(reason), .. } = &shown else { panic!("{shown:?}") };
         assert!(reason.contains("(1 late)") && !reason.contains("refused"), "{reason}");
-        monitor.record(&ProbeResult::Refused(NOT_OURS), now, &mut shown);
+        monitor.record(&ProbeResult::Refused(NOT_PEERNET), now, &mut shown);
         let Probing::Unanswered { reason: Some(reason), .. } = &shown else { panic!("{shown:?}") };
         assert!(reason.contains(NOT_PEERNET), "{reason}");
     }
@@ -166,7 +168,7 @@ mod tests {
             assert!(reason.contains("both ends need the same key"), "{reason}");
             assert!(refused.is_none_or(|refused| reason.contains(refused)), "{reason}");
         }
-        for another in [ANOTHER_PROCESS, NOT_OURS, ALTERED_ANSWER, ALTERED_PROBE, UNNAMED] {
+        for another in [WRONG_PROCESS, NOT_PEERNET, ALTERED_REPLY_TLVS, ALTERED_PROBE_TLVS, NO_ORIGIN] {
             let reason = unanswered_reason(true, Some(another)).expect("something is known");
             assert!(reason.contains(another) && !reason.contains("key"), "{reason}");
         }

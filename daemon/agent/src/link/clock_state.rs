@@ -197,7 +197,7 @@ impl LinkClockState {
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
                 // A step of this host's clock is between its stamps, so the relation learns only the step.
-                self.update_relation((*epoch, None), |relation| relation.edge_stepped(*epoch));
+                self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));
             }
             // The exchange was counted as answered before.
             ProbeResult::Refined(observation) => {
@@ -345,7 +345,7 @@ impl LinkClockState {
                     ViolatedLimit::Drift => settings.max_drift_ppm,
                     ViolatedLimit::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
-                let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
+                let doubt = self.relation.violated_limit().map(|doubt| (doubt, limit(doubt)));
                 changes.restart = self.reports.report_restart(moved, doubt).or(changes.restart.take());
             }
             LearnResult::Jumped(moved) => {

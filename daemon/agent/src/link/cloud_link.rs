@@ -95,7 +95,8 @@ impl CloudLink {
     /// Judges the delays of an answered exchange over a network and sets them in its tree. Returns the sum of both
     /// directions by the hosts' monotonic clocks, which is known even if a wall clock was stepped in the meantime.
     pub(super) fn correct(&self, network: &NetworkName, exchange: &mut Exchange) -> Option<Span> {
-        let (Some(up), Some(down), Some(arrived)) = (exchange.up, exchange.down, exchange.arrived) else {
+        let (Some(up), Some(down), Some(arrived)) = (exchange.upload, exchange.download, exchange.arrived_at)
+        else {
             // Without an answer neither delay is known.
             return None;
         };

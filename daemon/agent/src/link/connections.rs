@@ -61,7 +61,7 @@ impl Connections {
     }
 
     fn interface(&mut self, addresses: &ConnectionAddresses) -> Option<NetworkInterface> {
-        interface_of(addresses).unwrap_or_else(|error| {
+        outgoing_interface(addresses).unwrap_or_else(|error| {
             if !std::mem::replace(&mut self.has_logged_error, true) {
                 let local = addresses.local;
                 tracing::info!(%error, %local, "cannot list the network interfaces; the interfaces of connections are not shown");

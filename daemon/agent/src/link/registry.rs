@@ -100,7 +100,7 @@ impl Links {
         let clocks = session.clocks();
         let own = self.0.shared.host.clock.identity();
         // Only free-running clocks can be proven to be one, and only if both hosts use the same name for their clock.
-        let may_be_same = clocks == RelatedClocks::Raw && own.may_be_one_with(&accepted.clock);
+        let may_be_same = clocks == RelatedClocks::Raw && own.may_share_clock_with(&accepted.clock);
         let clock_socket = clock_socket.filter(|_| may_be_same);
         let joining = Session {
             id: self.0.next_session.fetch_add(1, Ordering::Relaxed),

@@ -58,7 +58,7 @@ impl ClockReports {
     pub(super) fn report_restart(
         &mut self,
         moved: Option<Span>,
-        doubt: Option<(Doubt, f64)>,
+        doubt: Option<(ViolatedLimit, f64)>,
     ) -> Option<Restart> {
         let (edge, cloud) = std::mem::take(&mut self.stepped);
         // Clocks beyond the limit cause several restarts per second. Only the first one is reported, until the clocks are

@@ -37,8 +37,8 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     }
     let Some(Classification { label: best, top }) = classification(answer) else { return };
     // A label is often the name of a folder, whose spelling differs from that of the model's class.
-    let label = plain_label(label);
-    let matches_label = |class: &str| plain_label(class) == label;
+    let label = normalized_label(label);
+    let matches_label = |class: &str| normalized_label(class) == label;
     let is_best = matches_label(&best);
     log.value(TOP_1, as_number(is_best), Unit::NONE);
     if let Some(top) = top {
@@ -70,8 +70,9 @@ mod tests {
     /// Returns `top-1` and `top-5` of an answer, where they are recorded.
     fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
-        let mut log = Recorder::begin(Arc::new(clock), HostId::random());
-        let json = Sample::of(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
+        let mut log = Recorder::new(Arc::new(clock), HostId::random());
+        let json =
+            Sample::from_part(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
         record_accuracy(&mut log, label, &json);
         scores(&log)
     }
@@ -81,7 +82,8 @@ mod tests {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::new(Arc::new(clock), HostId::random());
         log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
-        let json = Sample::of(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
+        let json =
+            Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
         record_accuracy(&mut log, "tench", &json);
         assert_eq!(scores(&log), (None, None));
     }

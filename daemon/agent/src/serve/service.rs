@@ -80,7 +80,7 @@ impl Service {
             Self::Model(pool) => {
                 let reply = Box::new(move |done: FinishedJob| {
                     answered(&done);
-                    let Done { log, result } = done;
+                    let FinishedJob { log, result } = done;
                     reply.send(log, result.map_err(|error| failure_from_error(&error)));
                 });
                 if let Err(refused) = pool.submit(Job { sample, log, received: received.mono, reply }) {

@@ -91,7 +91,7 @@ impl Host {
     fn mark_silent(&mut self) {
         self.presence.mark_silent();
         self.snapshot = None;
-        self.pipelines.values_mut().for_each(Pipeline::away);
+        self.pipelines.values_mut().for_each(Pipeline::mark_away);
     }
 
     /// Returns whether the host is connected.

@@ -58,7 +58,8 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
 
 /// Returns the configuration that the best is compared with: the baseline, or, where that is the best itself, the next one.
 fn reference_configuration(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
-    let known = || ranking.differences.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
+    let known =
+        || ranking.differences.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
     let next = || known().min_by(|a, b| a.1.value.total_cmp(&b.1.value));
     known().find(|(place, _)| *place == baseline).or_else(next)
 }

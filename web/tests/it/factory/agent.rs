@@ -36,7 +36,7 @@ impl Agent {
         let spool = SpoolState::new(StreamId::random());
         let mut sending =
             Sending::new(config, host, HostSecret::random(), clock.mono().nanos() as u64, spool);
-        sending.connected(clock.mono());
+        sending.on_connected(clock.mono());
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");
         Self { id, sending, spool: BTreeMap::new(), socket, clock: SharedClock::clone(clock) }
@@ -66,7 +66,7 @@ impl Agent {
         match action {
             Action::Append { batches, .. } => {
                 self.spool.extend(batches.into_iter().map(|batch| (batch.number, batch)));
-                self.sending.appended(now);
+                self.sending.on_appended(now);
             }
             Action::Load { from, bytes } => {
                 let mut taken = 0;
@@ -76,13 +76,13 @@ impl Agent {
                     more
                 });
                 let batches = wanted.cloned().collect();
-                self.sending.loaded(batches, now);
+                self.sending.on_loaded(batches, now);
             }
             Action::Delete { through, .. } => {
                 self.spool = self.spool.split_off(&(through + 1));
-                self.sending.deleted();
+                self.sending.on_deleted();
             }
-            Action::Renew { .. } => self.sending.renewed(now),
+            Action::Renew { .. } => self.sending.on_renewed(now),
             Action::Send(frame) => self.send(frame).await,
         }
     }
@@ -103,7 +103,7 @@ impl Agent {
                     message = self.socket.recv() => {
                         let message = message.expect("receives");
                         let message: ToAgent = decode(message.part_slice(0).expect("a frame")).expect("a message");
-                        self.sending.received(&message, self.clock.stamp());
+                        self.sending.on_message(&message, self.clock.stamp());
                     }
                     () = tokio::time::sleep(due.unwrap_or(TEST_TIMEOUT).min(Duration::from_millis(50))) => {}
                 }

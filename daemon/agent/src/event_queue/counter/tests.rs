@@ -66,7 +66,7 @@ fn other_files_of_the_name_are_not_read() {
     let name = format!("peernet-{}.count", Uuid::new_v4());
     let path = Path::new(SHARED_MEMORY).join(&name);
     let created = std::process::Command::new("mkfifo").arg(&path).status().expect("coreutils");
-    assert!(made.success() && read(&name, &owner).is_none());
+    assert!(created.success() && read(&name, &owner).is_none());
     fs::remove_file(path).expect("is there");
 }
 

@@ -80,7 +80,7 @@ impl LiveLane {
         self.is_blocked = connection.send(frame).is_err();
         if !self.is_blocked {
             (self.is_due, self.reported_ends) = (false, ends);
-            machine.shown(bytes);
+            machine.record_live_sent(bytes);
             self.sources.live_statistics.mark_sent(&receipt);
         }
     }

@@ -126,7 +126,7 @@ impl Sender {
                         awaits_welcome = true;
                         welcome.as_mut().reset(Instant::now() + WELCOME_TIMEOUT);
                         self.is_unreachable = false;
-                        self.machine.connected(self.clock.mono());
+                        self.machine.on_connected(self.clock.mono());
                         connection_state = ConnectionState::Open(connection);
                     }
                     ConnectionEvent::Failed(reason) => {
@@ -189,7 +189,7 @@ impl Sender {
 
     /// Handles the loss of the connection, or a failed attempt.
     fn handle_lost_connection(&mut self) {
-        self.machine.disconnected();
+        self.machine.on_disconnected();
         self.unsent_frames.clear();
         self.live.reset();
         self.is_unreachable = true;

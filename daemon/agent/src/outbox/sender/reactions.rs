@@ -92,7 +92,7 @@ impl Sender {
                 return false;
             }
         };
-        if let Some(notice) = self.machine.received(&message, self.clock.stamp()) {
+        if let Some(notice) = self.machine.on_message(&message, self.clock.stamp()) {
             self.handle_notice(notice);
         }
         true

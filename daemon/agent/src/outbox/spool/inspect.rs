@@ -244,7 +244,7 @@ impl Inspection {
 impl Batch {
     /// Returns the hash that the batch has if the previous one has the hash `before`.
     fn chain_after(&self, before: Chain) -> Option<Chain> {
-        Some(before.then(u32::try_from(self.events).unwrap_or(u32::MAX), &self.body))
+        Some(before.next(u32::try_from(self.events).unwrap_or(u32::MAX), &self.body))
     }
 }
 

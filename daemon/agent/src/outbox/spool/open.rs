@@ -324,7 +324,10 @@ impl StreamRow {
             before,
             newest,
             since: waiting.since_ns.map(WallTime::from_unix_nanos),
-            held: Usage { events: waiting.events.cast_unsigned(), bytes: waiting.bytes.cast_unsigned() },
+            waiting_usage: Usage {
+                events: waiting.events.cast_unsigned(),
+                bytes: waiting.bytes.cast_unsigned(),
+            },
             totals: Totals {
                 produced: self.produced.cast_unsigned(),
                 dropped: self.dropped.cast_unsigned(),

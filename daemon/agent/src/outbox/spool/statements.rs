@@ -41,9 +41,9 @@ pub(super) async fn insert(
     .bind(totals.produced.cast_signed())
     .bind(totals.dropped.cast_signed())
     .bind(totals.gaps.cast_signed())
-    .bind(totals.told.cast_signed())
+    .bind(totals.reported_drops.cast_signed())
     .bind(settled.as_ref().map(|settled| tail::encode_counts(&settled.events)))
-    .bind(settled.as_ref().map(|settled| settled.taken.cast_signed()))
+    .bind(settled.as_ref().map(|settled| settled.batched.cast_signed()))
     .bind(settled.and_then(|settled| settled.last).map(WallTime::unix_nanos))
     .execute(&mut *connection)
     .await?;

@@ -40,7 +40,7 @@ struct Unreported {
 
 /// Encodes counts for a column.
 pub(super) fn encode_counts(counts: &RunCounts) -> Vec<u8> {
-    let mut bytes = counts.all.to_be_bytes().to_vec();
+    let mut bytes = counts.total.to_be_bytes().to_vec();
     for (run, events) in &counts.runs {
         bytes.extend(run.as_bytes());
         bytes.extend(events.to_be_bytes());
@@ -91,7 +91,7 @@ pub(super) async fn read_unresolved(
             counted: counter::read(&row.counter, owner)?,
             settled: SettledEvents {
                 events: decode_counts(&row.counted).unwrap_or_default(),
-                taken: row.taken.cast_unsigned(),
+                batched: row.taken.cast_unsigned(),
                 last: row.counted_ns.map(WallTime::from_unix_nanos),
             },
             reported_drops: row.told.cast_unsigned(),
@@ -189,7 +189,7 @@ async fn write(
                  SELECT id, counter, coalesce(counted, ?), coalesce(taken, 0), counted_ns, ?, ? FROM stream",
             )
             .bind(encode_counts(&RunCounts::default()))
-            .bind(unresolved.told.cast_signed())
+            .bind(unresolved.reported_drops.cast_signed())
             .bind(unresolved.events.cast_signed())
             .execute(&mut *connection)
             .await?;

@@ -88,8 +88,8 @@ pub(super) fn answered(
     unpaired_counts: UnpairedCounts,
 ) -> (Tree, Stamp) {
     let (started, ended) = start_and_end(input, output);
-    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, started);
-    log.timed(stage::INFERENCE, started.mono, ended.mono);
+    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
+    log.record_timer(stage::INFERENCE, started.mono, ended.mono);
     add_topics(log.tree_mut(), input, output, ended.mono - started.mono, unpaired_counts);
     (iteration::close(log, &pending(input.position, started), ended.mono, true, None), ended)
 }
@@ -119,7 +119,7 @@ pub(super) fn unanswered(
     ended: Stamp,
 ) -> Tree {
     let started = input.message.received;
-    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, started);
+    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
     add(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
     iteration::close(log, &pending(position, started), ended.mono, true, None)
 }

@@ -100,7 +100,7 @@ impl SensorKind for RosSensorConfig {
     // These conditions are not errors, because they may change without an action: an agent that is started at boot, before
     // the master, must not be refused.
     fn remarks(&self) -> Vec<String> {
-        let Ok(version) = self.validated() else { return Vec::new() };
+        let Ok(version) = self.validated_version() else { return Vec::new() };
         match check_topic_at_master(version, &self.topic, self.message_type.as_ref(), TopicAccess::Read) {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],

@@ -221,7 +221,7 @@ impl PeerConnection {
         let sample = request.to_sample().map_err(|error| refused(error.to_string()))?;
         // The recorder belongs to no iteration and is dropped. Only the answer is used, and the exchange, from which the
         // link learns.
-        let log = Recorder::begin(Arc::clone(&self.clock), self.own);
+        let log = Recorder::new(Arc::clone(&self.clock), self.own);
         match self.placement.compute(log, &sample, self.timeout).await.result {
             Ok(answer) => {
                 let answer = answer.unwrap_or_else(empty_sample);

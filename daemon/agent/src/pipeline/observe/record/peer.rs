@@ -33,7 +33,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     let (input, output) = (&pair.input, &pair.output);
     let (started, ended) = start_and_end(input, output);
     let total = ended.mono - started.mono;
-    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, started);
+    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
     let mut transport = None;
     if let Some(arrived) = seen.input() {
         let up = Crossing { sender: input.received.at, receiver: arrived };
@@ -41,7 +41,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
         let return_path =
             seen.output().zip(seen.elapsed()).map(|(departed, elapsed)| (down(departed), elapsed));
         let [up_delay, down_delay] = judge(&up, return_path.as_ref().map(|(down, _)| down));
-        let upload = log.depart(stage::UPLOAD, started);
+        let upload = log.start_transit(stage::UPLOAD, started);
         let nodes = return_path.map(|(down, elapsed)| peer_nodes(&down, elapsed, down_delay));
         // The sum of both directions needs no clock relation: this host's waiting time minus the peer's elapsed time,
         // each by its own monotonic clock.
@@ -79,7 +79,7 @@ pub(in crate::pipeline::observe) fn answered_without_peer(
     pair: &Pair,
 ) -> (Tree, Stamp) {
     let (started, ended) = start_and_end(&pair.input, &pair.output);
-    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, started);
+    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
     count(log.tree_mut(), PEER_UNANSWERED, ended.mono - started.mono, 1);
     close(log, pair, ended, None)
 }

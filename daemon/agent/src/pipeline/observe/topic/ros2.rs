@@ -141,11 +141,11 @@ impl Ros2Topic {
     }
 
     pub(super) fn publishers(&self) -> Vec<PublisherLocation> {
-        let of_type = |publisher: &FoundPublisher| {
+        let of_type = |publisher: &DiscoveredPublisher| {
             self.subscription.as_ref().is_some_and(|own| own.type_name == publisher.type_name)
         };
         let found = self.node.publishers_of(&self.name).into_iter().filter(of_type);
-        let location = |publisher: FoundPublisher| PublisherLocation {
+        let location = |publisher: DiscoveredPublisher| PublisherLocation {
             node: publisher.name(),
             host: publisher.host.map(|host| host.to_string()),
         };
