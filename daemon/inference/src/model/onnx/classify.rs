@@ -46,7 +46,7 @@ pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Ve
     let ranked = |(label, score): (&'a String, &f32)| Ranked { label, score: *score };
     let mut top: Vec<_> = output.labels.iter().zip(numbers.iter()).map(ranked).collect();
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
-    top.truncate(output.top_k);
+    top.truncate(output.listed());
     let best = top.first().ok_or(OutputError::NoClasses)?;
     let answer = Answer { label: best.label, score: best.score, top };
     Ok(serde_json::to_vec(&answer)?)
@@ -82,7 +82,7 @@ mod tests {
 
     fn output(activation: Activation, top_k: usize) -> Output {
         let labels = ["a", "b", "c"].map(str::to_owned).into();
-        Output { name: "logits".to_owned(), activation, top_k, labels }
+        Output { name: "logits".to_owned(), activation, top_k: Some(top_k), labels }
     }
 
     #[test]
