@@ -33,7 +33,8 @@ pub(crate) fn detect_format(file: &[u8]) -> Result<MediaType, ImageError> {
 
 /// Decodes a JPEG or PNG file into `picture`, in the given order of channels.
 ///
-/// Transparency is dropped; colour profiles and the orientation tag are ignored, as in most training code.
+/// Transparency is dropped. Colour profiles are ignored, and so is the orientation tag, as in most training code; see
+/// [`turn_upright`](crate::turn_upright).
 ///
 /// # Errors
 /// If the file has another format, is damaged or truncated, or is too large. The contents of `picture` are undefined
@@ -73,7 +74,7 @@ fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Resul
 
 /// Decoder that has read the header, with the size from the header after its check.
 pub(crate) struct OpenedImage<D> {
-    decoder: D,
+    pub(crate) decoder: D,
     pub(crate) width: u32,
     pub(crate) height: u32,
 }

@@ -48,7 +48,7 @@ fn row(found: &ModelOnDisk) -> Vec<String> {
         Err(_) => Default::default(),
     };
     let size =
-        size(found).map(|bytes| peernet_statistics::number::bytes(bytes as f64).plain()).unwrap_or_default();
+        found.size().map(|bytes| peernet_statistics::number::bytes(bytes as f64).plain()).unwrap_or_default();
     let folder = found.folder.display().to_string();
     let cells =
         [found.name.to_string(), task, input, size, version, folder, problem(found).unwrap_or_default()];
@@ -65,16 +65,11 @@ fn problem(found: &ModelOnDisk) -> Option<String> {
     }
 }
 
-/// Returns the size of `model.onnx` in bytes.
-fn size(found: &ModelOnDisk) -> Option<u64> {
-    std::fs::metadata(found.folder.join("model.onnx")).ok().map(|known| known.len())
-}
-
 fn object(found: &ModelOnDisk) -> Value {
     json!({
         "model": found.name.to_string(),
         "folder": found.folder.display().to_string(),
-        "bytes": size(found),
+        "bytes": found.size(),
         "card": found.card.as_ref().ok(),
         "wrong": problem(found),
     })

@@ -24,10 +24,10 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let found = arguments.wanted.find()?;
     let hash = found.hash().map_err(failure)?;
+    let size = found.size().unwrap_or_default();
     let (name, folder) = (found.name, found.folder);
     let card = found.card.map_err(failure)?;
     let other_file = other_file(&card, &hash);
-    let size = std::fs::metadata(folder.join("model.onnx")).map_or(0, |known| known.len());
     if arguments.json {
         say(
             json!({ "model": name.to_string(), "folder": folder.display().to_string(), "bytes": size, "sha256": hash, "card": card }),

@@ -1,10 +1,10 @@
 //! Cache entry of one model.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
-use crate::model::onnx::{CARD, MODEL};
+use crate::model::onnx;
 use crate::{LoadError, ModelConfig, Pool};
 
 /// One model on one device. The lock is held while the model loads, so that it is loaded only once and other models
@@ -54,14 +54,17 @@ impl CacheEntry {
 
 /// Sizes and modification times of a model's files, which show that files were replaced.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct FilesStamp([Option<(u64, SystemTime)>; 2]);
+pub(super) struct FilesStamp(Vec<Option<(u64, SystemTime)>>);
 
 impl FilesStamp {
     /// Reads the sizes and modification times of a model's files.
     pub(super) fn read(folder: &Path) -> Self {
-        Self([MODEL, CARD].map(|file| {
-            let metadata = std::fs::metadata(folder.join(file)).ok()?;
+        let mut files = onnx::files(folder).unwrap_or_default();
+        files.push(folder.join(onnx::CARD));
+        let stamp = |file: &PathBuf| {
+            let metadata = file.metadata().ok()?;
             Some((metadata.len(), metadata.modified().ok()?))
-        }))
+        };
+        Self(files.iter().map(stamp).collect())
     }
 }

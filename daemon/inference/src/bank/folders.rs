@@ -128,12 +128,17 @@ impl ModelOnDisk {
         BankConfig::default().model(&self.name, &self.folder, device)
     }
 
-    /// Computes the SHA-256 of `model.onnx`, in hexadecimal.
+    /// Computes the SHA-256 of `model.onnx` and the data files of its weights, in hexadecimal.
     ///
     /// # Errors
-    /// When the file cannot be read.
+    /// When a file cannot be read.
     pub fn hash(&self) -> Result<String, LoadError> {
-        onnx::hash(&self.folder, onnx::MODEL)
+        onnx::hash_network(&self.folder)
+    }
+
+    /// Returns the size of these files, bytes; `None` if one is missing or `model.onnx` is not a model.
+    pub fn size(&self) -> Option<u64> {
+        onnx::files(&self.folder).ok()?.iter().map(|file| Some(file.metadata().ok()?.len())).sum()
     }
 }
 

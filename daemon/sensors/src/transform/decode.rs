@@ -1,6 +1,6 @@
 //! Transform `decode`, which decodes pictures to pixels.
 
-use peernet_imaging::{Picture, read_part};
+use peernet_imaging::{Orientation, Picture, read_part, turn_upright};
 use peernet_logger::Recorder;
 use peernet_sample::{MediaType, Sample};
 use serde::{Deserialize, Serialize};
@@ -9,24 +9,30 @@ use super::{TransformConfig, TransformKind, transform_pictures, working_format};
 use crate::{SensorError, Transform};
 
 /// Configuration of the transform: `{ kind = "decode" }`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct DecodeConfig {}
+pub struct DecodeConfig {
+    /// Orientation of the result: `stored` (default), as the pixels are stored, or `exif`, upright by the EXIF tag of the file.
+    #[serde(default, skip_serializing_if = "Orientation::is_stored")]
+    pub orientation: Orientation,
+}
 
 impl TransformKind for DecodeConfig {
     fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
-        Ok(Box::new(Decode))
+        Ok(Box::new(Decode { orientation: self.orientation }))
     }
 }
 
 impl TransformConfig {
     /// Returns the configuration that decodes pictures to pixels.
     pub fn to_pixels() -> Self {
-        DecodeConfig {}.into()
+        DecodeConfig::default().into()
     }
 }
 
-struct Decode;
+struct Decode {
+    orientation: Orientation,
+}
 
 impl Transform for Decode {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
@@ -36,11 +42,17 @@ impl Transform for Decode {
             }
             let mut picture = Picture::default();
             read_part(part, working_format(part), &mut picture)?;
+            if self.orientation == Orientation::Exif {
+                turn_upright(part, &mut picture)?;
+            }
             Ok(picture.into_part())
         })
     }
 
     fn describe(&self) -> String {
-        "decode".to_owned()
+        match self.orientation {
+            Orientation::Stored => "decode".to_owned(),
+            Orientation::Exif => "decode, upright by EXIF".to_owned(),
+        }
     }
 }

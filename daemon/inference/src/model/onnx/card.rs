@@ -1,15 +1,21 @@
 //! The card of a model, `model.toml`: the conversion of a picture to the model's input and of its output to an
 //! answer.
 
+use std::collections::HashSet;
 use std::fmt;
 use std::io::{self, Read};
 use std::path::Path;
 
-use peernet_imaging::Filter;
-use serde::Deserialize;
+use peernet_imaging::{Filter, Orientation};
+use peernet_sample::normalized_label;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 
 use super::regular_file;
 use crate::LoadError;
+
+/// Number of classes in an answer by default.
+const LISTED: usize = 5;
 
 /// Largest size of a card, bytes. A thousand labels take some ten kilobytes.
 const MAX_CARD_BYTES: u64 = 1 << 20;
@@ -46,6 +52,7 @@ pub(super) struct Input {
     dtype: DataType,
     pub(super) layout: Layout,
     /// Four lengths in the order of the layout; the first one, the batch, is 1.
+    #[serde(deserialize_with = "lengths")]
     pub(super) shape: [usize; 4],
     pub(super) colour: Colour,
 }
@@ -73,11 +80,14 @@ pub(super) enum Colour {
     Grey,
 }
 
-/// Preprocessing steps, applied in the order of the fields: resize, crop, then `(byte × scale − mean) / std` for each
+/// Preprocessing steps, applied in the order of the fields: orientation, resize, crop, then `(byte × scale − mean) / std` for each
 /// channel.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Preprocessing {
+    /// Orientation of the picture before the other steps.
+    #[serde(default)]
+    pub(super) orientation: Orientation,
     /// Resizing. Without it pictures must have the size of the input.
     #[serde(default)]
     pub(super) resize: Option<Resize>,
@@ -153,9 +163,9 @@ pub(super) struct Output {
     pub(super) name: String,
     #[serde(default)]
     pub(super) activation: Activation,
-    /// Number of classes in an answer, best first.
-    #[serde(default = "five")]
-    pub(super) top_k: usize,
+    /// Number of classes in an answer, best first. Default: five, or all if there are fewer.
+    #[serde(default)]
+    pub(super) top_k: Option<usize>,
     /// One label per number of the output.
     pub(super) labels: Vec<String>,
 }
@@ -189,8 +199,15 @@ pub(super) enum CardError {
     #[error("preprocessing.{key} has {count} numbers for {channels} channels")]
     Numbers { key: &'static str, count: usize, channels: usize },
     /// A number cannot be used in the computation.
-    #[error("preprocessing needs finite numbers and no std of 0")]
+    #[error(
+        "preprocessing.scale, mean and std are finite numbers; write the ones with which the model was trained"
+    )]
     NotFinite,
+    /// A standard deviation is not positive.
+    #[error(
+        "preprocessing.std has {0}; a standard deviation is larger than 0, and 1.0 leaves the channel as it is"
+    )]
+    Deviation(f64),
     /// The size after preprocessing depends on the picture.
     #[error("preprocessing.resize to the shortest side needs a crop after it")]
     NoCrop,
@@ -200,6 +217,14 @@ pub(super) enum CardError {
     /// There is no class to answer with.
     #[error("output needs at least one label and a top_k of at least 1")]
     NoLabels,
+    /// Two classes could not be distinguished in an answer.
+    #[error("output.labels has {0:?} twice; each class needs a label of its own, such as \"{0} 2\"")]
+    DuplicateLabel(String),
+    /// An answer cannot have more classes than the model.
+    #[error(
+        "output.top_k is {top_k}, but the model has only {classes} labels; write top_k = {classes} or fewer"
+    )]
+    TopK { top_k: usize, classes: usize },
 }
 
 fn text(file: &Path) -> io::Result<String> {
@@ -244,8 +269,11 @@ impl Card {
             }
         }
         let numbers = || preprocessing.mean.iter().chain(&preprocessing.std).chain([&preprocessing.scale]);
-        if !numbers().all(|number| number.is_finite()) || preprocessing.std.contains(&0.0) {
+        if !numbers().all(|number| number.is_finite()) {
             return Err(CardError::NotFinite);
+        }
+        if let Some(deviation) = preprocessing.std.iter().find(|deviation| **deviation <= 0.0) {
+            return Err(CardError::Deviation(*deviation));
         }
         let result = match (preprocessing.resize, preprocessing.crop) {
             (_, Some(CentreCrop { width, height, .. })) => Some((height, width)),
@@ -260,11 +288,50 @@ impl Card {
         {
             return Err(CardError::Size { made: (columns, rows), wanted: (width, height) });
         }
-        if output.labels.is_empty() || output.top_k == 0 {
+        output.check()
+    }
+}
+
+impl Output {
+    /// Returns the number of classes in an answer.
+    pub(super) fn listed(&self) -> usize {
+        self.top_k.unwrap_or(LISTED).min(self.labels.len())
+    }
+
+    fn check(&self) -> Result<(), CardError> {
+        if self.labels.is_empty() || self.top_k == Some(0) {
             return Err(CardError::NoLabels);
         }
-        Ok(())
+        // Labels are compared without regard to case and spaces; two that differ in those alone are told apart by nobody.
+        let mut seen = HashSet::new();
+        if let Some(label) = self.labels.iter().find(|label| !seen.insert(normalized_label(label))) {
+            return Err(CardError::DuplicateLabel(label.clone()));
+        }
+        match self.top_k {
+            Some(top_k) if top_k > self.labels.len() => {
+                Err(CardError::TopK { top_k, classes: self.labels.len() })
+            }
+            _ => Ok(()),
+        }
     }
+}
+
+/// Deserialises the lengths of a shape. An exported model often has -1 or a name for a length that is open.
+fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[usize; 4], D::Error> {
+    let lengths = <[toml::Value; 4]>::deserialize(deserializer)?;
+    let mut shape = [0; 4];
+    for (length, value) in shape.iter_mut().zip(&lengths) {
+        *length = value
+            .as_integer()
+            .and_then(|number| usize::try_from(number).ok())
+            .filter(|length| *length > 0)
+            .ok_or_else(|| {
+                D::Error::custom(format_args!(
+                    "a length is {value}; write the one with which the model is run, and 1 for the batch"
+                ))
+            })?;
+    }
+    Ok(shape)
 }
 
 impl Input {
@@ -300,10 +367,6 @@ const fn yes() -> bool {
     true
 }
 
-const fn five() -> usize {
-    5
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
@@ -337,7 +400,7 @@ labels = ["a", "b"]
     #[test]
     fn card_is_read_with_its_defaults() {
         let card = changed("", "").expect("is right");
-        assert_eq!(card.output.top_k, 5);
+        assert_eq!(card.output.listed(), 2, "all, because there are fewer than five");
         assert_eq!(
             card.preprocessing.resize,
             Some(Resize::Exact { width: 2, height: 1, filter: Filter::Bilinear, antialias: true })
@@ -359,11 +422,16 @@ labels = ["a", "b"]
             ("shape = [1, 1, 1, 2]", "shape = [2, 1, 1, 2]", "batch of 2"),
             ("colour = \"grey\"", "colour = \"rgb\"", "1 channels"),
             ("mean = [1.0]", "mean = []", "mean has 0 numbers"),
-            ("std = [2.0]", "std = [0.0]", "std of 0"),
+            ("std = [2.0]", "std = [0.0]", "larger than 0"),
+            ("std = [2.0]", "std = [-0.25]", "preprocessing.std has -0.25"),
             ("scale = 0.5", "scale = nan", "finite"),
             ("width = 2,", "width = 3,", "3 × 1 pixels"),
             ("mode = \"exact\", width = 2, height = 1", "mode = \"shortest\", size = 2", "needs a crop"),
             ("labels = [\"a\", \"b\"]", "labels = []", "at least one label"),
+            ("labels = [\"a\", \"b\"]", "labels = [\"a\", \"b\", \"a\"]", "has \"a\" twice"),
+            ("labels = [", "top_k = 3\nlabels = [", "write top_k = 2"),
+            ("shape = [1, 1, 1, 2]", "shape = [-1, 1, 1, 2]", "a length is -1; write the one"),
+            ("shape = [1, 1, 1, 2]", "shape = [\"batch\", 1, 1, 2]", "1 for the batch"),
             ("task = \"classification\"", "task = \"detection\"", "classification"),
             ("dtype = \"float32\"", "dtype = \"float16\"", "float32"),
             ("scale = 0.5", "scale = 0.5\nmeans = [1.0]", "means"),

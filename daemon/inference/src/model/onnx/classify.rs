@@ -47,7 +47,7 @@ pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Ve
     let mut top: Vec<_> = output.labels.iter().zip(numbers.iter()).map(ranked).collect();
     // A stable sort: classes with equal scores stay in the order of the labels.
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
-    top.truncate(output.top_k);
+    top.truncate(output.listed());
     let best = top.first().ok_or(OutputError::NoClasses)?;
     let answer = Answer { label: best.label, score: best.score, top };
     Ok(serde_json::to_vec(&answer)?)
@@ -83,7 +83,7 @@ mod tests {
 
     fn output(activation: Activation, top_k: usize) -> Output {
         let labels = ["a", "b", "c"].map(str::to_owned).into();
-        Output { name: "logits".to_owned(), activation, top_k, labels }
+        Output { name: "logits".to_owned(), activation, top_k: Some(top_k), labels }
     }
 
     #[test]

@@ -9,6 +9,7 @@ mod classify;
 mod config;
 mod device;
 mod library;
+mod network_file;
 mod preprocess;
 mod regular_file;
 mod search;
@@ -18,8 +19,9 @@ mod summary;
 mod worker;
 
 pub use config::{OnnxConfig, OnnxRuntimeConfig};
+pub(crate) use network_file::files;
 pub use summary::CardSummary;
-pub(crate) use summary::{hash, summarise};
+pub(crate) use summary::{hash_card, hash_network, summarise};
 
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -42,7 +44,7 @@ pub(crate) const MODEL: &str = "model.onnx";
 /// Name of the card in a model's folder.
 pub(crate) const CARD: &str = "model.toml";
 
-/// Name of the fact with the SHA-256 of the model's file, in hexadecimal.
+/// Name of the fact with the SHA-256 of the model's files, in hexadecimal.
 pub const MODEL_HASH: &str = "Model SHA-256";
 
 /// Name of the fact with the SHA-256 of the model's card, in hexadecimal.
@@ -94,7 +96,7 @@ impl Onnx {
     /// Loads the part of the model that all workers share.
     fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
-        let (hash, card_hash) = (hash(&config.path, MODEL)?, hash(&config.path, CARD)?);
+        let (hash, card_hash) = (hash_network(&config.path)?, hash_card(&config.path)?);
         let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
         Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared })
     }
@@ -106,10 +108,8 @@ impl Onnx {
     ) -> Result<(Plan, Arc<Runtime>), LoadError> {
         let device: Device = shared.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
+        files(&config.path)?;
         let file = config.path.join(MODEL);
-        if let Err(error) = regular_file::open(&file) {
-            return Err(LoadError::File { file, reason: error.to_string() });
-        }
         let runtime = Runtime::get(runtime)?;
         device.check(&shared.name, runtime.library())?;
         let plan = Plan {

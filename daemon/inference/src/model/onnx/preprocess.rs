@@ -1,6 +1,8 @@
 //! Conversion of a sample to the model's input.
 
-use peernet_imaging::{Crop, ImageError, Picture, Resizer, Scaling, crop, read_part};
+use peernet_imaging::{
+    Crop, ImageError, Orientation, Picture, Resizer, Scaling, crop, read_part, turn_upright,
+};
 use peernet_sample::{PixelFormat, Sample};
 
 use super::card::{Card, CentreCrop, Colour, Layout, Preprocessing, Resize};
@@ -35,8 +37,9 @@ pub(super) struct Preprocessor {
     tensor: Vec<f32>,
 }
 
-/// Changes of a picture's size.
+/// Changes of a picture's orientation and size.
 struct Geometry {
+    orientation: Orientation,
     resize: Option<Resize>,
     crop: Option<CentreCrop>,
     /// Width and height of the model's input, pixels.
@@ -61,9 +64,9 @@ struct Channel {
 impl Preprocessor {
     pub(super) fn new(card: &Card) -> Self {
         let (_, count, height, width) = card.input.dimensions();
-        let Preprocessing { resize, crop, .. } = card.preprocessing;
+        let Preprocessing { orientation, resize, crop, .. } = card.preprocessing;
         Self {
-            geometry: Geometry { resize, crop, expected: (width as u32, height as u32) },
+            geometry: Geometry { orientation, resize, crop, expected: (width as u32, height as u32) },
             normalisation: Normalisation::new(card),
             resizer: Resizer::new(),
             decoded: Picture::default(),
@@ -81,8 +84,11 @@ impl Preprocessor {
     /// Converts the picture in a sample's first part to the model's input.
     pub(super) fn preprocess(&mut self, sample: &Sample) -> Result<(), InputError> {
         let part = sample.parts.first().ok_or(InputError::NoPayload)?;
-        let Geometry { resize, crop: centre, expected } = self.geometry;
+        let Geometry { orientation, resize, crop: centre, expected } = self.geometry;
         read_part(part, self.normalisation.format, &mut self.decoded)?;
+        if orientation == Orientation::Exif {
+            turn_upright(part, &mut self.decoded)?;
+        }
         let mut picture = &self.decoded;
         if let Some(resize) = resize {
             let (width, height, scaling) = target(resize, picture);

@@ -1,11 +1,15 @@
 //! Description of a model on disk, without loading it.
 
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 
 use peernet_external::sha256;
+use peernet_imaging::Orientation;
 use serde::Serialize;
 
 use super::card::{Activation, Card, CentreCrop, Resize, Rounding};
+use super::network_file::files;
 use super::{CARD, MODEL, regular_file};
 use crate::LoadError;
 
@@ -35,24 +39,41 @@ pub struct CardSummary {
 /// Returns the card of the model in a folder.
 ///
 /// # Errors
-/// If the card is invalid, or `model.onnx` is missing.
+/// If the card is invalid, or if a file of the network is missing or not an ONNX model.
 pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
     let card = Card::read(&folder.join(CARD))?;
-    let file = folder.join(MODEL);
-    match regular_file::open(&file) {
-        Ok(_) => Ok(card.summary()),
-        Err(error) => Err(LoadError::File { file, reason: error.to_string() }),
+    for file in files(folder)? {
+        open(&file)?;
     }
+    Ok(card.summary())
 }
 
-/// Returns the SHA-256 of a file in a model's folder, in hexadecimal.
+/// Returns the SHA-256 of the network in a model's folder, in hexadecimal: that of `model.onnx`, or of its bytes and those of its
+/// data files, one file after the other in the order of their names.
 ///
 /// # Errors
-/// If the file cannot be read.
-pub(crate) fn hash(folder: &Path, file: &str) -> Result<String, LoadError> {
-    let file = folder.join(file);
+/// If a file is missing or cannot be read, or if `model.onnx` is not an ONNX model.
+pub(crate) fn hash_network(folder: &Path) -> Result<String, LoadError> {
+    let mut contents: Box<dyn Read> = Box::new(io::empty());
+    for file in files(folder)? {
+        contents = Box::new(contents.chain(open(&file)?));
+    }
+    let error = |error: io::Error| LoadError::File { file: folder.join(MODEL), reason: error.to_string() };
+    sha256(contents).map_err(error)
+}
+
+/// Returns the SHA-256 of the card in a model's folder, in hexadecimal.
+///
+/// # Errors
+/// If it cannot be read.
+pub(crate) fn hash_card(folder: &Path) -> Result<String, LoadError> {
+    let file = folder.join(CARD);
     let hash = regular_file::open(&file).and_then(sha256);
     hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
+}
+
+fn open(file: &Path) -> Result<File, LoadError> {
+    regular_file::open(file).map_err(|error| LoadError::File { file: file.to_owned(), reason: error.to_string() })
 }
 
 impl Card {
@@ -62,6 +83,9 @@ impl Card {
         let shape: Vec<_> = input.shape.iter().map(usize::to_string).collect();
         let colour = format!("{:?}", input.colour).to_lowercase();
         let mut steps = vec![format!("colours {colour}")];
+        if preprocessing.orientation == Orientation::Exif {
+            steps.push("upright by EXIF".to_owned());
+        }
         steps.extend(preprocessing.resize.map(describe_resize));
         steps.extend(preprocessing.crop.map(describe_crop));
         let (scale, mean, std) = (preprocessing.scale, &preprocessing.mean, &preprocessing.std);
@@ -78,7 +102,7 @@ impl Card {
             description: self.description.clone(),
             input: format!("{} float32 {}", shape.join(" × "), input.layout),
             preprocessing: steps,
-            output: format!("{} classes, {scores}, best {} listed", output.labels.len(), output.top_k),
+            output: format!("{} classes, {scores}, best {} listed", output.labels.len(), output.listed()),
             labels: output.labels.clone(),
             provenance: self.provenance.iter().map(|(key, value)| (key.clone(), plain_text(value))).collect(),
         }
@@ -118,6 +142,9 @@ mod tests {
     use super::super::card::tests::{SMALL, changed};
     use super::*;
 
+    /// A model with an empty graph.
+    const SMALLEST: &[u8] = b"\x3a\x00";
+
     #[test]
     fn plan_describes_every_step() {
         let card = changed(
@@ -136,7 +163,7 @@ mod tests {
                 "(byte × 0.5 − mean) / std, mean [1.0], std [2.0]",
             ]
         );
-        assert_eq!(summary.output, "2 classes, softmax, best 5 listed");
+        assert_eq!(summary.output, "2 classes, softmax, best 2 listed");
     }
 
     #[test]
@@ -145,21 +172,37 @@ mod tests {
         std::fs::write(folder.path().join(CARD), SMALL).expect("written");
         let model = folder.path().join(MODEL);
         mknodat(CWD, &model, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
-        for error in [summarise(folder.path()).map(drop), hash(folder.path(), MODEL).map(drop)] {
+        for error in [summarise(folder.path()).map(drop), hash_network(folder.path()).map(drop)] {
             let error = error.expect_err("refused").to_string();
             assert!(error.contains("model.onnx") && error.contains("not a regular file"), "{error}");
         }
         std::fs::remove_file(&model).expect("removed");
-        std::fs::write(&model, "abc").expect("written");
+        std::fs::write(&model, SMALLEST).expect("written");
         assert!(summarise(folder.path()).is_ok());
     }
 
     #[test]
     fn hash_is_that_of_sha256sum() {
         let folder = tempfile::tempdir().expect("a folder");
-        std::fs::write(folder.path().join(MODEL), "abc").expect("written");
+        std::fs::write(folder.path().join(CARD), "abc").expect("written");
         // Example in FIPS 180-4.
-        let expected_hash = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(hash(folder.path(), MODEL).expect("is read"), expected_hash);
+        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(hash_card(folder.path()).expect("is read"), known);
+    }
+
+    #[test]
+    fn hash_changes_with_weights_in_another_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        // A graph with a tensor whose entry `location` is `w`.
+        let model = b"\x3a\x11\x2a\x0f\x6a\x0d\x0a\x08location\x12\x01w";
+        std::fs::write(folder.path().join(MODEL), model).expect("written");
+        let missing = hash_network(folder.path()).expect_err("no file w").to_string();
+        assert!(missing.contains("/w"), "{missing}");
+        let hash = |weights: &str| {
+            std::fs::write(folder.path().join("w"), weights).expect("written");
+            hash_network(folder.path()).expect("is read")
+        };
+        assert_eq!(hash("1"), sha256([&model[..], &b"1"[..]].concat().as_slice()).expect("is read"));
+        assert_ne!(hash("1"), hash("0"));
     }
 }
