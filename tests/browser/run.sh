@@ -22,7 +22,7 @@ for role in aggregator cloud edge; do
 done
 # One machine has one clock, and nothing to estimate: the edge is given a clock of its own, wrong on purpose.
 sed -i 's/^\[agent\]$/[agent]\nclock_identity = "edge"/' "$site/edge.toml"
-printf '\n[rehearsal]\noffset_ms = 1000.0\ndrift_ppm = 20.0\n' >>"$site/edge.toml"
+printf '\n[clock_fault]\noffset_ms = 1000.0\ndrift_ppm = 20.0\n' >>"$site/edge.toml"
 
 deploy/demo.sh "$peernetd" "$site" "$site/logs" >"$site/demo.log" 2>&1 &
 demo=$!

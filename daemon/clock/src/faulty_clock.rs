@@ -20,7 +20,7 @@ pub struct FaultyClock {
 #[derive(Debug, Default)]
 struct StepCounts {
     inner: u32,
-    rehearsed: u32,
+    faulty: u32,
     last_step: Option<Span>,
 }
 
@@ -46,8 +46,8 @@ impl FaultyClock {
             step_counts.inner = inner;
             step_counts.last_step = self.inner.last_step();
         }
-        if due > step_counts.rehearsed {
-            step_counts.rehearsed = due;
+        if due > step_counts.faulty {
+            step_counts.faulty = due;
             step_counts.last_step = steps().max_by_key(|step| step.at).map(|step| step.by);
         }
         step_counts
@@ -87,7 +87,7 @@ impl Clock for FaultyClock {
 
     fn wall_epoch(&self) -> u32 {
         let step_counts = self.update_step_counts();
-        step_counts.inner + step_counts.rehearsed
+        step_counts.inner + step_counts.faulty
     }
 
     fn begin_wall_epoch(&self) {
@@ -102,7 +102,7 @@ impl Clock for FaultyClock {
         self.description.shown(system)
     }
 
-    fn rehearsal(&self) -> Option<&ClockFaults> {
+    fn faults(&self) -> Option<&ClockFaults> {
         Some(&self.description)
     }
 }
@@ -144,7 +144,7 @@ mod tests {
     fn injected_and_real_steps_are_counted_at_first_query() {
         let description = described(&[step(20, -500), step(10, 3000)]);
         let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
-        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "faulty"), description);
         assert_eq!((clock.wall_epoch(), clock.last_step()), (0, None));
         inner.advance(Span::from_seconds(10));
         assert_eq!((clock.wall_epoch(), clock.last_step()), (1, Some(Span::from_seconds(3))));
@@ -156,7 +156,7 @@ mod tests {
         assert_eq!(clock.readings().wall, clock.wall());
         assert_eq!(clock.adopt(inner.wall()), clock.wall());
         assert_eq!(clock.mono(), inner.mono());
-        assert!(clock.rehearsal().is_some());
+        assert!(clock.faults().is_some());
     }
 
     #[test]
@@ -164,7 +164,7 @@ mod tests {
         let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..step(20, -39) };
         let description = described(&[step(10, 3000), raw_step]);
         let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
-        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "faulty"), description);
         let errors = || (clock.wall() - inner.wall(), clock.raw() - inner.raw());
         assert_eq!(errors(), (Span::from_millis(137), Span::from_millis(137)));
         inner.advance(Span::from_seconds(10));
@@ -212,20 +212,20 @@ mod tests {
 
     #[test]
     fn the_words_name_all_that_is_wrong() {
-        let mut rehearsal = ClockFaults {
+        let mut faults = ClockFaults {
             offset: Span::from_millis(-500),
             drift_ppm: 0.0,
             steps: Vec::new(),
             since: WallTime::from_unix_nanos(0),
         };
-        assert_eq!(rehearsal.to_string(), "offset -500 ms");
-        rehearsal.drift_ppm = 50.5;
-        rehearsal.steps.push(ClockFaultStep {
+        assert_eq!(faults.to_string(), "offset -500 ms");
+        faults.drift_ppm = 50.5;
+        faults.steps.push(ClockFaultStep {
             at: Span::from_millis(1500),
             by: Span::from_seconds(3),
             clock: SteppedClock::Wall,
         });
-        assert_eq!(rehearsal.to_string(), "offset -500 ms, drift +50.5 ppm, step +3000 ms after 1.5 s");
+        assert_eq!(faults.to_string(), "offset -500 ms, drift +50.5 ppm, step +3000 ms after 1.5 s");
     }
 
     #[test]
@@ -235,13 +235,13 @@ mod tests {
             by: Span::from_micros(by),
             clock: SteppedClock::Wall,
         };
-        let rehearsal = ClockFaults {
+        let faults = ClockFaults {
             offset: Span::from_micros(-123_300),
             drift_ppm: 0.1,
             steps: (1..2000).map(|at| step(at, at * 100)).collect(),
             since: WallTime::from_unix_nanos(0),
         };
-        let text = rehearsal.to_string();
+        let text = faults.to_string();
         let longest = text.split([' ', ',']).map(str::len).max();
         assert!(longest.is_some_and(|longest| longest <= "+199.9".len()), "{text}");
         assert!(text.contains("step +6 ms after 60 s, step +6.1 ms after 61 s,"), "{text}");

@@ -114,7 +114,7 @@ mod tests {
     fn two_reads_on_one_machine_agree_and_a_named_clock_differs() {
         let a = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
         let b = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
-        let other = ClockIdentity::of_this_machine("rehearsal").expect("linux has a boot id");
+        let other = ClockIdentity::of_this_machine("clock_fault").expect("linux has a boot id");
         assert_eq!(a, b);
         assert_ne!(a, other);
         assert!(a.may_be_one_with(&b) && !a.may_be_one_with(&other));

@@ -11,8 +11,8 @@
 //!
 //! - `time`: [`WallTime`], [`MonoTime`], [`RawTime`] and their difference, [`Span`].
 //! - `system`: reads the operating system's clocks.
-//! - `source`: the [`Clock`] trait and the system's clock; `manual`: a clock for tests; `rehearsed`: a clock with
-//!   injected faults, which `rehearsal` describes.
+//! - `source`: the [`Clock`] trait and the system's clock; `manual`: a clock for tests; `faulty_clock`: a clock with
+//!   injected faults, which `faults` describes.
 //! - `steps`: detects that a wall clock was stepped or is slewed, and that the machine slept.
 //! - `exchange`: four stamps and the bounds of the offset that follow from them; `discipline`: error bounds that a time
 //!   daemon claims.

@@ -114,7 +114,7 @@ pub trait Clock: Send + Sync + fmt::Debug {
     }
 
     /// Returns the faults that are injected into the clock, if any.
-    fn rehearsal(&self) -> Option<&ClockFaults> {
+    fn faults(&self) -> Option<&ClockFaults> {
         None
     }
 }
@@ -234,8 +234,8 @@ mod tests {
         let wrong =
             ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since: system.wall() };
         let identity = system.identity().clone();
-        let rehearsed = FaultyClock::new(Arc::new(system), identity, wrong);
-        assert!(!rehearsed.shows_kernel_time());
+        let faulty = FaultyClock::new(Arc::new(system), identity, wrong);
+        assert!(!faulty.shows_kernel_time());
     }
 
     #[test]

@@ -124,8 +124,8 @@
     if ($("livelag").textContent !== text) $("livelag").textContent = text;
   }
   // Clocks that are made wrong on purpose: said on every page for as long as they are.
-  function rehearsals(sentences) {
-    const banner = $("rehearsal");
+  function clockFaults(sentences) {
+    const banner = $("clock-fault");
     if (Array.from(banner.children, (line) => line.textContent).join("\n") === sentences.join("\n")) return;
     banner.replaceChildren(...sentences.map((sentence) => {
       const line = document.createElement("p");
@@ -171,7 +171,7 @@
       back();
       handle(event.data);
     });
-    on("status", (data) => { status = JSON.parse(data); rehearsals(status.rehearsals); storing(status.not_storing); state(); });
+    on("status", (data) => { status = JSON.parse(data); clockFaults(status.rehearsals); storing(status.not_storing); state(); });
     on("page", (data) => { pending = merged(pending, JSON.parse(data)); schedule(); });
     on("picture", (data) => tell("peer-picture", JSON.parse(data)));
     on("heartbeat", () => {});

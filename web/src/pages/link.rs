@@ -18,6 +18,7 @@ use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::Tracks;
 use crate::view::chip::Chip;
+use crate::view::clock_fault::{self, FaultyClocks};
 use crate::view::incidents::IncidentLine;
 use crate::view::link::basis;
 use crate::view::link::carried::CarriedRow;
@@ -30,7 +31,6 @@ use crate::view::link::panels::{self, HostRow, Pairs};
 use crate::view::link::stats::{self, Stat};
 use crate::view::link::table::Row;
 use crate::view::link::{Subject, canonical, find, no_link};
-use crate::view::rehearsal::{self, Rehearsed};
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -121,7 +121,7 @@ pub(super) struct Link {
     title: String,
     facts: Vec<String>,
     pipelines: Vec<(String, String)>,
-    rehearsal: Option<Chip>,
+    clock_fault: Option<Chip>,
     same_clock: bool,
     heading: &'static str,
     /// Address, name, whether it is chosen.
@@ -271,7 +271,7 @@ pub(super) fn link_page(
         |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.word(), offset.word());
     let shell = Shell::new(app, picture, "/links", subject.route());
     let topic = format!("{TOPIC}/{name}/{}/{}", query.range.word(), query.offset.word());
-    let rehearsed = Rehearsed::of(picture).concerns(&[&subject.edge, &subject.cloud]);
+    let faulty = FaultyClocks::of(picture).concerns(&[&subject.edge, &subject.cloud]);
     Link {
         shell: if subject.live.is_some() { shell.live(topic) } else { shell },
         edge: subject.edge.clone(),
@@ -279,7 +279,7 @@ pub(super) fn link_page(
         title: title(subject, app.zone),
         facts: facts(subject, picture),
         pipelines: subject.pipelines(),
-        rehearsal: rehearsed.then_some(rehearsal::CHIP),
+        clock_fault: faulty.then_some(clock_fault::CHIP),
         same_clock: subject.same_clock(),
         heading: query.range.heading(),
         ranges: Range::ALL

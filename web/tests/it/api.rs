@@ -319,8 +319,8 @@ async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
 }
 
 #[tokio::test]
-async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::rehearsed()]).await;
+async fn runs_with_clock_fault_are_marked_in_every_list() {
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::with_clock_fault()]).await;
     let runs = bed.get("/api/v1/runs").await.json();
     let marks: Vec<&Value> =
         runs["runs"].as_array().expect("runs").iter().map(|run| &run["rehearsed"]).collect();
@@ -333,7 +333,7 @@ async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
         let rest = &page[begin..];
         rest[..rest.find("</tr>").expect("its end")].to_owned()
     };
-    assert!(row(2).contains("rehearsal") && !row(1).contains("rehearsal"), "{page}");
+    assert!(row(2).contains("clock fault") && !row(1).contains("clock fault"), "{page}");
 }
 
 #[tokio::test]
@@ -391,7 +391,7 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
 
 #[tokio::test]
 async fn links_and_clocks_are_served() {
-    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::rehearsed()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::with_clock_fault()]).await;
     let links = bed.get("/api/v1/links").await.json();
     let link = &links["links"][0];
     assert_eq!((&link["name"], &link["connected"]), (&json!("cam-3~rack-a"), &json!(true)));

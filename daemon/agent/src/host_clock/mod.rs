@@ -16,9 +16,9 @@ mod chrony;
 mod chronyc;
 mod claim;
 mod clocksource;
+mod exact_claim;
 mod kernel;
 mod monitor;
-mod rehearsed;
 mod sources;
 #[cfg(test)]
 mod tests;
@@ -37,7 +37,7 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use crate::conditions::InspectionSettings;
-use crate::config::{ClockConfig, RehearsalConfig};
+use crate::config::{ClockConfig, ClockFaultConfig};
 use crate::incidents::Incidents;
 pub(crate) use clocksource::Clocksource;
 use monitor::HostClockMonitor;
@@ -57,16 +57,16 @@ pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
         discipline: None,
         text: "not asked yet".to_owned(),
         epoch: clock.wall_epoch(),
-        rehearsal: clock.rehearsal().cloned(),
+        faults: clock.faults().cloned(),
         raw: Some(raw_clock(clock, Clocksource::below(Path::new(InspectionSettings::SYSFS)).name())),
     }
 }
 
 /// Returns the shown state of a host's clocks.
 pub(crate) fn shown(clock: &PeerClock) -> HostClock {
-    let PeerClock { epoch, discipline, text, rehearsal, raw } = clock.clone();
+    let PeerClock { epoch, discipline, text, faults, raw } = clock.clone();
     let clocksource = raw.map(|raw| raw.clocksource).filter(|name| !name.is_empty());
-    HostClock { discipline, text, epoch, rehearsal, clocksource }
+    HostClock { discipline, text, epoch, faults, clocksource }
 }
 
 fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
@@ -80,7 +80,7 @@ fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
 /// `discipline_interval_s`, and once a second if clock fault injection makes them exact.
 pub(crate) async fn run(
     config: ClockConfig,
-    rehearsal: Option<RehearsalConfig>,
+    faults: Option<ClockFaultConfig>,
     clock: SharedClock,
     incidents: Incidents,
     publish: Sender<PeerClock>,
@@ -118,7 +118,7 @@ pub(crate) async fn run(
     };
     let asking = async {
         let truth = Arc::new(SystemClock::new(clock.identity().clone()));
-        let mut sources = Sources::new(&config, rehearsal.as_ref(), clock.clone(), truth);
+        let mut sources = Sources::new(&config, faults.as_ref(), clock.clone(), truth);
         let mut ticks = interval(sources.period());
         loop {
             ticks.tick().await;

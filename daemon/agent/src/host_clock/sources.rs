@@ -6,8 +6,8 @@ use peernet_clock::{SharedClock, Span};
 
 use super::chronyc::{CHRONYC_TIMEOUT, Chronyc};
 use super::claim::{Summary, combine};
-use super::{kernel, rehearsed};
-use crate::config::{ClockConfig, DisciplineSource, RehearsalConfig, RehearsedDiscipline};
+use super::{exact_claim, kernel};
+use crate::config::{ClaimedDiscipline, ClockConfig, ClockFaultConfig, DisciplineSource};
 
 /// Time that a claim must hold after the next query is due, because the query takes time, and so does the
 /// announcement to a peer.
@@ -39,19 +39,19 @@ impl Sources {
     /// Creates the configured sources. `truth` is the clock without injected faults.
     pub(super) fn new(
         config: &ClockConfig,
-        rehearsal: Option<&RehearsalConfig>,
+        faults: Option<&ClockFaultConfig>,
         clock: SharedClock,
         truth: SharedClock,
     ) -> Self {
         let mut period = config.discipline_interval();
         let is_configured = |source| config.discipline.contains(&source);
-        let claims = match rehearsal.map(|rehearsal| rehearsal.discipline) {
-            Some(RehearsedDiscipline::None) => Claims::None,
-            Some(RehearsedDiscipline::Exact) => {
+        let claims = match faults.map(|faults| faults.discipline) {
+            Some(ClaimedDiscipline::None) => Claims::None,
+            Some(ClaimedDiscipline::Exact) => {
                 period = period.min(EXACT_PERIOD);
                 Claims::Exact
             }
-            Some(RehearsedDiscipline::Unaware) | None => Claims::Daemons {
+            Some(ClaimedDiscipline::Unaware) | None => Claims::Daemons {
                 kernel: is_configured(DisciplineSource::Kernel),
                 chronyc: is_configured(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
             },
@@ -68,13 +68,15 @@ impl Sources {
     pub(super) async fn ask(&mut self) -> Summary {
         let ahead = Span::from(self.period + CLAIM_MARGIN);
         let summary = match &mut self.claims {
-            Claims::None => Summary { text: "rehearsed, claims nothing".to_owned(), ..Summary::default() },
+            Claims::None => {
+                Summary { text: "clock fault injection, claims nothing".to_owned(), ..Summary::default() }
+            }
             Claims::Exact => Summary {
                 discipline: self
                     .clock
-                    .rehearsal()
-                    .map(|description| rehearsed::exactly(description, self.truth.wall(), ahead)),
-                text: "rehearsed, claims its error exactly".to_owned(),
+                    .faults()
+                    .map(|description| exact_claim::exact_claim(description, self.truth.wall(), ahead)),
+                text: "clock fault injection, claims its error exactly".to_owned(),
                 is_contradictory: false,
             },
             Claims::Daemons { kernel, chronyc } => {

@@ -11,7 +11,9 @@ use futures::FutureExt;
 use peernet_inference::LoadError;
 use peernet_logger::{HostId, RunId};
 use peernet_networks::Address;
-use peernet_stream::{Condition, EndReason, IncidentKind, PipelineState, Placement as Description};
+use peernet_stream::{
+    Condition, EndReason, FaultyHost, IncidentKind, PipelineState, Placement as Description,
+};
 use tokio_util::sync::CancellationToken;
 
 use super::context::PipelineContext;
@@ -205,8 +207,8 @@ impl Runner {
         conditions: Vec<Condition>,
         warm: bool,
     ) -> Run {
-        if let Some(rehearsal) = self.context.host.clock.rehearsal() {
-            facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
+        if let Some(faults) = self.context.host.clock.faults() {
+            facts.push((FaultyHost::Edge.fact(), faults.to_string()));
         }
         Run::begin(&self.config, placement, (facts, conditions), warm, &self.context, &self.display)
     }

@@ -39,7 +39,7 @@ pub(crate) struct Arguments {
     /// Write into a folder that holds files already.
     #[arg(long)]
     pub(super) overwrite: bool,
-    /// An agent's configuration whose tables [clock], [probes] and [rehearsal] hold here, too.
+    /// An agent's configuration whose tables [clock], [probes] and [clock_fault] hold here, too.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
     /// Kind of network: zmq-tcp, zmq-udp or ros [default: that of the address; of a host, zmq-tcp].

@@ -145,8 +145,8 @@ pub struct PeerClock {
     #[serde(deserialize_with = "words")]
     pub text: String,
     /// Clock fault that is injected on this host, if any.
-    #[serde(deserialize_with = "finite")]
-    pub rehearsal: Option<ClockFaults>,
+    #[serde(rename = "rehearsal", deserialize_with = "finite")]
+    pub faults: Option<ClockFaults>,
     /// State of the free-running clock; `None` in versions before [`RAW_STAMPS_SINCE`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw: Option<RawClock>,
@@ -158,9 +158,9 @@ impl PeerClock {
     pub fn in_version(mut self, version: u16) -> Self {
         if version < RAW_STAMPS_SINCE {
             self.raw = None;
-            if let Some(rehearsal) = &mut self.rehearsal {
+            if let Some(faults) = &mut self.faults {
                 // Such a peer would take them for steps of the wall clock.
-                rehearsal.steps.retain(|step| step.clock.is_wall());
+                faults.steps.retain(|step| step.clock.is_wall());
             }
         }
         self
@@ -242,11 +242,9 @@ fn ordered<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Discipli
 }
 
 fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ClockFaults>, D::Error> {
-    let rehearsal: Option<ClockFaults> = Option::deserialize(deserializer)?;
-    match rehearsal {
-        Some(rehearsal) if !rehearsal.drift_ppm.is_finite() => {
-            Err(D::Error::custom("a drift that is no number"))
-        }
-        rehearsal => Ok(rehearsal),
+    let faults: Option<ClockFaults> = Option::deserialize(deserializer)?;
+    match faults {
+        Some(faults) if !faults.drift_ppm.is_finite() => Err(D::Error::custom("a drift that is no number")),
+        faults => Ok(faults),
     }
 }

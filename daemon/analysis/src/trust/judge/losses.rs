@@ -26,9 +26,12 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     }
     all.push(whole(counts, missing));
     all.extend(end(input));
-    if input.rehearsed {
-        let text = "The clock of a host was made wrong on purpose (rehearsal).";
-        all.push(advise(say("rehearsal", Grade::Bad, text), "take `[rehearsal]` out of the configuration"));
+    if input.has_clock_fault {
+        let text = "The clock of a host was made wrong on purpose (clock fault injection).";
+        all.push(advise(
+            say("clock fault", Grade::Bad, text),
+            "take `[clock_fault]` out of the configuration",
+        ));
     }
     all
 }

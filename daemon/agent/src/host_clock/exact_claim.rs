@@ -7,7 +7,7 @@ const BOUND: Span = Span::from_micros(1);
 
 /// Returns a claim that contains the clock's error at `truth` and, unless the clock is stepped, from `around` before
 /// to `around` after, because messages stamped before the claim are judged by it, too.
-pub(super) fn exactly(description: &ClockFaults, truth: WallTime, around: Span) -> Discipline {
+pub(super) fn exact_claim(description: &ClockFaults, truth: WallTime, around: Span) -> Discipline {
     let now = description.error_at(truth);
     let drift = Span::from_nanos((around.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);
     let error = Interval { lo: now - drift - BOUND, hi: now + drift + BOUND };
@@ -31,7 +31,7 @@ mod tests {
         let around = Span::from_seconds(2);
         for seconds in [0, 10, 19, 21, 100_000] {
             let truth = description.since + Span::from_seconds(seconds);
-            let claim = exactly(&description, truth, around).error;
+            let claim = exact_claim(&description, truth, around).error;
             assert!(claim.width() <= Span::from_micros(202), "{claim:?}");
             let (stepped_ahead, stepped_before) = (seconds == 19, seconds == 21);
             for moment in [truth - around, truth, truth + around] {
