@@ -3,6 +3,7 @@
 mod alone;
 mod failing;
 mod secrets;
+mod talkative;
 mod two_agents;
 
 use std::path::Path;
