@@ -1,5 +1,5 @@
 # make demo   builds the programs and runs the factory line on loopback: three processes, until Ctrl-C
-# make rehearsal  the same with the edge's clock wrong on purpose: the delays do not move
+# make demo-clock-fault  the same with the edge's clock wrong on purpose: the delays do not move
 # make test   everything that must hold; installs what it needs
 # make interop  programs of other projects as peers: ROS 1, ROS 2, libzmq
 # make check  the quick part: formatting, lints, unit and end-to-end tests
@@ -14,7 +14,7 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help hooks demo rehearsal setup build test check format lint linted-tests tests configs units deny browser api package deb interop bench soak clean
+.PHONY: help hooks demo demo-clock-fault setup build test check format lint linted-tests tests configs units deny browser api package deb interop bench soak clean
 help:
 	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -10
 
@@ -23,12 +23,12 @@ demo: setup
 	ln -sf peernetd target/demo/peernet
 	deploy/demo.sh target/demo/peernetd
 
-rehearsal: setup
+demo-clock-fault: setup
 	$(CARGO) build --profile demo --locked --package peernetd --bin peernetd
-	mkdir -p data/rehearsal
-	cp configs/aggregator.toml configs/cloud.toml configs/edge.toml data/rehearsal/
-	printf '\n[rehearsal]\noffset_ms = 1200.0\ndrift_ppm = 25.0\n' >> data/rehearsal/edge.toml
-	deploy/demo.sh target/demo/peernetd data/rehearsal data/rehearsal/logs
+	mkdir -p data/clock-fault
+	cp configs/aggregator.toml configs/cloud.toml configs/edge.toml data/clock-fault/
+	printf '\n[clock_fault]\noffset_ms = 1200.0\ndrift_ppm = 25.0\n' >> data/clock-fault/edge.toml
+	deploy/demo.sh target/demo/peernetd data/clock-fault data/clock-fault/logs
 
 hooks:
 	git config core.hooksPath deploy/hooks

@@ -83,12 +83,12 @@ class Clocks:
     # Lines of [clock] on both hosts.
     settings: str = "discipline = []"
 
-    def rehearsal(self) -> str:
+    def clock_fault(self) -> str:
         """The table that makes them so."""
         steps = [(at, by, "wall") for at, by in self.wall_steps] + [(at, by, "raw") for at, by in self.raw_steps]
         text = ", ".join(f'{{ at_s = {at}, by_ms = {by * 1e3}, clock = "{clock}" }}' for at, by, clock in steps)
         return f"""
-        [rehearsal]
+        [clock_fault]
         offset_ms = {self.ahead_s * 1e3}
         drift_ppm = {self.drift_ppm}
         discipline = "{self.discipline}"
@@ -96,7 +96,7 @@ class Clocks:
         """
 
     def true_ns(self, shown: int) -> int:
-        """What the kernel's raw clock showed when the edge's showed `shown`, both since the start of the rehearsal."""
+        """What the kernel's raw clock showed when the edge's showed `shown`, both since the start of the fault injection."""
         steps = sorted(self.raw_steps)
         for passed in range(len(steps), -1, -1):
             stepped = sum(by for _, by in steps[:passed])
@@ -243,7 +243,7 @@ class Scene:
         if self.saturated:
             pipelines += _pipeline("images", peer, 1_200_000, "", self.seconds + 2)
         agent = self._agent(it, "edge", f'aggregator = "tcp://{aggregator}"')
-        return agent + ("" if self.false_time_s is not None else self.clocks.rehearsal()) + pipelines
+        return agent + ("" if self.false_time_s is not None else self.clocks.clock_fault()) + pipelines
 
 
 def _pipeline(name: str, peer: str, size: int, load: str, seconds: float) -> str:
@@ -264,14 +264,14 @@ def _wall_less_raw_ns() -> int:
 
 
 def _since_ns(agent: Program, edge: Host, web: int) -> int:
-    """When the edge's rehearsal began, by the kernel's wall clock."""
+    """When the edge's clock fault injection began, by the kernel's wall clock."""
     url = f"http://127.0.0.1:{web}/api/v1/hosts/edge"
     told: list[str] = []
 
     def is_told() -> bool:
         answer = output(edge.inside(["curl", "--silent", url]) if edge.name else ["curl", "--silent", url])
         clock = json.loads(answer).get("clock") or {}
-        told[:] = [rehearsal["since"]] if (rehearsal := clock.get("rehearsal")) else []
+        told[:] = [fault["since"]] if (fault := clock.get("rehearsal")) else []
         return bool(told)
 
     agent.wait_until("the edge tells of its clocks", is_told)

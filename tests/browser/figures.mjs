@@ -168,14 +168,14 @@ describe("clocks", () => {
   test("clock fault is shown on every page and does not affect delays", async () => {
     for (const [name, path] of Object.entries(pages)) {
       const { page, close } = await open(browser, base, path);
-      assert.match(await page.locator("#rehearsal").innerText(), /^Rehearsal: edge's clock is made wrong on purpose/, name);
+      assert.match(await page.locator("#clock-fault").innerText(), /^Clock fault injection: edge's clock is made wrong on purpose/, name);
       await close();
     }
     const link = await (await fetch(`${base}/api/v1${pages.link}`)).json();
     assert.ok(Math.abs(link.now.offset.estimate_s + 1) < 0.1, `the cloud is a second behind: ${link.now.offset.estimate_s}`);
     assert.ok(link.now.up.median.value_s < 0.5, "an upload on one machine takes no second");
     const { page, close } = await open(browser, base, pages.runs);
-    assert.ok((await page.locator(".runs tbody tr .chip", { hasText: "rehearsal" }).count()) > 0, "its runs are marked in their list");
+    assert.ok((await page.locator(".runs tbody tr .chip", { hasText: "clock fault" }).count()) > 0, "its runs are marked in their list");
     await close();
   });
 

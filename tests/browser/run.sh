@@ -23,7 +23,7 @@ done
 # One machine has only one clock. A clock identity and an injected clock fault give the edge another one, so that there is an
 # offset to estimate.
 sed -i 's/^\[agent\]$/[agent]\nclock_identity = "edge"/' "$site/edge.toml"
-printf '\n[rehearsal]\noffset_ms = 1000.0\ndrift_ppm = 20.0\n' >>"$site/edge.toml"
+printf '\n[clock_fault]\noffset_ms = 1000.0\ndrift_ppm = 20.0\n' >>"$site/edge.toml"
 
 deploy/demo.sh "$peernetd" "$site" "$site/logs" >"$site/demo.log" 2>&1 &
 demo=$!

@@ -105,7 +105,7 @@ def check_two_agents(peernetd, folder, ros_version, relays):
     The clock of that host's agent is 5 s ahead. Waits until the medians of all three stages agree with those that the nodes print.
     """
     data, topics = free_port(), [source for source, _, _ in HOPS] + [HOPS[-1][1]]
-    serve = f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n[rehearsal]\noffset_ms = 5000.0\n'
+    serve = f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n[clock_fault]\noffset_ms = 5000.0\n'
     rack = serve + pipeline("chain", ros_version, topics[1], topics[2])
     robot = pipeline("chain", ros_version, topics[0], topics[3], peer=f"tcp://127.0.0.1:{data}")
     with Observer(peernetd, folder, rack, name="rack"), Observer(peernetd, folder, robot) as observer:

@@ -3,7 +3,7 @@
 //! `--late` lets the hosts connect after ten seconds, `--empty` shows the pages before the first host has reported, `--many` uses thirty
 //! pipelines, `--grid` experiments of fifty configurations, of many users and with a repeated run, and long names, `--unrelated` clocks
 //! that were never related, `--one-clock` a camera that reads the rack's clock, `--talking` a camera whose answers have all lengths,
-//! `--rehearsal` a camera with an injected clock fault, `--backlog` an agent with hours of backlog, one whose disk is full, and a run
+//! `--clock-fault` a camera with an injected clock fault, `--backlog` an agent with hours of backlog, one whose disk is full, and a run
 //! with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
 #[path = "../tests/it/factory/mod.rs"]
@@ -51,8 +51,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         if has("--unrelated") {
             lines.push(Line { host: "cam-4", ..Line::unrelated() });
         }
-        if has("--rehearsal") {
-            lines[2] = Line::rehearsed();
+        if has("--clock-fault") {
+            lines[2] = Line::with_clock_fault();
         }
         if has("--one-clock") {
             lines.push(Line { host: "cam-5", ..Line::one_clock() });

@@ -205,7 +205,7 @@ fn start_observing_host(
     let runtime = Handle::current();
     let watching = host_clock::run(
         config.clock.clone(),
-        config.rehearsal.clone(),
+        config.clock_fault.clone(),
         Arc::clone(&host.clock),
         incidents,
         publish_clock,

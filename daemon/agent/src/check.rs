@@ -127,8 +127,8 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     }
     time::check_clock(&mut report, &config.clock);
     time::check_probes(&mut report, &config.probes, config.serve.as_ref());
-    if let Some(rehearsal) = &config.rehearsal {
-        time::check_rehearsal(&mut report, rehearsal);
+    if let Some(clock_fault) = &config.clock_fault {
+        time::check_clock_fault(&mut report, clock_fault);
     }
     report.check_max("pipeline", config.pipelines.len() as u64, MAX_PIPELINES as u64);
     let mut names = HashSet::new();

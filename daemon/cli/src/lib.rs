@@ -21,6 +21,7 @@ mod published;
 mod recompute;
 #[cfg(test)]
 mod reference;
+pub mod renamed_tables;
 mod run;
 mod seconds;
 pub mod short;

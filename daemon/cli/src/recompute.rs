@@ -4,6 +4,7 @@ use crate::exit::Failure;
 use crate::output::say;
 use peernet_analysis::table::text;
 use peernet_statistics::number::{bound_ms, column_decimals, fixed};
+use peernet_stream::FaultyHost;
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -85,21 +86,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let recomputed: Recomputed = arguments.api.compute(&path)?;
     let run: Run = arguments.api.get(&format!("/api/v1/runs/{}", arguments.run))?;
     say(describe(arguments.run, &recomputed));
-    if let Some(rehearsal) = rehearsal(&run.facts) {
+    if let Some(clock_fault) = clock_fault(&run.facts) {
         say(format_args!(
-            "\nREHEARSAL: run {} was made with a clock that was wrong on purpose: {rehearsal}",
+            "\nCLOCK FAULT INJECTION: run {} was made with a clock that was wrong on purpose: {clock_fault}",
             arguments.run
         ));
     }
     Ok(())
 }
 
-/// Returns the hosts with an artificial clock error and its amount, from the facts of a run; `None` for an ordinary run.
-fn rehearsal(facts: &[Fact]) -> Option<String> {
-    let whose = |name: &str| match name.strip_prefix("Rehearsal") {
-        Some("") => Some("the edge's".to_owned()),
-        Some(rest) => rest.strip_prefix(" of ").map(|cloud| format!("{cloud}'s")),
-        None => None,
+/// Returns the hosts with clock faults, and the faults, from the facts of a run; `None` for an ordinary run.
+fn clock_fault(facts: &[Fact]) -> Option<String> {
+    let whose = |name: &str| match FaultyHost::of_fact(name)? {
+        FaultyHost::Edge => Some("the edge's".to_owned()),
+        FaultyHost::Cloud(cloud) => Some(format!("{cloud}'s")),
     };
     let parts: Vec<String> =
         facts.iter().filter_map(|fact| Some(format!("{} ({})", whose(&fact.name)?, fact.value))).collect();
@@ -235,12 +235,13 @@ run 7: computed again by free-running clocks with 60 seconds of exchanges of the
     }
 
     #[test]
-    fn rehearsal_is_recognised_from_facts() {
+    fn clock_fault_is_recognised_from_facts() {
         let fact = |(name, value): (&str, &str)| Fact { name: name.to_owned(), value: value.to_owned() };
-        let facts = |facts: &[(&str, &str)]| rehearsal(&facts.iter().copied().map(fact).collect::<Vec<_>>());
+        let facts =
+            |facts: &[(&str, &str)]| clock_fault(&facts.iter().copied().map(fact).collect::<Vec<_>>());
         assert_eq!(facts(&[("Sensor", "synthetic"), ("Rehearsals", "3")]), None);
         assert_eq!(
-            facts(&[("Rehearsal of cloud", "offset +1000 ms"), ("Rehearsal", "offset -5 ms")]).as_deref(),
+            facts(&[("Rehearsal of cloud", "offset +1000 ms"), ("Clock fault", "offset -5 ms")]).as_deref(),
             Some("cloud's (offset +1000 ms), the edge's (offset -5 ms)")
         );
     }

@@ -1,6 +1,6 @@
 //! `peernet status`
 
-mod rehearsed;
+mod clock_fault;
 
 use crate::exit::Failure;
 use crate::output::say;
@@ -11,7 +11,7 @@ use peernet_stream::PlacementKind;
 use serde::Deserialize;
 
 use crate::api::Api;
-use rehearsed::{Clock, Links, Rehearsed, rehearsed, with_rehearsal_mark};
+use clock_fault::{Clock, FaultyClocks, Links, faulty_clocks, with_clock_fault_mark};
 
 /// Arguments of `peernet status`.
 #[derive(Debug, clap::Args)]
@@ -98,7 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Pipelines { pipelines } = arguments.api.get("/api/v1/pipelines")?;
     let Hosts { hosts } = arguments.api.get("/api/v1/hosts")?;
     let Links { links } = arguments.api.get("/api/v1/links")?;
-    let rehearsed = rehearsed(&hosts, &links);
+    let faulty = faulty_clocks(&hosts, &links);
     if pipelines.is_empty() {
         say("no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one");
     } else {
@@ -115,7 +115,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "inference ms",
             "download ms",
         ];
-        say(text(&header, &pipelines.iter().map(|one| pipeline_row(one, &rehearsed)).collect::<Vec<_>>()));
+        say(text(&header, &pipelines.iter().map(|one| pipeline_row(one, &faulty)).collect::<Vec<_>>()));
         say(format_args!(
             "the last {WINDOW_S} s; missed: later than their deadline or without an answer; p50 and p95 are quantiles of the total, the stages are means"
         ));
@@ -128,16 +128,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     say("");
     let header = ["host", "state", "CPU %", "waiting", "lost"];
-    say(text(&header, &hosts.iter().map(|one| host_row(one, &rehearsed)).collect::<Vec<_>>()));
-    for (name, how) in &rehearsed {
+    say(text(&header, &hosts.iter().map(|one| host_row(one, &faulty)).collect::<Vec<_>>()));
+    for (name, how) in &faulty {
         say(format_args!(
-            "\nREHEARSAL: {name}'s clock is made wrong on purpose ({how}); its delays should not move"
+            "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}); its delays should not move"
         ));
     }
     Ok(())
 }
 
-fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
+fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
     let window = pipeline.windows.iter().find(|window| window.seconds == WINDOW_S);
     let of = |name: &str| window.and_then(|window| window.values.iter().find(|figures| figures.name == name));
     let mean = |name: &str| milliseconds(of(name).map(|figures| figures.mean));
@@ -150,11 +150,11 @@ fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
         None => model.clone(),
     };
     let ends = [Some(&pipeline.host), peer.as_ref()];
-    let is_rehearsed = ends.into_iter().flatten().any(|host| rehearsed.contains_key(host));
+    let is_faulty = ends.into_iter().flatten().any(|host| faulty.contains_key(host));
     vec![
         format!("{}/{}", pipeline.host, pipeline.name),
         place,
-        with_rehearsal_mark(&pipeline.state, is_rehearsed),
+        with_clock_fault_mark(&pipeline.state, is_faulty),
         known(window.map(|window| number::rate(window.rate_hz))),
         known(window.and_then(|window| window.lost_fraction).map(number::share)),
         known(window.and_then(|window| window.miss_rate).map(number::share)),
@@ -166,7 +166,7 @@ fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
     ]
 }
 
-fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
+fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
     let state = match (&host.connected, &host.last_seen) {
         (true, _) => "connected".to_owned(),
         (false, Some(seen)) => format!("last seen {}", to_the_second(seen)),
@@ -175,7 +175,7 @@ fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
     let now = host.now.as_ref();
     vec![
         host.name.clone(),
-        with_rehearsal_mark(&state, rehearsed.contains_key(&host.name)),
+        with_clock_fault_mark(&state, faulty.contains_key(&host.name)),
         known(now.and_then(|now| now.cpu).map(number::share)),
         known(now.map(|now| now.events.waiting.to_string())),
         known(now.map(|now| now.events.dropped.to_string())),
@@ -200,7 +200,7 @@ fn known(figure: Option<String>) -> String {
 mod tests {
     use serde_json::json;
 
-    use super::rehearsed::Link;
+    use super::clock_fault::Link;
     use super::*;
 
     #[test]
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_rehearsed_hosts_are_marked() {
+    fn rows_of_hosts_with_clock_faults_are_marked() {
         let clock = json!({ "rehearsal": {
             "offset_s": 1.0, "drift_ppm": -50.0, "steps": [{ "at_s": 20.0, "by_s": 0.3 }], "since": "x",
         } });
@@ -221,12 +221,12 @@ mod tests {
         let link = json!({ "cloud": "away", "connected": true, "now": { "cloud_clock": clock } });
         let link: Link = serde_json::from_value(link).expect("as the API answers");
         let hosts = [host("edge", clock), host("cloud", json!({ "rehearsal": null }))];
-        let rehearsed = rehearsed(&hosts, &[link]);
-        assert_eq!(rehearsed.keys().collect::<Vec<_>>(), ["away", "edge"]);
+        let faulty = faulty_clocks(&hosts, &[link]);
+        assert_eq!(faulty.keys().collect::<Vec<_>>(), ["away", "edge"]);
         let how = "offset +1000 ms, drift -50 ppm, step +300 ms after 20 s";
-        assert_eq!(rehearsed["edge"].to_string(), how);
-        let states = hosts.map(|host| host_row(&host, &rehearsed)[1].clone());
-        assert_eq!(states, ["connected, rehearsed", "connected"]);
+        assert_eq!(faulty["edge"].to_string(), how);
+        let states = hosts.map(|host| host_row(&host, &faulty)[1].clone());
+        assert_eq!(states, ["connected, clock fault", "connected"]);
 
         let state = |host: &str, peer: &str| {
             let pipeline = json!({
@@ -234,10 +234,10 @@ mod tests {
                 "placement": { "kind": "remote", "peer": peer, "address": null, "model": "echo" },
             });
             let pipeline: Pipeline = serde_json::from_value(pipeline).expect("as the API answers");
-            pipeline_row(&pipeline, &rehearsed)[2].clone()
+            pipeline_row(&pipeline, &faulty)[2].clone()
         };
-        assert_eq!(state("edge", "cloud"), "running, rehearsed");
-        assert_eq!(state("other", "away"), "running, rehearsed");
+        assert_eq!(state("edge", "cloud"), "running, clock fault");
+        assert_eq!(state("other", "away"), "running, clock fault");
         assert_eq!(state("other", "cloud"), "running");
     }
 }

@@ -143,7 +143,7 @@ mod tests {
     fn injected_and_real_steps_are_counted_at_first_query() {
         let faults = faults_with(&[step(20, -500), step(10, 3000)]);
         let inner = Arc::new(ManualClock::new(faults.since, ClockIdentity::new("boot", "system")));
-        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), faults);
+        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "faulty"), faults);
         assert_eq!((clock.wall_epoch(), clock.last_step()), (0, None));
         inner.advance(Span::from_seconds(10));
         assert_eq!((clock.wall_epoch(), clock.last_step()), (1, Some(Span::from_seconds(3))));
@@ -163,7 +163,7 @@ mod tests {
         let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..step(20, -39) };
         let faults = faults_with(&[step(10, 3000), raw_step]);
         let inner = Arc::new(ManualClock::new(faults.since, ClockIdentity::new("boot", "system")));
-        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), faults);
+        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "faulty"), faults);
         let errors = || (clock.wall() - inner.wall(), clock.raw() - inner.raw());
         assert_eq!(errors(), (Span::from_millis(137), Span::from_millis(137)));
         inner.advance(Span::from_seconds(10));

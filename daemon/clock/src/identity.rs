@@ -113,7 +113,7 @@ mod tests {
     fn reads_on_one_machine_agree_but_named_clock_differs() {
         let a = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
         let b = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
-        let other = ClockIdentity::from_system("rehearsal").expect("linux has a boot id");
+        let other = ClockIdentity::from_system("clock_fault").expect("linux has a boot id");
         assert_eq!(a, b);
         assert_ne!(a, other);
         assert!(a.may_share_clock_with(&b) && !a.may_share_clock_with(&other));

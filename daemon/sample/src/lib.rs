@@ -10,7 +10,7 @@ mod printable;
 
 pub use description::{Description, ElementType, MediaType, PixelFormat};
 pub use label::{list_examples, normalized_label};
-pub use printable::{printable_line, printable_lines};
+pub use printable::{escaped_line, printable_line, printable_lines};
 
 use bytes::Bytes;
 

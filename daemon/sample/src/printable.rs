@@ -13,6 +13,23 @@ pub fn printable_lines(text: &str) -> Cow<'_, str> {
     replace_chars(text, |char| char != '\n' && is_unprintable(char))
 }
 
+/// Returns bytes as one line of text: each control character, each byte that is no UTF-8, and each character that [`printable_line`]
+/// replaces is shown as an escape such as `\u{1b}` or `\xff`, so that a reader sees what was written.
+pub fn escaped_line(bytes: &[u8]) -> String {
+    let mut line = String::with_capacity(bytes.len());
+    for chunk in bytes.utf8_chunks() {
+        for char in chunk.valid().chars() {
+            if is_unprintable(char) {
+                line.extend(char.escape_default());
+            } else {
+                line.push(char);
+            }
+        }
+        line.extend(chunk.invalid().iter().flat_map(|byte| byte.escape_ascii()).map(char::from));
+    }
+    line
+}
+
 fn replace_chars(text: &str, is_replaced: impl Fn(char) -> bool) -> Cow<'_, str> {
     if !text.contains(&is_replaced) {
         return Cow::Borrowed(text);
@@ -53,6 +70,14 @@ mod tests {
     #[test]
     fn separators_and_overrides_become_spaces() {
         assert_eq!(printable_line("a\u{2028}b\u{2029}c\u{202e}d\u{2066}e\u{2069}f"), "a b c d e f");
+    }
+
+    #[test]
+    fn escapes_show_which_bytes_were_written() {
+        assert_eq!(escaped_line(b"\x1b[31mred\x07\tend"), "\\u{1b}[31mred\\u{7}\\tend");
+        assert_eq!(escaped_line(b"\xff\xc3 \xc3\xa4 C:\\temp"), "\\xff\\xc3 ä C:\\temp");
+        let all: Vec<u8> = (0..=u8::MAX).collect();
+        assert!(!escaped_line(&all).contains(char::is_control));
     }
 
     #[test]

@@ -79,7 +79,7 @@ pub struct RunSummary {
     /// Figures of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
     /// `true` if the clock of one of its hosts was made wrong on purpose.
-    pub rehearsed: bool,
+    pub has_clock_fault: bool,
     /// `true` if retention keeps it whole at any age.
     pub pinned: bool,
     /// Last of the numbers whose iterations were deleted because of their age or the size limit; 0 when none were deleted.

@@ -261,7 +261,8 @@ pub struct HostClock {
     /// Number of steps, slews and sleeps of the clock since the agent started.
     pub epoch: u32,
     /// Faults that are injected into the clock.
-    pub rehearsal: Option<ClockFaults>,
+    #[serde(rename = "rehearsal")]
+    pub faults: Option<ClockFaults>,
     /// Clock hardware that the kernel reads, such as `tsc` (Linux: `current_clocksource`); `None` if the kernel does
     /// not state it. Since version 7 of the event stream.
     #[serde(default, skip_serializing_if = "Option::is_none")]

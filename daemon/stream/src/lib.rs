@@ -34,6 +34,7 @@
 mod bounded;
 mod chain;
 mod clock;
+mod clock_fault_fact;
 pub mod codec;
 mod connection;
 mod counts;
@@ -61,6 +62,7 @@ pub use chain::Chain;
 pub use clock::{
     ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, ReflectorLive, RoundTrip,
 };
+pub use clock_fault_fact::FaultyHost;
 pub use connection::{
     Connection, ConnectionStatistics, DirectionStatistics, NetworkInterface, TransportRoundTrip,
 };

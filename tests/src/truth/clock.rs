@@ -19,7 +19,7 @@ enum RawError {
     /// No error: the kernel's clock.
     None,
     /// The described fault; the time of the kernel's clock when it began.
-    Rehearsed(ClockFaults, RawTime),
+    Faulty(ClockFaults, RawTime),
     /// The error that the shim shows.
     Shown(ClockErrors),
 }
@@ -27,8 +27,8 @@ enum RawError {
 impl HostClock {
     /// Creates clocks with the described fault; `raw_since` is the time of the kernel's free-running clock when the
     /// fault began.
-    pub fn new(rehearsal: ClockFaults, raw_since: RawTime) -> Self {
-        Self { raw: RawError::Rehearsed(rehearsal.clone(), raw_since), wall: vec![rehearsal] }
+    pub fn new(faults: ClockFaults, raw_since: RawTime) -> Self {
+        Self { raw: RawError::Faulty(faults.clone(), raw_since), wall: vec![faults] }
     }
 
     /// Creates clocks with the errors that the shim shows. Stamps of the wall clock cannot be converted.
@@ -50,16 +50,16 @@ impl HostClock {
 
     /// Creates the clocks from the faults that a host reports, in the API's form; returns `None` for anything else.
     /// `raw_at` converts a time of the kernel's wall clock to its free-running clock.
-    pub fn from_report(rehearsal: &Value, raw_at: impl FnOnce(WallTime) -> RawTime) -> Option<Self> {
+    pub fn from_report(faults: &Value, raw_at: impl FnOnce(WallTime) -> RawTime) -> Option<Self> {
         let span = |value: &Value| value.as_f64().map(Span::from_seconds_f64);
-        let since = DateTime::parse_from_rfc3339(rehearsal["since"].as_str()?).ok()?;
+        let since = DateTime::parse_from_rfc3339(faults["since"].as_str()?).ok()?;
         let since = WallTime::from_unix_nanos(since.timestamp_nanos_opt()?);
-        let steps = rehearsal["steps"].as_array()?.iter();
+        let steps = faults["steps"].as_array()?.iter();
         let steps =
             steps.map(|step| Some(ClockFaultStep::wall_step(span(&step["at_s"])?, span(&step["by_s"])?)));
         let description = ClockFaults {
-            offset: span(&rehearsal["offset_s"])?,
-            drift_ppm: rehearsal["drift_ppm"].as_f64()?,
+            offset: span(&faults["offset_s"])?,
+            drift_ppm: faults["drift_ppm"].as_f64()?,
             steps: steps.collect::<Option<_>>()?,
             since,
         };
@@ -73,13 +73,13 @@ impl HostClock {
 
     /// Returns the beginning of the fault by the kernel's wall clock.
     pub fn since(&self) -> Option<WallTime> {
-        self.wall.first().map(|rehearsal| rehearsal.since)
+        self.wall.first().map(|faults| faults.since)
     }
 
     /// Returns the beginning of the fault by the kernel's free-running clock.
     pub const fn raw_since(&self) -> Option<RawTime> {
         match &self.raw {
-            RawError::Rehearsed(_, since) => Some(*since),
+            RawError::Faulty(_, since) => Some(*since),
             RawError::None | RawError::Shown(_) => None,
         }
     }
@@ -89,8 +89,8 @@ impl HostClock {
     /// # Panics
     /// If the error is one of several.
     pub fn ahead(&self, truth: WallTime) -> Span {
-        let [rehearsal] = &self.wall[..] else { panic!("one of several: {:?}", self.wall) };
-        rehearsal.wall_error_at(truth)
+        let [faults] = &self.wall[..] else { panic!("one of several: {:?}", self.wall) };
+        faults.wall_error_at(truth)
     }
 
     /// Returns the time of the kernel's wall clock when this one showed `shown`.
@@ -106,7 +106,7 @@ impl HostClock {
     /// Returns all times of the kernel's wall clock at which this one showed `shown`. A clock that was set back shows
     /// some times twice.
     pub fn truths(&self, shown: WallTime) -> Vec<WallTime> {
-        self.wall.iter().flat_map(|rehearsal| truths(rehearsal, shown)).collect()
+        self.wall.iter().flat_map(|faults| truths(faults, shown)).collect()
     }
 
     /// Returns all times of the kernel's free-running clock at which this host's showed `shown`, to one or two
@@ -115,7 +115,7 @@ impl HostClock {
         match &self.raw {
             RawError::None => vec![shown],
             RawError::Shown(errors) => errors.truths(shown),
-            RawError::Rehearsed(description, since) => {
+            RawError::Faulty(description, since) => {
                 // The formula is that of the wall clock, with another scale and other steps.
                 let steps = description.steps.iter().filter(|step| step.clock == SteppedClock::Raw).copied();
                 let free_running = ClockFaults { steps: steps.collect(), ..description.clone() };
@@ -129,15 +129,15 @@ impl HostClock {
 }
 
 /// Inverse of `ClockFaults::shown`.
-fn truths(rehearsal: &ClockFaults, shown: WallTime) -> impl Iterator<Item = WallTime> {
-    let steps = &rehearsal.steps;
+fn truths(faults: &ClockFaults, shown: WallTime) -> impl Iterator<Item = WallTime> {
+    let steps = &faults.steps;
     (0..=steps.len()).filter_map(move |passed| {
         let stepped: Span = steps[..passed].iter().map(|step| step.by).sum();
-        let ahead = shown - rehearsal.offset - stepped;
-        let nanos = (ahead - rehearsal.since).nanos() as f64;
-        let drifted = nanos - nanos / (1.0 + rehearsal.drift_ppm * 1e-6);
+        let ahead = shown - faults.offset - stepped;
+        let nanos = (ahead - faults.since).nanos() as f64;
+        let drifted = nanos - nanos / (1.0 + faults.drift_ppm * 1e-6);
         let truth = ahead - Span::from_nanos(drifted.round() as i64);
-        let elapsed = truth - rehearsal.since;
+        let elapsed = truth - faults.since;
         let after = passed == 0 || steps[passed - 1].at <= elapsed;
         let before = passed == steps.len() || elapsed < steps[passed].at;
         (after && before).then_some(truth)
@@ -151,18 +151,18 @@ mod tests {
     fn inverse_of_clock_fault_returns_true_time() {
         let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
         let step = ClockFaultStep::wall_step(Span::from_seconds(20), Span::from_seconds(3));
-        let rehearsal =
+        let faults =
             ClockFaults { offset: Span::from_seconds(-1), drift_ppm: 100.0, steps: vec![step], since };
         let raw_since = RawTime::from_nanos(77_000_000_000);
-        let clock = HostClock::new(rehearsal.clone(), raw_since);
+        let clock = HostClock::new(faults.clone(), raw_since);
         for nanos in [0, 1, 19_999_999_999, 20_000_000_000, 20_000_000_001, 500_000_000_007] {
             let truth = since + Span::from_nanos(nanos);
-            let found = clock.truth(rehearsal.shown_wall(truth));
+            let found = clock.truth(faults.shown_wall(truth));
             assert!((found - truth).abs() <= Span::from_nanos(1), "{found:?} {truth:?}");
-            assert_eq!(truth + clock.ahead(truth), rehearsal.shown_wall(truth));
+            assert_eq!(truth + clock.ahead(truth), faults.shown_wall(truth));
         }
         assert_eq!(HostClock::of_kernel().truth(since), since);
-        let mut back = rehearsal.clone();
+        let mut back = faults.clone();
         back.steps[0].by = Span::from_seconds(-3);
         let clock_set_back = HostClock::new(back.clone(), raw_since);
         let at = |seconds| since + Span::from_seconds(seconds);
@@ -174,11 +174,11 @@ mod tests {
         });
         let told = HostClock::from_report(&told, |_| raw_since).expect("the API's form");
         let later = since + Span::from_seconds(30);
-        assert_eq!(told.truth(rehearsal.shown_wall(later)), clock.truth(rehearsal.shown_wall(later)));
-        let mut jumped = rehearsal.clone();
+        assert_eq!(told.truth(faults.shown_wall(later)), clock.truth(faults.shown_wall(later)));
+        let mut jumped = faults.clone();
         jumped.steps[0].clock = SteppedClock::Raw;
         let truth = raw_since + Span::from_seconds(25);
-        for (description, times) in [(rehearsal, [1, 1]), (jumped, [1, 0])] {
+        for (description, times) in [(faults, [1, 1]), (jumped, [1, 0])] {
             let clock = HostClock::new(description.clone(), raw_since);
             let shown = description.shown_raw(truth, raw_since);
             assert!(

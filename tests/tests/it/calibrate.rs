@@ -13,7 +13,7 @@ const CLOUD: &str = r#"
 name = "cloud"
 state_dir = "{folder}/cloud"
 
-[rehearsal]
+[clock_fault]
 offset_ms = 1000
 
 [probes]
@@ -28,7 +28,7 @@ kind = "echo"
 "#;
 
 const EDGE: &str = r#"
-[rehearsal]
+[clock_fault]
 offset_ms = -500
 
 [[pipeline]]
@@ -244,7 +244,7 @@ fn calibration_size_beyond_peer_limit_is_refused() {
 #[test]
 fn on_one_clock_bounds_are_exact() {
     let hosts = CalibratedHosts::new();
-    let _cloud = hosts.start("cloud.toml", &CLOUD.replace("[rehearsal]\noffset_ms = 1000\n", ""));
+    let _cloud = hosts.start("cloud.toml", &CLOUD.replace("[clock_fault]\noffset_ms = 1000\n", ""));
     let done = hosts.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
     assert_eq!(done.code(), 0, "{}", done.log);
     assert_eq!(hosts.results()["verdict"]["kind"], "exact");
@@ -287,7 +287,7 @@ fn calibration_reports_interruption_of_peer() {
     let hosts = CalibratedHosts::new();
     // Another name for the system's clock, which is related by exchanges and is the same after a restart.
     let same = CLOUD
-        .replace("[rehearsal]\noffset_ms = 1000\n", "")
+        .replace("[clock_fault]\noffset_ms = 1000\n", "")
         .replace("[probes]", "clock_identity = \"cloud\"\n\n[probes]");
     let cloud = hosts.start("cloud.toml", &same);
     let running = hosts.endless();
@@ -346,7 +346,7 @@ fn recompute_leaves_stored_run_unchanged() {
     let url = format!("http://127.0.0.1:{}", hosts.deployment.http);
     let status = hosts.peernet(&["status", "--url", &url]).wait_for_end();
     assert_eq!(status.code(), 0, "{}", status.log);
-    for part in ["connected, rehearsed", "REHEARSAL: edge's clock", "offset -500 ms"] {
+    for part in ["connected, clock fault", "CLOCK FAULT INJECTION: edge's clock", "offset -500 ms"] {
         assert!(status.log.contains(part), "{part} is missing in\n{}", status.log);
     }
     // The stored relation contains what was learnt about the clocks after the run as well.
@@ -356,8 +356,8 @@ fn recompute_leaves_stored_run_unchanged() {
     let number = run.to_string();
     let shown = hosts.peernet(&["recompute", &number, "--url", &url]).wait_for_end();
     assert_eq!(shown.code(), 0, "{}", shown.log);
-    let rehearsal = "wrong on purpose: cloud's (offset +1000 ms), the edge's (offset -500 ms)";
-    for part in ["upload", "download", "before", "after", "nothing stored was changed", rehearsal] {
+    let faults = "wrong on purpose: cloud's (offset +1000 ms), the edge's (offset -500 ms)";
+    for part in ["upload", "download", "before", "after", "nothing stored was changed", faults] {
         assert!(shown.log.contains(part), "{part} is missing in\n{}", shown.log);
     }
     let json = hosts.peernet(&["recompute", &number, "--url", &url, "--json"]).wait_for_end();

@@ -154,7 +154,7 @@ max_drift_ppm = -50
 rate_hz = 0
 key_file = "{folder}/no-key"
 
-[rehearsal]
+[clock_fault]
 offset_ms = 1000
 steps = [{ at_s = 20, by_ms = 3000 },
     { at_s = 10, by_ms = -3000 }]
@@ -165,14 +165,33 @@ steps = [{ at_s = 20, by_ms = 3000 },
         "it.toml:7: clock.max_drift_ppm",
         "it.toml:10: probes.rate_hz",
         "it.toml:11: probes.key_file",
-        "it.toml:16: rehearsal.steps[1].at_s",
+        "it.toml:16: clock_fault.steps[1].at_s",
     ] {
         assert!(said.contains(part), "{part} is missing in:\n{said}");
     }
 
-    let (code, said) = check(&LoopbackDeployment::new(), "[aggregator]\n[rehearsal]\noffset_ms = 1000\n");
+    let (code, said) = check(&LoopbackDeployment::new(), "[aggregator]\n[clock_fault]\noffset_ms = 1000\n");
     assert_eq!(code, CONFIGURATION, "{said}");
-    assert!(said.contains("[rehearsal]") && said.contains("[agent]"), "{said}");
+    assert!(said.contains("[clock_fault]") && said.contains("[agent]"), "{said}");
+}
+
+#[test]
+fn former_table_name_is_read_and_logged_once() {
+    let deployment = LoopbackDeployment::new();
+    let tables = "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\n[rehearsal]\noffset_ms = 5000\n";
+    let (code, said) = check(&deployment, tables);
+    assert_eq!(code, 0, "{said}");
+    let line = "deprecated: it.toml:4: the table [rehearsal] is now called [clock_fault]";
+    assert_eq!(said.matches(line).count(), 1, "{said}");
+
+    let agent = deployment.peernetd(&["run", "it.toml"]);
+    agent.wait_for("ready");
+    let log = agent.stop().log;
+    assert_eq!(log.matches(line).count(), 1, "{log}");
+    assert!(log.contains("CLOCK FAULT INJECTION") && log.contains("offset +5000 ms"), "{log}");
+
+    let (code, said) = check(&deployment, "[agent]\n[rehearsal]\n[clock_fault]\n");
+    assert!(code == CONFIGURATION && said.contains("duplicate field `clock_fault`"), "{said}");
 }
 
 #[test]

@@ -145,7 +145,7 @@ fn observed_delays_contain_truth_despite_clock_errors() {
     let scene = RosOverWire::new(&["relay", "model", "/camera", "/result", "20", "0"]);
     let testbed = &scene.testbed;
     let wrong = |offset_ms: f64, drift_ppm: f64| {
-        format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
+        format!("[clock_fault]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
     };
     // In the middle of the run the cloud's clock is stepped as well.
     let stepped = wrong(5_000.0, 20.0) + "steps = [{ at_s = 10.0, by_ms = 2000.0 }]\n";
@@ -186,7 +186,7 @@ fn equal_sequence_numbers_keep_delays_true() {
     let testbed = &scene.testbed;
     let by_sequence =
         |pipeline: String| pipeline.replace("ros_version", "pair_by = \"sequence\", ros_version");
-    let ahead = "[rehearsal]\noffset_ms = 5000.0\ndrift_ppm = 20.0\n";
+    let ahead = "[clock_fault]\noffset_ms = 5000.0\ndrift_ppm = 20.0\n";
     let _cloud = scene.cloud(&(ahead.to_owned() + &by_sequence(model("/camera", "/result"))));
     let agent = scene.edge(&by_sequence(robot(&testbed.peer(), KEYS)));
     let cloud = testbed.clock_of("cloud");

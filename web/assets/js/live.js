@@ -125,7 +125,7 @@
   }
   // Injected clock faults are shown on every page while they last.
   function showClockFaults(sentences) {
-    const banner = $("rehearsal");
+    const banner = $("clock-fault");
     if (Array.from(banner.children, (line) => line.textContent).join("\n") === sentences.join("\n")) return;
     banner.replaceChildren(...sentences.map((sentence) => {
       const line = document.createElement("p");

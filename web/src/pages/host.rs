@@ -22,7 +22,7 @@ use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::Subject;
 use crate::view::link::panels::{claims, discipline};
 use crate::view::now::{NowRow, NowTable};
-use crate::view::{list_limits, rehearsal};
+use crate::view::{clock_fault, list_limits};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
@@ -191,7 +191,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Synchronised by", discipline(&host.clock)),
             ("It claims to be", claims(&host.clock)),
             ("Steps noticed", step_count(&host.clock)),
-            ("Rehearsal", host.clock.rehearsal.as_ref().map_or_else(|| "none".to_owned(), rehearsal::words)),
+            ("Clock fault", host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), clock_fault::words)),
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),
         ],

@@ -19,7 +19,7 @@ use crate::view::bytes::{ByteRow, OtherMeasurement};
 use crate::view::chip::Chip;
 use crate::view::runs::reject_deleted;
 use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
-use crate::view::{link, place, rehearsal};
+use crate::view::{clock_fault, link, place};
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -38,7 +38,7 @@ struct Iteration {
     title: String,
     facts: Vec<String>,
     warm_up: bool,
-    rehearsal: Option<Chip>,
+    clock_fault: Option<Chip>,
     /// The page of the link that it went over.
     link: Option<String>,
     previous: Option<(u64, String)>,
@@ -144,7 +144,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         title: title(row),
         facts: facts(app, run, detail),
         warm_up: row.warm_up,
-        rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
+        clock_fault: run.has_clock_fault.then_some(clock_fault::CHIP),
         link: link::of_placement(&snapshot, run.host_name.as_str(), &run.placement),
         previous: neighbour(detail.previous),
         next: neighbour(detail.next),

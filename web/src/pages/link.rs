@@ -18,6 +18,7 @@ use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::Tracks;
 use crate::view::chip::Chip;
+use crate::view::clock_fault::{self, FaultyClocks};
 use crate::view::incidents::IncidentLine;
 use crate::view::link::basis;
 use crate::view::link::carried::CarriedRow;
@@ -30,7 +31,6 @@ use crate::view::link::panels::{self, HostRow, Pairs};
 use crate::view::link::stats::{self, Stat};
 use crate::view::link::table::Row;
 use crate::view::link::{Subject, canonical, find, no_link};
-use crate::view::rehearsal::{self, Rehearsed};
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -122,7 +122,7 @@ pub(super) struct Link {
     title: String,
     facts: Vec<String>,
     pipelines: Vec<(String, String)>,
-    rehearsal: Option<Chip>,
+    clock_fault: Option<Chip>,
     same_clock: bool,
     heading: &'static str,
     /// Address, name, and whether it is selected.
@@ -276,7 +276,7 @@ pub(super) fn link_page(
         |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.query_value(), offset.word());
     let shell = Shell::new(app, snapshot, "/links", subject.route());
     let topic = format!("{TOPIC}/{name}/{}/{}", query.range.query_value(), query.offset.word());
-    let rehearsed = Rehearsed::of(snapshot).concerns(&[&subject.edge, &subject.cloud]);
+    let faulty = FaultyClocks::of(snapshot).concerns(&[&subject.edge, &subject.cloud]);
     Link {
         shell: if subject.live.is_some() { shell.live(topic) } else { shell },
         edge: subject.edge.clone(),
@@ -284,7 +284,7 @@ pub(super) fn link_page(
         title: title(subject, app.zone),
         facts: facts(subject, snapshot),
         pipelines: subject.pipelines(),
-        rehearsal: rehearsed.then_some(rehearsal::CHIP),
+        clock_fault: faulty.then_some(clock_fault::CHIP),
         same_clock: subject.same_clock(),
         heading: query.range.heading(),
         ranges: Range::ALL

@@ -25,11 +25,11 @@ use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::Bar;
 use crate::view::chart::{ChartCard, Mark};
+use crate::view::clock_fault::{self, FaultyClocks};
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
 use crate::view::now::{state_chip, trouble};
-use crate::view::rehearsal::{self, Rehearsed};
 use crate::view::runs::RunLine;
 use crate::view::speed::{self, NetworkDirection};
 use crate::view::stack::Stack;
@@ -67,7 +67,7 @@ struct PipelinePage {
     host: String,
     title: String,
     chip: Option<Chip>,
-    rehearsal: Option<Chip>,
+    clock_fault: Option<Chip>,
     /// The page of the link that it uses.
     link: Option<String>,
     notes: Vec<Note>,
@@ -244,13 +244,13 @@ fn pipeline_page(
     let charts = vec![ChartCard::new(pipeline, snapshot, app.zone)];
     let link = link::of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
-    let rehearsed = Rehearsed::of(snapshot).concerns(&[&host, cloud]);
+    let faulty = FaultyClocks::of(snapshot).concerns(&[&host, cloud]);
     Ok(PipelinePage {
         shell: Shell::new(app, snapshot, "/pipelines", format!("{} on {host}", pipeline.pipeline))
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),
-        rehearsal: rehearsed.then_some(rehearsal::CHIP),
+        clock_fault: faulty.then_some(clock_fault::CHIP),
         notes: Note::delay_notes(pipeline.pipeline.as_str(), "", link.as_deref(), &window.bounds, |name| {
             window.value(name).copied()
         }),

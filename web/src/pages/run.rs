@@ -29,7 +29,7 @@ use crate::view::runs::End;
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
 use crate::view::trust::Trust;
-use crate::view::{accuracy, link, place, rehearsal, runs};
+use crate::view::{accuracy, clock_fault, link, place, runs};
 use crate::zone::Zone;
 
 /// Registration of this page.
@@ -77,7 +77,7 @@ struct Run {
     number: i64,
     pipeline: String,
     facts: Vec<String>,
-    rehearsal: Option<Chip>,
+    clock_fault: Option<Chip>,
     pinned: bool,
     notes: Vec<Note>,
     end: End,
@@ -248,7 +248,7 @@ fn assemble(
         number: summary.number,
         pipeline: summary.pipeline.to_string(),
         facts: facts(run, zone),
-        rehearsal: summary.rehearsed.then_some(rehearsal::CHIP),
+        clock_fault: summary.has_clock_fault.then_some(clock_fault::CHIP),
         pinned: summary.pinned,
         notes: runs::unrecorded(&run.gaps, zone)
             .into_iter()

@@ -5,7 +5,7 @@ use peernet_aggregator::LiveState;
 use super::kind::NavigationEntry;
 use crate::assets;
 use crate::state::AppState;
-use crate::view::rehearsal::Rehearsed;
+use crate::view::clock_fault::FaultyClocks;
 use crate::view::storing;
 
 /// Head, top bar and foot of a page.
@@ -28,7 +28,7 @@ pub(crate) struct Shell {
     /// `true` if no host has reported yet.
     pub waiting: bool,
     /// Sentences about injected clock faults, one per host.
-    pub rehearsals: Vec<String>,
+    pub clock_faults: Vec<String>,
     /// Sentence shown while events are not being stored.
     pub not_storing: Option<String>,
 }
@@ -63,7 +63,7 @@ impl Shell {
             aggregator: snapshot.aggregator.to_string(),
             topic: None,
             waiting: snapshot.hosts.is_empty(),
-            rehearsals: Rehearsed::of(snapshot).banner(),
+            clock_faults: FaultyClocks::of(snapshot).banner(),
             not_storing: storing::notice(&app.aggregator.current_readiness()),
         }
     }

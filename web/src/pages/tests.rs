@@ -328,20 +328,20 @@ async fn accuracy_stands_beside_latency_where_samples_have_labels() {
 }
 
 #[tokio::test]
-async fn a_rehearsal_is_said_on_every_page_and_with_every_figure_it_touches() {
+async fn clock_fault_is_shown_on_every_page_it_concerns() {
     let since = samples::NOW;
-    let rehearsal = peernet_clock::ClockFaults {
+    let clock_fault = peernet_clock::ClockFaults {
         offset: Span::from_seconds(1),
         drift_ppm: 50.0,
         steps: Vec::new(),
         since,
     };
     let mut shown = linked(Some(0.00065), Verdict::Ok);
-    std::sync::Arc::make_mut(&mut shown.hosts[0]).clock.rehearsal = Some(rehearsal);
+    std::sync::Arc::make_mut(&mut shown.hosts[0]).clock.faults = Some(clock_fault);
     let html = overview_of(&shown, Vec::new()).await;
     assert!(
         html.contains(
-            "Rehearsal: cam-1&#39;s clock is made wrong on purpose (+1,000\u{202f}ms, +50\u{202f}ppm)."
+            "Clock fault injection: cam-1&#39;s clock is made wrong on purpose (+1,000\u{202f}ms, +50\u{202f}ppm)."
         ),
         "{html}"
     );
@@ -354,7 +354,7 @@ async fn a_rehearsal_is_said_on_every_page_and_with_every_figure_it_touches() {
         link::update(&app, &shown, "cam-1~rack-a/10min/removed").await,
     ] {
         let html: String = update.expect("renders").parts.into_iter().map(|(_, html)| html).collect();
-        assert!(html.contains("#i-rehearsal"), "{html}");
+        assert!(html.contains("#i-clock-fault"), "{html}");
     }
     std::sync::Arc::make_mut(&mut shown.hosts[0]).connected = false;
     let html = overview_of(&shown, Vec::new()).await;

@@ -6,9 +6,9 @@ use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, length};
 use peernet_stream::{Hardware, HostMetrics};
 
 use super::chip::{Chip, Tone};
+use super::clock_fault;
 use super::events::{self, FAR_BEHIND, Remark};
 use super::link::panels::discipline;
-use super::rehearsal;
 use crate::svg::Spark;
 use crate::zone::{Zone, ZonedTime};
 
@@ -35,7 +35,7 @@ pub(crate) struct HostLine {
     pub behind: String,
     pub clock: String,
     pub clock_title: String,
-    pub rehearsal: Option<Chip>,
+    pub clock_fault: Option<Chip>,
 }
 
 /// A host whose connection was refused.
@@ -167,7 +167,7 @@ impl HostLine {
             behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
             clock,
             clock_title: format!("{clock_title}; {}", discipline(&host.clock)),
-            rehearsal: host.clock.rehearsal.as_ref().map(|_| rehearsal::CHIP),
+            clock_fault: host.clock.faults.as_ref().map(|_| clock_fault::CHIP),
             name,
         }
     }

@@ -9,7 +9,7 @@ use peernet_stream::ExperimentPlace;
 
 use super::chip::{Chip, Tone};
 use super::notes::Note;
-use super::{counted, place, rehearsal};
+use super::{clock_fault, counted, place};
 use crate::error::WebError;
 use crate::zone::{Zone, ZonedTime};
 
@@ -73,7 +73,7 @@ pub(crate) struct RunLine {
     pub p50: String,
     pub p95: String,
     pub p99: String,
-    pub rehearsal: Option<Chip>,
+    pub clock_fault: Option<Chip>,
     pub pinned: Option<Chip>,
     pub experiment: Option<Labels>,
 }
@@ -173,7 +173,7 @@ impl RunLine {
             p50: quantile(total.map(|total| total.p50)),
             p95: quantile(total.and_then(|total| total.p95)),
             p99: quantile(total.and_then(|total| total.p99)),
-            rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
+            clock_fault: run.has_clock_fault.then_some(clock_fault::CHIP),
             pinned: run.pinned.then_some(PINNED),
             experiment: run.experiment.as_ref().map(Labels::of),
         }

@@ -321,7 +321,8 @@ async fn direction_without_value_is_in_the_sum() {
 
 #[tokio::test]
 async fn runs_with_clock_fault_are_marked_in_lists() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::rehearsed()]).await;
+    let (dashboard, _factory) =
+        TestDashboard::with_pipelines(vec![Line::local(), Line::with_clock_fault()]).await;
     let runs = dashboard.get("/api/v1/runs").await.json();
     let marks: Vec<&Value> =
         runs["runs"].as_array().expect("runs").iter().map(|run| &run["rehearsed"]).collect();
@@ -334,7 +335,7 @@ async fn runs_with_clock_fault_are_marked_in_lists() {
         let rest = &page[begin..];
         rest[..rest.find("</tr>").expect("its end")].to_owned()
     };
-    assert!(row(2).contains("rehearsal") && !row(1).contains("rehearsal"), "{page}");
+    assert!(row(2).contains("clock fault") && !row(1).contains("clock fault"), "{page}");
 }
 
 #[tokio::test]
@@ -392,7 +393,8 @@ async fn problem_details_name_the_parameter() {
 
 #[tokio::test]
 async fn links_and_clocks_are_served() {
-    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local(), Line::rehearsed()]).await;
+    let (dashboard, _factory) =
+        TestDashboard::with_pipelines(vec![Line::local(), Line::with_clock_fault()]).await;
     let links = dashboard.get("/api/v1/links").await.json();
     let link = &links["links"][0];
     assert_eq!((&link["name"], &link["connected"]), (&json!("cam-3~rack-a"), &json!(true)));

@@ -142,7 +142,7 @@ async fn run_is_running_while_its_host_reports_it() {
 #[tokio::test]
 async fn links_of_all_kinds_are_told_apart() {
     let lines = vec![
-        Line::rehearsed(),
+        Line::with_clock_fault(),
         Line { host: "cam-4", ..Line::unrelated() },
         Line { host: "cam-5", ..Line::one_clock() },
     ];
@@ -156,16 +156,16 @@ async fn links_of_all_kinds_are_told_apart() {
             "/links/cam-3~rack-a",
             "cam-3&#39;s clock is made wrong on purpose (+1,000\u{202f}ms, +50\u{202f}ppm)",
         ),
-        ("/runs/1", "#i-rehearsal\"/></svg>rehearsal"),
-        ("/runs/1/iterations/100", "#i-rehearsal\"/></svg>rehearsal"),
+        ("/runs/1", "#i-clock-fault\"/></svg>clock fault"),
+        ("/runs/1/iterations/100", "#i-clock-fault\"/></svg>clock fault"),
         ("/runs/1/iterations/100", "href=\"/links/cam-3~rack-a\""),
         ("/runs/1", "href=\"/links/cam-3~rack-a\""),
-        ("/pipelines/cam-3/offload-resized", "#i-rehearsal\"/></svg>rehearsal"),
+        ("/pipelines/cam-3/offload-resized", "#i-clock-fault\"/></svg>clock fault"),
         ("/incidents", "is made wrong on purpose"),
     ] {
         let answer = dashboard.get(path).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.text());
         assert!(answer.text().contains(text), "{path} lacks {text:?}: {}", answer.text());
     }
-    assert!(!dashboard.get("/runs/2").await.text().contains("#i-rehearsal\"/></svg>rehearsal"));
+    assert!(!dashboard.get("/runs/2").await.text().contains("#i-clock-fault\"/></svg>clock fault"));
 }

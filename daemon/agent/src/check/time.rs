@@ -1,4 +1,4 @@
-//! Checks the tables about time: `[clock]`, `[probes]`, `[rehearsal]`.
+//! Checks the tables about time: `[clock]`, `[probes]`, `[clock_fault]`.
 
 use std::net::UdpSocket;
 use std::path::Path;
@@ -8,7 +8,7 @@ use peernet_probes::Key;
 
 use super::Report;
 use crate::config::{
-    ClockConfig, DisciplineSource, ProbesConfig, RehearsalConfig, RehearsedStepConfig, ServeConfig,
+    ClockConfig, ClockFaultConfig, ClockFaultStepConfig, DisciplineSource, ProbesConfig, ServeConfig,
 };
 
 /// Largest drift between two clocks that may be configured, in parts per million. A clock that drifts faster is
@@ -25,16 +25,16 @@ const MAX_PER_SOURCE_HZ: u64 = 10_000;
 /// Largest padding of a probe in bytes; with it a probe fits an Ethernet frame in any mode.
 const MAX_PADDING_BYTES: u64 = 1300;
 /// Largest offset or step of a clock fault, in milliseconds: about four months.
-const MAX_REHEARSED_MS: f64 = 1e10;
+const MAX_FAULT_MS: f64 = 1e10;
 /// Fastest change of the drift that may be configured, in parts per million per second. No oscillator changes so
 /// fast.
 const MAX_DRIFT_CHANGE_PPM_PER_S: f64 = 1_000.0;
 /// Largest drift of a clock fault, in parts per million: a tenth.
-const MAX_REHEARSED_PPM: f64 = 100_000.0;
+const MAX_FAULT_PPM: f64 = 100_000.0;
 /// Latest time of a step, in seconds after the start: a year.
-const MAX_REHEARSED_S: f64 = 366.0 * 86_400.0;
+const MAX_FAULT_S: f64 = 366.0 * 86_400.0;
 /// Largest number of steps, because each peer is sent the list.
-const MAX_REHEARSED_STEPS: u64 = 1000;
+const MAX_FAULT_STEPS: u64 = 1000;
 
 impl Report {
     /// Adds a problem if the value is not in the range; NaN is outside every range.
@@ -136,17 +136,17 @@ fn check_port(report: &mut Report, host: &str, port: u16) {
     }
 }
 
-pub(super) fn check_rehearsal(report: &mut Report, rehearsal: &RehearsalConfig) {
-    report.check_range("rehearsal.offset_ms", rehearsal.offset_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
-    report.check_range("rehearsal.drift_ppm", rehearsal.drift_ppm, -MAX_REHEARSED_PPM, MAX_REHEARSED_PPM);
-    let mut previous: Option<&RehearsedStepConfig> = None;
-    report.check_max("rehearsal.steps", rehearsal.steps.len() as u64, MAX_REHEARSED_STEPS);
-    for (index, step) in rehearsal.steps.iter().enumerate() {
-        let at = format!("rehearsal.steps[{index}]");
-        report.check_range(&format!("{at}.by_ms"), step.by_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
-        report.check_positive(&format!("{at}.at_s"), step.at_s, MAX_REHEARSED_S);
+pub(super) fn check_clock_fault(report: &mut Report, clock_fault: &ClockFaultConfig) {
+    report.check_range("clock_fault.offset_ms", clock_fault.offset_ms, -MAX_FAULT_MS, MAX_FAULT_MS);
+    report.check_range("clock_fault.drift_ppm", clock_fault.drift_ppm, -MAX_FAULT_PPM, MAX_FAULT_PPM);
+    let mut previous: Option<&ClockFaultStepConfig> = None;
+    report.check_max("clock_fault.steps", clock_fault.steps.len() as u64, MAX_FAULT_STEPS);
+    for (index, step) in clock_fault.steps.iter().enumerate() {
+        let at = format!("clock_fault.steps[{index}]");
+        report.check_range(&format!("{at}.by_ms"), step.by_ms, -MAX_FAULT_MS, MAX_FAULT_MS);
+        report.check_positive(&format!("{at}.at_s"), step.at_s, MAX_FAULT_S);
         // Both clocks may be stepped at the same moment, as when a virtual machine was paused.
-        let is_in_order = |previous: &RehearsedStepConfig| {
+        let is_in_order = |previous: &ClockFaultStepConfig| {
             previous.at_s < step.at_s || (previous.at_s == step.at_s && previous.clock != step.clock)
         };
         if let Some(previous) = previous.filter(|previous| !is_in_order(previous)) {
@@ -183,15 +183,15 @@ mod tests {
         keys(|report| check_probes(report, &read(table), Some(&ServeConfig::default())))
     }
 
-    fn rehearsal(table: &str) -> Vec<String> {
-        keys(|report| check_rehearsal(report, &read(table)))
+    fn clock_fault(table: &str) -> Vec<String> {
+        keys(|report| check_clock_fault(report, &read(table)))
     }
 
     #[test]
     fn defaults_are_right() {
         let nothing: [String; 0] = [];
         assert_eq!(
-            (clock(""), probes(""), rehearsal("")),
+            (clock(""), probes(""), clock_fault("")),
             (nothing.to_vec(), nothing.to_vec(), nothing.to_vec())
         );
     }
@@ -250,17 +250,17 @@ mod tests {
         let steps = |first: &str, second: &str| {
             format!("steps = [{{ at_s = {first}, by_ms = 3000 }}, {{ at_s = {second}, by_ms = -3000 }}]")
         };
-        assert!(rehearsal(&steps("10", "20")).is_empty());
-        assert_eq!(rehearsal(&steps("20", "10")), ["rehearsal.steps[1].at_s"]);
-        assert_eq!(rehearsal(&steps("-1", "10")), ["rehearsal.steps[0].at_s"]);
-        assert_eq!(rehearsal(&steps("10", "10")), ["rehearsal.steps[1].at_s"]);
+        assert!(clock_fault(&steps("10", "20")).is_empty());
+        assert_eq!(clock_fault(&steps("20", "10")), ["clock_fault.steps[1].at_s"]);
+        assert_eq!(clock_fault(&steps("-1", "10")), ["clock_fault.steps[0].at_s"]);
+        assert_eq!(clock_fault(&steps("10", "10")), ["clock_fault.steps[1].at_s"]);
         let both = "steps = [{ at_s = 10, by_ms = 39 }, { at_s = 10, by_ms = 39, clock = \"raw\" }]";
-        assert!(rehearsal(both).is_empty());
+        assert!(clock_fault(both).is_empty());
         let many: Vec<String> = (1..=1001).map(|at| format!("{{ at_s = {at}, by_ms = 1 }}")).collect();
-        assert_eq!(rehearsal(&format!("steps = [{}]", many.join(", "))), ["rehearsal.steps"]);
+        assert_eq!(clock_fault(&format!("steps = [{}]", many.join(", "))), ["clock_fault.steps"]);
         assert_eq!(
-            rehearsal("offset_ms = inf\ndrift_ppm = nan"),
-            ["rehearsal.offset_ms", "rehearsal.drift_ppm"]
+            clock_fault("offset_ms = inf\ndrift_ppm = nan"),
+            ["clock_fault.offset_ms", "clock_fault.drift_ppm"]
         );
     }
 }

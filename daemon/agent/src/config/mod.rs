@@ -3,24 +3,24 @@
 //! The doc comments in this module are the reference of the configuration: one per key, with unit, range and default.
 
 mod clock;
+mod clock_fault;
 mod host;
 mod listen;
 mod observe;
 mod pipeline;
 mod probes;
 mod reflector;
-mod rehearsal;
 mod serve;
 mod spool;
 
 pub use clock::{ClockConfig, DisciplineSource, Timestamps};
+pub use clock_fault::{ClaimedDiscipline, ClockFaultConfig, ClockFaultStepConfig};
 pub use host::HostConfig;
 pub use listen::{ListenAddresses, ListenAddressesError};
 pub use observe::{ObserveConfig, ObserveError, PairBy};
 pub use pipeline::{Limit, LoadConfig, PipelineConfig, PlacementConfig, RemoteConfig, StartMode, WarmUp};
 pub use probes::ProbesConfig;
 pub use reflector::{ReflectorAddress, ReflectorAddressError};
-pub use rehearsal::{RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
 pub use serve::ServeConfig;
 pub use spool::{CompressionMode, SpoolConfig};
 
@@ -44,9 +44,9 @@ pub struct AgentConfig {
     /// `[probes]`: small packets from which the relation of two hosts' clocks is estimated.
     #[serde(default)]
     pub probes: ProbesConfig,
-    /// `[rehearsal]`: clock faults on purpose: in the wall clock, and by drift or a step in the free-running clock.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rehearsal: Option<RehearsalConfig>,
+    /// `[clock_fault]`: clock faults on purpose: in the wall clock, and by drift or a step in the free-running clock.
+    #[serde(default, alias = "rehearsal", skip_serializing_if = "Option::is_none")]
+    pub clock_fault: Option<ClockFaultConfig>,
     /// `[serve]`: addresses at which this host serves its models to peers; without it the host does not serve.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serve: Option<ServeConfig>,

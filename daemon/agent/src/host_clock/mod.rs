@@ -17,9 +17,9 @@ mod chrony;
 mod chronyc;
 mod claim;
 mod clocksource;
+mod exact_claim;
 mod kernel;
 mod monitor;
-mod rehearsed;
 mod sources;
 #[cfg(test)]
 mod tests;
@@ -38,7 +38,7 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use crate::conditions::InspectionSettings;
-use crate::config::{ClockConfig, RehearsalConfig};
+use crate::config::{ClockConfig, ClockFaultConfig};
 use crate::incidents::Incidents;
 pub(crate) use clocksource::Clocksource;
 use monitor::HostClockMonitor;
@@ -58,16 +58,16 @@ pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
         discipline: None,
         text: "not queried yet".to_owned(),
         epoch: clock.wall_epoch(),
-        rehearsal: clock.injected_faults().cloned(),
+        faults: clock.injected_faults().cloned(),
         raw: Some(raw_clock(clock, Clocksource::from_sysfs(Path::new(InspectionSettings::SYSFS)).name())),
     }
 }
 
 /// Returns the description of a host's clocks for live updates.
 pub(crate) fn describe_clock(clock: &PeerClock) -> HostClock {
-    let PeerClock { epoch, discipline, text, rehearsal, raw } = clock.clone();
+    let PeerClock { epoch, discipline, text, faults, raw } = clock.clone();
     let clocksource = raw.map(|raw| raw.clocksource).filter(|name| !name.is_empty());
-    HostClock { discipline, text, epoch, rehearsal, clocksource }
+    HostClock { discipline, text, epoch, faults, clocksource }
 }
 
 fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
@@ -81,7 +81,7 @@ fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
 /// every `discipline_interval_s`, and once a second if clock fault injection makes them exact.
 pub(crate) async fn run(
     config: ClockConfig,
-    rehearsal: Option<RehearsalConfig>,
+    faults: Option<ClockFaultConfig>,
     clock: SharedClock,
     incidents: Incidents,
     publish: Sender<PeerClock>,
@@ -119,7 +119,7 @@ pub(crate) async fn run(
     };
     let querying = async {
         let truth = Arc::new(SystemClock::new(clock.identity().clone()));
-        let mut sources = ClaimSources::new(&config, rehearsal.as_ref(), clock.clone(), truth);
+        let mut sources = ClaimSources::new(&config, faults.as_ref(), clock.clone(), truth);
         let mut ticks = interval(sources.interval());
         loop {
             ticks.tick().await;

@@ -6,8 +6,8 @@ use peernet_clock::{SharedClock, Span};
 
 use super::chronyc::{CHRONYC_TIMEOUT, Chronyc};
 use super::claim::{ClaimSummary, combine};
-use super::{kernel, rehearsed};
-use crate::config::{ClockConfig, DisciplineSource, RehearsalConfig, RehearsedDiscipline};
+use super::{exact_claim, kernel};
+use crate::config::{ClaimedDiscipline, ClockConfig, ClockFaultConfig, DisciplineSource};
 
 /// Time that a claim must hold after the next query is due: that of the query and of the announcement to a peer.
 const CLAIM_MARGIN: Duration = CHRONYC_TIMEOUT.saturating_add(Duration::from_secs(1));
@@ -38,19 +38,19 @@ impl ClaimSources {
     /// Creates the configured sources. `truth` is the clock without injected faults.
     pub(super) fn new(
         config: &ClockConfig,
-        rehearsal: Option<&RehearsalConfig>,
+        faults: Option<&ClockFaultConfig>,
         clock: SharedClock,
         truth: SharedClock,
     ) -> Self {
         let mut period = config.discipline_interval();
         let is_configured = |source| config.discipline.contains(&source);
-        let claims = match rehearsal.map(|rehearsal| rehearsal.discipline) {
-            Some(RehearsedDiscipline::None) => Claims::None,
-            Some(RehearsedDiscipline::Exact) => {
+        let claims = match faults.map(|faults| faults.discipline) {
+            Some(ClaimedDiscipline::None) => Claims::None,
+            Some(ClaimedDiscipline::Exact) => {
                 period = period.min(EXACT_INTERVAL);
                 Claims::Exact
             }
-            Some(RehearsedDiscipline::Unaware) | None => Claims::Daemons {
+            Some(ClaimedDiscipline::Unaware) | None => Claims::Daemons {
                 kernel: is_configured(DisciplineSource::Kernel),
                 chronyc: is_configured(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
             },
@@ -67,15 +67,16 @@ impl ClaimSources {
     pub(super) async fn query(&mut self) -> ClaimSummary {
         let ahead = Span::from(self.period + CLAIM_MARGIN);
         let summary = match &mut self.claims {
-            Claims::None => {
-                ClaimSummary { text: "rehearsed, claims nothing".to_owned(), ..ClaimSummary::default() }
-            }
+            Claims::None => ClaimSummary {
+                text: "clock fault injection, claims nothing".to_owned(),
+                ..ClaimSummary::default()
+            },
             Claims::Exact => ClaimSummary {
                 discipline: self
                     .clock
                     .injected_faults()
-                    .map(|description| rehearsed::exact_claim(description, self.truth.wall(), ahead)),
-                text: "rehearsed, claims its error exactly".to_owned(),
+                    .map(|description| exact_claim::exact_claim(description, self.truth.wall(), ahead)),
+                text: "clock fault injection, claims its error exactly".to_owned(),
                 is_contradictory: false,
             },
             Claims::Daemons { kernel, chronyc } => {

@@ -10,7 +10,7 @@ use peernet_networks::{
     CloseReason, OpenError, RequestError, SESSION_VERSIONS, Session, SessionHello, SessionSettings,
 };
 use peernet_sample::Sample;
-use peernet_stream::{Condition, Outcome, Placement as Description, PlacementKind};
+use peernet_stream::{Condition, FaultyHost, Outcome, Placement as Description, PlacementKind};
 use tokio::sync::{oneshot, watch};
 
 use super::context::PipelineContext;
@@ -185,8 +185,8 @@ impl Placement {
             Self::Local(pool) => pool.facts(),
             Self::Remote { session, link, .. } => {
                 let mut facts = session.accepted().facts.clone();
-                if let Some(rehearsal) = &session.accepted().host_clock.rehearsal {
-                    facts.push((format!("Rehearsal of {}", link.name()), rehearsal.to_string()));
+                if let Some(faults) = &session.accepted().host_clock.faults {
+                    facts.push((FaultyHost::Cloud(link.name().as_str()).fact(), faults.to_string()));
                 }
                 facts
             }

@@ -11,7 +11,9 @@ use futures::FutureExt;
 use peernet_inference::LoadError;
 use peernet_logger::{HostId, RunId};
 use peernet_networks::Address;
-use peernet_stream::{Condition, EndReason, IncidentKind, PipelineState, Placement as Description};
+use peernet_stream::{
+    Condition, EndReason, FaultyHost, IncidentKind, PipelineState, Placement as Description,
+};
 use tokio_util::sync::CancellationToken;
 
 use super::context::PipelineContext;
@@ -209,8 +211,8 @@ impl Runner {
         conditions: Vec<Condition>,
         is_continuation: bool,
     ) -> Run {
-        if let Some(rehearsal) = self.context.host.clock.injected_faults() {
-            facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
+        if let Some(faults) = self.context.host.clock.injected_faults() {
+            facts.push((FaultyHost::Edge.fact(), faults.to_string()));
         }
         Run::start(
             &self.config,

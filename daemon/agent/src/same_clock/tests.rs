@@ -26,7 +26,7 @@ fn system() -> SharedClock {
 }
 
 /// Returns the system's clock with clock fault injection, but no faults.
-fn rehearsed() -> SharedClock {
+fn faulty_clock() -> SharedClock {
     let clock = system();
     let (identity, since) = (clock.identity().clone(), clock.wall());
     let wrong = ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since };
@@ -101,8 +101,8 @@ async fn cloud_of_another_session_proves_nothing() {
 }
 
 #[tokio::test]
-async fn rehearsed_process_neither_listens_nor_connects() {
-    let (right, wrong) = (system(), rehearsed());
+async fn process_with_clock_fault_neither_listens_nor_connects() {
+    let (right, wrong) = (system(), faulty_clock());
     assert!(ClockSocket::listen(&*wrong).is_none());
     let socket = listen(&right);
     assert!(witness(&hello(&right, Some(socket.name())), 1, &wrong).is_none());

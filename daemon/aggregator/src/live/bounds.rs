@@ -70,8 +70,8 @@ fn connection(connection: &mut Connection) {
 pub(super) fn clock(clock: &mut HostClock, left_out: &mut u64) {
     text(&mut clock.text);
     clock.clocksource.iter_mut().for_each(text);
-    if let Some(rehearsal) = &mut clock.rehearsal {
-        list(&mut rehearsal.steps, MAX_LIST_ITEMS, left_out);
+    if let Some(faults) = &mut clock.faults {
+        list(&mut faults.steps, MAX_LIST_ITEMS, left_out);
     }
 }
 

@@ -52,7 +52,8 @@ pub struct Setting {
     /// Number of times that the peer went away and came back while its clock remained the same. The clocks were related again each time.
     pub reconnections: u64,
     /// `true` if the clock of either host was made wrong on purpose.
-    pub rehearsed: bool,
+    #[serde(rename = "rehearsed")]
+    pub has_clock_fault: bool,
 }
 
 /// Number of iterations by how they ended.
@@ -120,11 +121,11 @@ impl Study {
 
     /// Returns the text for a terminal: a table of sizes, a table of fits, reasons for payloads without an answer, and the verdict.
     pub fn text(&self) -> String {
-        let rehearsal = "clock fault injection: the clock of one of the hosts was made wrong on purpose";
-        let rehearsal = if self.setting.rehearsed { rehearsal } else { "" };
+        let faults = "clock fault injection: the clock of one of the hosts was made wrong on purpose";
+        let faults = if self.setting.has_clock_fault { faults } else { "" };
         let failures = failures::sentence(&self.failures, self.counts.measured + self.counts.failed);
         let (sizes, fits) = (tables::sizes_text(self), tables::fits_text(self));
-        let parts = [&sizes, &fits, &failures, rehearsal, &self.verdict.sentence];
+        let parts = [&sizes, &fits, &failures, faults, &self.verdict.sentence];
         parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
     }
 

@@ -56,7 +56,7 @@ fn record_adds_findings_without_rows() {
     let grades: Vec<Grade> = report.findings.iter().map(|finding| finding.grade).collect();
     assert_eq!(report.findings[0].about, "end", "that a run broke off stands before all else");
     assert!(grades[1..].is_sorted_by(|a, b| a >= b), "then the most harmful first: {grades:?}");
-    assert_eq!(about(&report, "rehearsal").0, Grade::Bad);
+    assert_eq!(about(&report, "clock fault").0, Grade::Bad);
     assert_eq!(about(&report, "missing events").0, Grade::Doubtful);
     assert_eq!(about(&report, "end").1, "The run broke off: the model crashed.");
     assert_eq!(about(&report, "CPU governor").1, "On robot, CPU governor: as it is.");

@@ -4,16 +4,13 @@ use std::collections::BTreeMap;
 
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
-use peernet_stream::{Condition, EndReason};
+use peernet_stream::{Condition, EndReason, FaultyHost};
 
 use super::{EndedEarly, Restarts, Starts, TimeSeries};
 use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::SortedValues;
 use crate::rows::{LATENESS, Outcome, RowRef, Rows};
-
-/// Prefix of the fact of a run that says that a host's clock was made wrong on purpose.
-const REHEARSAL: &str = "Rehearsal";
 
 /// Function that returns a row's message in one direction.
 type PassageReader = fn(&RowRef<'_>) -> Option<Passage>;
@@ -36,7 +33,7 @@ pub struct TrustInput {
     /// Progress of the run, if it ended before its limit.
     pub ended_early: Option<EndedEarly>,
     /// `true` if the clock of a host was made wrong on purpose.
-    pub rehearsed: bool,
+    pub has_clock_fault: bool,
     /// Total of each iteration; that of the sensor if there is nothing else. `None` without any.
     pub total: Option<TimeSeries>,
     /// The stages, by name.
@@ -144,14 +141,12 @@ impl TrustInput {
         Self { failure: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
     }
 
-    /// Adds the facts of the run's description about rehearsals, labels and classes.
+    /// Adds the facts of the run's description about clock faults, labels and classes.
     #[must_use]
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
-        let rehearsed = facts.iter().any(|(fact, _)| {
-            fact == REHEARSAL || fact.strip_prefix(REHEARSAL).is_some_and(|rest| rest.starts_with(" of "))
-        });
+        let has_clock_fault = facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
         let unknown_labels = self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, facts));
-        Self { rehearsed, unknown_labels, ..self }
+        Self { has_clock_fault, unknown_labels, ..self }
     }
 }
 

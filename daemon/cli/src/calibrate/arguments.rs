@@ -39,7 +39,7 @@ pub(crate) struct Arguments {
     /// Write into a folder that is not empty.
     #[arg(long)]
     pub(super) overwrite: bool,
-    /// An agent's configuration whose tables [clock], [probes] and [rehearsal] also apply here.
+    /// An agent's configuration whose tables [clock], [probes] and [clock_fault] also apply here.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
     /// Kind of network: zmq-tcp, zmq-udp or ros [default: that of the address; of a host, zmq-tcp].

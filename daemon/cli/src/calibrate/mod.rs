@@ -84,7 +84,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             _ => None,
         },
         reconnections: observed.reconnections,
-        rehearsed: observed.rehearsed,
+        has_clock_fault: observed.has_clock_fault,
     };
     let study = Study::new(setting, observed.samples, &observed.clocks);
     // Printed first: a full disk must not prevent the result from being shown.

@@ -7,7 +7,7 @@ use peernet_analysis::calibration::Sample;
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_networks::OpenError;
 use peernet_statistics::number::bytes;
-use peernet_stream::{ClockSample, Event, HostClock, IncidentKind, Outcome};
+use peernet_stream::{ClockSample, Event, FaultyHost, HostClock, IncidentKind, Outcome};
 
 use super::plan::Plan;
 use super::sweep::Sweep;
@@ -28,7 +28,7 @@ pub(super) struct Observed {
     /// The peer's own name.
     pub(super) cloud: Option<String>,
     /// `true` if the clock of either host was made wrong on purpose.
-    pub(super) rehearsed: bool,
+    pub(super) has_clock_fault: bool,
     /// Number of times that the peer returned with the same clock after an absence.
     pub(super) reconnections: u64,
 }
@@ -74,11 +74,11 @@ impl<'a> SweepObserver<'a> {
         let before = std::mem::replace(&mut self.cloud_clock, clock);
         let change = match (&before, &self.cloud_clock) {
             // A restarted program begins its artificial clock error and its count of steps again.
-            (Some(before), Some(now)) if before.rehearsal == now.rehearsal && before.epoch <= now.epoch => {
+            (Some(before), Some(now)) if before.faults == now.faults && before.epoch <= now.epoch => {
                 self.observed.reconnections += 1;
                 return None;
             }
-            (_, Some(HostClock { rehearsal: Some(change), .. })) => {
+            (_, Some(HostClock { faults: Some(change), .. })) => {
                 format!("another clock, which is made wrong on purpose ({change})")
             }
             (_, Some(_)) => "another clock".to_owned(),
@@ -108,7 +108,8 @@ impl RunObserver for SweepObserver<'_> {
         match event {
             Event::RunStarted(run) => {
                 // There is one fact for each host with an artificial clock error.
-                self.observed.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
+                self.observed.has_clock_fault |=
+                    run.facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
                 self.observed.cloud = run.placement.peer.map(|peer| peer.to_string());
                 self.cloud_clock = running.and_then(cloud_clock);
                 self.peer_wait.record_answer(self.clock.mono());

@@ -70,7 +70,7 @@ pub(crate) struct Ready {
     config: AgentConfig,
     /// This machine's clock.
     pub(crate) truth: SharedClock,
-    /// The clock that `[rehearsal]` makes of it.
+    /// The clock that `[clock_fault]` makes of it.
     pub(crate) clock: SharedClock,
 }
 
@@ -91,14 +91,16 @@ impl Ready {
     pub(crate) fn new(config: AgentConfig) -> Result<Self, Failure> {
         let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
         let truth = clock::system(&config.agent.clock_identity).map_err(unavailable)?;
-        let clock = clock::rehearsed(&truth, config.rehearsal.as_ref()).map_err(unavailable)?;
+        let clock = clock::with_faults(&truth, config.clock_fault.as_ref()).map_err(unavailable)?;
         let problems = Agent::check(&config, &clock);
         if !problems.is_empty() {
             let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
             return Err(Failure::new(Exit::Configuration, anyhow!("{}", problems.join("\n"))));
         }
-        if let Some(rehearsal) = clock.injected_faults() {
-            complain(format_args!("REHEARSAL: this host's clocks are made wrong on purpose ({rehearsal})"));
+        if let Some(faults) = clock.injected_faults() {
+            complain(format_args!(
+                "CLOCK FAULT INJECTION: this host's clocks are made wrong on purpose ({faults})"
+            ));
         }
         Ok(Self { config, truth, clock })
     }

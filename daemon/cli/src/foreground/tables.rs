@@ -4,12 +4,13 @@ use std::path::Path;
 
 use crate::exit::{Exit, Failure};
 use crate::expected::describe_error;
+use crate::renamed_tables::rename_tables;
 use crate::small_file;
 use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 
 /// Tables that are used.
-const TABLES: [&str; 4] = ["clock", "probes", "rehearsal", "onnxruntime"];
+const TABLES: [&str; 4] = ["clock", "probes", "clock_fault", "onnxruntime"];
 
 /// Reads the tables of an agent's configuration that relate the clocks and name the library, with the agent's name and clock.
 /// Returns the defaults without a file.
@@ -28,6 +29,7 @@ fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
     let mut document: toml::Table = text
         .parse()
         .map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), describe_error(&error)))?;
+    rename_tables(&mut document).map_err(|error| anyhow!("{}: {error}", file.display()))?;
     let agent = document.get("agent").and_then(toml::Value::as_table);
     let agent: toml::Table = ["name", "clock_identity"]
         .iter()
@@ -48,11 +50,11 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("edge.toml");
         let text = "[agent]\nname = 'edge'\naggregator = 'tcp://a:1'\n[clock]\nmax_drift_ppm = 150\n\
-                    [rehearsal]\noffset_ms = 1000\n[web]\nlisten = 'x'\n[serve]\n";
+                    [clock_fault]\noffset_ms = 1000\n[web]\nlisten = 'x'\n[serve]\n";
         std::fs::write(&file, text).expect("writable");
         let config = tables(Some(&file)).expect("reads");
         assert_eq!(
-            (config.clock.max_drift_ppm, config.rehearsal.map(|r| r.offset_ms)),
+            (config.clock.max_drift_ppm, config.clock_fault.map(|r| r.offset_ms)),
             (150.0, Some(1000.0))
         );
         assert_eq!(
@@ -60,6 +62,10 @@ mod tests {
             (Some("edge".into()), None)
         );
         assert!(config.serve.is_none() && config.pipelines.is_empty());
+
+        std::fs::write(&file, "[rehearsal]\noffset_ms = 5\n").expect("writable");
+        let former = tables(Some(&file)).expect("reads the former name").clock_fault;
+        assert_eq!(former.map(|fault| fault.offset_ms), Some(5.0));
 
         std::fs::write(&file, "[clock]\nmax_drift = 150\n").expect("writable");
         let error = tables(Some(&file)).expect_err("misspelt");

@@ -84,7 +84,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "DIR")]
     pub(super) models_dir: Vec<PathBuf>,
 
-    /// An agent's configuration whose tables [clock], [probes], [rehearsal] and [onnxruntime] also apply here.
+    /// An agent's configuration whose tables [clock], [probes], [clock_fault] and [onnxruntime] also apply here.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
     /// Do not show the progress.

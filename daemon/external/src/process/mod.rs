@@ -9,6 +9,7 @@
 mod error;
 mod group;
 mod launch;
+mod log_limit;
 mod pipe;
 mod process_end;
 mod restart_backoff;

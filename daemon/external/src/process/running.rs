@@ -47,7 +47,7 @@ impl Process {
     pub fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, ProcessError> {
         let failed = |error| ProcessError::Start { program: launch.describe(), error };
         let mut group = Group::start(launch.command()).map_err(failed)?;
-        let pipes = Self::pipes(&mut group, launch).inspect_err(|_| {
+        let pipes = Self::pipes(&mut group, launch, clock).inspect_err(|_| {
             // The process was killed, so that its status means nothing.
             let _ = group.finish();
         });
@@ -67,7 +67,11 @@ impl Process {
     }
 
     /// Returns its standard input and output, and starts the thread that reads its standard error.
-    fn pipes(group: &mut Group, launch: &Launch) -> io::Result<(OwnedFd, OwnedFd, StderrReader)> {
+    fn pipes(
+        group: &mut Group,
+        launch: &Launch,
+        clock: &SharedClock,
+    ) -> io::Result<(OwnedFd, OwnedFd, StderrReader)> {
         let missing = || io::Error::other("the started process has no pipes");
         let child = group.leader();
         let input = OwnedFd::from(child.stdin.take().ok_or_else(missing)?);
@@ -75,7 +79,7 @@ impl Process {
         let stderr = child.stderr.take().ok_or_else(missing)?;
         pipe::prepare(&input)?;
         pipe::prepare(&output)?;
-        let stderr_log = StderrReader::start(stderr, launch.stderr_log, launch.name.clone())?;
+        let stderr_log = StderrReader::start(stderr, launch.stderr_log, launch.name.clone(), clock.clone())?;
         Ok((input, output, stderr_log))
     }
 

@@ -1,14 +1,19 @@
 //! The standard error of a process, passed on to the log.
 
 use std::collections::VecDeque;
-use std::io::{self, Read};
+use std::io;
 use std::process::ChildStderr;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use peernet_sample::printable_lines;
+use peernet_clock::SharedClock;
+use peernet_sample::escaped_line;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+
+use super::log_limit::{LogLimit, Volume};
 
 /// Longest line in the log, bytes; a longer one is split.
 const MAX_LINE_BYTES: usize = 4096;
@@ -33,6 +38,25 @@ impl StderrLog {
             Self::Exec => tracing::info!(target: "peernet_external::exec", name, "{line}"),
         }
     }
+
+    /// Logs a line beyond the limit, for those who set the level `debug`.
+    fn log_omitted_line(self, name: &str, line: &str) {
+        match self {
+            Self::Python => tracing::debug!(target: "peernet_external::python", name, "{line}"),
+            Self::Exec => tracing::debug!(target: "peernet_external::exec", name, "{line}"),
+        }
+    }
+
+    fn log_omission(self, name: &str, omitted: Volume) {
+        let Volume { lines, bytes } = omitted;
+        let limit = LogLimit::in_words();
+        self.log_line(
+            name,
+            &format!(
+                "left out {lines} lines ({bytes} bytes) of its output: {limit}; PEERNET_LOG=info,peernet_external=debug shows all"
+            ),
+        );
+    }
 }
 
 /// The thread that logs the lines, and the last of them.
@@ -43,17 +67,20 @@ pub(super) struct StderrReader {
 }
 
 impl StderrReader {
-    pub(super) fn start(stderr: ChildStderr, stderr_log: StderrLog, name: String) -> io::Result<Self> {
+    pub(super) fn start(
+        stderr: ChildStderr,
+        stderr_log: StderrLog,
+        name: String,
+        clock: SharedClock,
+    ) -> io::Result<Self> {
         let last = Arc::new(Mutex::new(VecDeque::with_capacity(MAX_KEPT_LINES)));
         let (end, closed) = sync_channel(0);
-        let keep = Arc::clone(&last);
+        let mut logger =
+            LineLogger { stderr_log, name, clock, limit: LogLimit::default(), last: Arc::clone(&last) };
         thread::Builder::new().name("stderr".to_owned()).spawn(move || {
             // Dropping the sender reports that the standard error is closed.
             let _end = end;
-            read_lines(stderr, |line| {
-                stderr_log.log_line(&name, line);
-                keep_line(&keep, line);
-            });
+            logger.log_all(&stderr);
         })?;
         Ok(Self { last, closed })
     }
@@ -65,42 +92,99 @@ impl StderrReader {
     }
 }
 
+/// Logger of the lines of one process.
+struct LineLogger {
+    stderr_log: StderrLog,
+    name: String,
+    clock: SharedClock,
+    limit: LogLimit,
+    last: Arc<Mutex<VecDeque<String>>>,
+}
+
+impl LineLogger {
+    /// Logs the lines until the standard error is closed.
+    fn log_all(&mut self, stderr: &ChildStderr) {
+        let (mut lines, mut chunk) = (LineSplitter::default(), [0; MAX_LINE_BYTES]);
+        loop {
+            self.wait_for_output(stderr);
+            match rustix::io::read(stderr, &mut chunk) {
+                Ok(0) => break,
+                Ok(read) => lines.split(&chunk[..read], |line| self.log(line)),
+                Err(Errno::INTR) => {}
+                Err(_) => break,
+            }
+        }
+        lines.finish(|line| self.log(line));
+        if let Some(omitted) = self.limit.report_rest() {
+            self.stderr_log.log_omission(&self.name, omitted);
+        }
+    }
+
+    /// Waits for output and reports left-out lines when their period ends, also if the process is silent by then.
+    fn wait_for_output(&mut self, stderr: &ChildStderr) {
+        while let Some(left) = self.limit.time_to_report(self.clock.mono()) {
+            let timeout =
+                Timespec { tv_sec: left.as_secs().cast_signed(), tv_nsec: left.subsec_nanos().into() };
+            match poll(&mut [PollFd::new(stderr, PollFlags::IN)], Some(&timeout)) {
+                Ok(0) => self.report(),
+                Err(Errno::INTR) => {}
+                // After an error the next read returns it.
+                Ok(_) | Err(_) => return,
+            }
+        }
+    }
+
+    fn report(&mut self) {
+        if let Some(omitted) = self.limit.report(self.clock.mono()) {
+            self.stderr_log.log_omission(&self.name, omitted);
+        }
+    }
+
+    fn log(&mut self, line: &str) {
+        self.report();
+        if self.limit.admit(line, self.clock.mono()) {
+            self.stderr_log.log_line(&self.name, line);
+        } else {
+            self.stderr_log.log_omitted_line(&self.name, line);
+        }
+        keep_line(&self.last, line);
+    }
+}
+
 fn keep_line(last: &Mutex<VecDeque<String>>, line: &str) {
     let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
     if last.len() == MAX_KEPT_LINES {
         last.pop_front();
     }
-    last.push_back(printable_lines(&line[..line.floor_char_boundary(MAX_KEPT_LINE_BYTES)]).into_owned());
+    last.push_back(line[..line.floor_char_boundary(MAX_KEPT_LINE_BYTES)].to_owned());
 }
 
-/// Calls `log_line` with each line that is not blank.
-fn read_lines(mut from: impl Read, mut log_line: impl FnMut(&str)) {
-    let (mut line, mut chunk) = (Vec::new(), [0; MAX_LINE_BYTES]);
-    let mut log_and_clear = |line: &mut Vec<u8>| {
-        let text = String::from_utf8_lossy(line);
-        let text = text.trim_end();
-        if !text.is_empty() {
-            log_line(text);
-        }
-        line.clear();
-    };
-    loop {
-        let read = match from.read(&mut chunk) {
-            Ok(0) => break,
-            Ok(read) => read,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(_) => break,
-        };
-        for &byte in &chunk[..read] {
-            if byte == b'\n' || line.len() >= MAX_LINE_BYTES {
-                log_and_clear(&mut line);
+/// Splitter of output into lines. A carriage return ends a line as well: progress bars write nothing else.
+#[derive(Default)]
+struct LineSplitter(Vec<u8>);
+
+impl LineSplitter {
+    /// Calls `log` with each complete line that is not blank; control characters are escaped.
+    fn split(&mut self, output: &[u8], mut log: impl FnMut(&str)) {
+        for &byte in output {
+            let is_end = matches!(byte, b'\n' | b'\r');
+            if is_end || self.0.len() >= MAX_LINE_BYTES {
+                self.finish(&mut log);
             }
-            if byte != b'\n' {
-                line.push(byte);
+            if !is_end {
+                self.0.push(byte);
             }
         }
     }
-    log_and_clear(&mut line);
+
+    /// Calls `log` with the line that has no end yet.
+    fn finish(&mut self, mut log: impl FnMut(&str)) {
+        let line = self.0.trim_ascii_end();
+        if !line.is_empty() {
+            log(&escaped_line(line));
+        }
+        self.0.clear();
+    }
 }
 
 #[cfg(test)]
@@ -109,10 +193,13 @@ mod tests {
 
     #[test]
     fn lines_are_logged_separately_and_long_ones_split() {
-        let mut logged = Vec::new();
-        let text = format!("one\r\n\n{}\nlast", "x".repeat(MAX_LINE_BYTES + 3));
-        read_lines(text.as_bytes(), |line| logged.push(line.to_owned()));
-        assert_eq!(logged, ["one", &"x".repeat(MAX_LINE_BYTES), "xxx", "last"]);
+        let (mut lines, mut logged) = (LineSplitter::default(), Vec::new());
+        let text = format!("one\r\n\n{}\n50 %\r100 %\rlast\x1b[0m", "x".repeat(MAX_LINE_BYTES + 3));
+        for chunk in text.as_bytes().chunks(7) {
+            lines.split(chunk, |line| logged.push(line.to_owned()));
+        }
+        lines.finish(|line| logged.push(line.to_owned()));
+        assert_eq!(logged, ["one", &"x".repeat(MAX_LINE_BYTES), "xxx", "50 %", "100 %", "last\\u{1b}[0m"]);
     }
 
     #[test]

@@ -149,8 +149,8 @@ pub struct PeerClock {
     #[serde(deserialize_with = "deserialize_text")]
     pub text: String,
     /// Clock fault that is injected on this host, if any.
-    #[serde(deserialize_with = "deserialize_clock_faults")]
-    pub rehearsal: Option<ClockFaults>,
+    #[serde(rename = "rehearsal", deserialize_with = "deserialize_clock_faults")]
+    pub faults: Option<ClockFaults>,
     /// State of the free-running clock; `None` in versions before [`RAW_STAMPS_SINCE`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw: Option<RawClock>,
@@ -162,9 +162,9 @@ impl PeerClock {
     pub fn in_version(mut self, version: u16) -> Self {
         if version < RAW_STAMPS_SINCE {
             self.raw = None;
-            if let Some(rehearsal) = &mut self.rehearsal {
+            if let Some(faults) = &mut self.faults {
                 // A peer of an older version knows only steps of the wall clock and would apply these to it.
-                rehearsal.steps.retain(|step| step.clock.is_wall());
+                faults.steps.retain(|step| step.clock.is_wall());
             }
         }
         self
@@ -252,11 +252,11 @@ fn deserialize_discipline<'de, D: Deserializer<'de>>(
 fn deserialize_clock_faults<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<ClockFaults>, D::Error> {
-    let rehearsal: Option<ClockFaults> = Option::deserialize(deserializer)?;
-    match rehearsal {
-        Some(rehearsal) if !rehearsal.drift_ppm.is_finite() => {
+    let faults: Option<ClockFaults> = Option::deserialize(deserializer)?;
+    match faults {
+        Some(faults) if !faults.drift_ppm.is_finite() => {
             Err(D::Error::custom("the clock drift is not a finite number"))
         }
-        rehearsal => Ok(rehearsal),
+        faults => Ok(faults),
     }
 }

@@ -64,7 +64,7 @@ fn discipline() -> impl Strategy<Value = Discipline> {
     })
 }
 
-fn rehearsal() -> impl Strategy<Value = ClockFaults> {
+fn faults() -> impl Strategy<Value = ClockFaults> {
     let step = (span(), span()).prop_map(|(at, by)| ClockFaultStep::wall_step(at, by));
     let steps = proptest::collection::vec(step, 0..3);
     (span(), -1e3..1e3_f64, steps, any::<i64>()).prop_map(|(offset, drift_ppm, steps, since)| ClockFaults {
@@ -76,10 +76,9 @@ fn rehearsal() -> impl Strategy<Value = ClockFaults> {
 }
 
 pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
-    let (discipline, rehearsal) = (proptest::option::of(discipline()), proptest::option::of(rehearsal()));
-    (any::<u32>(), discipline, printable_text(), rehearsal, proptest::option::of(raw_clock())).prop_map(
-        |(epoch, discipline, text, rehearsal, raw)| PeerClock { epoch, discipline, text, rehearsal, raw },
-    )
+    let (discipline, faults) = (proptest::option::of(discipline()), proptest::option::of(faults()));
+    (any::<u32>(), discipline, printable_text(), faults, proptest::option::of(raw_clock()))
+        .prop_map(|(epoch, discipline, text, faults, raw)| PeerClock { epoch, discipline, text, faults, raw })
 }
 
 fn raw_clock() -> impl Strategy<Value = RawClock> {

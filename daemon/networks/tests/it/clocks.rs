@@ -178,7 +178,7 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
 
     let mut now = PeerClock { epoch: 1, ..raw_news() };
     let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..ClockFaultStep::wall_step(HOUR, HOUR) };
-    now.rehearsal.as_mut().expect("rehearsed").steps.push(raw_step);
+    now.faults.as_mut().expect("it has faults").steps.push(raw_step);
     cloud.listener.announcer().announce(now);
     let mut told = session.peer_clock();
     let told = within(told.wait_for(|clock| clock.epoch == 1)).await.expect("the session is open");
@@ -305,7 +305,7 @@ fn news() -> PeerClock {
         epoch: 2,
         discipline: Some(Discipline { source: DelaySource::Chrony, error }),
         text: "chrony, 3 sources".into(),
-        rehearsal: Some(ClockFaults {
+        faults: Some(ClockFaults {
             offset: Span::from_millis(-1_000),
             drift_ppm: 49.5,
             steps: vec![step],
@@ -361,8 +361,8 @@ async fn plain_zeromq_socket_reads_announcement() {
         (discipline.source.as_str(), discipline.error.lo, discipline.error.hi),
         ("chrony", -20_000, 30_000)
     );
-    let rehearsal = clock.rehearsal.expect("announced");
-    assert_eq!((rehearsal.offset, rehearsal.drift_ppm, rehearsal.since), (-1_000_000_000, 49.5, 7));
-    let steps: Vec<_> = rehearsal.steps.iter().map(|step| (step.at, step.by)).collect();
+    let faults = clock.faults.expect("announced");
+    assert_eq!((faults.offset, faults.drift_ppm, faults.since), (-1_000_000_000, 49.5, 7));
+    let steps: Vec<_> = faults.steps.iter().map(|step| (step.at, step.by)).collect();
     assert_eq!(steps, [(5_000_000_000, 3_000_000_000)]);
 }

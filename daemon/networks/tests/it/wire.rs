@@ -144,7 +144,8 @@ pub(crate) struct HostClock {
     pub(crate) epoch: u32,
     pub(crate) discipline: Option<Discipline>,
     pub(crate) text: String,
-    pub(crate) rehearsal: Option<Rehearsal>,
+    #[serde(rename = "rehearsal")]
+    pub(crate) faults: Option<ClockFault>,
 }
 
 #[derive(Serialize, Deserialize, Debug)]
@@ -160,7 +161,7 @@ pub(crate) struct Interval {
 }
 
 #[derive(Serialize, Deserialize, Debug)]
-pub(crate) struct Rehearsal {
+pub(crate) struct ClockFault {
     pub(crate) offset: i64,
     pub(crate) drift_ppm: f64,
     pub(crate) steps: Vec<Step>,
@@ -175,7 +176,7 @@ pub(crate) struct Step {
 
 /// Returns the state of an unknown clock.
 pub(crate) fn host_clock(epoch: u32) -> HostClock {
-    HostClock { epoch, discipline: None, text: String::new(), rehearsal: None }
+    HostClock { epoch, discipline: None, text: String::new(), faults: None }
 }
 
 pub(crate) fn hello(protocol: u16) -> Hello {

@@ -15,6 +15,9 @@ pub(crate) fn check(files: &[PathBuf]) -> Exit {
         match load(file) {
             Ok(configuration) => {
                 say(format_args!("{}: ok", file.display()));
+                for line in &configuration.deprecated {
+                    say(format_args!("deprecated: {line}"));
+                }
                 for remark in configuration.agent.iter().flat_map(Agent::remarks) {
                     say(format_args!("{}: note: {remark}", file.display()));
                 }

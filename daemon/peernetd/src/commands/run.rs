@@ -38,6 +38,9 @@ pub(crate) fn run(file: &Path) -> Exit {
         return Exit::Configuration;
     }
     info!("peernetd {VERSION} with {}", file.display());
+    for line in &configuration.deprecated {
+        warn!("deprecated: {line}");
+    }
     // The limit must be raised before a port computes its share of it.
     if let Err(error) = raise_limit() {
         warn!(
@@ -94,9 +97,9 @@ async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
         }
     }
     if let Some(config) = configuration.agent {
-        if let Some(rehearsal) = agent_clock.injected_faults() {
+        if let Some(faults) = agent_clock.injected_faults() {
             warn!(
-                "REHEARSAL: this agent's clocks are made wrong on purpose ({rehearsal}); for a host in earnest use remove the table [rehearsal]"
+                "CLOCK FAULT INJECTION: this agent's clocks are made wrong on purpose ({faults}); for a host in earnest use remove the table [clock_fault]"
             );
         }
         lifecycle

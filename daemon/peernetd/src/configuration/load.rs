@@ -6,11 +6,12 @@ use std::{fmt, io};
 
 use peernet_agent::Agent;
 use peernet_agent::config::{
-    AgentConfig, ClockConfig, HostConfig, PipelineConfig, ProbesConfig, RehearsalConfig, ServeConfig,
+    AgentConfig, ClockConfig, ClockFaultConfig, HostConfig, PipelineConfig, ProbesConfig, ServeConfig,
     SpoolConfig,
 };
 use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_cli::expected::describe_error;
+use peernet_cli::renamed_tables::{RENAMED_TABLES, RenamedTable};
 use peernet_cli::{clock, small_file};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};
@@ -60,7 +61,8 @@ struct File {
     spool: Option<SpoolConfig>,
     clock: Option<ClockConfig>,
     probes: Option<ProbesConfig>,
-    rehearsal: Option<RehearsalConfig>,
+    #[serde(alias = "rehearsal")]
+    clock_fault: Option<ClockFaultConfig>,
     serve: Option<ServeConfig>,
     #[serde(default)]
     model: Vec<ModelConfig>,
@@ -78,6 +80,8 @@ pub(crate) struct Configuration {
     pub(crate) aggregator: Option<AggregatorConfig>,
     pub(crate) web: Option<WebConfig>,
     pub(crate) agent: Option<AgentConfig>,
+    /// Deprecation lines: one for each table that has its former name.
+    pub(crate) deprecated: Vec<String>,
 }
 
 /// A problem that prevents the use of a configuration file.
@@ -130,7 +134,8 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
     };
     let found =
         roles(&file, &BTreeSet::new()).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
-    let configuration = Configuration::from(file);
+    let mut configuration = Configuration::from(file);
+    configuration.deprecated = deprecations(path, &locator);
     let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
     if problems.is_empty() {
         return Ok(configuration);
@@ -146,6 +151,15 @@ pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>>
     let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable(path, &error)])?;
     let unread = |mistake| vec![unread(path, mistake, &Locator::new(&text))];
     mistakes::read::<File>(&text, &ARRAYS).map(Configuration::from).map_err(unread)
+}
+
+/// Returns a line for each table that has its former name: `FILE:LINE: what is deprecated, and what to write`.
+fn deprecations(path: &Path, locator: &Locator<'_>) -> Vec<String> {
+    let line = |table: &RenamedTable| {
+        let line = locator.line(table.former)?;
+        Some(format!("{}:{line}: {}", path.display(), table.deprecation()))
+    };
+    RENAMED_TABLES.iter().filter_map(line).collect()
 }
 
 fn unreadable(path: &Path, error: &io::Error) -> Problem {
@@ -198,7 +212,7 @@ fn roles(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'sta
         ("spool", file.spool.is_some()),
         ("clock", file.clock.is_some()),
         ("probes", file.probes.is_some()),
-        ("rehearsal", file.rehearsal.is_some()),
+        ("clock_fault", file.clock_fault.is_some()),
         ("serve", file.serve.is_some()),
         ("bank", file.bank.is_some()),
         ("onnxruntime", file.onnxruntime.is_some()),
@@ -208,7 +222,7 @@ fn roles(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'sta
     if let Some((table, _)) = for_agent.into_iter().find(|(_, is_there)| !has_agent && *is_there) {
         found.push((
             table,
-            "[spool], [clock], [probes], [rehearsal], [serve], [[model]], [bank], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
+            "[spool], [clock], [probes], [clock_fault], [serve], [[model]], [bank], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
         ));
     }
     if !has_aggregator && file.web.is_some() {
@@ -230,14 +244,15 @@ impl From<File> for Configuration {
             spool: file.spool.unwrap_or_default(),
             clock: file.clock.unwrap_or_default(),
             probes: file.probes.unwrap_or_default(),
-            rehearsal: file.rehearsal,
+            clock_fault: file.clock_fault,
             serve: file.serve,
             models: file.model,
             bank: file.bank.unwrap_or_default(),
             onnxruntime: file.onnxruntime.unwrap_or_default(),
             pipelines: file.pipeline,
         });
-        Self { log: file.log, lifecycle: file.lifecycle, aggregator: file.aggregator, web: file.web, agent }
+        let File { log, lifecycle, aggregator, web, .. } = file;
+        Self { log, lifecycle, aggregator, web, agent, deprecated: Vec::new() }
     }
 }
 
@@ -250,12 +265,12 @@ impl Configuration {
         clock::system(self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity))
     }
 
-    /// Returns the clock that the agent reads: `truth`, or the faulty clock that `[rehearsal]` defines, from now on.
+    /// Returns the clock that the agent reads: `truth`, or the faulty clock that `[clock_fault]` defines, from now on.
     ///
     /// # Errors
     /// If the kernel's boot id cannot be read.
     pub(crate) fn agent_clock(&self, truth: &SharedClock) -> io::Result<SharedClock> {
-        clock::rehearsed(truth, self.agent.as_ref().and_then(|agent| agent.rehearsal.as_ref()))
+        clock::with_faults(truth, self.agent.as_ref().and_then(|agent| agent.clock_fault.as_ref()))
     }
 
     /// Returns key and text of all problems that the roles find in their tables.
@@ -417,13 +432,13 @@ mod tests {
 
     #[test]
     fn agent_with_clock_fault_reads_another_clock() {
-        let (truth, agents) = clocks("[rehearsal]\noffset_ms = 86400000\n");
+        let (truth, agents) = clocks("[clock_fault]\noffset_ms = 86400000\n");
         assert_eq!(truth.identity().clock.as_ref(), ClockIdentity::SYSTEM);
-        assert!(agents.identity().clock.starts_with("rehearsal-"), "{:?}", agents.identity());
+        assert!(agents.identity().clock.starts_with("clock-fault-"), "{:?}", agents.identity());
         assert!(agents.wall() - truth.wall() > Span::from_seconds(80_000));
         assert_eq!(truth.injected_faults(), None);
 
-        let (_, named) = clocks("clock_identity = \"mine\"\n[rehearsal]\n");
+        let (_, named) = clocks("clock_identity = \"mine\"\n[clock_fault]\n");
         assert_eq!(named.identity().clock.as_ref(), "mine");
     }
 }

@@ -1,5 +1,6 @@
 //! Line numbers of keys, so that a problem names file, line and key.
 
+use peernet_cli::renamed_tables::RENAMED_TABLES;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -26,7 +27,8 @@ impl<'a> Locator<'a> {
                 Some((name, index)) => (name, index.parse::<usize>().ok()),
                 None => (step, None),
             };
-            let Some((written, value)) = table.iter().find(|(written, _)| written.get_ref() == name) else {
+            let is_named = |written: &str| written == name || (line.is_none() && is_former(written, name));
+            let Some((written, value)) = table.iter().find(|(written, _)| is_named(written.get_ref())) else {
                 break;
             };
             line = Some(self.line_at(written.span().start));
@@ -54,6 +56,11 @@ impl<'a> Locator<'a> {
     }
 }
 
+/// Returns whether a table with the present name `name` is written under its former name.
+fn is_former(written: &str, name: &str) -> bool {
+    RENAMED_TABLES.iter().any(|table| (table.former, table.current) == (written, name))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,6 +73,7 @@ mod tests {
         assert_eq!(locator.line("agent.name"), Some(2));
         assert_eq!(locator.line("pipeline[0].name"), Some(5));
         assert_eq!(locator.line("pipeline[1].sensor.path"), Some(10));
+        assert_eq!(Locator::new("\n[rehearsal]\nsteps = 1\n").line("clock_fault.steps"), Some(3));
     }
 
     #[test]

@@ -128,7 +128,7 @@ async fn bounds_contain_offset_of_shifted_clock() {
     let description = ClockFaults { offset: ahead, drift_ppm: 0.0, steps: Vec::new(), since: truth.wall() };
     let cloud: SharedClock = std::sync::Arc::new(FaultyClock::new(
         system_clock("cloud"),
-        ClockIdentity::new("test", "rehearsal"),
+        ClockIdentity::new("test", "faulty"),
         description,
     ));
     let running = RunningReflector::start(reflector_config(), cloud);

@@ -6,7 +6,7 @@ use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
 use peernet_clock::WallTime;
 use peernet_external::exec::{hide_arguments, hide_arguments_in_facts};
 use peernet_logger::stage;
-use peernet_stream::{EndReason, OutcomeCounts, Placement, PlacementKind};
+use peernet_stream::{EndReason, FaultyHost, OutcomeCounts, Placement, PlacementKind};
 use serde::de::DeserializeOwned;
 use sqlx::FromRow;
 
@@ -228,10 +228,7 @@ fn summary(
         deadline_s,
         misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, unanswered)),
         total: total.and_then(NameSummary::figures),
-        // A fact about the edge itself, or about a cloud with its name.
-        rehearsed: facts(row)?
-            .iter()
-            .any(|(fact, _)| fact == "Rehearsal" || fact.starts_with("Rehearsal of ")),
+        has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some()),
         pinned: row.pinned,
         nodes_from: count(row.nodes_from),
         experiment: row.experiment.as_deref().map(json).transpose()?,

@@ -268,9 +268,9 @@ async fn runs_are_listed_newest_first_in_pages() {
 }
 
 #[tokio::test]
-async fn rehearsed_run_is_marked_in_all_answers() {
+async fn run_with_clock_fault_is_marked_in_all_answers() {
     let mut test_store = TestStore::new().await;
-    for fact in ["Rehearsal", "Rehearsal of cloud", "Rehearsals"] {
+    for fact in ["Clock fault", "Rehearsal of cloud", "Rehearsals"] {
         let Event::RunStarted(mut run) = generate::run_started(RunId::random(), "line", generate::at(0.0))
         else {
             panic!("the start of a run")
@@ -280,9 +280,9 @@ async fn rehearsed_run_is_marked_in_all_answers() {
         test_store.commit(&[work]).await;
     }
     let runs = test_store.store.runs(&RunFilter::default()).await.expect("answers");
-    assert_eq!(runs.iter().map(|run| run.rehearsed).collect::<Vec<_>>(), [false, true, true]);
+    assert_eq!(runs.iter().map(|run| run.has_clock_fault).collect::<Vec<_>>(), [false, true, true]);
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
-    assert!(detail.summary.rehearsed);
+    assert!(detail.summary.has_clock_fault);
 }
 
 #[tokio::test]

@@ -70,7 +70,7 @@ fn host_clock() -> HostClock {
         discipline: Some(Discipline { source: DelaySource::Chrony, error: interval(-7, 7) }),
         text: "chrony, stratum 2, to 10.0.0.1".into(),
         epoch: 3,
-        rehearsal: Some(ClockFaults {
+        faults: Some(ClockFaults {
             offset: Span::from_seconds(1),
             drift_ppm: -50.0,
             steps: vec![ClockFaultStep::wall_step(Span::from_seconds(9), Span::from_seconds(-3))],

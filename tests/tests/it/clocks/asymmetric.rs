@@ -8,7 +8,7 @@ use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 
-use super::{WARM_UP, assert_contains_truth, print_line, rehearsal};
+use super::{WARM_UP, assert_contains_truth, faults, print_line};
 
 fn wire(folder: &Path) -> Network {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 5, loss_percent: 2 };
@@ -27,11 +27,11 @@ struct Outcome {
 fn run(discipline: &str) -> Outcome {
     let testbed = TwoHostTestbed::new(wire);
     let more = format!("discipline = \"{discipline}\"");
-    let _cloud = testbed.start_cloud(&rehearsal(700.0, -20.0, &more));
+    let _cloud = testbed.start_cloud(&faults(700.0, -20.0, &more));
     let load = "load = { mode = \"rate\", hz = 20.0 }\nlimit = { iterations = 300 }\nmax_in_flight = 64";
     let pipeline = testbed.pipeline("far", 1000, load);
     let _edge = testbed.start_edge(
-        &format!("[clock]\ntrust_time_daemons = true\n{}{pipeline}", rehearsal(-300.0, 20.0, &more)),
+        &format!("[clock]\ntrust_time_daemons = true\n{}{pipeline}", faults(-300.0, 20.0, &more)),
         &[],
     );
     let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));

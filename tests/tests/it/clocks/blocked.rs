@@ -2,13 +2,13 @@
 
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{assert_contains_truth, rehearsal};
+use super::{assert_contains_truth, faults};
 
 #[test]
 fn data_messages_bound_delays_without_probes() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     testbed.network.cloud().block_udp(8620);
-    let _cloud = testbed.start_cloud(&rehearsal(1_000.0, 40.0, ""));
+    let _cloud = testbed.start_cloud(&faults(1_000.0, 40.0, ""));
     let load = "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }";
     let _edge = testbed.start_edge(&testbed.pipeline("alone", 1000, load), &[]);
     let cloud = testbed.clock_of("cloud");

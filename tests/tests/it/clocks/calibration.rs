@@ -9,7 +9,7 @@ use peernet_tests::truth::HostClock;
 use peernet_tests::{Network, TwoHostTestbed, program};
 use serde_json::Value;
 
-use super::{print_line, rehearsal};
+use super::{faults, print_line};
 
 /// Largest error of an intercept.
 const ERROR: Span = Span::from_micros(100);
@@ -149,7 +149,7 @@ fn assert_intercept_is_right(stage: &str, direction: &Value, passages: &[Passage
 #[test]
 fn calibrated_intercepts_contain_the_true_delays() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
-    let _cloud = testbed.start_cloud(&rehearsal(1_000.0, 50.0, ""));
+    let _cloud = testbed.start_cloud(&faults(1_000.0, 50.0, ""));
     let cloud: HostClock = testbed.clock_of("cloud");
     let peer = testbed.peer();
     let sweep = ["--sizes", SIZES, "--repeats", REPEATS, "--seconds", "20"];

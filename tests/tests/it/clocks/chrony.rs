@@ -8,7 +8,7 @@ use peernet_tests::truth::{Delay, HostClock, Iteration, compare, truth};
 use peernet_tests::{Process, TwoHostTestbed, wait_until};
 use serde_json::Value;
 
-use super::{assert_contains_truth, print_line, rehearsal};
+use super::{assert_contains_truth, faults, print_line};
 
 /// Clock identity by which the machine's clock counts as a separate clock.
 const OWN: &str = "clock_identity = \"edge\"\n";
@@ -25,8 +25,8 @@ struct Scene {
 }
 
 impl Scene {
-    /// Starts the hosts. `identity` and `rehearsal` are the edge's; `trusts` is whether it trusts the daemons.
-    fn new(network: impl FnOnce(&Path) -> Network, identity: &str, rehearsal: &str, trusts: bool) -> Self {
+    /// Starts the hosts. `identity` and `faults` are the edge's; `trusts` is whether it trusts the daemons.
+    fn new(network: impl FnOnce(&Path) -> Network, identity: &str, faults: &str, trusts: bool) -> Self {
         let testbed = TwoHostTestbed::new(network);
         let daemons = TimeDaemons::start(&testbed.network, testbed.folder());
         let clock = TimeDaemons::table();
@@ -34,7 +34,7 @@ impl Scene {
         let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
         let pipeline = testbed.pipeline("kept", 1000, load);
         let trust = if trusts { "trust_time_daemons = true\n" } else { "" };
-        let edge = testbed.start_edge(&format!("{identity}{clock}{trust}{rehearsal}{pipeline}"), &[]);
+        let edge = testbed.start_edge(&format!("{identity}{clock}{trust}{faults}{pipeline}"), &[]);
         Self { edge, _cloud: cloud, _daemons: daemons, testbed }
     }
 
@@ -123,7 +123,7 @@ fn right_daemons_narrow_delay_bounds() {
 #[test]
 fn wrong_clock_with_confident_daemon_is_detected() {
     const AHEAD: Span = Span::from_millis(50);
-    let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
+    let wrong = faults(50.0, 0.0, "discipline = \"unaware\"");
     let scene = Scene::new(|_| Network::direct(), "", &wrong, true);
     let offset = scene.offset("inconsistent");
     let (in_band, chrony) = (bounds_of_source(&offset, "in-band"), bounds_of_source(&offset, "chrony"));
@@ -149,7 +149,7 @@ fn is_exposed(delay: &Delay) -> bool {
 /// The daemon is the same, but it is not trusted.
 #[test]
 fn wrong_claim_affects_delays_only_if_trusted() {
-    let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
+    let wrong = faults(50.0, 0.0, "discipline = \"unaware\"");
     let scene = Scene::new(|_| Network::direct(), "", &wrong, false);
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
@@ -169,7 +169,7 @@ fn wrong_claim_affects_delays_only_if_trusted() {
 fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(5), way(40));
-    let scene = Scene::new(wire, "", &rehearsal(-10.0, 0.0, "discipline = \"unaware\""), trusts);
+    let scene = Scene::new(wire, "", &faults(-10.0, 0.0, "discipline = \"unaware\""), trusts);
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to ");
     }

@@ -21,8 +21,8 @@ use peernet_tests::truth::{Comparison, HostClock, Iteration, compare};
 const WARM_UP: u64 = 5;
 
 /// Returns a table that injects faults into a host's clock.
-fn rehearsal(offset_ms: f64, drift_ppm: f64, more: &str) -> String {
-    format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n{more}\n")
+fn faults(offset_ms: f64, drift_ppm: f64, more: &str) -> String {
+    format!("[clock_fault]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n{more}\n")
 }
 
 /// Prints measured values; `--nocapture` shows them.

@@ -199,8 +199,8 @@ fn interval_contains_truth_in_other_time_namespace() {
 
 #[test]
 fn interval_contains_truth_with_clock_fault_injection() {
-    let hosts = Hosts::new(&super::rehearsal(20.0, 0.0, ""), false);
+    let hosts = Hosts::new(&super::faults(20.0, 0.0, ""), false);
     let _edge = hosts.deployment.start("edge.toml");
     assert_eq!(hosts.link()["same_clock"], false);
-    assert_measured("rehearsed by 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));
+    assert_measured("clock fault of 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));
 }

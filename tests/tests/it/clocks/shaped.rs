@@ -5,7 +5,7 @@ use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Host, Network, Packet};
 use peernet_tests::truth::{Delay, HostClock};
 
-use super::{assert_contains_truth, print_line, rehearsal};
+use super::{assert_contains_truth, faults, print_line};
 
 const ITERATIONS: usize = 15;
 
@@ -27,10 +27,10 @@ fn large_transfer_time_matches_capture() {
     router.limit_rate("cloud", 20);
     router.limit_rate("edge", 100);
     let capture = router.capture("tcp port 5551", testbed.folder());
-    let _cloud = testbed.start_cloud(&rehearsal(1_000.0, 30.0, ""));
+    let _cloud = testbed.start_cloud(&faults(1_000.0, 30.0, ""));
     let limit = format!("limit = {{ iterations = {ITERATIONS} }}\nwarm_up = {{ iterations = 2 }}");
     let pipeline = testbed.pipeline("images", 1_200_000, &limit);
-    let _edge = testbed.start_edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
+    let _edge = testbed.start_edge(&format!("{}{pipeline}", faults(-1_000.0, -15.0, "")), &[]);
     let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
     testbed.wait_for_runs(1);
     let packets = capture.finish();

@@ -6,7 +6,7 @@ use peernet_clock::{ClockFaultStep, ClockFaults, Span, WallTime};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, assert_contains_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, faults};
 
 /// Period in which a wall clock runs fast: it is set forward repeatedly by a little.
 struct Slew {
@@ -43,13 +43,13 @@ fn table(description: &ClockFaults) -> String {
         write!(steps, "{{ at_s = {at_s:?}, by_ms = {by_ms:?} }}, ").expect("a string takes all");
         steps
     });
-    rehearsal(millis(description.offset), 0.0, &format!("steps = [{steps}]"))
+    faults(millis(description.offset), 0.0, &format!("steps = [{steps}]"))
 }
 
 /// Returns the clock of a running host. The API lists only the first steps.
 fn clock_of(testbed: &TwoHostTestbed, host: &str, description: ClockFaults) -> HostClock {
     let told = testbed.clock_of(host);
-    let (since, raw_since) = told.since().zip(told.raw_since()).expect("rehearsed");
+    let (since, raw_since) = told.since().zip(told.raw_since()).expect("it has faults");
     HostClock::new(ClockFaults { since, ..description }, raw_since)
 }
 

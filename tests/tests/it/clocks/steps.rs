@@ -4,7 +4,7 @@ use peernet_clock::{Span, WallTime};
 use peernet_tests::truth::{Delay, Iteration};
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, assert_contains_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, faults};
 
 /// Time of the step after the start of the agent.
 const AT: Span = Span::from_seconds(8);
@@ -19,7 +19,7 @@ fn step(stepped: Stepped, by_ms: i32) {
     let what = format!("{by_ms:+} ms on the {stepped:?}");
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let steps = format!("steps = [{{ at_s = {}, by_ms = {by_ms} }}]", AT.seconds());
-    let table = |host, offset_ms| rehearsal(offset_ms, 10.0, if host == stepped { &steps } else { "" });
+    let table = |host, offset_ms| faults(offset_ms, 10.0, if host == stepped { &steps } else { "" });
     let _cloud = testbed.start_cloud(&table(Stepped::Cloud, 250.0));
     let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 18.0 }";
     let pipeline = testbed.pipeline("stepped", 1000, load);
@@ -30,7 +30,7 @@ fn step(stepped: Stepped, by_ms: i32) {
     let iterations = testbed.iterations();
     assert_contains_truth(&what, &iterations, &edge, &cloud);
     let clock = if stepped == Stepped::Edge { &edge } else { &cloud };
-    let at = clock.since().expect("rehearsed") + AT;
+    let at = clock.since().expect("it has faults") + AT;
     // Times by the clock that was not stepped, because it shows no time twice.
     let when = |iteration: &Iteration| -> WallTime {
         match stepped {

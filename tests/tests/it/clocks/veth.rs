@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_tests::truth::HostClock;
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, assert_contains_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, faults};
 
 /// Largest mean error of each direction.
 const MEAN_ERROR: Span = Span::from_micros(50);
@@ -23,7 +23,7 @@ enum Wrong {
 fn check_case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let clock = format!("[clock]\nmax_drift_ppm = {max_drift_ppm:?}\n");
-    let own = rehearsal(offset_ms, drift_ppm, "");
+    let own = faults(offset_ms, drift_ppm, "");
     let (edge_own, cloud_own) = match wrong {
         Wrong::Edge => (own.as_str(), ""),
         Wrong::Cloud => ("", own.as_str()),

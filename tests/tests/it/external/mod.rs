@@ -3,6 +3,7 @@
 mod failing;
 mod one_agent;
 mod secrets;
+mod talkative;
 mod two_agents;
 
 use std::path::Path;

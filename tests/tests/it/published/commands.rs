@@ -225,7 +225,7 @@ fn existing_results_are_replaced_only_on_request() {
 #[test]
 fn clock_settings_come_from_configuration() {
     let lab = Lab::on_one_machine();
-    std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
+    std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[clock_fault]\noffset_ms = 5000\n")
         .expect("writable");
     let server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations 20",
@@ -236,7 +236,7 @@ fn clock_settings_come_from_configuration() {
     );
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-    assert!(client.log.contains("REHEARSAL"), "{}", client.log);
+    assert!(client.log.contains("CLOCK FAULT INJECTION"), "{}", client.log);
     let data = lab.data("results");
     // The raw stamps differ by five seconds, but the reported delay is right.
     assert!(data.numbers("upload-raw").iter().all(|raw| *raw < -4.0));

@@ -5,7 +5,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::api::schema::{Pipeline, PipelineList, time};
-use crate::view::rehearsal::Rehearsed;
+use crate::view::clock_fault::FaultyClocks;
 use crate::view::storing;
 
 /// `event: picture`: the live figures.
@@ -54,7 +54,8 @@ pub(crate) struct StatusEvent {
     /// Seconds since the last report of the connected host that has been silent for longest.
     pub behind_s: Option<f64>,
     /// Sentences about clock faults that are injected on purpose, one per host.
-    pub rehearsals: Vec<String>,
+    #[serde(rename = "rehearsals")]
+    pub clock_faults: Vec<String>,
     /// Reason why events are not being stored, as a sentence; null while they are.
     pub not_storing: Option<String>,
 }
@@ -68,7 +69,7 @@ impl StatusEvent {
             connected: connected.count(),
             hosts: snapshot.hosts.len(),
             behind_s: behind.max_by(f64::total_cmp),
-            rehearsals: Rehearsed::of(snapshot).banner(),
+            clock_faults: FaultyClocks::of(snapshot).banner(),
             not_storing: storing::notice(readiness),
         }
     }

@@ -49,7 +49,8 @@ pub(crate) struct Run {
     /// Statistics of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
     /// `true` if clock faults were injected on one of its hosts.
-    pub rehearsed: bool,
+    #[serde(rename = "rehearsed")]
+    pub has_clock_fault: bool,
     /// `true` if the run is pinned: retention deletes nothing of it.
     pub pinned: bool,
     /// Number of the last iteration deleted because of its age or to free space; 0 if none was deleted. The statistics of deleted
@@ -97,7 +98,7 @@ impl From<&store::RunSummary> for Run {
             deadline_s: run.deadline_s,
             miss_rate: run.misses.and_then(Misses::rate),
             total: run.total,
-            rehearsed: run.rehearsed,
+            has_clock_fault: run.has_clock_fault,
             pinned: run.pinned,
             deleted_through: run.nodes_from,
             experiment: run.experiment.as_ref().map(ExperimentPlace::from),

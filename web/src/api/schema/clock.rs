@@ -30,7 +30,8 @@ pub(crate) struct HostClock {
     /// Number of steps, excessive drifts and suspensions of the clock that were detected since the agent started.
     pub epoch: u32,
     /// Clock fault injected on purpose; null without one.
-    pub rehearsal: Option<Rehearsal>,
+    #[serde(rename = "rehearsal")]
+    pub clock_fault: Option<ClockFault>,
     /// Clock source of the kernel, such as `tsc`; null if not reported. Any other than `tsc` and `arch_sys_counter` means that the
     /// hypervisor supplies the clock.
     pub clocksource: Option<String>,
@@ -46,35 +47,35 @@ pub(crate) struct Claim {
 
 /// Clock fault injected on purpose.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Rehearsal {
+pub(crate) struct ClockFault {
     /// Offset at the start, seconds; positive if the clock is ahead.
     pub offset_s: f64,
     /// Drift, parts per million; positive if the clock runs fast.
     pub drift_ppm: f64,
-    pub steps: Vec<RehearsalStep>,
+    pub steps: Vec<ClockFaultStep>,
     /// Time of the start, by the clock without the fault.
     pub since: String,
 }
 
 /// A step of a clock fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct RehearsalStep {
+pub(crate) struct ClockFaultStep {
     /// Time since the start, seconds.
     pub at_s: f64,
     /// Size of the step, seconds.
     pub by_s: f64,
 }
 
-impl From<&ClockFaults> for Rehearsal {
-    fn from(rehearsal: &ClockFaults) -> Self {
-        let steps = rehearsal.steps.iter();
+impl From<&ClockFaults> for ClockFault {
+    fn from(clock_fault: &ClockFaults) -> Self {
+        let steps = clock_fault.steps.iter();
         Self {
-            offset_s: rehearsal.offset.seconds(),
-            drift_ppm: rehearsal.drift_ppm,
+            offset_s: clock_fault.offset.seconds(),
+            drift_ppm: clock_fault.drift_ppm,
             steps: steps
-                .map(|step| RehearsalStep { at_s: step.at.seconds(), by_s: step.by.seconds() })
+                .map(|step| ClockFaultStep { at_s: step.at.seconds(), by_s: step.by.seconds() })
                 .collect(),
-            since: time(rehearsal.since),
+            since: time(clock_fault.since),
         }
     }
 }
@@ -89,7 +90,7 @@ impl From<&stream::HostClock> for HostClock {
             discipline: clock.discipline.map(claim),
             text: clock.text.clone(),
             epoch: clock.epoch,
-            rehearsal: clock.rehearsal.as_ref().map(Rehearsal::from),
+            clock_fault: clock.faults.as_ref().map(ClockFault::from),
             clocksource: clock.clocksource.clone(),
         }
     }

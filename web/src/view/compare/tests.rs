@@ -26,7 +26,7 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
         deadline_s: None,
         misses: None,
         total: Some(samples::figures(0.016, 300)),
-        rehearsed: false,
+        has_clock_fault: false,
         pinned: false,
         nodes_from: 0,
         experiment: None,

@@ -7,8 +7,8 @@ use peernet_statistics::number::{bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
 
 use super::super::chip::Chip;
+use super::super::clock_fault::{self, FaultyClocks};
 use super::super::now::Cell;
-use super::super::rehearsal::{self, Rehearsed};
 use super::stats::ppm;
 use super::{CONTRADICTION, Subject, course, is_live, is_young, known, panels};
 use crate::zone::{Zone, ZonedTime};
@@ -23,7 +23,7 @@ pub(crate) struct LinkLine {
     pub meaning: &'static str,
     /// Time of the last report, for a link whose edge does not report now.
     pub away: Option<ZonedTime>,
-    pub rehearsal: Option<Chip>,
+    pub clock_fault: Option<Chip>,
     pub network: String,
     pub bound: Cell,
     pub offset: Cell,
@@ -49,18 +49,18 @@ fn cell(known: Option<String>, why: &str) -> Cell {
 impl LinkLine {
     /// Returns the first `limit` links of the live state.
     pub(crate) fn first(limit: usize, snapshot: &LiveState, zone: Zone) -> Vec<Self> {
-        let rehearsed = Rehearsed::of(snapshot);
-        snapshot.links.iter().take(limit).map(|link| Self::new(link, &rehearsed, zone)).collect()
+        let faulty = FaultyClocks::of(snapshot);
+        snapshot.links.iter().take(limit).map(|link| Self::new(link, &faulty, zone)).collect()
     }
 
-    fn new(link: &LinkSnapshot, rehearsed: &Rehearsed, zone: Zone) -> Self {
+    fn new(link: &LinkSnapshot, faulty: &FaultyClocks, zone: Zone) -> Self {
         let subject = Subject::live(link);
         let verdict = subject.verdict();
         let offset = subject.offset();
         let one_clock = subject.same_clock();
         let probes = course::sum(link.history.iter().map(|point| point.probes));
         let trips = link.history.iter().rev().find_map(|point| point.round_trip);
-        let rehearsed = rehearsed.concerns(&[&subject.edge, &subject.cloud]);
+        let faulty = faulty.concerns(&[&subject.edge, &subject.cloud]);
         let why = no_offset(&subject);
         let shown = |value: Option<String>| {
             if one_clock {
@@ -78,7 +78,7 @@ impl LinkLine {
                 (verdict, _) => verdict.map_or("", super::super::clocks::meaning),
             },
             away: (!link.connected).then(|| zone.moment(link.last_seen)),
-            rehearsal: rehearsed.then_some(rehearsal::CHIP),
+            clock_fault: faulty.then_some(clock_fault::CHIP),
             network: link.live.network().to_string(),
             bound: shown(subject.bound().map(bound_ms)),
             offset: shown(offset.and_then(known).map(|(estimate, half)| offset_ms(estimate, half))),

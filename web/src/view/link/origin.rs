@@ -126,7 +126,7 @@ const EXCLUDE: (&str, &str) = (
      exchanges hold whatever the clocks show, as long as neither host lies; a time daemon is wrong about its clock when \
      its servers are, or when the clock is not the one it keeps.",
     "see on both hosts what the time daemon follows (chronyc sources, chronyc tracking) and compare both with a third \
-     clock; look for a clock that a rehearsal, a container or libfaketime changes without its daemon's knowledge",
+     clock; look for a clock that clock fault injection, a container or libfaketime changes without its daemon's knowledge",
 );
 /// Explanation and advice for exchanges that contradict each other.
 const DOUBT: (&str, &str) = (

@@ -4,7 +4,7 @@ use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
 use peernet_stream::{HostClock, ProbeCounts, Probing};
 
-use super::super::{counted, rehearsal};
+use super::super::{clock_fault, counted};
 use super::course::Course;
 use super::{CONTRADICTION, Subject, known};
 
@@ -19,7 +19,7 @@ pub(crate) struct HostRow {
     pub text: String,
     pub claims: String,
     pub steps: String,
-    pub rehearsal: Option<String>,
+    pub clock_fault: Option<String>,
 }
 
 /// Returns the claim of a time daemon in words: `within ±0.42 ms of true time`, `+4,001.08 ms from true time, ±0.04 ms`.
@@ -61,7 +61,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
         text: clock.map_or_else(|| "has not told yet".to_owned(), discipline),
         claims: clock.map_or_else(|| NONE.to_owned(), claims),
         steps: clock.map_or_else(|| NONE.to_owned(), |clock| count(clock.epoch.into())),
-        rehearsal: clock.and_then(|clock| clock.rehearsal.as_ref()).map(rehearsal::words),
+        clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(clock_fault::words),
     };
     vec![
         row(&subject.edge, "edge", link.live.edge.as_ref()),

@@ -24,19 +24,19 @@ fn seconds(seconds: f64) -> Span {
 }
 
 /// Returns a host's report on its clock.
-pub(super) fn host_clock(rehearsed: bool, since: WallTime) -> HostClock {
+pub(super) fn host_clock(has_clock_fault: bool, since: WallTime) -> HostClock {
     let claim = Interval { lo: seconds(-0.0018), hi: seconds(0.0021) };
     HostClock {
         discipline: Some(Discipline { source: DelaySource::Chrony, error: claim }),
         text: "chrony, stratum 3, to ntp.plant".into(),
-        epoch: u32::from(rehearsed),
-        rehearsal: rehearsed.then(|| ClockFaults {
+        epoch: u32::from(has_clock_fault),
+        faults: has_clock_fault.then(|| ClockFaults {
             offset: Span::from_seconds(1),
             drift_ppm: 50.0,
             steps: Vec::new(),
             since,
         }),
-        clocksource: Some(if rehearsed { "kvm-clock" } else { "tsc" }.to_owned()),
+        clocksource: Some(if has_clock_fault { "kvm-clock" } else { "tsc" }.to_owned()),
     }
 }
 
@@ -210,7 +210,7 @@ pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
         Clocks::Shared => Probing::Off("both hosts read one clock: nothing to find out".into()),
         Clocks::Unrelated => Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: None },
     };
-    let clock = host_clock(line.rehearsed, now.at);
+    let clock = host_clock(line.has_clock_fault, now.at);
     LinkLive {
         peer: now.peer,
         peer_name: now.peer_name.clone(),

@@ -38,7 +38,7 @@ pub(crate) struct Line {
     /// Current run.
     pub(crate) run: Option<RunId>,
     /// `true` if a fault is injected into the camera's clock.
-    pub(crate) rehearsed: bool,
+    pub(crate) has_clock_fault: bool,
 }
 
 impl Line {
@@ -84,8 +84,8 @@ impl Line {
     }
 
     /// Returns `resized` on a camera with an injected clock fault.
-    pub(crate) fn rehearsed() -> Self {
-        Self { rehearsed: true, ..Self::resized() }
+    pub(crate) fn with_clock_fault() -> Self {
+        Self { has_clock_fault: true, ..Self::resized() }
     }
 
     /// Returns `resized` with both agents on one machine.
@@ -130,7 +130,7 @@ impl Line {
             answer: (412.0, 412.0),
             stages: stages.collect(),
             run: None,
-            rehearsed: false,
+            has_clock_fault: false,
         }
     }
 
@@ -173,8 +173,8 @@ impl Line {
     pub(crate) fn facts(&self) -> Vec<(String, String)> {
         let pairs =
             [("Sensor", "images, 1280 × 960"), ("Transforms", "resize to 320 × 240"), ("Load", "30 Hz")];
-        let rehearsal = self.rehearsed.then_some(("Rehearsal", "+1,000 ms, +50 ppm"));
-        pairs.into_iter().chain(rehearsal).map(|(name, value)| (name.to_owned(), value.to_owned())).collect()
+        let faults = self.has_clock_fault.then_some(("Clock fault", "+1,000 ms, +50 ppm"));
+        pairs.into_iter().chain(faults).map(|(name, value)| (name.to_owned(), value.to_owned())).collect()
     }
 
     /// Returns its configuration as in the file.

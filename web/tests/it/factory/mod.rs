@@ -342,8 +342,8 @@ impl Factory {
             let ago = sent.unix_seconds() - second;
             clocks::live(line, clocks::sample(line, rack, at, ago, &mut self.numbers))
         });
-        let rehearsed = self.lines.get(index).is_some_and(|line| line.rehearsed);
-        let clock = clocks::host_clock(rehearsed, sent);
+        let has_clock_fault = self.lines.get(index).is_some_and(|line| line.has_clock_fault);
+        let clock = clocks::host_clock(has_clock_fault, sent);
         let mut wobble = |size: f64| size * (1.0 + 0.1 * self.numbers.normal());
         let metrics = HostMetrics {
             cpu: Some(wobble(load).clamp(0.0, 1.0)),

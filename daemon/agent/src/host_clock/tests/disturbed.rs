@@ -5,43 +5,44 @@ use std::sync::Arc;
 use peernet_clock::{ClockIdentity, FaultyClock, SharedClock, Span, SteppedClock};
 
 use super::{system_clock, watched};
-use crate::config::{ClockConfig, RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
+use crate::config::{ClaimedDiscipline, ClockConfig, ClockFaultConfig, ClockFaultStepConfig};
 
 /// Returns the machine's clock with injected faults.
-fn rehearsed(config: &RehearsalConfig) -> SharedClock {
+fn faulty_clock(config: &ClockFaultConfig) -> SharedClock {
     let truth = system_clock();
     let description = config.description(truth.wall());
-    Arc::new(FaultyClock::new(truth, ClockIdentity::new("boot", "rehearsal"), description))
+    Arc::new(FaultyClock::new(truth, ClockIdentity::new("boot", "faulty"), description))
 }
 
 #[tokio::test]
-async fn step_is_published_with_its_rehearsal() {
-    let rehearsal = RehearsalConfig {
+async fn step_is_published_with_its_clock_fault() {
+    let faults = ClockFaultConfig {
         offset_ms: -1000.0,
-        steps: vec![RehearsedStepConfig { at_s: 0.3, by_ms: 3000.0, clock: SteppedClock::Wall }],
-        ..RehearsalConfig::default()
+        steps: vec![ClockFaultStepConfig { at_s: 0.3, by_ms: 3000.0, clock: SteppedClock::Wall }],
+        ..ClockFaultConfig::default()
     };
-    let clock = rehearsed(&rehearsal);
-    let (mut published, _running) = watched(ClockConfig::default(), Some(rehearsal), &clock);
-    let first = published.wait_for(|known| known.rehearsal.is_some()).await.expect("the task runs").clone();
-    assert_eq!(first.rehearsal.as_ref(), clock.injected_faults());
+    let clock = faulty_clock(&faults);
+    let (mut published, _running) = watched(ClockConfig::default(), Some(faults), &clock);
+    let first = published.wait_for(|known| known.faults.is_some()).await.expect("the task runs").clone();
+    assert_eq!(first.faults.as_ref(), clock.injected_faults());
     let epoch = first.epoch;
     let after = published.wait_for(|known| known.epoch > epoch).await.expect("the task runs").clone();
     assert_eq!(after.discipline, None);
 }
 
 #[tokio::test]
-async fn rehearsed_host_claims_nothing_or_exact_error() {
-    let silent = RehearsalConfig { offset_ms: 1000.0, ..RehearsalConfig::default() };
-    let clock = rehearsed(&silent);
+async fn host_with_clock_fault_claims_nothing_or_exact_error() {
+    let silent = ClockFaultConfig { offset_ms: 1000.0, ..ClockFaultConfig::default() };
+    let clock = faulty_clock(&silent);
     let (mut published, _running) = watched(ClockConfig::default(), Some(silent.clone()), &clock);
-    let known = published.wait_for(|known| known.text.starts_with("rehearsed")).await.expect("the task runs");
-    assert_eq!((known.discipline, known.text.as_str()), (None, "rehearsed, claims nothing"));
+    let known =
+        published.wait_for(|known| known.text.starts_with("clock fault")).await.expect("the task runs");
+    assert_eq!((known.discipline, known.text.as_str()), (None, "clock fault injection, claims nothing"));
     drop(known);
 
-    let exact = RehearsalConfig { drift_ppm: -50.0, discipline: RehearsedDiscipline::Exact, ..silent };
-    let clock = rehearsed(&exact);
-    let description = clock.injected_faults().expect("it is rehearsed").clone();
+    let exact = ClockFaultConfig { drift_ppm: -50.0, discipline: ClaimedDiscipline::Exact, ..silent };
+    let clock = faulty_clock(&exact);
+    let description = clock.injected_faults().expect("it has faults").clone();
     let (mut published, _running) = watched(ClockConfig::default(), Some(exact), &clock);
     let known = published.wait_for(|known| known.discipline.is_some()).await.expect("the task runs").clone();
     let error = known.discipline.expect("it was waited for").error;

@@ -12,7 +12,7 @@ use tokio::sync::watch;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use super::{initial_state, run};
-use crate::config::{ClockConfig, HostConfig, RehearsalConfig};
+use crate::config::{ClockConfig, ClockFaultConfig, HostConfig};
 use crate::incidents::Incidents;
 
 fn system_clock() -> SharedClock {
@@ -22,7 +22,7 @@ fn system_clock() -> SharedClock {
 /// Starts the task, which runs until the guard is dropped.
 fn watched(
     config: ClockConfig,
-    rehearsal: Option<RehearsalConfig>,
+    faults: Option<ClockFaultConfig>,
     clock: &SharedClock,
 ) -> (watch::Receiver<PeerClock>, DropGuard) {
     let (event_queue, _) = crate::event_queue::create(
@@ -33,6 +33,6 @@ fn watched(
     let incidents = Incidents::new(Arc::clone(clock), event_queue);
     let (publish, published) = watch::channel(initial_state(clock));
     let stop = CancellationToken::new();
-    tokio::spawn(run(config, rehearsal, Arc::clone(clock), incidents, publish, stop.clone()));
+    tokio::spawn(run(config, faults, Arc::clone(clock), incidents, publish, stop.clone()));
     (published, stop.drop_guard())
 }

@@ -3,7 +3,7 @@
 use peernet_clock::{ClockFaults, DelaySource, Span, Verdict};
 
 use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line, transit, truth, wrong};
-use crate::harness::{Aggregator, TestAgent, assert_adds_up, clock, config, rehearsed, value};
+use crate::harness::{Aggregator, TestAgent, assert_adds_up, clock, config, faulty_clock, value};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_delay_is_bounded_from_first_exchange_on() {
@@ -71,7 +71,7 @@ async fn wrong_clock_does_not_change_delays() {
     let right = |name| async move { (None, clock(name)) };
     let ahead = wrong(Span::from_seconds(1), 40.0);
     let behind = wrong(Span::from_seconds(-1), -40.0);
-    let wrong = |name: &'static str, how: &ClockFaults| (Some(how.clone()), rehearsed(name, how.clone()));
+    let wrong = |name: &'static str, how: &ClockFaults| (Some(how.clone()), faulty_clock(name, how.clone()));
     for ((edge_wrong, edge_clock), (cloud_wrong, cloud_clock)) in
         [(right("edge").await, wrong("cloud", &ahead)), (wrong("edge", &behind), right("cloud").await)]
     {
@@ -101,7 +101,7 @@ async fn wrong_clock_does_not_change_delays() {
         } else {
             (None, Some("offset +1000 ms, drift +40 ppm"))
         };
-        assert_eq!((fact("Rehearsal"), fact("Rehearsal of cloud")), expected);
+        assert_eq!((fact("Clock fault"), fact("Clock fault of cloud")), expected);
         edge.stop().await.expect("stops well");
         cloud.stop().await.expect("stops well");
     }

@@ -29,7 +29,7 @@ pub(crate) fn clock(name: &str) -> SharedClock {
 }
 
 /// Returns this machine's clock under another name, with injected faults.
-pub(crate) fn rehearsed(name: &str, wrong: ClockFaults) -> SharedClock {
+pub(crate) fn faulty_clock(name: &str, wrong: ClockFaults) -> SharedClock {
     let system = clock(name);
     let identity = system.identity().clone();
     Arc::new(FaultyClock::new(system, identity, wrong))

@@ -4,7 +4,7 @@ mod agent;
 mod aggregator;
 mod switchable_clock;
 
-pub(crate) use agent::{State, TestAgent, clock, config, rehearsed};
+pub(crate) use agent::{State, TestAgent, clock, config, faulty_clock};
 pub(crate) use aggregator::{Aggregator, AggregatorBehaviour, ReceivedEvents};
 pub(crate) use switchable_clock::SwitchableClock;
 

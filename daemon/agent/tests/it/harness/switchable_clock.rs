@@ -10,24 +10,24 @@ use peernet_clock::{
 #[derive(Debug)]
 pub(crate) struct SwitchableClock {
     right: SharedClock,
-    rehearsed: OnceLock<FaultyClock>,
+    faulty_clock: OnceLock<FaultyClock>,
 }
 
 impl SwitchableClock {
     pub(crate) fn new(right: SharedClock) -> Self {
-        Self { right, rehearsed: OnceLock::new() }
+        Self { right, faulty_clock: OnceLock::new() }
     }
 
     /// Makes the clock wrong from now on.
     pub(crate) fn go_wrong(&self, how: ClockFaults) {
         let identity = self.right.identity().clone();
         let wrong = FaultyClock::new(SharedClock::clone(&self.right), identity, how);
-        self.rehearsed.set(wrong).expect("once");
+        self.faulty_clock.set(wrong).expect("once");
     }
 
     fn now(&self) -> &dyn Clock {
-        match self.rehearsed.get() {
-            Some(rehearsed) => rehearsed,
+        match self.faulty_clock.get() {
+            Some(faulty_clock) => faulty_clock,
             None => &*self.right,
         }
     }

@@ -135,7 +135,7 @@ fn excess_links_and_texts_are_cut_and_counted() {
     let steps = vec![ClockFaultStep::wall_step(Span::ZERO, Span::ZERO); 1_000];
     let clock = HostClock {
         text: long.clone(),
-        rehearsal: Some(ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),
+        faults: Some(ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),
         ..HostClock::default()
     };
     let greedy = &mut links[0];

@@ -26,11 +26,11 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     }
     all.push(judge_missing_events(counts, missing));
     all.extend(judge_end(input));
-    if input.rehearsed {
+    if input.has_clock_fault {
         let text = "Clock fault injection made the clock of a host wrong on purpose.";
         all.push(with_advice(
-            finding("rehearsal", Grade::Bad, text),
-            "remove `[rehearsal]` from the configuration",
+            finding("clock fault", Grade::Bad, text),
+            "remove `[clock_fault]` from the configuration",
         ));
     }
     all

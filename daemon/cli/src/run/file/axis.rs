@@ -18,7 +18,7 @@ const VARIABLE_TABLES: [&str; 10] = [
     "agent",
     "clock",
     "probes",
-    "rehearsal",
+    "clock_fault",
     "onnxruntime",
 ];
 /// Keys of `[experiment]` that may differ between configurations.

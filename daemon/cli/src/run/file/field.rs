@@ -4,6 +4,8 @@ use std::fmt;
 
 use toml::{Table, Value};
 
+use crate::renamed_tables::current_name;
+
 /// Path of a field.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::run) struct Field(Vec<Step>);
@@ -42,6 +44,7 @@ impl Field {
             if key.is_empty() || key.contains(char::is_control) {
                 return Err(FieldError::Path(text.to_owned()));
             }
+            let key = if steps.is_empty() { current_name(key) } else { key };
             steps.push(Step::Key(key.to_owned()));
             for index in indices.split_terminator(']') {
                 let number = index.strip_prefix('[').and_then(|number| number.parse().ok());

@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
 use crate::expected::describe_error;
+use crate::renamed_tables::rename_tables;
 use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_analysis::record::NetworkConfig;
@@ -32,7 +33,7 @@ use matrix::MatrixError;
 /// Tables of the file besides those of an agent.
 const EXPERIMENT_TABLES: [&str; 4] = ["experiment", "network", "pipeline", "axis"];
 /// Tables of an agent's configuration that an experiment may contain.
-const AGENT: [&str; 8] = ["agent", "spool", "clock", "probes", "rehearsal", "model", "bank", "onnxruntime"];
+const AGENT: [&str; 8] = ["agent", "spool", "clock", "probes", "clock_fault", "model", "bank", "onnxruntime"];
 
 /// An experiment's file.
 pub(super) struct File {
@@ -93,6 +94,7 @@ impl File {
             Failure::new(Exit::Configuration, anyhow!("{}: {error}", path.display()))
         };
         let mut document: Table = text.parse().map_err(|error: toml::de::Error| at(&error))?;
+        rename_tables(&mut document).map_err(|error| at(&error))?;
         let usage = |error| Failure::new(Exit::Usage, anyhow!("--set: {error}"));
         sets.iter().try_for_each(|set| set.apply(&mut document)).map_err(usage)?;
         let file = Self::parse(document, path).map_err(|error| at(&error))?;

@@ -184,13 +184,13 @@ fn prompt_without_line_end_is_shown_immediately() {
 }
 
 #[test]
-fn control_characters_of_program_are_replaced() {
+fn control_characters_of_program_are_replaced_or_escaped() {
     let script =
         "read -r line; printf 'error \\033[31mred\\n'; read -r line; printf '\\033[31mred\\n' >&2; exit 3";
     let mut program = start(Role::Sensor, script, PATIENT);
-    for what in ["says", "ended"] {
+    for (what, shown) in [("says", " [31mred"), ("ended", r"\u{1b}[31mred")] {
         let error = program.call(Request::Next).expect_err("an error").to_string();
-        assert!(error.contains(what) && error.contains(" [31mred") && !error.contains('\x1b'), "{error:?}");
+        assert!(error.contains(what) && error.contains(shown) && !error.contains('\x1b'), "{error:?}");
     }
 }
 

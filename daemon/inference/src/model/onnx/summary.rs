@@ -73,7 +73,8 @@ pub(crate) fn hash_card(folder: &Path) -> Result<String, LoadError> {
 }
 
 fn open(file: &Path) -> Result<File, LoadError> {
-    regular_file::open(file).map_err(|error| LoadError::File { file: file.to_owned(), reason: error.to_string() })
+    regular_file::open(file)
+        .map_err(|error| LoadError::File { file: file.to_owned(), reason: error.to_string() })
 }
 
 impl Card {

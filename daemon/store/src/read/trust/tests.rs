@@ -36,7 +36,7 @@ fn summary(reason: &str) -> RunSummary {
         deadline_s: None,
         misses: None,
         total: None,
-        rehearsed: false,
+        has_clock_fault: false,
         pinned: false,
         nodes_from: 0,
         experiment: None,

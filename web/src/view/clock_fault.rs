@@ -9,7 +9,7 @@ use peernet_statistics::number::{SPACE, fixed};
 use super::chip::{Chip, Tone};
 
 /// Chip of a host with an injected clock fault, and of its measurements.
-pub(crate) const CHIP: Chip = Chip::new(Tone::Warn, "rehearsal", "rehearsal");
+pub(crate) const CHIP: Chip = Chip::new(Tone::Warn, "clock-fault", "clock fault");
 
 fn signed(value: f64, decimals: usize) -> String {
     let text = fixed(value, decimals);
@@ -41,19 +41,18 @@ pub(crate) fn words(description: &ClockFaults) -> String {
 
 /// Hosts with an injected clock fault, by name, with the fault in words.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Rehearsed(BTreeMap<String, String>);
+pub(crate) struct FaultyClocks(BTreeMap<String, String>);
 
-impl Rehearsed {
+impl FaultyClocks {
     /// Collects the clock faults of the hosts in the live state.
     pub(crate) fn of(snapshot: &LiveState) -> Self {
         let connected = snapshot.hosts.iter().filter(|host| host.connected);
-        let told = connected.filter_map(|host| {
-            Some((host.description.name.to_string(), words(host.clock.rehearsal.as_ref()?)))
-        });
+        let told = connected
+            .filter_map(|host| Some((host.description.name.to_string(), words(host.clock.faults.as_ref()?))));
         // A cloud may report to another aggregator: its edges report its clock.
         let links = snapshot.links.iter().filter(|link| link.connected);
         let heard = links.filter_map(|link| {
-            Some((link.live.peer_name.to_string(), words(link.live.cloud.as_ref()?.rehearsal.as_ref()?)))
+            Some((link.live.peer_name.to_string(), words(link.live.cloud.as_ref()?.faults.as_ref()?)))
         });
         Self(heard.chain(told).collect())
     }
@@ -61,12 +60,14 @@ impl Rehearsed {
     /// Returns the sentences of the banner on every page, one per host.
     pub(crate) fn banner(&self) -> Vec<String> {
         let sentence = |(name, how): (&String, &String)| {
-            format!("Rehearsal: {name}'s clock is made wrong on purpose ({how}). Its delays should not move.")
+            format!(
+                "Clock fault injection: {name}'s clock is made wrong on purpose ({how}). Its delays should not move."
+            )
         };
         self.0.iter().map(sentence).collect()
     }
 
-    /// Returns whether a host of one of these names is rehearsed.
+    /// Returns whether a host of one of these names has a clock fault.
     pub(crate) fn concerns(&self, names: &[&str]) -> bool {
         names.iter().any(|name| self.0.contains_key(*name))
     }
@@ -78,16 +79,16 @@ mod tests {
 
     use super::*;
 
-    fn rehearsal(offset: Span, drift_ppm: f64, steps: Vec<ClockFaultStep>) -> ClockFaults {
+    fn clock_fault(offset: Span, drift_ppm: f64, steps: Vec<ClockFaultStep>) -> ClockFaults {
         ClockFaults { offset, drift_ppm, steps, since: WallTime::from_unix_nanos(0) }
     }
 
     #[test]
     fn how_a_clock_is_wrong_is_said_with_signs() {
-        let plain = rehearsal(Span::from_seconds(1), 50.0, Vec::new());
+        let plain = clock_fault(Span::from_seconds(1), 50.0, Vec::new());
         assert_eq!(words(&plain), "+1,000\u{202f}ms, +50\u{202f}ppm");
         let step = ClockFaultStep::wall_step(Span::from_seconds(60), Span::from_seconds(3));
-        let stepped = rehearsal(Span::from_micros(-1_500), -12.5, vec![step]);
+        let stepped = clock_fault(Span::from_micros(-1_500), -12.5, vec![step]);
         assert_eq!(
             words(&stepped),
             "\u{2212}1.50\u{202f}ms, \u{2212}12.5\u{202f}ppm, a step of +3,000\u{202f}ms after 1\u{202f}min"

@@ -26,12 +26,13 @@ struct LinkNow {
 
 #[derive(Debug, Deserialize)]
 pub(super) struct Clock {
-    rehearsal: Option<Rehearsal>,
+    #[serde(rename = "rehearsal")]
+    faults: Option<ClockFault>,
 }
 
 /// Artificial error of a clock.
 #[derive(Clone, Debug, Deserialize)]
-pub(super) struct Rehearsal {
+pub(super) struct ClockFault {
     offset_s: f64,
     drift_ppm: f64,
     steps: Vec<Step>,
@@ -44,10 +45,10 @@ struct Step {
 }
 
 /// Hosts whose clock has an artificial error at present.
-pub(super) type Rehearsed = BTreeMap<String, Rehearsal>;
+pub(super) type FaultyClocks = BTreeMap<String, ClockFault>;
 
 /// Collects them from the hosts' own reports, or from those of an edge: a cloud may report to another aggregator.
-pub(super) fn rehearsed(hosts: &[Host], links: &[Link]) -> Rehearsed {
+pub(super) fn faulty_clocks(hosts: &[Host], links: &[Link]) -> FaultyClocks {
     let own_reports =
         hosts.iter().filter(|host| host.connected).map(|host| (&host.name, host.clock.as_ref()));
     let links = links.iter().filter(|link| link.connected);
@@ -55,11 +56,11 @@ pub(super) fn rehearsed(hosts: &[Host], links: &[Link]) -> Rehearsed {
         links.map(|link| (&link.cloud, link.now.as_ref().and_then(|now| now.cloud_clock.as_ref())));
     edge_reports
         .chain(own_reports)
-        .filter_map(|(name, clock)| Some((name.clone(), clock?.rehearsal.clone()?)))
+        .filter_map(|(name, clock)| Some((name.clone(), clock?.faults.clone()?)))
         .collect()
 }
 
-impl fmt::Display for Rehearsal {
+impl fmt::Display for ClockFault {
     /// Writes it as in a run's facts: `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         // Nanoseconds converted to seconds and back are not exact in binary.
@@ -77,6 +78,6 @@ impl fmt::Display for Rehearsal {
 }
 
 /// Marks a state if the clock of one of the hosts has an artificial error.
-pub(super) fn with_rehearsal_mark(state: &str, is_rehearsed: bool) -> String {
-    if is_rehearsed { format!("{state}, rehearsed") } else { state.to_owned() }
+pub(super) fn with_clock_fault_mark(state: &str, is_faulty: bool) -> String {
+    if is_faulty { format!("{state}, clock fault") } else { state.to_owned() }
 }

@@ -1,12 +1,12 @@
-//! The table `[rehearsal]`: clock fault injection.
+//! The table `[clock_fault]`: clock fault injection.
 
 use peernet_clock::{ClockFaultStep, ClockFaults, Span, SteppedClock, WallTime};
 use serde::{Deserialize, Serialize};
 
-/// `[rehearsal]`: clock faults on purpose, to check that they do not change the reported delays.
+/// `[clock_fault]`: clock faults on purpose, to check that they do not change the reported delays.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct RehearsalConfig {
+pub struct ClockFaultConfig {
     /// Offset of the clock from true time, from the start on; milliseconds, at most 1e10 in either direction (four
     /// months). Default: 0.
     pub offset_ms: f64,
@@ -14,15 +14,15 @@ pub struct RehearsalConfig {
     pub drift_ppm: f64,
     /// Steps in chronological order. Default: none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub steps: Vec<RehearsedStepConfig>,
+    pub steps: Vec<ClockFaultStepConfig>,
     /// Claim of the host about its clock. Default: `none`.
-    pub discipline: RehearsedDiscipline,
+    pub discipline: ClaimedDiscipline,
 }
 
 /// `steps = [{ at_s = …, by_ms = …, clock = … }]`: one step of a clock.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RehearsedStepConfig {
+pub struct ClockFaultStepConfig {
     /// Time of the step in seconds after the start of the agent.
     pub at_s: f64,
     /// Size of the step in milliseconds; positive is forward.
@@ -36,7 +36,7 @@ pub struct RehearsedStepConfig {
 /// Claim of a host with clock faults about its clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum RehearsedDiscipline {
+pub enum ClaimedDiscipline {
     /// No claim, like a host without a time daemon.
     #[default]
     None,
@@ -46,10 +46,10 @@ pub enum RehearsedDiscipline {
     Unaware,
 }
 
-impl RehearsalConfig {
+impl ClockFaultConfig {
     /// Returns the faults of a clock that are injected from the true time `since` on.
     pub fn description(&self, since: WallTime) -> ClockFaults {
-        let step = |step: &RehearsedStepConfig| ClockFaultStep {
+        let step = |step: &ClockFaultStepConfig| ClockFaultStep {
             at: Span::from_seconds_f64(step.at_s),
             by: milliseconds(step.by_ms),
             clock: step.clock,
@@ -72,10 +72,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rehearsal_is_described_in_figures() {
-        let config: RehearsalConfig =
+    fn clock_fault_config_becomes_clock_faults() {
+        let config: ClockFaultConfig =
             toml::from_str("offset_ms = 1000\ndrift_ppm = -50.5\nsteps = [{ at_s = 20, by_ms = -3000 }]")
-                .expect("it is a table of [rehearsal]");
+                .expect("it is a table of [clock_fault]");
 
         let since = WallTime::from_unix_nanos(7);
         let description = config.description(since);

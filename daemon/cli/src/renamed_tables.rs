@@ -1,0 +1,80 @@
+//! Tables of configuration files that were renamed. The former name of a table is read for one release.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use toml::Table;
+
+use crate::output::complain;
+
+/// A table of a configuration file that was renamed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RenamedTable {
+    /// Name in earlier versions.
+    pub former: &'static str,
+    /// Name in this version.
+    pub current: &'static str,
+    /// Version that no longer reads the former name.
+    removed_in: &'static str,
+}
+
+/// The renamed tables whose former names are still read.
+pub const RENAMED_TABLES: [RenamedTable; 1] =
+    [RenamedTable { former: "rehearsal", current: "clock_fault", removed_in: "0.4.0" }];
+
+/// A document that has one table under its former and under its present name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{former}: the table [{current}] is here as well, under its present name: remove [{former}]", former = .0.former, current = .0.current)]
+pub struct BothNames(RenamedTable);
+
+impl RenamedTable {
+    /// Returns the deprecation line.
+    #[must_use]
+    pub fn deprecation(&self) -> String {
+        let Self { former, current, removed_in } = self;
+        format!(
+            "the table [{former}] is now called [{current}]: rename it; version {removed_in} will not read the former name"
+        )
+    }
+}
+
+/// Returns the present name of a table. The first former name in a process prints a deprecation line.
+pub(crate) fn current_name(table: &str) -> &str {
+    static IS_ANNOUNCED: AtomicBool = AtomicBool::new(false);
+    let Some(renamed) = RENAMED_TABLES.iter().find(|renamed| renamed.former == table) else { return table };
+    if !IS_ANNOUNCED.swap(true, Ordering::Relaxed) {
+        complain(format_args!("deprecated: {}", renamed.deprecation()));
+    }
+    renamed.current
+}
+
+/// Gives the tables of a document their present names.
+///
+/// # Errors
+/// If a table is there under both names.
+pub(crate) fn rename_tables(document: &mut Table) -> Result<(), BothNames> {
+    for renamed in RENAMED_TABLES {
+        let Some(table) = document.remove(renamed.former) else { continue };
+        if document.contains_key(renamed.current) {
+            return Err(BothNames(renamed));
+        }
+        document.insert(current_name(renamed.former).to_owned(), table);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn former_table_is_read_under_its_present_name() {
+        let mut document: Table = "[rehearsal]\noffset_ms = 5\n[clock]\n".parse().expect("toml");
+        assert_eq!(rename_tables(&mut document), Ok(()));
+        assert_eq!(document.keys().collect::<Vec<_>>(), ["clock", "clock_fault"]);
+        assert_eq!((current_name("rehearsal"), current_name("clock")), ("clock_fault", "clock"));
+
+        let mut both: Table = "[rehearsal]\n[clock_fault]\n".parse().expect("toml");
+        let error = rename_tables(&mut both).expect_err("the table is there twice");
+        assert!(error.to_string().starts_with("rehearsal: the table [clock_fault] is here"), "{error}");
+    }
+}

@@ -1,0 +1,103 @@
+//! Limit of the log lines of one process.
+
+use std::time::Duration;
+
+use peernet_clock::{MonoTime, Span};
+
+/// Length of the period to which the limits apply.
+const PERIOD: Span = Span::from_millis(10_000);
+/// Largest number of lines in one period.
+const MAX_LINES: u64 = 200;
+/// Largest number of bytes in one period.
+const MAX_BYTES: u64 = 32 << 10;
+
+/// Limit of the lines and bytes that one process writes to the log in each period. A program that prints in a loop would
+/// otherwise fill the disk with its log, and hide the lines of all other parts.
+#[derive(Debug, Default)]
+pub(super) struct LogLimit {
+    /// End of the current period; `None` before the first line.
+    until: Option<MonoTime>,
+    logged: Volume,
+    omitted: Volume,
+}
+
+/// Number of lines and of their bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Volume {
+    pub(super) lines: u64,
+    pub(super) bytes: u64,
+}
+
+impl Volume {
+    fn add(&mut self, line: &str) {
+        self.lines += 1;
+        self.bytes += line.len() as u64;
+    }
+}
+
+impl LogLimit {
+    /// Returns whether a line may be logged at `now`, and counts it.
+    pub(super) fn admit(&mut self, line: &str, now: MonoTime) -> bool {
+        if self.until.is_none_or(|until| until <= now) {
+            self.until = Some(now + PERIOD);
+            self.logged = Volume::default();
+        }
+        let is_admitted = self.logged.lines < MAX_LINES && self.logged.bytes < MAX_BYTES;
+        if is_admitted {
+            self.logged.add(line)
+        } else {
+            self.omitted.add(line)
+        }
+        is_admitted
+    }
+
+    /// Returns the time until the end of the period, if lines were left out in it.
+    pub(super) fn time_to_report(&self, now: MonoTime) -> Option<Duration> {
+        let until = self.until.filter(|_| self.omitted.lines > 0)?;
+        Some((until - now).to_duration())
+    }
+
+    /// Returns the lines that were left out since the last report, if there are any and the period has ended.
+    pub(super) fn report(&mut self, now: MonoTime) -> Option<Volume> {
+        self.until.is_some_and(|until| until <= now).then(|| self.report_rest()).flatten()
+    }
+
+    /// Returns the lines that were left out since the last report, if there are any.
+    pub(super) fn report_rest(&mut self) -> Option<Volume> {
+        let omitted = std::mem::take(&mut self.omitted);
+        (omitted.lines > 0).then_some(omitted)
+    }
+
+    /// Returns the limits in words.
+    pub(super) fn in_words() -> String {
+        format!("at most {MAX_LINES} lines and {} KiB are logged in {} s", MAX_BYTES >> 10, PERIOD.seconds())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: i64) -> MonoTime {
+        MonoTime::from_nanos(0) + Span::from_seconds(seconds)
+    }
+
+    #[test]
+    fn lines_beyond_the_limit_are_counted_and_reported_once() {
+        let mut limit = LogLimit::default();
+        let logged = (0..1_000).filter(|_| limit.admit("four", at(0))).count() as u64;
+        assert_eq!(logged, MAX_LINES);
+        assert_eq!((limit.report(at(9)), limit.time_to_report(at(9))), (None, Some(Duration::from_secs(1))));
+        let omitted = Volume { lines: 1_000 - MAX_LINES, bytes: 4 * (1_000 - MAX_LINES) };
+        assert_eq!((limit.report(at(10)), limit.report(at(10))), (Some(omitted), None));
+        assert!(limit.admit("again", at(10)) && limit.time_to_report(at(10)).is_none());
+    }
+
+    #[test]
+    fn long_lines_reach_the_limit_of_bytes() {
+        let mut limit = LogLimit::default();
+        let line = "x".repeat(4_096);
+        assert_eq!((0..100).filter(|_| limit.admit(&line, at(0))).count(), 8);
+        assert_eq!(limit.report_rest(), Some(Volume { lines: 92, bytes: 92 * 4_096 }));
+    }
+}

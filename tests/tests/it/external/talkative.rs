@@ -1,0 +1,58 @@
+//! Test of a program that prints much, with control characters: the log stays short and readable.
+
+use peernet_tests::LoopbackDeployment;
+
+/// Lines that the program prints with its first answer.
+const PRINTED: u64 = 100_000;
+
+const MODEL: &str = r#"#!/bin/sh
+printf '\033[31mred\033[0m\a\377 \rprogress 10 %%\rprogress 100 %%\n' >&2
+while read -r word bytes media shape source; do
+    head -c "$bytes" > /dev/null
+    [ -e printed ] || seq -f 'line %.0f of a loop that prints too much' 100000 >&2
+    touch printed
+    echo "answer 2"; printf ok
+done
+"#;
+
+const EDGE: &str = r#"
+[[model]]
+name = "talkative"
+kind = "exec"
+command = "sh talkative.sh"
+folder = "{folder}"
+
+[[pipeline]]
+name = "line"
+sensor = { kind = "text", length = 20 }
+placement = { kind = "local", model = "talkative" }
+timeout_ms = 60000
+warm_up = { iterations = 0 }
+limit = { total = 20 }
+"#;
+
+#[test]
+fn endless_output_is_limited_and_escaped_in_log() {
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.start_aggregator();
+    deployment.write("talkative.sh", MODEL);
+    let edge = deployment.start_agent("edge", EDGE);
+    let run = api.wait_for_finished_run();
+    let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
+    assert_eq!(counts["ok"].as_u64(), Some(20), "{counts}");
+
+    let ended = edge.stop();
+    assert_eq!(ended.code(), 0);
+    let printed = |line: &&str| line.contains("line ") && line.contains("of a loop that prints too much");
+    let logged = ended.log.lines().filter(printed).count() as u64;
+    assert!((1..1_000).contains(&logged) && ended.log.len() < 200_000, "{logged} of {PRINTED} lines");
+    let omitted = ended.log.lines().filter_map(|line| {
+        let (count, _) = line.split_once("left out ")?.1.split_once(" lines (")?;
+        count.parse::<u64>().ok()
+    });
+    assert_eq!(logged + omitted.sum::<u64>(), PRINTED, "{}", ended.log);
+    assert!(!ended.log.contains(|char: char| char.is_control() && char != '\n'), "{:?}", ended.log);
+    for part in [r"\u{1b}[31mred\u{1b}[0m\u{7}\xff", "progress 10 %", "progress 100 %", "PEERNET_LOG="] {
+        assert!(ended.log.contains(part), "{part} is missing in {}", ended.log);
+    }
+}
