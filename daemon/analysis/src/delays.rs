@@ -3,36 +3,6 @@
 use peernet_clock::{Span, Verdict};
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 
-/// Reciprocal of the share of delays that need a verdict, or a worse one, for the verdict to apply to all of them.
-const WORST_OF: u64 = 20;
-
-/// Returns a rank of the verdict; the largest is the worst.
-pub const fn severity_rank(verdict: Verdict) -> u8 {
-    match verdict {
-        Verdict::Ok => 0,
-        Verdict::Limited => 1,
-        Verdict::Stale => 2,
-        Verdict::Stepped => 3,
-        Verdict::Inconsistent => 4,
-        Verdict::Unsynchronised => 5,
-    }
-}
-
-/// Returns the verdict on many delays from the number of delays by verdict: the worst verdict for which at least a twentieth of the delays
-/// have it or a worse one. `None` without delays.
-pub fn prevailing_verdict(verdicts: &[(Verdict, u64)]) -> Option<Verdict> {
-    let all: u64 = verdicts.iter().map(|(_, count)| count).sum();
-    let mut by_severity: Vec<(Verdict, u64)> =
-        verdicts.iter().copied().filter(|(_, count)| *count > 0).collect();
-    by_severity.sort_by_key(|(verdict, _)| std::cmp::Reverse(severity_rank(*verdict)));
-    let mut worse = 0;
-    let found = by_severity.into_iter().find(|(_, count)| {
-        worse += count;
-        worse * WORST_OF >= all
-    });
-    found.map(|(verdict, _)| verdict)
-}
-
 /// Sum of the one-way delays of one direction over several seconds.
 #[derive(Clone, Debug, Default)]
 pub struct DelaySum {
@@ -77,7 +47,7 @@ impl DelaySum {
 
     /// Returns the verdict on all delays; `None` if none was judged.
     pub fn verdict(&self) -> Option<Verdict> {
-        prevailing_verdict(&self.verdicts)
+        Verdict::prevailing(self.verdicts.iter().copied())
     }
 
     /// Returns all seconds as one; `None` if no delay was judged.
@@ -135,17 +105,6 @@ mod tests {
             [second(9, Some(-2), Verdict::Ok), second(1, None, Verdict::Ok)].iter().collect();
         assert_eq!(negative.second().expect("judged").median, None);
         assert_eq!(DelaySum::default().second(), None);
-    }
-
-    #[test]
-    fn verdict_of_many_ignores_few_bad_ones() {
-        let of = |bad: u64| prevailing_verdict(&[(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
-        assert_eq!(
-            (of(4), of(5), prevailing_verdict(&[])),
-            (Some(Verdict::Ok), Some(Verdict::Stepped), None)
-        );
-        let together = [(Verdict::Ok, 94), (Verdict::Stale, 3), (Verdict::Inconsistent, 3)];
-        assert_eq!(prevailing_verdict(&together), Some(Verdict::Stale), "stale or worse");
     }
 
     #[test]

@@ -68,6 +68,9 @@ pub enum DelaySource {
     None,
 }
 
+/// Reciprocal of the share of delays that need a verdict, or a worse one, for it to be the verdict on all of them.
+const MIN_SHARE_RECIPROCAL: u64 = 20;
+
 /// Degree to which a delay can be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -84,6 +87,35 @@ pub enum Verdict {
     Stepped,
     /// Two sources exclude each other, or exchanges contradict each other. There is neither a value nor an interval.
     Inconsistent,
+}
+
+impl Verdict {
+    /// Returns the rank of the verdict: 0 for the best one.
+    pub const fn severity(self) -> u8 {
+        match self {
+            Self::Ok => 0,
+            Self::Limited => 1,
+            Self::Stale => 2,
+            Self::Stepped => 3,
+            Self::Inconsistent => 4,
+            Self::Unsynchronised => 5,
+        }
+    }
+
+    /// Returns the verdict on many delays from the number of delays by verdict: the worst verdict for which at least a
+    /// twentieth of the delays have it or a worse one. `None` without delays.
+    // A few bad delays must not hide that all others are good, and many must not be hidden by the others.
+    pub fn prevailing(counts: impl IntoIterator<Item = (Self, u64)>) -> Option<Self> {
+        let mut counts: Vec<(Self, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();
+        let total: u64 = counts.iter().map(|(_, count)| count).sum();
+        counts.sort_by_key(|(verdict, _)| std::cmp::Reverse(verdict.severity()));
+        let mut worse = 0_u64;
+        let found = counts.into_iter().find(|(_, count)| {
+            worse += count;
+            worse.saturating_mul(MIN_SHARE_RECIPROCAL) >= total
+        });
+        found.map(|(verdict, _)| verdict)
+    }
 }
 
 macro_rules! names {
@@ -179,6 +211,17 @@ impl OneWayDelay {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn verdict_of_many_ignores_few_bad_ones() {
+        let of = |bad: u64| Verdict::prevailing([(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
+        assert_eq!(
+            (of(4), of(5), Verdict::prevailing([])),
+            (Some(Verdict::Ok), Some(Verdict::Stepped), None)
+        );
+        let together = [(Verdict::Ok, 94), (Verdict::Stale, 3), (Verdict::Inconsistent, 3)];
+        assert_eq!(Verdict::prevailing(together), Some(Verdict::Stale), "stale or worse");
+    }
 
     #[test]
     fn negative_difference_is_not_a_delay() {

@@ -57,12 +57,15 @@ impl RowParser {
         let ends_with_line = ends_with_line(&mut file)?;
         let mut reader = csv::Reader::from_reader(file);
         let kind = |name: &str| FIXED_COLUMNS.iter().find(|(fixed, _)| *fixed == name).map(|(_, kind)| *kind);
-        let cells = |name: &str| ColumnParser {
-            name: column(name.trim()),
-            kind: kind(name.trim()),
-            stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name.trim()),
-            place: None,
-            wanted: wanted(name.trim()),
+        let cells = |name: &str| {
+            let name = without_value_suffix(name.trim());
+            ColumnParser {
+                name: column(name),
+                kind: kind(name),
+                stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name),
+                place: None,
+                wanted: wanted(name),
+            }
         };
         let columns: Vec<ColumnParser> = reader.headers()?.iter().map(cells).collect();
         let has = |wanted: &str| columns.iter().any(|cells| cells.name == wanted);
@@ -163,6 +166,12 @@ impl ColumnParser {
     fn is_ignored(&self) -> bool {
         self.kind.is_none() && !self.wanted
     }
+}
+
+/// Returns the name of the stage whose duration a column has. The published program joins the names of nested nodes by
+/// underscores (`inference_backbone`), and adds `_val` for the value of a node that has nested nodes (`inference_val`).
+fn without_value_suffix(name: &str) -> &str {
+    name.strip_suffix("_val").filter(|stage| PUBLISHED_STAGES.contains(stage)).unwrap_or(name)
 }
 
 /// Stores the text of a cell; returns `None` if the column does not permit it.

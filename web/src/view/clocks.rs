@@ -1,6 +1,5 @@
 //! Accuracy of one-way delays, in a cell of a table.
 
-use peernet_analysis::delays::{prevailing_verdict, severity_rank};
 use peernet_clock::Verdict;
 use peernet_statistics::number::bound_ms;
 use peernet_store::Bound;
@@ -23,7 +22,7 @@ pub(crate) struct ClockCell {
 
 /// Returns the verdict on the delays of one direction.
 pub(crate) fn verdict(bound: &Bound) -> Option<Verdict> {
-    prevailing_verdict(&bound.verdicts)
+    Verdict::prevailing(bound.verdicts.iter().copied())
 }
 
 /// Returns the meaning of a verdict, in a sentence for first-time readers.
@@ -57,7 +56,7 @@ impl ClockCell {
             let title = "one host: nothing crosses between clocks";
             return Self { bound: None, chip: None, words: "one host", title };
         }
-        let verdict = bounds.iter().filter_map(verdict).max_by_key(|verdict| severity_rank(*verdict));
+        let verdict = bounds.iter().filter_map(verdict).max_by_key(|verdict| verdict.severity());
         let widths = bounds.iter().filter_map(|bound| bound.half_width.as_ref());
         let width = widths.map(|figures| figures.p50).max_by(f64::total_cmp);
         let chip = verdict.map(Chip::verdict);

@@ -5,7 +5,6 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
-use peernet_analysis::delays::prevailing_verdict;
 use peernet_analysis::transfer::{Transfer, Transfers, speed_between};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
@@ -58,8 +57,10 @@ pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirectio
             in_direction.filter(|(stage, known, _)| *stage == *direction.delay() && known == verdict);
         (*verdict, in_direction.map(|(.., count)| count).sum())
     };
-    let verdicts: Vec<(Verdict, u64)> = Verdict::ALL.iter().map(verdict_count).collect();
-    find_obstacle(prevailing_verdict(&verdicts), minute().map(|second| second.counts.ok).sum())
+    find_obstacle(
+        Verdict::prevailing(Verdict::ALL.iter().map(verdict_count)),
+        minute().map(|second| second.counts.ok).sum(),
+    )
 }
 
 /// Returns the reason why there is no single speed, from the prevailing verdict and the number of successful iterations.

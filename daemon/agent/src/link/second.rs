@@ -7,9 +7,6 @@ use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTri
 
 use super::downsampled::Downsampled;
 
-/// Inverse of the smallest share of delays with which a verdict can be that of the second.
-const RARE_FRACTION: u32 = 20;
-
 /// One second of the edge's wall clock, or a part of it.
 #[derive(Debug)]
 pub(super) struct Second {
@@ -37,7 +34,7 @@ struct DelaysByDirection {
 /// Delays of one direction.
 #[derive(Debug, Default)]
 struct Delays {
-    /// Counts by verdict, in the order of [`Verdict::ALL`], from best to worst.
+    /// Counts by verdict, in the order of [`Verdict::ALL`].
     verdicts: [u32; Verdict::ALL.len()],
     points: Downsampled<DelayPoint>,
 }
@@ -143,12 +140,9 @@ impl Delays {
     }
 
     fn summary(&self) -> Option<DelaySecond> {
-        let count = self.count();
-        let is_frequent =
-            |(_, given): &(&Verdict, &u32)| **given > 0 && given.saturating_mul(RARE_FRACTION) >= count;
-        // The worst verdict that is frequent enough: `ALL` is ordered from best to worst.
-        let (verdict, _) = Verdict::ALL.iter().zip(&self.verdicts).rfind(is_frequent)?;
-        Some(DelaySecond { count, median: self.points.median(|point| point.value), verdict: *verdict })
+        let counts = Verdict::ALL.iter().zip(&self.verdicts);
+        let verdict = Verdict::prevailing(counts.map(|(verdict, count)| (*verdict, u64::from(*count))))?;
+        Some(DelaySecond { count: self.count(), median: self.points.median(|point| point.value), verdict })
     }
 }
 

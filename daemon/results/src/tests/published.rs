@@ -43,6 +43,20 @@ fn published_file_without_record_is_read() {
 }
 
 #[test]
+fn value_of_stage_with_nested_nodes_is_its_duration() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = "iteration,sensing,upload,inference_val,inference_backbone,inference_head,download\n\
+                1,0.001,0.02,0.09,0.06,0.025,0.0005\n";
+    std::fs::write(folder.path().join("data.csv"), text).expect("writable");
+    let loaded = ResultFolder::open(folder.path()).expect("readable");
+    let row = loaded.rows.get(0).expect("one");
+    let nested = row.value("inference_backbone");
+    assert_eq!((row.value("inference"), nested), (Some(0.09), Some(0.06)));
+    let sum = row.value("stages-total").expect("the paper's Total");
+    assert!((sum - 0.1115).abs() < 1e-12, "the nested nodes are parts of the inference: {sum}");
+}
+
+#[test]
 fn export_of_dashboard_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run-7.csv");

@@ -1,6 +1,5 @@
 //! The picture of a link over time.
 
-use peernet_analysis::delays::severity_rank;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_statistics::number::{SPACE, bound, bound_ms, count, figure, length};
 use peernet_store::{ClockPoint, IncidentRow};
@@ -272,8 +271,7 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
     }
     for way in [NetworkDirection::Up, NetworkDirection::Down] {
         let seconds = plan.coarse.points.iter().filter_map(|point| of_point(point, way));
-        let worst =
-            seconds.clone().map(|second| second.verdict).max_by_key(|verdict| severity_rank(*verdict));
+        let worst = seconds.clone().map(|second| second.verdict).max_by_key(|verdict| verdict.severity());
         if let Some(range) =
             range(seconds.filter_map(|second| second.median).map(|median| median.value.seconds()))
         {

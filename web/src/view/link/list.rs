@@ -1,7 +1,6 @@
 //! Links in a list.
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
-use peernet_analysis::delays::severity_rank;
 use peernet_clock::Verdict;
 use peernet_statistics::number::{bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
@@ -131,10 +130,9 @@ impl PastLine {
 pub(crate) fn title(snapshot: &LiveState) -> String {
     let links: Vec<Subject<'_>> = snapshot.links.iter().map(|link| Subject::live(link)).collect();
     let verdicts: Vec<Verdict> = links.iter().filter_map(Subject::verdict).collect();
-    let of =
-        |wanted: fn(u8) -> bool| verdicts.iter().filter(|verdict| wanted(severity_rank(**verdict))).count();
+    let of = |wanted: fn(u8) -> bool| verdicts.iter().filter(|verdict| wanted(verdict.severity())).count();
     let (well, limited) =
-        (of(|how| how == severity_rank(Verdict::Ok)), of(|how| how == severity_rank(Verdict::Limited)));
+        (of(|how| how == Verdict::Ok.severity()), of(|how| how == Verdict::Limited.severity()));
     let bad = verdicts.len() - well - limited;
     let subject = crate::view::counted(links.len(), "link", "links");
     match links.len() {
