@@ -19,8 +19,8 @@ pub use message::{
     SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId,
 };
 pub use session::{
-    Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
-    OpenRequest, RequestError, Responder, Session, StatisticsReader,
+    Announcer, Awaited, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener,
+    OpenError, OpenRequest, RequestError, Responder, Session, StatisticsReader,
 };
 pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};

@@ -24,7 +24,6 @@ const MAX_SESSIONS: u32 = 65_536;
 const OPEN_TIMEOUT_MS_RANGE: (u64, u64) = (1, MAX_TIME_MS);
 const TIME_MS_RANGE: (u64, u64) = (10, MAX_TIME_MS);
 const CLOSE_TIMEOUT_MS_RANGE: (u64, u64) = (0, MAX_TIME_MS);
-const MESSAGE_BYTES_RANGE: (u64, u64) = (4 << 10, 4 << 30);
 const IN_FLIGHT_BYTES_RANGE: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
 const UNFINISHED_BYTES_RANGE: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
 const DATAGRAM_BYTES_RANGE: (u64, u64) = (512, 8_192);
@@ -115,6 +114,9 @@ fn check_range(key: &'static str, value: u64, (min, max): (u64, u64)) -> Result<
 }
 
 impl SessionSettings {
+    /// Smallest and largest value of `max_message_bytes`.
+    pub const MESSAGE_BYTES_RANGE: (u64, u64) = (4 << 10, 4 << 30);
+
     /// Checks the ranges of all values.
     ///
     /// # Errors
@@ -126,7 +128,7 @@ impl SessionSettings {
         check_range("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS_RANGE)?;
         check_range("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS_RANGE)?;
         check_range("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS_RANGE)?;
-        check_range("max_message_bytes", self.max_message_bytes, MESSAGE_BYTES_RANGE)?;
+        check_range("max_message_bytes", self.max_message_bytes, Self::MESSAGE_BYTES_RANGE)?;
         check_range("max_in_flight", u64::from(self.max_in_flight), (1, u64::from(MAX_IN_FLIGHT)))?;
         check_range("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES_RANGE)?;
         check_range("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES_RANGE)?;
@@ -164,7 +166,7 @@ impl SessionSettings {
                 (2 * heartbeat_interval_ms, TIME_MS_RANGE.1),
             ),
             close_timeout_ms: clamped(self.close_timeout_ms, CLOSE_TIMEOUT_MS_RANGE),
-            max_message_bytes: clamped(self.max_message_bytes, MESSAGE_BYTES_RANGE),
+            max_message_bytes: clamped(self.max_message_bytes, Self::MESSAGE_BYTES_RANGE),
             max_in_flight: self.max_in_flight.clamp(1, MAX_IN_FLIGHT),
             max_in_flight_bytes: clamped(self.max_in_flight_bytes, IN_FLIGHT_BYTES_RANGE),
             max_unfinished_bytes: clamped(self.max_unfinished_bytes, UNFINISHED_BYTES_RANGE),

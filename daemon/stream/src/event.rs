@@ -113,6 +113,7 @@ pub struct Iteration {
 
 /// Outcome of an iteration.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(from = "WireOutcome", into = "WireOutcome")]
 pub enum Outcome {
     /// An answer arrived.
     Ok,
@@ -120,8 +121,45 @@ pub enum Outcome {
     Failed(String),
     /// The answer will never arrive, because the connection ended; the text gives details.
     Lost(String),
-    /// The answer did not arrive in time.
+    /// The answer did not arrive in time; the text names what was waited for, how long, and what to do. Empty from agents
+    /// before 0.3.0.
+    Timeout(String),
+}
+
+/// Wire form of an [`Outcome`].
+#[derive(Serialize, Deserialize)]
+enum WireOutcome {
+    Ok,
+    Failed(String),
+    Lost(String),
+    /// Form of agents before 0.3.0, and of a timeout without a reason.
     Timeout,
+    /// Since version 7 of the event stream.
+    TimedOut(String),
+}
+
+impl From<WireOutcome> for Outcome {
+    fn from(outcome: WireOutcome) -> Self {
+        match outcome {
+            WireOutcome::Ok => Self::Ok,
+            WireOutcome::Failed(reason) => Self::Failed(reason),
+            WireOutcome::Lost(reason) => Self::Lost(reason),
+            WireOutcome::Timeout => Self::Timeout(String::new()),
+            WireOutcome::TimedOut(reason) => Self::Timeout(reason),
+        }
+    }
+}
+
+impl From<Outcome> for WireOutcome {
+    fn from(outcome: Outcome) -> Self {
+        match outcome {
+            Outcome::Ok => Self::Ok,
+            Outcome::Failed(reason) => Self::Failed(reason),
+            Outcome::Lost(reason) => Self::Lost(reason),
+            Outcome::Timeout(reason) if reason.is_empty() => Self::Timeout,
+            Outcome::Timeout(reason) => Self::TimedOut(reason),
+        }
+    }
 }
 
 impl Outcome {
@@ -131,7 +169,7 @@ impl Outcome {
             Self::Ok => "ok",
             Self::Failed(_) => "failed",
             Self::Lost(_) => "lost",
-            Self::Timeout => "timeout",
+            Self::Timeout(_) => "timeout",
         }
     }
 
@@ -139,7 +177,8 @@ impl Outcome {
     pub fn reason(&self) -> Option<&str> {
         match self {
             Self::Failed(reason) | Self::Lost(reason) => Some(reason),
-            Self::Ok | Self::Timeout => None,
+            Self::Timeout(reason) => Some(reason.as_str()).filter(|reason| !reason.is_empty()),
+            Self::Ok => None,
         }
     }
 }

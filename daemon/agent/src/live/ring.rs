@@ -115,7 +115,7 @@ mod tests {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));
         ring.record(11, &Outcome::Ok, &tree(6));
-        ring.record(11, &Outcome::Timeout, &tree(500));
+        ring.record(11, &Outcome::Timeout(String::new()), &tree(500));
 
         let (seconds, sent) = ring.changed();
         assert_eq!(seconds.iter().map(|second| second.at).collect::<Vec<_>>(), [11, 10]);
@@ -143,8 +143,8 @@ mod tests {
         };
         ring.record(10, &Outcome::Ok, &with_deadline(0.0));
         ring.record(10, &Outcome::Ok, &with_deadline(1.0));
-        ring.record(11, &Outcome::Timeout, &with_deadline(1.0));
-        ring.record(12, &Outcome::Timeout, &tree(4));
+        ring.record(11, &Outcome::Timeout(String::new()), &with_deadline(1.0));
+        ring.record(12, &Outcome::Timeout(String::new()), &tree(4));
         let known = |second: &Second| {
             let found = second.values.iter().find(|(name, _)| name == "deadline-missed");
             found.map(|(_, summary)| (summary.count(), summary.moments.mean))

@@ -45,7 +45,7 @@ impl SecondStatistics {
             Outcome::Ok => self.counts.ok += 1,
             Outcome::Failed(_) => self.counts.failed += 1,
             Outcome::Lost(_) => self.counts.lost += 1,
-            Outcome::Timeout => self.counts.timeout += 1,
+            Outcome::Timeout(_) => self.counts.timeout += 1,
         }
         // The durations of a failed iteration are left out: they say nothing about those of a successful one. Only the
         // name of the deadline's value is added, so that a second without answers still shows that there is a deadline.

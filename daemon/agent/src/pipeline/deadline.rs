@@ -39,6 +39,6 @@ mod tests {
         assert_eq!(missed(101, &Outcome::Ok), Some(1.0));
         assert_eq!(missed(20, &Outcome::Lost("cable".to_owned())), Some(1.0));
         assert_eq!(missed(20, &Outcome::Failed("no picture".to_owned())), Some(1.0));
-        assert_eq!(missed(100, &Outcome::Timeout), Some(1.0));
+        assert_eq!(missed(100, &Outcome::Timeout(String::new())), Some(1.0));
     }
 }

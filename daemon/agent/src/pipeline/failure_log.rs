@@ -34,7 +34,7 @@ impl FailureLog {
             Outcome::Ok => {}
             Outcome::Failed(reason) => self.failed.add(number, reason),
             Outcome::Lost(reason) => self.lost.add(number, reason),
-            Outcome::Timeout => self.timed_out.add(number, ""),
+            Outcome::Timeout(reason) => self.timed_out.add(number, reason),
         }
         self.take_lines(|kind| kind.is_due(now), now)
     }
@@ -100,7 +100,10 @@ mod tests {
         assert_eq!(log.record(1, &Outcome::Ok, at(0)), NO_LINES);
         assert_eq!(log.record(2, &failed, at(1)), ["iteration 2: failed: no such file"]);
         assert_eq!(log.record(3, &failed, at(2)), NO_LINES);
-        assert_eq!(log.record(4, &Outcome::Timeout, at(3)), ["iteration 4: without an answer in time"]);
+        assert_eq!(
+            log.record(4, &Outcome::Timeout("no answer".into()), at(3)),
+            ["iteration 4: without an answer in time: no answer"]
+        );
         let lost = Outcome::Lost("the connection broke".to_owned());
         assert_eq!(log.record(5, &lost, at(4)), ["iteration 5: lost: the connection broke"]);
     }
@@ -125,8 +128,8 @@ mod tests {
     #[test]
     fn end_of_a_run_logs_what_is_left() {
         let mut log = FailureLog::default();
-        log.record(1, &Outcome::Timeout, at(0));
-        log.record(2, &Outcome::Timeout, at(5));
+        log.record(1, &Outcome::Timeout(String::new()), at(0));
+        log.record(2, &Outcome::Timeout(String::new()), at(5));
         let line = "1 more iteration without an answer in time in 10 s; the latest, iteration 2";
         assert_eq!(log.take_remaining(at(10)), [line]);
     }

@@ -308,6 +308,7 @@ fn with_printable_reason(outcome: Outcome) -> Outcome {
     match outcome {
         Outcome::Failed(reason) => Outcome::Failed(printable_line(&reason).into_owned()),
         Outcome::Lost(reason) => Outcome::Lost(printable_line(&reason).into_owned()),
-        other @ (Outcome::Ok | Outcome::Timeout) => other,
+        Outcome::Timeout(reason) => Outcome::Timeout(printable_line(&reason).into_owned()),
+        Outcome::Ok => Outcome::Ok,
     }
 }

@@ -7,7 +7,7 @@ use peernet_clock::{OneWayDelay, Span};
 use peernet_inference::{FinishedJob, Job, LoadError, Pool};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_networks::{
-    CloseReason, OpenError, RequestError, SESSION_VERSIONS, Session, SessionHello, SessionSettings,
+    Awaited, CloseReason, OpenError, RequestError, SESSION_VERSIONS, Session, SessionHello, SessionSettings,
 };
 use peernet_sample::Sample;
 use peernet_stream::{Condition, FaultyHost, Outcome, Placement as Description, PlacementKind};
@@ -121,13 +121,19 @@ impl Placement {
     pub(super) async fn compute(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
         match self {
             Self::Local(pool) => compute_locally(pool, log, sample, timeout).await,
-            Self::Remote { session, link, .. } => {
+            Self::Remote { session, link, config } => {
                 let mut exchange = session.request(log, sample, timeout).await;
                 // Corrected now and not when the run is read, because live statistics show the delays.
                 let transport = link.correct(&mut exchange);
+                let unanswered = |error| match error {
+                    RequestError::Timeout(awaited) => {
+                        Outcome::Timeout(describe_timeout(awaited, config, link.name(), timeout))
+                    }
+                    error => outcome_from_error(error),
+                };
                 Computed {
                     log: exchange.log,
-                    result: exchange.result.map(Some).map_err(outcome_from_error),
+                    result: exchange.result.map(Some).map_err(unanswered),
                     transport,
                 }
             }
@@ -322,7 +328,28 @@ async fn compute_locally(pool: &Pool, log: Recorder, sample: &Sample, timeout: D
             let reason = format!("model {} dropped the sample without an answer", pool.name());
             Computed { log: log_backup, result: Err(Outcome::Failed(reason)), transport: None }
         }
-        Err(_) => Computed { log: log_backup, result: Err(Outcome::Timeout), transport: None },
+        Err(_) => {
+            let within = timeout.as_millis();
+            let reason = format!("model {} gave no answer within {within} ms: {RAISE_TIMEOUT}", pool.name());
+            Computed { log: log_backup, result: Err(Outcome::Timeout(reason)), transport: None }
+        }
+    }
+}
+
+/// Advice of a timeout's reason. The published commands have no configuration file, therefore it names their option.
+const RAISE_TIMEOUT: &str =
+    "raise timeout_ms of the pipeline (peernet --client: --timeout) if it needs longer";
+
+/// Returns the reason of a timeout: what was waited for, for how long, and what to do.
+fn describe_timeout(awaited: Awaited, config: &RemoteConfig, cloud: &Slug, timeout: Duration) -> String {
+    let within = timeout.as_millis();
+    let model = config.model.as_ref().map_or_else(String::new, |model| format!(" for model {model}"));
+    match awaited {
+        Awaited::Answer => format!("no answer of cloud {cloud}{model} within {within} ms: {RAISE_TIMEOUT}"),
+        Awaited::Slot => format!(
+            "nothing was sent to cloud {cloud}{model} within {within} ms, because earlier requests held all slots in flight: \
+             lower the rate, or raise max_in_flight of the session"
+        ),
     }
 }
 
@@ -330,7 +357,7 @@ async fn compute_locally(pool: &Pool, log: Recorder, sample: &Sample, timeout: D
 fn outcome_from_error(error: RequestError) -> Outcome {
     match error {
         RequestError::Lost(reason) => Outcome::Lost(reason),
-        RequestError::Timeout => Outcome::Timeout,
+        error @ RequestError::Timeout(_) => Outcome::Timeout(error.to_string()),
         error @ (RequestError::Failed(_) | RequestError::Overloaded(_)) => Outcome::Failed(error.to_string()),
     }
 }

@@ -119,7 +119,12 @@ async fn late_remote_answer_is_timeout() {
     let keys = "timeout_ms = 30\ndeadline_ms = 20\nlimit = { iterations = 3 }";
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(&cloud, "slow", keys)).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
-    assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Timeout));
+    for iteration in seen.iterations() {
+        let Outcome::Timeout(reason) = &iteration.outcome else { panic!("{:?}", iteration.outcome) };
+        for part in ["cloud cloud", "model slow", "within 30", "timeout_ms", "--timeout"] {
+            assert!(reason.contains(part), "{part} is missing in {reason}");
+        }
+    }
     assert_eq!(seen.iterations().len(), 3);
     assert!(seen.iterations().iter().all(|it| value(&it.tree, "deadline-missed") == Some(1.0)));
     edge.stop().await.expect("stops well");

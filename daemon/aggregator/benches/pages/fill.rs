@@ -124,7 +124,7 @@ impl Agent {
             let at = generate::at(began as f64) + Span::from_seconds_f64(number as f64 / HZ as f64);
             let mut iteration = generate::iteration_at(run, number, self.hosts, at, &mut self.numbers);
             if number.is_multiple_of(LOST) {
-                iteration.outcome = Outcome::Timeout;
+                iteration.outcome = Outcome::Timeout(String::new());
                 events.push(Event::Incident(self.incident(run)));
             }
             events.push(Event::Iteration(iteration));

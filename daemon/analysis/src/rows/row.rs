@@ -78,7 +78,7 @@ impl From<&stream::Outcome> for Outcome {
             stream::Outcome::Ok => Self::Ok,
             stream::Outcome::Failed(_) => Self::Failed,
             stream::Outcome::Lost(_) => Self::Lost,
-            stream::Outcome::Timeout => Self::Timeout,
+            stream::Outcome::Timeout(_) => Self::Timeout,
         }
     }
 }

@@ -1,15 +1,20 @@
 //! The published options, with the published defaults.
 
 use std::num::{NonZeroU64, ParseIntError, TryFromIntError};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use peernet_logger::Slug;
-use peernet_networks::{Address, NetworkKind};
+use peernet_networks::{Address, NetworkKind, SessionSettings};
 
 use super::encoding::Encoding;
 use super::sensor::SensorType;
 use crate::network::network;
 use crate::seconds::{SecondsError, seconds};
+
+/// Possible values of `--max-message-bytes`.
+const MESSAGE_BYTES_RANGE: RangeInclusive<u64> =
+    SessionSettings::MESSAGE_BYTES_RANGE.0..=SessionSettings::MESSAGE_BYTES_RANGE.1;
 
 /// The published experiment: one device serves a model, the other senses and measures.
 #[derive(Clone, Debug, clap::Args)]
@@ -71,6 +76,13 @@ pub(crate) struct Arguments {
     /// Time to wait for an unreachable server, before the run and during it; seconds.
     #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
     pub(super) patience: f64,
+    /// Client: longest wait for an answer. Server: longest time that a Python object or a program may take for one answer.
+    /// Seconds [default: 75 for the client, 60 for an object, 10 for a program, so that a slow model says so itself].
+    #[arg(long, value_name = "SECONDS", value_parser = timeout, allow_negative_numbers = true)]
+    pub(super) timeout: Option<f64>,
+    /// Largest message, in bytes; the smaller value of both ends applies. A picture sent as `pixels` has 3 bytes per pixel.
+    #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(MESSAGE_BYTES_RANGE))]
+    pub(super) max_message_bytes: Option<u64>,
 
     /// Model that the server serves: `dummy` (takes 10 + 80 + 10 ms), `echo`, a name in the model bank, a path with a
     /// slash, a Python object with a method `infer(x)` as `module::object`, or a program as `exec:COMMAND`.
@@ -116,6 +128,24 @@ fn patience(text: &str) -> Result<f64, SecondsError> {
     seconds(text, 0.0)
 }
 
+fn timeout(text: &str) -> Result<f64, SecondsError> {
+    seconds(text, 0.001)
+}
+
+impl Arguments {
+    /// Returns the settings of the session besides the largest message, with that of `--max-message-bytes`.
+    pub(super) fn session(&self, settings: SessionSettings) -> SessionSettings {
+        let max_message_bytes = self.max_message_bytes.unwrap_or(settings.max_message_bytes);
+        SessionSettings { max_message_bytes, ..settings }
+    }
+
+    /// Returns `--timeout` in milliseconds.
+    pub(super) fn timeout_ms(&self) -> Option<u64> {
+        // The parser bounds it by a day, and from below by a millisecond.
+        self.timeout.map(|seconds| (seconds * 1e3).round() as u64)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use clap::Parser;
@@ -149,6 +179,18 @@ mod tests {
              --dataset-loc sample-image.JPEG --iterations 10005 --result-loc results --generate-plots",
         );
         assert!(client.client && client.generate_plots && client.iterations.get() == 10_005);
+    }
+
+    #[test]
+    fn limits_are_read_within_their_ranges() {
+        let line = "peernet --client --name a --network-config b.yaml --iterations 7";
+        let read = read(&format!("{line} --timeout 120.5 --max-message-bytes 200000000"));
+        let session = read.session(SessionSettings::default());
+        assert_eq!((read.timeout_ms(), session.max_message_bytes), (Some(120_500), 200_000_000));
+        for wrong in ["--timeout 0", "--timeout -1", "--timeout 1e9", "--max-message-bytes 100"] {
+            let words = format!("{line} {wrong}");
+            assert!(Cli::try_parse_from(words.split_whitespace()).is_err(), "{wrong}");
+        }
     }
 
     #[test]

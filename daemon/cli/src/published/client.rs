@@ -10,7 +10,7 @@ use peernet_agent::config::{HostConfig, PipelineConfig};
 use peernet_analysis::summary::Summary;
 use peernet_clock::ClockIdentity;
 use peernet_external::exec::with_arguments;
-use peernet_networks::Address;
+use peernet_networks::{Address, SessionSettings};
 use peernet_results::{Overwrite, summary};
 use peernet_sample::printable_line;
 use serde_json::json;
@@ -23,8 +23,9 @@ use crate::measure::{AgentStateDir, Measured, Order, measure, undelivered};
 
 /// Number of first iterations that the published plots drop.
 const WARM_UP: u64 = 5;
-/// Timeout of an answer in milliseconds: the largest model on a slow processor takes long.
-const TIMEOUT_MS: u64 = 60_000;
+/// Longest wait for an answer in milliseconds unless `--timeout` sets another: the largest model on a slow processor takes
+/// long. It is longer than the server's limit for one call of a model (60 s), whose error says more.
+const TIMEOUT_MS: u64 = 75_000;
 /// Timeout of connecting in milliseconds, in which the server may load its model.
 const OPEN_TIMEOUT_MS: u64 = 60_000;
 /// Folder for results without a given place.
@@ -50,6 +51,11 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
 /// Makes the order of the measurement.
 fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     let (sensor, transforms) = sensor::from_arguments(arguments)?;
+    let session = arguments.session(SessionSettings {
+        open_timeout_ms: OPEN_TIMEOUT_MS.max(arguments.timeout_ms().unwrap_or(0)),
+        ros2: devices.ros2.clone(),
+        ..SessionSettings::default()
+    });
     let pipeline = || {
         json!({
             "name": arguments.name,
@@ -58,10 +64,10 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
             "placement": {
                 "kind": "remote",
                 "peer": devices.address,
-                "session": { "open_timeout_ms": OPEN_TIMEOUT_MS, "ros2": devices.ros2 },
+                "session": session,
             },
             "load": { "mode": "closed" },
-            "timeout_ms": TIMEOUT_MS,
+            "timeout_ms": arguments.timeout_ms().unwrap_or(TIMEOUT_MS),
             "warm_up": { "iterations": WARM_UP },
             "limit": { "total": arguments.iterations },
         })

@@ -1,5 +1,7 @@
 //! The model of the server.
 
+use std::num::NonZeroU64;
+
 use crate::clock;
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
@@ -44,9 +46,12 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
         let shared = SharedKeys::new(slug(name));
         if given.is_some() { SharedKeys { device: device.to_owned(), ..shared } } else { shared }
     };
+    let timeout_ms = arguments.timeout_ms().and_then(NonZeroU64::new);
     Ok(match super::program(wanted)? {
-        Some(command) => ModelConfig::program(shared(program_of(command)), command),
-        None if wanted.contains("::") => ModelConfig::python_object(shared(wanted), wanted, arguments.pickle),
+        Some(command) => ModelConfig::program(shared(program_of(command)), command, timeout_ms),
+        None if wanted.contains("::") => {
+            ModelConfig::python_object(shared(wanted), wanted, arguments.pickle, timeout_ms)
+        }
         None => {
             let found = ModelFolders::search(&arguments.models_dir).find(wanted);
             let found = found.map_err(|error| Failure::new(Exit::NoInput, error))?;

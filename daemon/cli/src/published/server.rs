@@ -24,7 +24,8 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let model = model::from_arguments(arguments, &config.onnxruntime)?;
     let name = model.name().clone();
     config.agent.name = Some(arguments.name.clone());
-    let session = SessionSettings { ros2: devices.ros2.clone(), ..SessionSettings::default() };
+    let session =
+        arguments.session(SessionSettings { ros2: devices.ros2.clone(), ..SessionSettings::default() });
     config.serve = Some(ServeConfig {
         listen: all_interfaces(&devices.address).into(),
         session,

@@ -118,8 +118,8 @@ pub enum ExchangeError {
     UnsolicitedOutput(String),
     /// The program did not reply before its timeout.
     #[error(
-        "it gave no complete reply within {after:?}{stderr_suffix}; it is killed and restarted (timeout_ms sets the time \
-         limit)"
+        "it gave no complete reply within {after:?}{stderr_suffix}; it is killed and restarted (timeout_ms, or --timeout of \
+         peernet --server, sets the time limit)"
     )]
     TooSlow {
         /// The timeout.

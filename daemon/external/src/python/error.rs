@@ -74,8 +74,8 @@ pub enum PythonError {
     },
     /// The call exceeded its timeout, and the process was killed.
     #[error(
-        "{object} did not answer within {} s and was killed{stderr_suffix}; it is restarted; raise timeout_ms if it needs \
-         longer", .after.seconds()
+        "{object} did not answer within {} s and was killed{stderr_suffix}; it is restarted; raise timeout_ms (peernet \
+         --server: --timeout) if it needs longer", .after.seconds()
     )]
     TooSlow {
         /// Name of the object.

@@ -1,5 +1,6 @@
 //! Model kind `exec`: a program of the user, with one process for each worker.
 
+use std::num::NonZeroU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
@@ -19,8 +20,10 @@ const DEVICE: &str = "PEERNET_DEVICE";
 
 impl ModelConfig {
     /// Returns the configuration of a program, given as a line for the shell.
-    pub fn program(shared: SharedKeys, command: &str) -> Self {
-        ModelTable { shared, kind_keys: ExecConfig::new(CommandLine::Shell(command.to_owned())) }.into()
+    pub fn program(shared: SharedKeys, command: &str, timeout_ms: Option<NonZeroU64>) -> Self {
+        let kind_keys = ExecConfig::new(CommandLine::Shell(command.to_owned()));
+        let timeout_ms = timeout_ms.unwrap_or(kind_keys.timeout_ms);
+        ModelTable { shared, kind_keys: ExecConfig { timeout_ms, ..kind_keys } }.into()
     }
 }
 

@@ -1,5 +1,6 @@
 //! Model kind `python`: an object of the user with `infer(x)`, with one process for each worker.
 
+use std::num::NonZeroU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
@@ -14,8 +15,15 @@ use crate::{InferenceError, LoadError, Model, Worker};
 
 impl ModelConfig {
     /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
-    pub fn python_object(shared: SharedKeys, object: &str, pickle: bool) -> Self {
-        ModelTable { shared, kind_keys: PythonConfig { pickle, ..PythonConfig::new(object) } }.into()
+    pub fn python_object(
+        shared: SharedKeys,
+        object: &str,
+        pickle: bool,
+        timeout_ms: Option<NonZeroU64>,
+    ) -> Self {
+        let kind_keys = PythonConfig::new(object);
+        let timeout_ms = timeout_ms.unwrap_or(kind_keys.timeout_ms);
+        ModelTable { shared, kind_keys: PythonConfig { pickle, timeout_ms, ..kind_keys } }.into()
     }
 }
 

@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
-use super::exchange::{ArrivedReply, Exchange, RequestError, Sizes, absorb, request_result};
+use super::exchange::{ArrivedReply, Awaited, Exchange, RequestError, Sizes, absorb, request_result};
 use super::open::{OpenError, OpenedSession, handshake};
 use super::receiving::ReceivingTask;
 use super::remarks::Remarks;
@@ -152,7 +152,7 @@ impl Session {
         let shared = &*self.inner.shared;
         let mut exchange = Exchange {
             log,
-            result: Err(RequestError::Timeout),
+            result: Err(RequestError::Timeout(Awaited::Answer)),
             arrived_at: None,
             upload: None,
             download: None,

@@ -1,5 +1,7 @@
 //! A request and its answer on the edge's tree.
 
+use std::fmt;
+
 use peernet_clock::{ExchangeObservation, RawTime, Span, Stamp};
 use peernet_logger::{
     HostId, HostIndex, Measure, Name, Node, NodeId, RawStamps, Recorder, Transit, Tree, TreeError, Unit,
@@ -56,15 +58,33 @@ pub(crate) struct DepartedRequest {
     pub(crate) epoch: u32,
 }
 
+/// What a request was waiting for when its time ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Awaited {
+    /// A slot among the requests in flight: nothing was sent.
+    Slot,
+    /// The cloud's answer.
+    Answer,
+}
+
+impl fmt::Display for Awaited {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Slot => "a slot among the requests in flight",
+            Self::Answer => "the cloud's answer",
+        })
+    }
+}
+
 /// Reason why a request has no answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
     /// The session ended before the answer arrived, or the request or its answer was lost on the way.
     #[error("the request was lost: {0}")]
     Lost(String),
-    /// No answer came in time. An answer that still comes is dropped and counted.
-    #[error("no answer in time")]
-    Timeout,
+    /// The time ended before the answer came. An answer that still comes is dropped and counted.
+    #[error("no answer in time, waiting for {0}")]
+    Timeout(Awaited),
     /// The sample could not be sent, or the cloud's model failed on it. The next request may succeed.
     #[error("the request failed: {0}")]
     Failed(String),

@@ -23,6 +23,6 @@ pub use bind_error::BindError;
 pub use client::CloseReason;
 pub use cloud::Listener;
 pub use edge::{Session, StatisticsReader};
-pub use exchange::{Exchange, RequestError};
+pub use exchange::{Awaited, Exchange, RequestError};
 pub use incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
 pub use open::OpenError;

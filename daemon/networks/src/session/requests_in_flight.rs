@@ -6,7 +6,7 @@ use peernet_logger::{Recorder, stage};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
 use super::client::{ClientSession, CloseReason, CloudMessage};
-use super::exchange::{ArrivedReply, RequestError};
+use super::exchange::{ArrivedReply, Awaited, RequestError};
 use crate::message::{Header, SessionId};
 use crate::statistics::Counters;
 
@@ -61,7 +61,7 @@ impl RequestsInFlight {
         let queued = log.start(stage::SEND_QUEUE);
         let slot = tokio::time::timeout_at(deadline, self.slots.acquire()).await;
         log.stop(queued);
-        slot.map_err(|_| RequestError::Timeout)?.map_err(|_| {
+        slot.map_err(|_| RequestError::Timeout(Awaited::Slot))?.map_err(|_| {
             let reason = self.close_reason.borrow().clone().unwrap_or(CloseReason::Local);
             RequestError::Lost(reason.to_string())
         })

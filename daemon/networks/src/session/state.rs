@@ -64,7 +64,9 @@ enum UnsendableSample {
     #[error(transparent)]
     Tree(#[from] TreeFrameError),
     #[error(
-        "{bytes} bytes are more than max_message_bytes, {max_bytes}; send smaller samples, or raise it at both ends"
+        "it has {bytes} bytes, more than max_message_bytes of the session allows ({max_bytes}): raise it at both ends \
+         ([pipeline.placement.session] and [serve.session]; --max-message-bytes of peernet --client and --server), or make \
+         samples smaller with a transform or --encoding"
     )]
     TooLarge { bytes: u64, max_bytes: u64 },
 }

@@ -9,7 +9,7 @@ use peernet_clock::{
     RelatedClocks, Span, Stamp, SteppedClock, SystemClock, WallTime,
 };
 use peernet_logger::{Measure, NodeId, Transit};
-use peernet_networks::{Exchange, PeerClock, RawClock, RequestError};
+use peernet_networks::{Awaited, Exchange, PeerClock, RawClock, RequestError};
 use peernet_stream::VersionRange;
 
 use crate::hostile::plain_session;
@@ -295,7 +295,7 @@ async fn request_without_model_answer_yields_no_observation() {
     assert!(exchange.arrived_at.is_some());
     assert_eq!(exchange.observation, None);
     let exchange = within(session.request(log(), &sample("x"), Duration::ZERO)).await;
-    assert_eq!((exchange.result, exchange.observation), (Err(RequestError::Timeout), None));
+    assert_eq!((exchange.result, exchange.observation), (Err(RequestError::Timeout(Awaited::Answer)), None));
 }
 
 fn news() -> PeerClock {

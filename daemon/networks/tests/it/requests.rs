@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_logger::{HostIndex, Measure, NodeId, Unit, stage};
-use peernet_networks::{Failure, RequestError, SessionSettings};
+use peernet_networks::{Awaited, Failure, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 
 use crate::support::{
@@ -161,7 +161,7 @@ async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
     let pending = request(&session, "slow", Duration::from_millis(30));
     let slow = cloud.next_request().await;
     let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result, Err(RequestError::Timeout));
+    assert_eq!(exchange.result, Err(RequestError::Timeout(Awaited::Answer)));
     assert_eq!((exchange.arrived_at, exchange.download), (None, None));
     let upload = exchange.log.tree().get(exchange.upload.expect("was sent")).expect("in the tree");
     assert!(upload.measure.is_open());
@@ -204,7 +204,7 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     let held = request(&session, "c", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     let impatient = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
-    assert_eq!(impatient.result, Err(RequestError::Timeout));
+    assert_eq!(impatient.result, Err(RequestError::Timeout(Awaited::Slot)));
     assert_eq!(impatient.upload, None);
     incoming.reply.send(incoming.log, Ok(incoming.sample));
     assert!(within(held).await.expect("no panic").result.is_ok());

@@ -96,7 +96,7 @@ fn outcome(number: u8, reason: Option<String>) -> Result<Outcome, StoreError> {
         0 => Outcome::Ok,
         1 => Outcome::Failed(reason),
         2 => Outcome::Lost(reason),
-        3 => Outcome::Timeout,
+        3 => Outcome::Timeout(reason),
         number => return Err(corrupt(WHAT, format_args!("outcome {number}"))),
     })
 }

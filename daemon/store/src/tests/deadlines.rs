@@ -30,8 +30,13 @@ async fn store(test_store: &mut TestStore, configuration: &str, ends: &[(Outcome
 async fn misses_are_late_and_unanswered_iterations() {
     let mut test_store = TestStore::new().await;
     let lost = || Outcome::Lost("gone".into());
-    let ends =
-        [(Outcome::Ok, 1.0), (Outcome::Ok, 0.0), (Outcome::Ok, 1.0), (Outcome::Timeout, 1.0), (lost(), 1.0)];
+    let ends = [
+        (Outcome::Ok, 1.0),
+        (Outcome::Ok, 0.0),
+        (Outcome::Ok, 1.0),
+        (Outcome::Timeout(String::new()), 1.0),
+        (lost(), 1.0),
+    ];
     store(&mut test_store, "name = \"line\"\ndeadline_ms = 100\n\n[sensor]\nkind = \"x\"\n", &ends).await;
     store(&mut test_store, "deadline_ms = 250\n", &[(lost(), 1.0), (lost(), 1.0)]).await;
     store(&mut test_store, "name = \"line\"\n[sensor]\ndeadline_ms = 9\n", &ends).await;

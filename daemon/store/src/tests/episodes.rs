@@ -92,7 +92,7 @@ async fn deleted_iterations_have_no_border() {
     stored(&mut test_store, 95, |iteration| {
         placed(iteration, 30);
         if [4, 70].contains(&iteration.number) {
-            iteration.outcome = Outcome::Timeout;
+            iteration.outcome = Outcome::Timeout(String::new());
         }
         true
     })

@@ -79,7 +79,7 @@ async fn values_outside_statistics_are_not_sampled() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_that_talks(1..=4).await;
     let warm_up = Iteration { warm_up: true, ..test_store.talking(run, 5) };
-    let ends = [Outcome::Failed("no".into()), Outcome::Lost("gone".into()), Outcome::Timeout];
+    let ends = [Outcome::Failed("no".into()), Outcome::Lost("gone".into()), Outcome::Timeout(String::new())];
     let ends =
         (6..).zip(ends).map(|(number, outcome)| Iteration { outcome, ..test_store.talking(run, number) });
     let mut without = test_store.talking(run, 9);

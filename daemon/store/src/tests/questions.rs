@@ -95,7 +95,7 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
         iteration.warm_up = n == 1;
         iteration.outcome = match n {
             3 => Outcome::Lost("connection broke".into()),
-            4 => Outcome::Timeout,
+            4 => Outcome::Timeout("no answer within 5 s".into()),
             5 => Outcome::Failed("not a picture".into()),
             _ => Outcome::Ok,
         };
@@ -126,7 +126,10 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
     let bad = test_store.store.iterations(1, &filter).await.expect("answers");
     let failures: Vec<_> =
         bad.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();
-    assert_eq!(failures, [(4, "timeout", None), (5, "failed", Some("not a picture"))]);
+    assert_eq!(
+        failures,
+        [(4, "timeout", Some("no answer within 5 s")), (5, "failed", Some("not a picture"))]
+    );
     let lost = test_store.store.iteration(1, 3).await.expect("answers").expect("exists");
     assert_eq!((lost.rank, lost.previous, lost.next), (None, Some(2), Some(4)));
 }

@@ -18,7 +18,7 @@ fn iterations(test_store: &TestStore, run: RunId, count: u64, numbers: &mut Numb
             let mut iteration = generate::iteration_at(run, number, test_store.hosts(), started, numbers);
             iteration.warm_up = number <= 3;
             iteration.outcome = match numbers.between(0, 10) {
-                0 => Outcome::Timeout,
+                0 => Outcome::Timeout(String::new()),
                 1 => Outcome::Failed("no".into()),
                 _ => Outcome::Ok,
             };

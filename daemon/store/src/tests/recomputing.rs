@@ -182,7 +182,7 @@ async fn warm_up_and_unanswered_iterations_are_left_out() {
         for iteration in &mut iterations {
             iteration.warm_up = second < 3;
             if second == 5 {
-                iteration.outcome = Outcome::Timeout;
+                iteration.outcome = Outcome::Timeout(String::new());
             }
         }
         events.extend(iterations.into_iter().map(Event::Iteration));

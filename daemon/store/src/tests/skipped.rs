@@ -26,9 +26,13 @@ impl TestStore {
         let mut warm_up = self.late_iteration(run, 1, 100.0);
         warm_up.warm_up = true;
         let mut late_warm_up = self.late_iteration(run, 2, 50.0);
-        (late_warm_up.warm_up, late_warm_up.outcome) = (true, Outcome::Timeout);
-        let ends =
-            [Outcome::Ok, Outcome::Timeout, Outcome::Failed("no".into()), Outcome::Lost("gone".into())];
+        (late_warm_up.warm_up, late_warm_up.outcome) = (true, Outcome::Timeout(String::new()));
+        let ends = [
+            Outcome::Ok,
+            Outcome::Timeout(String::new()),
+            Outcome::Failed("no".into()),
+            Outcome::Lost("gone".into()),
+        ];
         let rest = (3..).zip(ends).map(|(number, outcome)| {
             Event::Iteration(Iteration { outcome, ..self.late_iteration(run, number, number as f64) })
         });

@@ -3,6 +3,7 @@
 mod commands;
 mod datagrams;
 mod ended;
+mod limits;
 mod objects;
 mod refused;
 mod ros;

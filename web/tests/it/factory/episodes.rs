@@ -22,7 +22,7 @@ impl Factory {
                     iteration.step = (before % u64::from(steps)) as u32;
                     iteration.warm_up = iteration.episode == 0;
                     if iteration.number.is_multiple_of(100) {
-                        iteration.outcome = Outcome::Timeout;
+                        iteration.outcome = Outcome::Timeout(String::new());
                     }
                 }
             }

@@ -226,7 +226,7 @@ impl Factory {
         for number in 1..=iterations {
             let outcome = match number {
                 n if n % 4_001 == 900 => Outcome::Lost("the connection to rack-a closed".into()),
-                n if n % 4_001 == 1_700 => Outcome::Timeout,
+                n if n % 4_001 == 1_700 => Outcome::Timeout(String::new()),
                 _ => Outcome::Ok,
             };
             let stages = line.draw(&mut self.numbers, number as f64 / iterations as f64);

@@ -16,7 +16,7 @@ impl Factory {
             {
                 let measure = Measure::Value(skipped.into(), Unit::NONE);
                 iteration.tree.add(NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
-                iteration.outcome = Outcome::Timeout;
+                iteration.outcome = Outcome::Timeout(String::new());
             }
         }
         self.agents[index].offer(events);

@@ -76,7 +76,8 @@ fn encode_outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (O
     let failed = |reason: String| (Outcome::Failed(reason), Vec::new());
     match result {
         Ok(sample) if sample.payload_bytes() > max_message_bytes => failed(format!(
-            "the answer's {} bytes are more than the edge's max_message_bytes, {max_message_bytes}",
+            "the answer's {} bytes are more than max_message_bytes of the edge's session, {max_message_bytes}: raise it there \
+             (peernet --client: --max-message-bytes)",
             sample.payload_bytes()
         )),
         Ok(sample) => match SampleHeader::from_sample(&sample) {

@@ -104,7 +104,7 @@ impl BatchBuilder {
             Outcome::Ok => &mut outcomes.ok,
             Outcome::Failed(_) => &mut outcomes.failed,
             Outcome::Lost(_) => &mut outcomes.lost,
-            Outcome::Timeout => &mut outcomes.timeout,
+            Outcome::Timeout(_) => &mut outcomes.timeout,
         };
         *counter += 1;
         run
@@ -131,7 +131,7 @@ const fn outcome_number(outcome: &Outcome) -> u8 {
         Outcome::Ok => 0,
         Outcome::Failed(_) => 1,
         Outcome::Lost(_) => 2,
-        Outcome::Timeout => 3,
+        Outcome::Timeout(_) => 3,
     }
 }
 

@@ -230,7 +230,7 @@ impl PeerConnection {
             }
             Err(Outcome::Failed(reason)) => Err(refused(reason)),
             Err(Outcome::Lost(reason)) => Err(failed(reason)),
-            Err(Outcome::Timeout | Outcome::Ok) => {
+            Err(Outcome::Timeout(_) | Outcome::Ok) => {
                 Err(failed(format!("no answer within {} ms", self.timeout.as_millis())))
             }
         }

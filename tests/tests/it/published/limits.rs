@@ -1,0 +1,73 @@
+//! Tests of the published commands' limits: the time for an answer, and the size of a sample.
+
+use peernet_tests::ProcessEnd;
+
+use super::Lab;
+
+/// Model that takes longer than the limits of the tests.
+const MODEL: &str = "
+import time
+
+class Slow:
+    def infer(self, x):
+        time.sleep(1.5)
+        return 'well'
+";
+
+/// Runs a client against a server that serves `model`, each with options of its own; returns the client's end.
+fn measure(lab: &Lab, model: &str, server: &str, client: &str, results: &str) -> ProcessEnd {
+    let server = lab.server(&format!(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name {model} --iterations 2 {server}"
+    ));
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 2 \
+         --result-loc {results} {client}"
+    ));
+    let ended = client.wait_for_end();
+    server.terminate();
+    drop(server);
+    ended
+}
+
+#[test]
+fn slow_model_is_measured_with_longer_timeout() {
+    let lab = Lab::on_one_machine();
+    std::fs::write(lab.folder().join("my_model.py"), MODEL).expect("writable");
+    let reasons = |results: &str, parts: &[&str]| {
+        let data = lab.data(results);
+        for reason in data.column("reason") {
+            assert!(parts.iter().all(|part| reason.contains(part)), "{parts:?} in {reason:?}");
+        }
+        data.column("outcome").into_iter().map(str::to_owned).collect::<Vec<_>>()
+    };
+
+    // The client waits for a shorter time than the model takes.
+    let ended = measure(&lab, "my_model::Slow", "", "--timeout 0.5", "client");
+    assert_eq!(ended.code(), 75, "{}", ended.log);
+    let parts = ["no answer of cloud cluster", "within 500 ms", "timeout_ms", "--timeout"];
+    assert_eq!(reasons("client", &parts), ["timeout", "timeout"]);
+    assert!(parts.iter().all(|part| ended.log.contains(part)), "{}", ended.log);
+
+    // The model's own limit is shorter, so that its reason is seen first.
+    let ended = measure(&lab, "my_model::Slow", "--timeout 0.4", "", "server");
+    assert_eq!(ended.code(), 75, "{}", ended.log);
+    let parts = ["my_model::Slow did not answer within 0.4 s", "timeout_ms", "--timeout"];
+    assert_eq!(reasons("server", &parts), ["failed", "failed"]);
+
+    let ended = measure(&lab, "my_model::Slow", "--timeout 20", "--timeout 30", "both");
+    assert_eq!((ended.code(), lab.data("both").outcomes("ok")), (0, 2), "{}", ended.log);
+}
+
+#[test]
+fn large_sample_names_option_that_lets_it_pass() {
+    let lab = Lab::on_one_machine();
+    let large = "--text-size 300000";
+    let ended = measure(&lab, "echo", "--max-message-bytes 100000", large, "refused");
+    assert_eq!(ended.code(), 75, "{}", ended.log);
+    for reason in lab.data("refused").column("reason") {
+        assert!(reason.contains("300") && reason.contains("--max-message-bytes"), "{reason}");
+    }
+    let (server, client) = ("--max-message-bytes 400000", format!("{large} --max-message-bytes 400000"));
+    let ended = measure(&lab, "echo", server, &client, "passed");
+    assert_eq!((ended.code(), lab.data("passed").outcomes("ok")), (0, 2), "{}", ended.log);
+}
