@@ -27,6 +27,11 @@ pub(crate) fn short(name: &str) -> &str {
     if name == NETWORK { "up + down" } else { name }
 }
 
+/// Returns the label of a node in tables and sentences: its name, except for `lateness`.
+pub(crate) fn label(name: &str) -> &str {
+    if name == LATENESS { "late start" } else { name }
+}
+
 /// Returns the entries of the key. Stages with the same colour, such as the two queues, share an entry.
 pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)

@@ -143,7 +143,7 @@ fn page_api_metrics_show_lost_and_reordered_datagrams() {
         "zmq-udp",
         "by data, ",
         "round trip of its packets ",
-        " lost on the way or with the connection",
+        " lost in transit or with the connection",
         remote.as_str(),
     ] {
         assert!(page.contains(text), "the page lacks {text:?}: {page}");

@@ -173,7 +173,7 @@ fn assemble(
         table: Table::of(comparison, &differences),
         doubts: Some(caveats(comparison).join(" "))
             .filter(|said| !said.is_empty())
-            .map(|said| (Chip::new(Tone::Warn, "remark", "to be said"), said)),
+            .map(|said| (Chip::new(Tone::Warn, "remark", "caveat"), said)),
         also: comparison.also.join(", "),
         unknown: unknown_labels(comparison),
         stacks,

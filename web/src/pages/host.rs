@@ -156,7 +156,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         snapshot.pipelines.iter().filter(|one| one.placement.peer.as_ref() == Some(&description.name));
     let title = match (host.connected, mine.len(), serving.count()) {
         (false, ..) if host.has_left => {
-            format!("{name} took its leave at {}", app.zone.moment(host.last_seen).clock())
+            format!("{name} disconnected at {}", app.zone.moment(host.last_seen).clock())
         }
         (false, ..) => format!("{name} has not reported since {}", app.zone.moment(host.last_seen).clock()),
         (true, 0, 0) => format!("{name} is connected and idle"),
@@ -189,7 +189,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Wall clock", words),
             ("Known from", hint),
             ("Synchronised by", discipline(&host.clock)),
-            ("It claims to be", claims(&host.clock)),
+            ("Reported error bound", claims(&host.clock)),
             ("Steps noticed", step_count(&host.clock)),
             ("Clock fault", host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), clock_fault::words)),
             ("Boot id", description.clock.boot.to_string()),

@@ -79,8 +79,8 @@ async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> P
         shell: Shell::new(&app, &app.live_state(), "/incidents", "Incidents"),
         title: match (rows.is_empty(), is_filtered) {
             (true, true) => "No such incident is stored",
-            (true, false) => "Nothing out of the ordinary has happened",
-            (false, _) => "What happened beside the measurements",
+            (true, false) => "No incident is stored",
+            (false, _) => "Incidents",
         },
         kinds: KINDS.map(|kind| (kind, filter.kind.as_deref() == Some(kind))).to_vec(),
         hosts: hosts

@@ -12,6 +12,7 @@ use super::kind::PageKind;
 use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
+use crate::look;
 use crate::state::{App, AppState};
 use crate::svg::{Axis, LaneDiagram, Scale};
 use crate::timeline::Timeline;
@@ -75,7 +76,7 @@ fn title(row: &IterationRow) -> String {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
         let what = match row.outcome.as_str() {
             "timeout" => "No answer in time",
-            "lost" => "Lost on its way",
+            "lost" => "Lost in transit",
             _ => "Failed",
         };
         let after = row.total.map_or_else(String::new, |total| format!(" after {}", duration(total)));
@@ -84,9 +85,12 @@ fn title(row: &IterationRow) -> String {
     let took = duration(total);
     let Some(factor) = row.factor else { return format!("{took}") };
     if (0.95..1.05).contains(&factor) {
-        return format!("{took}, as usual in this run");
+        return format!("{took}, close to the run's median");
     }
-    let causes = row.causes.iter().map(|cause| format!("{} +{}", cause.name, duration(cause.excess())));
+    let causes = row
+        .causes
+        .iter()
+        .map(|cause| format!("{} +{}", look::label(cause.name.as_str()), duration(cause.excess())));
     let causes = causes.collect::<Vec<_>>().join(", ");
     let because = if causes.is_empty() { String::new() } else { format!(": {causes}") };
     format!("{took}, {} the run's median{because}", times(factor))
@@ -182,15 +186,15 @@ mod tests {
         ];
         assert_eq!(
             title(&row),
-            "30.2\u{202f}ms, 1.9\u{202f}× the run's median: upload +9.63\u{202f}ms, lateness +4.45\u{202f}ms"
+            "30.2\u{202f}ms, 1.9\u{202f}× the run's median: upload +9.63\u{202f}ms, late start +4.45\u{202f}ms"
         );
         row.factor = Some(1.01);
-        assert_eq!(title(&row), "30.2\u{202f}ms, as usual in this run");
+        assert_eq!(title(&row), "30.2\u{202f}ms, close to the run's median");
         (row.factor, row.causes) = (Some(0.8), Vec::new());
         assert_eq!(title(&row), "30.2\u{202f}ms, 0.80\u{202f}× the run's median");
         row.outcome = "lost".into();
         row.reason = Some("connection to rack-a closed".into());
-        assert_eq!(title(&row), format!("Lost on its way after 30.2{SPACE}ms: connection to rack-a closed"));
+        assert_eq!(title(&row), format!("Lost in transit after 30.2{SPACE}ms: connection to rack-a closed"));
     }
 
     #[test]

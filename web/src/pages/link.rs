@@ -252,7 +252,7 @@ fn facts(subject: &Subject<'_>, snapshot: &LiveState) -> Vec<String> {
         facts.push(panels::probing(&link.live.probing));
         if !link.connected {
             let ago = peernet_statistics::number::length((snapshot.at - link.last_seen).seconds().max(0.0));
-            facts.push(format!("told of {ago} ago"));
+            facts.push(format!("reported {ago} ago"));
         }
     }
     facts.extend(basis::facts(subject));

@@ -185,9 +185,9 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
             name,
             unit: if cell.text == NONE { "" } else { "MB/s" },
             number: cell.text,
-            title: cell.title.unwrap_or_else(|| {
-                "speed while sending: bytes over the time that they were on their way".to_owned()
-            }),
+            title: cell
+                .title
+                .unwrap_or_else(|| "speed while sending: bytes over their transfer time".to_owned()),
         }
     };
     let traffic = speed::traffic(kind, window);
@@ -240,7 +240,7 @@ fn pipeline_page(
     let mut facts = vec![place::route(&host, placement)];
     facts.extend(placement.network.clone());
     facts.extend([place::model(placement), pipeline.load.clone()]);
-    facts.push(format!("heard of {} ago", length((snapshot.at - pipeline.last_seen).seconds().max(0.0))));
+    facts.push(format!("last update {} ago", length((snapshot.at - pipeline.last_seen).seconds().max(0.0))));
     let charts = vec![ChartCard::new(pipeline, snapshot, app.zone)];
     let link = link::of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);

@@ -278,7 +278,7 @@ async fn a_host_that_took_its_leave_is_nothing_to_look_at() {
     assert!(hosts.contains("dot quiet") && !hosts.contains("dot bad"), "{hosts}");
     let one = host::update(&app, &shown, "cam-1").expect("renders");
     let one: String = one.parts.into_iter().map(|(_, html)| html).collect();
-    assert!(one.contains("cam-1 took its leave at 12:01:07"), "{one}");
+    assert!(one.contains("cam-1 disconnected at 12:01:07"), "{one}");
 }
 
 #[tokio::test]

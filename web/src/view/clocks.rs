@@ -41,7 +41,7 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
         Verdict::Unsynchronised => {
             "nothing related the two hosts' clocks at that time, so the directions cannot be told apart; their sum is exact"
         }
-        Verdict::Stepped => "a clock was stepped or ran off at that time: leave these delays out",
+        Verdict::Stepped => "a clock was stepped or drifted too fast at that time: leave these delays out",
         Verdict::Inconsistent => {
             "what is known of the clocks contradicts itself, so a source is wrong or the clocks drift faster than the limit: \
              trust neither direction, only their sum"

@@ -18,7 +18,7 @@ pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
 /// Fill level above which a spool is reported as nearly full.
 const NEARLY_FULL: f64 = 0.95;
 /// Reasons why events are lost. The gaps name the actual reason.
-const LOST: &str = "dropped for want of room in the agent's spool, or lost when the agent was killed";
+const LOST: &str = "dropped because the agent's spool was full, or lost when the agent was killed";
 /// Explanation of compression: the agent compresses when batches wait, for any reason.
 const COMPRESSED: &str = "batches wait for the link or the aggregator";
 
@@ -79,7 +79,7 @@ impl Spool {
         }
         let share = used / limit;
         let percent = percent(share);
-        let meter = Meter::new(format!("{percent}{SPACE}% of the spool of {name} is taken"), share);
+        let meter = Meter::new(format!("{percent}{SPACE}% of the spool of {name} is used"), share);
         Self { percent, words: format!("{} of {}", bytes(used), bytes(limit)), meter }
     }
 }
@@ -134,14 +134,22 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     let account = &host.accounting;
     let mut remarks = Vec::new();
     if let Some(trouble) = &account.trouble {
-        let text =
-            format!("the spool cannot be used: {trouble}. Events wait in memory, where there is less room.");
+        let text = format!("the spool cannot be used: {trouble}. Events wait in memory, which holds fewer.");
         remarks.push(Remark::new(Tone::Bad, "failed", "spool fails", text));
     }
     let full = account.spool_limit_bytes as f64 * NEARLY_FULL;
     if account.spool_limit_bytes > 0 && account.spool_bytes as f64 >= full {
-        let text = "new events are dropped and counted in gaps until there is room";
-        remarks.push(Remark::new(Tone::Bad, "gap", "spool full", text));
+        // Events are dropped when their batch does not fit, which may be somewhat below the limit.
+        let (tone, word) = if account.spool_bytes >= account.spool_limit_bytes {
+            (Tone::Bad, "spool full")
+        } else {
+            (Tone::Warn, "spool nearly full")
+        };
+        let used = percent(account.spool_bytes as f64 / account.spool_limit_bytes as f64);
+        let text = format!(
+            "{used}{SPACE}% of the spool is used. Events that no longer fit are dropped and counted in gaps."
+        );
+        remarks.push(Remark::new(tone, "gap", word, text));
     }
     if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
         let behind = length(behind.seconds());
@@ -184,13 +192,13 @@ pub(crate) fn stored(
     let mut pairs = vec![
         ("Stored", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
         ("Gaps", format!("{}, {} events missing", count(stored.gaps), count(stored.missing))),
-        ("Put aside", format!("{} batches that could not be stored as they were", count(stored.quarantined))),
+        ("Quarantined", format!("{} batches that could not be stored", count(stored.quarantined))),
     ];
     if let Some(arrivals) = arrivals {
         pairs.extend([
-            ("Came twice", format!("{} batches, stored once", count(stored.duplicates))),
-            ("Found no room", format!("{} batches, asked for again", count(arrivals.deferred))),
-            ("Came damaged", format!("{} batches, asked for again", count(arrivals.damaged))),
+            ("Duplicates", format!("{} batches, stored once", count(stored.duplicates))),
+            ("Deferred", format!("{} batches without room, requested again", count(arrivals.deferred))),
+            ("Damaged", format!("{} batches, requested again", count(arrivals.damaged))),
         ]);
     }
     pairs.extend(newest.map(|newest| {
@@ -315,13 +323,24 @@ mod tests {
     }
 
     #[test]
+    fn spool_is_nearly_full_below_its_limit() {
+        let mut host = host();
+        (host.accounting.spool_bytes, host.accounting.spool_limit_bytes) = (96, 100);
+        let remark = remarks(&host).remove(0);
+        assert_eq!((remark.chip.word, remark.chip.tone), ("spool nearly full", Tone::Warn));
+        assert!(remark.text.starts_with("96\u{202f}% of the spool is used."), "{}", remark.text);
+        host.accounting.spool_bytes = 94;
+        assert!(remarks(&host).iter().all(|remark| !remark.chip.word.starts_with("spool")));
+    }
+
+    #[test]
     fn lost_events_are_marked_with_every_reason() {
         let mut host = host();
         let dropped = worst(&host).expect("50 were dropped");
         assert_eq!((dropped.chip.word, dropped.chip.tone), ("lost", Tone::Warn));
         assert_eq!(
             dropped.text,
-            "50 events dropped for want of room in the agent's spool, or lost when the agent was killed; the gaps say which."
+            "50 events dropped because the agent's spool was full, or lost when the agent was killed; the gaps say which."
         );
         assert_eq!(Events::of(&host).lost, Some(LOST));
         host.accounting.dropped = 0;

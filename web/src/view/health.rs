@@ -40,7 +40,7 @@ impl Health {
             chip: Chip::new(Tone::Bad, "unsynchronised", "refused"),
             subject: refused.name.to_string(),
             href: "/hosts".to_owned(),
-            text: format!("was turned away at {}: {}", zone.moment(refused.at).clock(), refused.reason),
+            text: format!("was refused at {}: {}", zone.moment(refused.at).clock(), refused.reason),
             link: None,
         }));
         notes.extend(snapshot.hosts.iter().flat_map(|host| host_notes(host, snapshot.at, zone, warn)));

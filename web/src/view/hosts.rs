@@ -112,7 +112,7 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
     }
     let size = ahead.abs().seconds();
     if theirs.may_share_clock_with(ours) && size < 1.0 {
-        let title = "it tells the same machine and clock as the aggregator; the page of a link says whether that is proven";
+        let title = "it reports the same machine and clock as the aggregator; the page of a link says whether that is proven";
         return ("the aggregator's".to_owned(), title.to_owned());
     }
     let title = format!("its own clock, within 1{SPACE}s of the aggregator's when its last update arrived");

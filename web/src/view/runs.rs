@@ -83,7 +83,7 @@ fn why_deleted(retention: &RetentionConfig) -> String {
     match (retention.nodes_days, retention.size_limit_bytes) {
         (1, 0) => "after 1 day".to_owned(),
         (days, 0) if days > 0 => format!("after {} days", count(days.into())),
-        _ => "because of their age or to free space".to_owned(),
+        _ => "because of their age or to free disk space".to_owned(),
     }
 }
 
@@ -229,7 +229,11 @@ mod tests {
             why_deleted(&RetentionConfig { nodes_days, size_limit_bytes, ..RetentionConfig::default() })
         };
         assert_eq!((why(7, 0).as_str(), why(1, 0).as_str()), ("after 7 days", "after 1 day"));
-        assert_eq!(why(7, 1 << 30), "because of their age or to free space");
-        assert_eq!(why(0, 0), "because of their age or to free space", "the configuration was another one");
+        assert_eq!(why(7, 1 << 30), "because of their age or to free disk space");
+        assert_eq!(
+            why(0, 0),
+            "because of their age or to free disk space",
+            "the configuration was another one"
+        );
     }
 }

@@ -68,7 +68,7 @@ fn find_obstacle(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
     match verdict {
         Some(Verdict::Ok) => None,
         Some(Verdict::Limited) => Some("known only within its clock bound"),
-        Some(_) => Some("the clocks do not tell this direction's delay"),
+        Some(_) => Some("the clocks do not determine this direction's delay"),
         None if ok == 0 => Some("no successful iteration in this time"),
         None => Some("nothing was sent in this direction"),
     }

@@ -19,11 +19,11 @@ pub(crate) fn is_waiting_for_agents(snapshot: &LiveState, since: WallTime) -> bo
         && (snapshot.hosts.is_empty() || snapshot.at - since < RECONNECT_TIMEOUT)
 }
 
-/// Returns a sentence such as `2 hosts are known from before`; `None` if no known host is absent.
+/// Returns a sentence such as `2 hosts are known from earlier`; `None` if no known host is absent.
 pub(crate) fn absent_hosts_sentence(snapshot: &LiveState) -> Option<String> {
     (snapshot.absent > 0).then(|| {
         let verb = if snapshot.absent == 1 { "is" } else { "are" };
-        format!("{} {verb} known from before", counted(snapshot.absent, "host", "hosts"))
+        format!("{} {verb} known from earlier", counted(snapshot.absent, "host", "hosts"))
     })
 }
 
@@ -40,7 +40,7 @@ mod tests {
         let (now, long_ago) = (shown.at - Span::from_seconds(3), shown.at - Span::from_seconds(3_600));
         assert!(!is_waiting_for_agents(&shown, now), "a new aggregator knows nobody");
         shown.absent = 2;
-        assert_eq!(absent_hosts_sentence(&shown).as_deref(), Some("2 hosts are known from before"));
+        assert_eq!(absent_hosts_sentence(&shown).as_deref(), Some("2 hosts are known from earlier"));
         assert!(is_waiting_for_agents(&shown, now) && is_waiting_for_agents(&shown, long_ago));
 
         let mut shown = snapshot(vec![host("rack-a", "EPYC")], Vec::new());

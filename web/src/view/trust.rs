@@ -37,7 +37,7 @@ impl From<&Report> for Trust {
         Self {
             chip: match report.verdict {
                 Publish::Yes => Chip::new(Tone::Ok, "ok", "yes"),
-                Publish::WithRemarks => Chip::new(Tone::Warn, "remark", "with remarks"),
+                Publish::WithRemarks => Chip::new(Tone::Warn, "remark", "with caveats"),
                 Publish::No => Chip::new(Tone::Bad, "failed", "no"),
             },
             answer: report.answer(),
@@ -52,7 +52,7 @@ const fn chip(grade: Grade) -> Chip {
     match grade {
         Grade::Good => Chip::new(Tone::Ok, "ok", "good"),
         Grade::Unknown => Chip::new(Tone::Quiet, "unknown", "not known"),
-        Grade::Doubtful => Chip::new(Tone::Warn, "remark", "to be said"),
+        Grade::Doubtful => Chip::new(Tone::Warn, "remark", "caveat"),
         Grade::Bad => Chip::new(Tone::Bad, "failed", "bad"),
     }
 }

@@ -66,7 +66,7 @@ async fn an_empty_aggregator_says_how_to_fill_it() {
         ("/runs", "No run is stored yet"),
         ("/links", "A link comes with the first pipeline whose placement is"),
         ("/hosts", "No host has reported yet"),
-        ("/incidents", "Nothing out of the ordinary has happened"),
+        ("/incidents", "No incident is stored"),
     ] {
         let answer = dashboard.get(path).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}");
@@ -83,7 +83,7 @@ async fn unrelated_clocks_show_dashes_and_exact_sum() {
     let iteration = dashboard.get("/runs/1/iterations/100").await;
     assert!(iteration.text().contains("class=\"chip bad\""), "{}", iteration.text());
     assert!(iteration.text().contains("and so is upload + download = "), "{}", iteration.text());
-    let delays = iteration.text().split("How the one-way delays came about").nth(1).expect("a panel");
+    let delays = iteration.text().split("How the one-way delays were computed").nth(1).expect("a panel");
     let delays = delays.split("</section>").next().expect("its end");
     assert_eq!(delays.matches("<b>—</b>").count(), 2, "no direction has a value: {delays}");
 }
@@ -133,7 +133,7 @@ async fn run_is_running_while_its_host_reports_it() {
         factory.report(now, now).await;
         dashboard.wait_until(|picture| picture.pipelines[0].run_number == current).await;
         let page = dashboard.get("/runs/2").await;
-        assert_eq!(page.text().contains("goes on"), current.is_some(), "{}", page.text());
+        assert_eq!(page.text().contains("still running"), current.is_some(), "{}", page.text());
         assert_eq!(page.text().contains("no end was reported; last iteration on"), current.is_none());
     }
     assert!(dashboard.get("/runs").await.text().contains("no end was reported, last iteration"));

@@ -60,7 +60,7 @@ impl Reports {
         self.reported_problem = None;
         let has = match stored {
             0 => String::new(),
-            stored => format!(", which has batches up to {stored}"),
+            stored => format!("; its newest batch is number {stored}"),
         };
         let lost = if lacks_batches {
             "; it lacks batches that it once acknowledged: another aggregator has them, or its database is new or was restored \
@@ -70,8 +70,8 @@ impl Reports {
         };
         let wait = match waiting {
             0 => String::new(),
-            1 => ", 1 event waits".to_owned(),
-            waiting => format!(", {} events wait", grouped(waiting)),
+            1 => "; 1 event waits here".to_owned(),
+            waiting => format!("; {} events wait here", grouped(waiting)),
         };
         let unreported = match unreported_ends {
             0 => String::new(),
@@ -81,7 +81,9 @@ impl Reports {
                 grouped(ends)
             ),
         };
-        let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}{unreported}");
+        // The usual name would make it "the aggregator aggregator".
+        let name = if aggregator.as_str() == "aggregator" { String::new() } else { format!(" {aggregator}") };
+        let text = format!("connected to the aggregator{name}{has}{wait}{lost}{unreported}");
         self.incidents.report(IncidentKind::Connected, IncidentSubject::default(), text);
     }
 

@@ -99,8 +99,8 @@ impl Report {
             Publish::Yes => "Yes: no check found a reason against it.".to_owned(),
             Publish::WithRemarks => {
                 format!(
-                    "Yes, with remarks: {} to report beside the figures.",
-                    counted(count(Grade::Doubtful), "remark")
+                    "Yes, with {} to publish beside the figures.",
+                    counted(count(Grade::Doubtful), "caveat")
                 )
             }
             Publish::No => {

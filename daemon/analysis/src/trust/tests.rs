@@ -197,15 +197,15 @@ fn lateness_is_separated_from_unattributed_time() {
         });
         let report = judged(&rows);
         assert_eq!(about(&report, "unattributed").0, grade, "{}", report.text());
-        assert_eq!(about(&report, "lateness").0, Grade::Good);
+        assert_eq!(about(&report, "late start").0, Grade::Good);
         if grade == Grade::Good {
-            let text = "0.50\u{202f}% of the total belongs to no stage, lateness excluded (1.00\u{202f}ms on average).";
+            let text = "0.50\u{202f}% of the total belongs to no stage, without late starts (1.00\u{202f}ms on average).";
             assert_eq!(about(&report, "unattributed").1, text);
-            let text = "Iterations began 85.0\u{202f}ms after their scheduled start on average: this lateness is 43\u{202f}% of the total.";
-            assert_eq!(about(&report, "lateness").1, text);
+            let text = "Iterations began 85.0\u{202f}ms after their scheduled start on average: this late start is 43\u{202f}% of the total.";
+            assert_eq!(about(&report, "late start").1, text);
         }
     }
-    assert!(judged(&rows(quiet(200))).findings.iter().all(|finding| finding.about != "lateness"));
+    assert!(judged(&rows(quiet(200))).findings.iter().all(|finding| finding.about != "late start"));
 }
 
 #[test]
@@ -221,7 +221,7 @@ fn model_restart_is_reported_once() {
     let report = judged(&rows);
     assert_eq!(about(&report, "restarts").0, Grade::Doubtful);
     let (grade, text) = about(&report, "unattributed");
-    assert!(grade == Grade::Good && text.contains("restarts excluded"), "{text}");
+    assert!(grade == Grade::Good && text.contains("without restarts"), "{text}");
 }
 
 /// Adds a message of 6 ms to a row.

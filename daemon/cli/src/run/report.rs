@@ -101,7 +101,7 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
     let count = |verdict| runs.iter().filter(|edges| worst(edges) == Some(verdict)).count();
     let [yes, remarks, no] = [Publish::Yes, Publish::WithRemarks, Publish::No].map(count);
     let mut lines =
-        vec![format!("Can they be published? {yes} as they are, {remarks} with remarks, {no} not.")];
+        vec![format!("Can they be published? {yes} as they are, {remarks} with caveats, {no} not.")];
     let (bad, doubtful) = (count_findings(runs, Grade::Bad), count_findings(runs, Grade::Doubtful));
     for (sign, found) in [("✗", &bad), ("!", &doubtful)] {
         lines.extend(

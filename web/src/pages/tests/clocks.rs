@@ -84,7 +84,7 @@ async fn a_link_that_is_only_stored_keeps_its_page() {
         let page = link::link_page(&app, &shown, &subject, &course, None, link::Query::default(), &[]);
         let html = askama::Template::render(&page).expect("renders");
         check(&html);
-        assert!(html.contains("cam-1 last told of this link on 19 Nov 2026, 12:01:07"), "{html}");
+        assert!(html.contains("cam-1 last reported this link on 19 Nov 2026, 12:01:07"), "{html}");
         assert!(!html.contains("data-topic") && !html.contains("id=\"pause\""), "nothing of it is live");
     }
 }

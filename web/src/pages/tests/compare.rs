@@ -331,5 +331,5 @@ async fn a_delay_that_the_clocks_hardly_tell_is_drawn_as_an_interval() {
     kept.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
     untold.kept = Arc::new(kept);
     let html = asked_for(&[two[0].clone(), untold], "upload").await.expect("there");
-    assert!(panel(&html).contains("The clocks do not tell it of 1 run."), "{html}");
+    assert!(panel(&html).contains("The clocks do not determine it for 1 run."), "{html}");
 }

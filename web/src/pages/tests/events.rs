@@ -35,14 +35,15 @@ async fn what_became_of_events_is_shown_whatever_it_was() {
         "1,370 not yet",
         "catching up</span><span>3\u{202f}h 12\u{202f}min behind, about 4\u{202f}min left at 20,100 events/s",
         "312\u{202f}MB of 1.07\u{202f}GB",
-        "for want of room in the agent&#39;s spool, or lost when the agent was killed; <a href=\"/incidents\">see 1 gap</a>",
+        "because the agent&#39;s spool was full, or lost when the agent was killed; <a href=\"/incidents\">see 1 gap</a>",
         "width=\"29.",
     ] {
         assert!(html.contains(text), "{text} is missing: {html}");
     }
     let html = part("cam-1", "stored");
     assert!(
-        html.contains("7 batches, asked for again") && html.contains("19 Nov 2026, 12:01:07 by its clock"),
+        html.contains("7 batches without room, requested again")
+            && html.contains("19 Nov 2026, 12:01:07 by its clock"),
         "{html}"
     );
     let html = part("cam-2", "accounting");

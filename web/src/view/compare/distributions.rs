@@ -144,7 +144,7 @@ impl Quantity {
             judged && comparison.known(run.number, &self.name).is_none()
         });
         let runs = runs.count();
-        (runs > 0).then(|| format!("The clocks do not tell it of {}.", counted(runs, "run", "runs")))
+        (runs > 0).then(|| format!("The clocks do not determine it for {}.", counted(runs, "run", "runs")))
     }
 }
 

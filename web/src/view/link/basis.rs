@@ -127,7 +127,7 @@ pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     let probes = match assumptions.probes_authenticated {
         Some(true) => "authenticated",
         Some(false) => "not authenticated: who is on the path can forge their answers",
-        None => "not told, or none",
+        None => "not reported, or none",
     };
     pairs.push(("Probes", probes.to_owned()));
     pairs

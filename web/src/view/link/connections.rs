@@ -121,7 +121,7 @@ fn trip(connection: &Connection) -> Option<String> {
 fn mishaps(connection: &Connection) -> impl Iterator<Item = String> {
     let statistics = connection.statistics;
     let counts = [
-        (statistics.lost_messages, "lost on the way or with the connection"),
+        (statistics.lost_messages, "lost in transit or with the connection"),
         (statistics.late_messages, "answered too late"),
         (statistics.malformed_messages, "malformed"),
     ];
@@ -166,7 +166,7 @@ mod tests {
             words(&link),
             format!(
                 "zmq-tcp · 192.0.2.7:40112 → 192.0.2.5:5551 · by wlan0, wireless, MTU 1,500{SPACE}bytes · round trip of its \
-                 packets 2.31{SPACE}ms, at least 1.08{SPACE}ms · 2 lost on the way or with the connection"
+                 packets 2.31{SPACE}ms, at least 1.08{SPACE}ms · 2 lost in transit or with the connection"
             )
         );
         let connection = &mut link.live.connections[0];

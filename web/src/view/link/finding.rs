@@ -23,7 +23,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
     if !subject.connected {
         let seen = zone.moment(subject.end);
         return format!(
-            "{route}: {} last told of this link on {}, {}",
+            "{route}: {} last reported this link on {}, {}",
             subject.edge,
             seen.date(),
             seen.clock()
@@ -103,7 +103,7 @@ fn meaning(delays: &Delays, young: bool) -> Meaning {
             if half > 0.0 {
                 let many = point.value.seconds() / half;
                 format!(
-                    "{takes}, {} times what it can be wrong by. The true value lies between {}{SPACE}ms.",
+                    "{takes}, {} times its clock bound. The true value lies between {}{SPACE}ms.",
                     figure_of_times(many),
                     ends_ms(lo, hi).join(" and ")
                 )

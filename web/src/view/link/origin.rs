@@ -54,7 +54,7 @@ impl Origin {
     pub(crate) fn of(subject: &Subject<'_>, course: &Course) -> Self {
         let Some(offset) = subject.offset() else {
             let why = if subject.was_related() {
-                "No exchange has finished since a clock was stepped: what was known before says nothing of now."
+                "No exchange has finished since a clock was stepped: earlier exchanges do not bound the present offset."
             } else {
                 "No exchange between the two hosts has finished yet. Each data message with its answer is one, each answered \
                  probe another."
@@ -131,7 +131,7 @@ const EXCLUDE: (&str, &str) = (
 /// Explanation and advice for exchanges that contradict each other.
 const DOUBT: (&str, &str) = (
     "The exchanges contradict each other again and again: the clocks drift apart faster than [clock] max_drift_ppm \
-     allows or change their drift faster than max_drift_change_ppm_per_s allows, or one of the hosts does not tell the truth.",
+     allows or change their drift faster than max_drift_change_ppm_per_s allows, or one of the hosts reports wrong stamps.",
     "read the incidents of the link, which name the limit that is broken, and raise it on the edge ([clock] max_drift_ppm or \
      max_drift_change_ppm_per_s) above what the clocks really do",
 );

@@ -42,7 +42,7 @@ pub(crate) fn discipline(clock: &HostClock) -> String {
     let text = match (clock.text.is_empty(), clock.discipline) {
         (false, _) => clock.text.clone(),
         (true, Some(discipline)) => discipline.source.name().to_owned(),
-        (true, None) => "nobody says".to_owned(),
+        (true, None) => "not reported".to_owned(),
     };
     match clock.clocksource.as_deref() {
         Some(source) if !FREE_RUNNING.contains(&source) => {
@@ -58,7 +58,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
     let row = |name: &str, role, clock: Option<&HostClock>| HostRow {
         name: name.to_owned(),
         role: if role == name { "" } else { role },
-        text: clock.map_or_else(|| "has not told yet".to_owned(), discipline),
+        text: clock.map_or_else(|| "has not reported yet".to_owned(), discipline),
         claims: clock.map_or_else(|| NONE.to_owned(), claims),
         steps: clock.map_or_else(|| NONE.to_owned(), |clock| count(clock.epoch.into())),
         clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(clock_fault::words),
@@ -94,7 +94,7 @@ pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
             vec![("Sent to", address.clone()), ("Answers", answers)]
         }
         Some(Probing::Off(reason)) => vec![("Off", reason.clone())],
-        None => vec![("Now", "the edge does not report".to_owned())],
+        None => vec![("Now", "the edge is not connected".to_owned())],
     };
     let counts = course.probes();
     if counts != ProbeCounts::default() {
@@ -150,10 +150,7 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
         |words| format!("{words}: its wall clock minus {}'s", subject.edge),
     );
     pairs.push(("Offset", words));
-    pairs.push((
-        "Tied to",
-        format!("nothing says that its clock is {}'s: no delay rests on it", subject.cloud),
-    ));
+    pairs.push(("Tied to", format!("its clock is not proven to be {}'s: no delay uses it", subject.cloud)));
     pairs
 }
 
@@ -162,10 +159,13 @@ pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
     let Some(link) = subject.live else { return Vec::new() };
     let counts = link.live.now.exchanges;
     vec![
-        ("Taken", format!("{} exchanges", count(counts.taken))),
+        ("Used", format!("{} exchanges", count(counts.taken))),
         ("Impossible", format!("{}, refused: no two clocks can show them", count(counts.impossible))),
         ("Outliers", format!("{}, refused: they contradict all others", count(counts.outliers))),
         ("Stepped", format!("{}, refused: a clock was stepped meanwhile", count(counts.stepped))),
-        ("Begun anew", format!("{} after a step", counted(counts.restarts as usize, "time", "times"))),
+        (
+            "Estimate restarted",
+            format!("{} after a clock step", counted(counts.restarts as usize, "time", "times")),
+        ),
     ]
 }

@@ -74,7 +74,7 @@ fn offset(subject: &Subject<'_>) -> Stat {
     let Some((estimate, half)) = subject.offset().and_then(known) else {
         return Stat::new(name, None, "ms", no_offset(subject).to_owned());
     };
-    let then = if subject.connected { "" } else { ", when last told" };
+    let then = if subject.connected { "" } else { ", when last reported" };
     if subject.clocks() != RelatedClocks::Wall {
         // A free-running clock counts from the start of its machine: which one is ahead says nothing about the time of day.
         let line = format!("free-running clocks count from the machine's start, {}{then}", bound(half));

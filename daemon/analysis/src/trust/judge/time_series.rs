@@ -158,9 +158,9 @@ fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries)
     let waited = waits.map(|restarts| restarts.seconds).sum::<f64>() / input.counts.ok.max(1) as f64;
     let seconds = unattributed - input.lateness.unwrap_or_default() - waited;
     let beside = match (input.lateness.is_some(), waited > 0.0) {
-        (true, true) => ", lateness and restarts excluded",
-        (true, false) => ", lateness excluded",
-        (false, true) => ", restarts excluded",
+        (true, true) => ", without late starts and restarts",
+        (true, false) => ", without late starts",
+        (false, true) => ", without restarts",
         (false, false) => "",
     };
     let share = if total.mean > 0.0 { seconds.abs() / total.mean } else { 0.0 };
@@ -181,11 +181,11 @@ fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries)
 fn judge_lateness(seconds: f64, total: &TimeSeries) -> Finding {
     let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
     let text = format!(
-        "Iterations began {} after their scheduled start on average: this lateness is {} of the total.",
+        "Iterations began {} after their scheduled start on average: this late start is {} of the total.",
         ms(seconds),
         percent(share)
     );
-    finding("lateness", Grade::Good, text)
+    finding("late start", Grade::Good, text)
 }
 
 /// Returns the change from one value to the other, as a share of the first.

@@ -26,7 +26,7 @@ fn the_title_answers_whether_delays_can_be_trusted() {
     assert_eq!(say(&one), "cam-1 and rack-a read one clock: delays between them are exact");
     let mut away = mixed.clone();
     away.connected = false;
-    assert!(say(&away).contains("last told of this link on 19 Nov 2026, 12:01:07"), "{}", say(&away));
+    assert!(say(&away).contains("last reported this link on 19 Nov 2026, 12:01:07"), "{}", say(&away));
     let mut silent = mixed;
     silent.history.iter_mut().for_each(|point| {
         let point = Arc::make_mut(point);
@@ -41,7 +41,7 @@ fn the_verdicts_are_told_with_this_links_numbers() {
     let told = meanings(&Subject::live(&link));
     assert_eq!(
         told[0].text,
-        "takes 6.30\u{202f}ms, 9.7 times what it can be wrong by. The true value lies between 5.65 and 6.95\u{202f}ms."
+        "takes 6.30\u{202f}ms, 9.7 times its clock bound. The true value lies between 5.65 and 6.95\u{202f}ms."
     );
     assert!(told[1].text.contains("Read it as 0.00 – 1.25\u{202f}ms"), "{}", told[1].text);
 }

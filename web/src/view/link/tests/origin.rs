@@ -114,7 +114,7 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
     let past = Subject::past(&row).with_last_offset(&course(&away));
     let stats = stats::all(&past, &course(&away));
     let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
-    assert!(offset.line.contains("when last told"), "{offset:?}");
+    assert!(offset.line.contains("when last reported"), "{offset:?}");
     assert!(!format!("{:?}", Origin::of(&past, &course(&away))).contains("No exchange"));
 }
 
