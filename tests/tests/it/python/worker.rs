@@ -81,7 +81,7 @@ class Follower:
     // Only the call in which it died has no answer.
     let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
     assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(11), Some(1)), "{counts}");
-    cloud.wait_for("started anew");
+    cloud.wait_for("restarting a Python process");
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
 }

@@ -91,7 +91,7 @@ fn ended_program_is_restarted() {
     let mut program = start(Role::Sensor, &script, PATIENT);
     let error = program.call(Request::Next).expect_err("it ended").to_string();
     assert!(
-        error.contains("exit status 3") && error.contains("so long") && error.contains("anew"),
+        error.contains("exit status 3") && error.contains("so long") && error.contains("restarted"),
         "{error}"
     );
     assert!(program.call(Request::Next).is_ok(), "the second one knows what to do");

@@ -120,7 +120,7 @@ fn dead_process_is_reported_and_restarted() {
     let mut model = module.model();
     let message = failure(&mut model, &[bytes(b"exit")]);
     assert!(
-        message.contains("exit status 3") && message.contains("no more") && message.contains("anew"),
+        message.contains("exit status 3") && message.contains("no more") && message.contains("restarted"),
         "{message}"
     );
     assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
