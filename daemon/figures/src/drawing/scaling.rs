@@ -210,7 +210,7 @@ impl Scaling {
 }
 
 /// Returns a function of the horizontal axis as a path, as far as it lies in the plot.
-pub fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
+fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
     let values = plot.x.scale.along(STEPS).map(|x| (x, of(x)));
     let inside = values.map(|(x, y)| plot.y.scale.has(y).then(|| (plot.x.scale.at(x), plot.up(y))));
     Path::line(inside)

@@ -170,6 +170,6 @@ fn what_contradicts_itself_has_no_value_and_no_bound_anywhere() {
         let table = table::Row::all(&course(&link), Zone::Utc);
         assert!(table.iter().all(|row| row.offset == "—" && row.bound == "—"), "{table:?}");
         let picture = tracks(&subject, &course(&link), OffsetView::Removed, &[], Zone::Utc);
-        assert!(picture.tracks[0].curves.iter().all(|curve| curve.class != "band"));
+        assert_eq!(super::chart::path(&picture.tracks[0], "band"), None);
     }
 }
