@@ -151,7 +151,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         next: neighbour(detail.next),
         slower: detail.slower,
         faster: detail.faster,
-        axis: Picture::milliseconds(&scale, ""),
+        axis: Picture::milliseconds_axis(&scale, ""),
         lanes: cloud.as_ref().and_then(|cloud| lanes(&timeline, &journey(&timeline, &edge, cloud), &scale)),
         rows: rows(detail, &timeline, &hosts, &scale),
         note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),

@@ -28,7 +28,7 @@ use crate::view::link::origin::Origin;
 use crate::view::link::panels::{self, HostRow, Pairs};
 use crate::view::link::stats::{self, Stat};
 use crate::view::link::table::Row;
-use crate::view::link::track::Tracks;
+use crate::view::link::tracks::Tracks;
 use crate::view::link::{Subject, canonical, find, no_link};
 use crate::view::rehearsal::{self, Rehearsed};
 

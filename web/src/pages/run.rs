@@ -306,7 +306,7 @@ fn assemble(
             warm_up: episodes.warm_up_until.is_some(),
             unanswered: !episodes.unanswered.is_empty(),
         },
-        axis: Picture::milliseconds(&stored.scale(), ""),
+        axis: Picture::milliseconds_axis(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),
         unanswered: stored.unanswered_rows(zone),
         trust: Trust::from(report),

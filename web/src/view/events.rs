@@ -73,7 +73,7 @@ pub(crate) struct Spool {
 
 fn meter(share: f64, label: &str) -> Picture {
     let (items, is_nearly_full) = drawing::meter(share);
-    Picture::items(&items, if is_nearly_full { "meter full" } else { "meter" }, label)
+    Picture::of_items(&items, if is_nearly_full { "meter full" } else { "meter" }, label)
 }
 
 impl Spool {

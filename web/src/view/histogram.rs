@@ -37,5 +37,5 @@ pub(crate) fn histogram(known: &Histogram, view: View, is_logarithmic: bool) -> 
         is_logarithmic,
         ems: NARROWEST,
     };
-    Picture::plot(&distribution.plot(), "histogram", &label)
+    Picture::of_plot(&distribution.plot(), "histogram", &label)
 }

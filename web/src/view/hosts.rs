@@ -145,7 +145,7 @@ impl HostLine {
         };
         let spark = |what: &str, of: fn(&HostMetrics) -> Option<f64>| {
             let items = sparkline(&history(&host.history, of));
-            Picture::items(&items, "spark", &format!("{what} of {name}, last 10 minutes"))
+            Picture::of_items(&items, "spark", &format!("{what} of {name}, last 10 minutes"))
         };
         Self {
             tone,

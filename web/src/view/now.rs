@@ -140,8 +140,8 @@ impl NowTable {
             .zip(stacks)
             .map(|((pipeline, window), stack)| NowRow::new(pipeline, window, &stack, scale, &columns));
         Self {
-            axis: Picture::milliseconds(&scale, ""),
-            small_axis: Picture::milliseconds(&scale, "small"),
+            axis: Picture::milliseconds_axis(&scale, ""),
+            small_axis: Picture::milliseconds_axis(&scale, "small"),
             rows: rows.collect(),
             columns,
             has_deadlines: windows.iter().any(|(_, window)| window.miss_rate.is_some()),

@@ -255,7 +255,7 @@ impl Stored<'_> {
                     let look = look::class(&name);
                     (name, look, format!("{more}{SPACE}ms"))
                 }),
-                bar: Picture::items(&bar.items(), "stages thin", ""),
+                bar: Picture::of_items(&bar.items(), "stages thin", ""),
             }
         });
         rows.collect()

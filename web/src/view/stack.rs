@@ -86,12 +86,12 @@ impl Stack {
         scale: Scale,
     ) -> Picture {
         let bar = StageBar { quantiles: quantiles.into(), ..StageBar::new(&self.parts, scale) };
-        Picture::items(&bar.items(), class, &self.finding(quantiles))
+        Picture::of_items(&bar.items(), class, &self.finding(quantiles))
     }
 
     /// Returns the stack as a bar that fills its panel.
     pub(crate) fn whole(&self, class: &'static str) -> Picture {
-        Picture::items(&StageBar::whole(&self.parts).items(), class, &self.finding((None, None)))
+        Picture::of_items(&StageBar::whole(&self.parts).items(), class, &self.finding((None, None)))
     }
 
     /// Returns the description of the bar in words.

@@ -55,7 +55,7 @@ impl StageRow {
             bound: BoundCell::of(name, bound),
             share: share.map(|share| {
                 let class = if name == "total" { "sharebar full" } else { "sharebar" };
-                Picture::items(&share_bar(name, share), class, &number::share(share))
+                Picture::of_items(&share_bar(name, share), class, &number::share(share))
             }),
             sum: name == "total",
             name: name.to_owned(),

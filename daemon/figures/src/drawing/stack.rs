@@ -40,7 +40,7 @@ impl Direction {
     }
 
     /// Returns the same whisker on a rim of the ground's colour.
-    pub fn rimmed(self, ends: [At; 2], caps: [bool; 2], cap: f64) -> Vec<Item> {
+    pub fn rimmed_whisker(self, ends: [At; 2], caps: [bool; 2], cap: f64) -> Vec<Item> {
         [Style::halo(), Style::whisker()]
             .iter()
             .flat_map(|style| self.whisker(ends, caps, cap, style))

@@ -182,7 +182,7 @@ impl Stacked {
             end = end.max(total + std);
             let ends = [total - std, total + std].map(|value| direction.at(values.at(value), middle));
             let caps = [total - std, total + std].map(|value| values.has(value));
-            items.extend(direction.rimmed(ends, caps, CAP));
+            items.extend(direction.rimmed_whisker(ends, caps, CAP));
         }
         (items, end)
     }

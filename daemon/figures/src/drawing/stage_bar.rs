@@ -69,7 +69,7 @@ impl<'a> StageBar<'a> {
             items.extend(stack.segments().into_iter().map(|segment| Item::Text(self.value(segment))));
             items.extend(self.bounds(&stack));
         }
-        let whisker = |ends| Direction::Level.rimmed(ends, [true; 2], CAPS.1);
+        let whisker = |ends| Direction::Level.rimmed_whisker(ends, [true; 2], CAPS.1);
         items
             .extend(self.spread_ends().into_iter().flat_map(|ends| whisker(ends.map(|at| At::new(at, 0.5)))));
         items.extend(self.whiskers(&stack));
@@ -102,7 +102,7 @@ impl<'a> StageBar<'a> {
             let bound = part.bound?.min(part.seconds) * 1e3;
             let inner = if name == "download" { from } else { to };
             let ends = [inner - bound, inner + bound].map(|value| At::new(self.scale.at(value), BOUND));
-            (ends[1].x - ends[0].x >= SEEN).then(|| Direction::Level.rimmed(ends, [true; 2], CAPS.0))
+            (ends[1].x - ends[0].x >= SEEN).then(|| Direction::Level.rimmed_whisker(ends, [true; 2], CAPS.0))
         };
         stack.segments().into_iter().filter_map(whisker).flatten().collect()
     }

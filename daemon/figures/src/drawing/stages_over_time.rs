@@ -122,7 +122,7 @@ impl StagesOverTime {
         let (seconds, _) = axes.times();
         let at = |point: Option<(f64, f64)>| {
             let (at, value) = point?;
-            Some((plot.x.scale.at(at / seconds), 1.0 - plot.y.scale.past(value * 1e3)))
+            Some((plot.x.scale.at(at / seconds), 1.0 - plot.y.scale.at_or_outside(value * 1e3)))
         };
         let outline = |value: &dyn Fn(&StageBucket) -> Option<f64>| self.outline(value).into_iter().map(at);
         let below = |bucket: &StageBucket, name: &str| {

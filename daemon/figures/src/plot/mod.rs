@@ -31,7 +31,7 @@
 //! the waterfall of an iteration, is a function beside that page's view which returns [`Item`]s. [`page::plot`](crate::sheet::page::plot)
 //! draws axes at both sides, [`page::picture`](crate::sheet::page::picture) items alone (bars, sparklines, tracks), and
 //! [`page::axis`](crate::sheet::page::axis) the row of labels above bars. Text that must fit has [`Label::fits_within`], measured in the
-//! font itself. A line that may leave its plot is placed by [`Scale::past`](crate::scale::Scale::past).
+//! font itself. A line that may leave its plot is placed by [`Scale::at_or_outside`](crate::scale::Scale::at_or_outside).
 
 mod axis;
 mod figure;

@@ -21,7 +21,7 @@ const ROOM: f64 = 0.04;
 const ENDS: f64 = 0.06;
 /// Ratio of the largest to the smallest value above which a scale of sizes is logarithmic.
 const DECADE: f64 = 10.0;
-/// Distance of values beyond an end from that end in [`Scale::past`], as a share of the length.
+/// Distance of values beyond an end from that end in [`Scale::at_or_outside`], as a share of the length.
 const PAST: f64 = 0.05;
 
 /// Spread of values along a scale.
@@ -139,11 +139,11 @@ impl Scale {
 
     /// Returns the position of a value, from 0 to 1. Values beyond the ends are placed at the ends, and NaN at the lower end.
     pub fn at(&self, value: f64) -> f64 {
-        self.past(value).clamp(0.0, 1.0)
+        self.at_or_outside(value).clamp(0.0, 1.0)
     }
 
     /// Returns the position of a value. Values beyond the ends are placed slightly outside of them, for lines that leave their plot.
-    pub fn past(&self, value: f64) -> f64 {
+    pub fn at_or_outside(&self, value: f64) -> f64 {
         let place = match self.spread {
             _ if value.is_nan() => 0.0,
             Spread::Linear => (value - self.lo) / (self.hi - self.lo),

@@ -81,7 +81,11 @@ fn a_scale_up_to_a_value_ends_above_it() {
         [1.0; 4]
     );
     let scale = Scale::up_to(10.0, 5);
-    assert_eq!([-99.0, 5.0, 99.0].map(|value| scale.past(value)), [-0.05, 0.5, 1.05], "it leaves the plot");
+    assert_eq!(
+        [-99.0, 5.0, 99.0].map(|value| scale.at_or_outside(value)),
+        [-0.05, 0.5, 1.05],
+        "it leaves the plot"
+    );
 }
 
 #[test]

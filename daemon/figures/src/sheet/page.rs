@@ -100,7 +100,8 @@ pub fn legend(keys: &[Key], class: &str) -> String {
     svg.element(Tag::Ul).set("class", class).open();
     for key in keys {
         svg.element(Tag::Li).set("class", "extra").open();
-        svg.element(Tag::Svg).set("width", 10.0).set("height", 10.0).set("aria-hidden", "true").open();
+        let wide = if matches!(key.swatch, Swatch::Line(_)) { 18.0 } else { 10.0 };
+        svg.element(Tag::Svg).set("width", wide).set("height", 10.0).set("aria-hidden", "true").open();
         let middle = At::new(0.5, 0.5);
         let sample = match &key.swatch {
             Swatch::Area(style) => Item::rect(At::new(0.0, 0.0), At::new(1.0, 1.0), style.clone()),

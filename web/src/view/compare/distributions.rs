@@ -123,7 +123,8 @@ impl Quantity {
             let label = format!("{} of run {}: {said}", self.title, run.number);
             let name = one.name.clone();
             let items = axis.histogram(samples, &look, median.within);
-            let picture = Picture::items(&items, "plot", &label).then(&Picture::below(&axis.scale));
+            let picture =
+                Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
             Some(RunHistogram { run: run.number, name, said, doubt: median.doubt, picture })
         });
         let runs: Vec<RunHistogram> = runs.collect();

@@ -155,7 +155,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         let label = slope.iter().fold(label, |label, slope| format!("{label} {slope}"));
         Some(LengthRow {
             name: it.one.name.clone(),
-            plot: Picture::plot(&joint.plot(), "joint", &label),
+            plot: Picture::of_plot(&joint.plot(), "joint", &label),
             is_counted: joint.is_counted(),
             said: std::iter::once(summed)
                 .chain(slope)

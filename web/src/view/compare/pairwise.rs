@@ -54,7 +54,8 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
             all[*place].name, all[differences.baseline].name
         );
         let items = axis.histogram(&pairs, &look::stage(&stage::TOTAL), interval);
-        let picture = Picture::items(&items, "plot", &label).then(&Picture::below(&axis.scale));
+        let picture =
+            Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
         Some(PairwiseRow { faster, picture })
     };
     found.into_iter().zip(&differences.others).map(row).collect()

@@ -68,7 +68,7 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Picture, Vec<String>)>
     let label =
         format!("Mean latency against payload, {} to {}. {}", bytes(least), bytes(most), said.join(" "));
     let scatter = Scatter { x, y: Axis::new(up, "", "ms"), series: series.into() };
-    Some((Picture::scatter(&scatter, &label), said))
+    Some((Picture::of_scatter(&scatter, &label), said))
 }
 
 pub(super) type Group<'a> = Vec<(&'a Configuration, f64)>;
@@ -176,5 +176,5 @@ pub(crate) fn accuracy(comparison: &Comparison) -> Option<Picture> {
         points,
         lines: Vec::new(),
     };
-    Some(Picture::scatter(&Scatter { x, y: Axis::new(up, "", "%"), series: vec![series] }, &label))
+    Some(Picture::of_scatter(&Scatter { x, y: Axis::new(up, "", "%"), series: vec![series] }, &label))
 }

@@ -32,7 +32,10 @@ pub(crate) struct Axes {
 
 impl Axes {
     pub(super) fn of(scale: &Scale) -> Self {
-        Self { above: Picture::milliseconds(scale, ""), under: Picture::milliseconds(scale, "small") }
+        Self {
+            above: Picture::milliseconds_axis(scale, ""),
+            under: Picture::milliseconds_axis(scale, "small"),
+        }
     }
 }
 
@@ -65,7 +68,7 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
         StackRow {
             name: one.name.clone(),
             total: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
-            bar: Picture::items(&bar.items(), "stages", &label(one, &parts)),
+            bar: Picture::of_items(&bar.items(), "stages", &label(one, &parts)),
             best: best == Some(at),
         }
     };

@@ -114,13 +114,13 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
             run: run.number,
             name: one.name.clone(),
             said: said.into_iter().flatten().collect::<Vec<_>>().join(", "),
-            picture: Picture::plot(&data.plot(&axes), "course", label),
+            picture: Picture::of_plot(&data.plot(&axes), "course", label),
         }
     };
     Some(OverTime {
         runs: runs.iter().zip(&all).zip(&labels).map(picture).collect(),
         unit: axes.unit(),
-        legend: Picture::legend(&OverTimeAxes::legend(&all), "key plain"),
+        legend: Picture::of_legend(&OverTimeAxes::legend(&all), "key plain"),
         of,
         missing: without_answer(comparison),
     })

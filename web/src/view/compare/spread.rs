@@ -18,7 +18,7 @@ pub(crate) struct BoxRow {
 
 /// Draws the five numbers of a stage; `of` names the quantity in words.
 pub(super) fn boxed(stage: &str, of: &str, five: &Quartiles, scale: &Scale) -> Picture {
-    Picture::items(&five.items(stage, scale), "stages thin boxed", &format!("{of}: {}", five.words()))
+    Picture::of_items(&five.items(stage, scale), "stages thin boxed", &format!("{of}: {}", five.words()))
 }
 
 /// Returns the total of each configuration, its runs together, all on one scale.

@@ -117,7 +117,7 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
         ways.iter().flat_map(|(way, known)| known.iter().map(|it| it.row(way))).collect();
     let label = format!("Throughput against payload. {}", said.join(" "));
     let scatter = Scatter { x, y: Axis::new(up, "", "MB/s"), series };
-    Some(Throughput { plot: Picture::scatter(&scatter, &label), rows, said })
+    Some(Throughput { plot: Picture::of_scatter(&scatter, &label), rows, said })
 }
 
 /// Returns a level line at the throughput of large messages, by the delay of each further byte.

@@ -96,7 +96,7 @@ fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Picture {
         Some(format!("{}: {} at {}", one.name, duration(total.mean), users_of(line)))
     });
     let label = format!("Mean latency against the number of users. {}", said.collect::<Vec<_>>().join(", "));
-    Picture::scatter(&Scatter { x, y: Axis::new(up, "", "ms"), series }, &label)
+    Picture::of_scatter(&Scatter { x, y: Axis::new(up, "", "ms"), series }, &label)
 }
 
 /// Returns a scale of whole numbers with room beyond the largest.

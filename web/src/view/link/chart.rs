@@ -14,7 +14,7 @@ use super::super::incidents::IncidentLine;
 use super::super::speed::NetworkDirection;
 use super::course::Course;
 use super::delays::{bounds, of_point};
-use super::track::{Place, RailSign, Track, Tracks, span};
+use super::tracks::{Place, RailSign, Track, Tracks, span};
 use super::{Subject, known, offset};
 use crate::picture::Picture;
 use crate::zone::Zone;
@@ -115,7 +115,7 @@ pub(super) fn beyond(values: impl Iterator<Item = f64>, scale: &Scale, unit: &st
 
 /// Returns the distance of a value from the top of its track; a value beyond the scale lies slightly outside.
 pub(super) fn below(scale: &Scale, value: f64) -> f64 {
-    1.0 - scale.past(value)
+    1.0 - scale.at_or_outside(value)
 }
 
 /// Returns the picture of a course.
@@ -199,7 +199,7 @@ fn strip(plan: &Plan<'_>, way: NetworkDirection, hatched: &[Item]) -> Picture {
     }
     items.extend(texts);
     items.extend(hatched.iter().cloned());
-    Picture::items(&items, "strip", "")
+    Picture::of_items(&items, "strip", "")
 }
 
 /// Returns the class of a state's area and of the text on it.
@@ -280,7 +280,7 @@ fn times(course: &Course, zone: Zone) -> Picture {
         let time = WallTime::from_unix_nanos(seconds * 1_000_000_000);
         Tick { value: seconds as f64, at, text: zone.moment(time).minute() }
     };
-    Picture::row("times", &places.into_iter().map(tick).collect::<Vec<_>>())
+    Picture::labels_below("times", &places.into_iter().map(tick).collect::<Vec<_>>())
 }
 
 /// Returns the range of some values in words: `0.61 to 0.70 ms`.

@@ -7,7 +7,7 @@ use peernet_store::ClockPoint;
 
 use super::chart::{OffsetView, Plan, below, beyond, reach};
 use super::known;
-use super::track::Track;
+use super::tracks::Track;
 use super::trend::Trend;
 
 /// Another source that is wider than the band by this factor does not extend the scale.

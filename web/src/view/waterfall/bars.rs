@@ -47,14 +47,14 @@ fn bands(visit: &Visit, scale: &Scale) -> Vec<(f64, f64)> {
 
 /// Returns a row without a bar.
 pub(super) fn blank(scale: &Scale) -> Picture {
-    Picture::items(&Item::grid(scale), "row", "")
+    Picture::of_items(&Item::grid(scale), "row", "")
 }
 
 /// Returns the bar of the whole.
 pub(super) fn total(seconds: f64, scale: &Scale) -> Picture {
     let mut items = Item::grid(scale);
     items.push(rect(stretch(scale, 0.0, seconds), BAR, Style::total()));
-    Picture::items(&items, "row", "")
+    Picture::of_items(&items, "row", "")
 }
 
 /// Returns the bar of a node; `tick` marks the run's median in it.
@@ -90,9 +90,9 @@ pub(super) fn row(node: &Placed, timeline: &Timeline, scale: &Scale, tick: bool)
     });
     if let Some(ends) = ends {
         let ends = ends.map(|end| At::new(at(scale, end), 0.5));
-        items.extend(Direction::Level.rimmed(ends, [true; 2], CAPS.0));
+        items.extend(Direction::Level.rimmed_whisker(ends, [true; 2], CAPS.0));
     }
-    Picture::items(&items, "row", "")
+    Picture::of_items(&items, "row", "")
 }
 
 /// Returns the rails of an iteration that went to exactly one other host; `label` describes them in words.
@@ -119,5 +119,5 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
         let ends = [from, to].map(|x| At::new(x, BOUNDS));
         items.extend(Direction::Level.whisker(ends, [true; 2], CAPS.1, &Style::whisker()));
     }
-    Some(Picture::items(&items, "lane", label))
+    Some(Picture::of_items(&items, "lane", label))
 }

@@ -80,7 +80,7 @@ impl Scatter {
     pub fn plot(&self) -> Plot {
         let mut plot = Plot::new(self.x.clone(), self.y.clone().with_grid());
         // Values beyond the end of the axis leave the plot.
-        let place = |plot: &Plot, x: f64, y: f64| (plot.x.scale.at(x), 1.0 - plot.y.scale.past(y));
+        let place = |plot: &Plot, x: f64, y: f64| (plot.x.scale.at(x), 1.0 - plot.y.scale.at_or_outside(y));
         let mut drawn: Vec<(f64, f64)> = Vec::new();
         let mut points = Vec::new();
         let mut named = Vec::new();

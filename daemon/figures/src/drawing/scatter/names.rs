@@ -14,9 +14,11 @@ const POINT: f64 = 0.024;
 const AWAY: (f64, f64) = (0.022, 0.065);
 /// Largest number of names in one label; a table has all.
 const MOST: usize = 2;
-/// Places about a point, the best first: direction, and the shift from the point in the type size, which needs no more distance in a
-/// wide plot than in a narrow one.
-const PLACES: [((f64, f64), Anchor, (f64, f64)); 8] = [
+/// Place of a name: direction from its point, the end of the text that is near the point, and the shift from there in the type size. The
+/// shift is the same in every plot, because a wide plot needs no more distance than a narrow one.
+type Beside = ((f64, f64), Anchor, (f64, f64));
+/// Places about a point, the best first.
+const PLACES: [Beside; 8] = [
     ((1.0, 0.0), Anchor::Start, (0.7, 0.36)),
     ((-1.0, 0.0), Anchor::End, (-0.7, 0.36)),
     ((0.0, -1.0), Anchor::Middle, (0.0, -0.8)),
@@ -50,7 +52,7 @@ struct Placed<'a> {
 }
 
 impl<'a> Placed<'a> {
-    fn new(of: &Named<'a>, ((across, down), anchor, shift): ((f64, f64), Anchor, (f64, f64))) -> Self {
+    fn new(of: &Named<'a>, ((across, down), anchor, shift): Beside) -> Self {
         let reach = across * (AWAY.0 + wide(of.name) / 2.0);
         let middle = (of.at.0 + reach, of.at.1 + down * AWAY.1);
         Self { point: of.at, middle, anchor, shift, names: vec![(of.number, of.name)] }

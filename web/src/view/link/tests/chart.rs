@@ -4,7 +4,7 @@ use peernet_clock::Interval;
 
 use super::super::chart::{OffsetView, tracks};
 use super::super::course::Course;
-use super::super::track::TrackPicture;
+use super::super::tracks::TrackPicture;
 use super::super::*;
 use super::course;
 use crate::tests::samples::{NOW, clock_point, link};

@@ -67,7 +67,7 @@ pub(super) struct TrackPicture {
 }
 
 /// Returns a span of time in the full height of a picture.
-pub(super) fn span((from, to): (f64, f64), class: impl Into<std::borrow::Cow<'static, str>>) -> Item {
+pub(super) fn span((from, to): (f64, f64), class: &'static str) -> Item {
     Item::rect(At::new(from, 0.0), At::new(to, 1.0), Style::of_page(class))
 }
 
@@ -86,28 +86,26 @@ impl Track {
 
     /// Draws it over the stretches without data and the lines of incidents.
     pub(super) fn picture(self, ground: &[Item]) -> TrackPicture {
-        let label = |at, words: String, style| Label::new(at, words, style);
         // An axis of nothing would be made up.
         let ticks: Vec<Tick> = if self.lines.is_empty() { Vec::new() } else { self.scale.ticks(6) };
         let mut items: Vec<Item> = Vec::new();
         if self.lines.is_empty() {
-            let nothing = "nothing known in this time".to_owned();
-            let nothing = label(At::new(0.5, 0.5), nothing, TextStyle::AXIS).anchored(Anchor::Middle);
-            items.push(Item::Text(nothing));
+            let nothing = Label::new(At::new(0.5, 0.5), "nothing known in this time", TextStyle::AXIS);
+            items.push(Item::Text(nothing.anchored(Anchor::Middle)));
         }
         let level = |at: f64| Item::line(At::new(0.0, at), At::new(1.0, at), Style::grid());
         items.extend(ticks.iter().map(|tick| level(1.0 - tick.at)));
         items.extend(ground.iter().cloned());
         items.extend(self.lines);
         items.extend(self.beyond.map(|words| {
-            let label = label(At::new(1.0, 0.0), words, TextStyle::BEYOND).anchored(Anchor::End);
+            let label = Label::new(At::new(1.0, 0.0), words, TextStyle::BEYOND).anchored(Anchor::End);
             Item::Text(label.shifted(-0.4, 1.2))
         }));
         TrackPicture {
             title: self.title,
             note: self.note,
-            axis: Picture::side(&format!("yaxis {}", self.class), &ticks),
-            plot: Picture::items(&items, &format!("plot {}", self.class), ""),
+            axis: Picture::labels_beside(&format!("yaxis {}", self.class), &ticks),
+            plot: Picture::of_items(&items, &format!("plot {}", self.class), ""),
         }
     }
 }
