@@ -90,9 +90,7 @@ impl Distribution {
                 };
                 Axis::new(scale.whole(), "Iterations", "iterations")
             }
-            View::Cumulative => {
-                Axis::new(Scale::linear((0.0, 100.0)), "Iterations up to here, %", "% of iterations")
-            }
+            View::Cumulative => Axis::new(Scale::linear((0.0, 100.0)), "Iterations up to here, %", "%"),
         }
     }
 
