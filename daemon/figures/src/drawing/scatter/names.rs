@@ -16,9 +16,9 @@ const AWAY: (f64, f64) = (0.022, 0.065);
 const MOST: usize = 2;
 /// Place of a name: direction from its point, the end of the text that is near the point, and the shift from there in the type size. The
 /// shift is the same in every plot, because a wide plot needs no more distance than a narrow one.
-type Beside = ((f64, f64), Anchor, (f64, f64));
+type NamePlace = ((f64, f64), Anchor, (f64, f64));
 /// Places about a point, the best first.
-const PLACES: [Beside; 8] = [
+const PLACES: [NamePlace; 8] = [
     ((1.0, 0.0), Anchor::Start, (0.7, 0.36)),
     ((-1.0, 0.0), Anchor::End, (-0.7, 0.36)),
     ((0.0, -1.0), Anchor::Middle, (0.0, -0.8)),
@@ -49,24 +49,35 @@ struct Placed<'a> {
     anchor: Anchor,
     shift: (f64, f64),
     names: Vec<(usize, &'a str)>,
+    /// The names in words, and their width as a share of a narrow plot.
+    words: String,
+    wide: f64,
 }
 
 impl<'a> Placed<'a> {
-    fn new(of: &Named<'a>, ((across, down), anchor, shift): Beside) -> Self {
-        let reach = across * (AWAY.0 + wide(of.name) / 2.0);
-        let middle = (of.at.0 + reach, of.at.1 + down * AWAY.1);
-        Self { point: of.at, middle, anchor, shift, names: vec![(of.number, of.name)] }
+    fn new(of: &Named<'a>, ((across, down), anchor, shift): NamePlace) -> Self {
+        let wide = wide(of.name);
+        let middle = (of.at.0 + across * (AWAY.0 + wide / 2.0), of.at.1 + down * AWAY.1);
+        let (names, words) = (vec![(of.number, of.name)], of.name.to_owned());
+        Self { point: of.at, middle, anchor, shift, names, words, wide }
+    }
+
+    /// Adds the name of another point.
+    fn join(&mut self, of: &Named<'a>) {
+        self.names.push((of.number, of.name));
+        self.words = listed(&self.names);
+        self.wide = wide(&self.words);
     }
 
     /// Returns whether it overlaps something of this width and height about a place.
     fn overlaps(&self, (x, y): (f64, f64), (width, height): (f64, f64)) -> bool {
-        let own = wide(&listed(&self.names));
-        (self.middle.0 - x).abs() < (own + width) / 2.0 && (self.middle.1 - y).abs() < (HIGH + height) / 2.0
+        (self.middle.0 - x).abs() < (self.wide + width) / 2.0
+            && (self.middle.1 - y).abs() < (HIGH + height) / 2.0
     }
 
     fn label(&self) -> Label {
         let at = At::new(self.point.0, self.point.1);
-        let label = Label::new(at, listed(&self.names), TextStyle::MARK).anchored(self.anchor);
+        let label = Label::new(at, self.words.clone(), TextStyle::MARK).anchored(self.anchor);
         label.shifted(self.shift.0, self.shift.1)
     }
 }
@@ -87,8 +98,7 @@ fn placed<'a>(points: &[Named<'a>], drawn: &[(f64, f64)]) -> Vec<Placed<'a>> {
     for point in points.iter().filter(|point| !point.name.is_empty()) {
         let is_free = |place: &Placed<'_>| {
             let on_points = points.iter().any(|other| place.overlaps(other.at, (POINT, HIGH)));
-            let on_names =
-                |other: &Placed<'_>| place.overlaps(other.middle, (wide(&listed(&other.names)), HIGH));
+            let on_names = |other: &Placed<'_>| place.overlaps(other.middle, (other.wide, HIGH));
             !on_points && !all.iter().any(on_names)
         };
         let free: Vec<Placed<'a>> =
@@ -100,7 +110,7 @@ fn placed<'a>(points: &[Named<'a>], drawn: &[(f64, f64)]) -> Vec<Placed<'a>> {
         if let Some(place) = free.iter().find(is_clear).or_else(|| free.first()) {
             all.push(place.clone());
         } else if let Some(nearest) = all.iter_mut().min_by(|a, b| far(a).total_cmp(&far(b))) {
-            nearest.names.push((point.number, point.name));
+            nearest.join(point);
         } else {
             all.push(Placed::new(point, PLACES[0]));
         }
@@ -148,7 +158,7 @@ mod tests {
         let all = placed(&points, &[]);
         assert_eq!(all.iter().map(|place| place.names.len()).sum::<usize>(), 12, "{all:?}");
         let alone = all.iter().filter(|place| place.names.len() == 1);
-        let size = |place: &Placed<'_>| (wide(&listed(&place.names)), HIGH);
+        let size = |place: &Placed<'_>| (place.wide, HIGH);
         for (at, place) in alone.enumerate() {
             let before = all[..at].iter().filter(|other| other.names.len() == 1);
             assert!(before.into_iter().all(|other| !place.overlaps(other.middle, size(other))), "{all:?}");
