@@ -1,7 +1,7 @@
 //! The dashboard and the REST API: thin handlers that query the aggregator and render its answers.
 //!
 //! `pages/` holds one file per page with its template next to it, and `api/` one file or folder per resource of `/api/v1`. Their `mod.rs`
-//! registers them. `view/` holds the parts that several pages share, `svg/` the pictures that the server draws.
+//! registers them. `view/` holds the parts that several pages share. `picture.rs` turns the layouts of the crate `figures` into HTML.
 //!
 //! Pages are complete without scripts: templates render tables and pictures on the server, and server-sent events replace parts of
 //! them. Only charts that zoom or move are drawn in the browser.
@@ -21,11 +21,11 @@ mod look;
 mod metrics;
 mod pages;
 mod parameters;
+mod picture;
 mod router;
 mod serve;
 mod server_names;
 mod state;
-mod svg;
 #[cfg(test)]
 mod tests;
 mod timeline;

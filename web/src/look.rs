@@ -22,17 +22,12 @@ pub(crate) const LATENESS: &str = "lateness";
 /// Values of a model's accuracy, and their titles: means of 0 and 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
-/// Returns the short name of a stage, for narrow columns.
-pub(crate) fn short(name: &str) -> &str {
-    if name == NETWORK { "up + down" } else { name }
-}
-
 /// Returns the label of a node in tables and sentences: its name, except for `lateness`.
 pub(crate) fn label(name: &str) -> &str {
     if name == LATENESS { "late start" } else { name }
 }
 
-/// Returns the entries of the key. Stages with the same colour, such as the two queues, share an entry.
+/// Returns the entries of the key: stages of one colour, such as the two queues, share an entry.
 pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)
 }
@@ -44,22 +39,7 @@ pub(crate) fn entry(name: &str) -> &str {
 
 /// Returns the colour class of a node: `f-CLASS` is the fill, `o-CLASS` the text on it.
 pub(crate) fn class(name: &str) -> &'static str {
-    match name {
-        "send-queue" | "queue" => "queue",
-        "ipc" => "encode",
-        "capture" => "capture",
-        "transform" => "transform",
-        NETWORK | NETWORK_AND_REST => "network",
-        // Lateness is a part of the unattributed time, so it has the same colour.
-        LATENESS => "unattributed",
-        "total" | "stages-total" => "total",
-        other => STACK.iter().copied().find(|known| *known == other).unwrap_or("other"),
-    }
-}
-
-/// Returns whether the fill is so pale in the light theme that it needs a darker edge.
-pub(crate) fn is_pale(name: &str) -> bool {
-    matches!(class(name), "encode" | "queue" | "preprocessing" | "unattributed")
+    peernet_figures::look::stage(name).class
 }
 
 /// Returns whether the node is a one-way delay between hosts.

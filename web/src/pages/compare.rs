@@ -14,8 +14,8 @@ use super::kind::{NavigationEntry, PageKind};
 use super::shell::Shell;
 use super::{Page, page};
 use crate::parameters::Parameters;
+use crate::picture::Picture;
 use crate::state::App;
-use crate::svg::Scatter;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
     Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
@@ -76,12 +76,12 @@ struct Compare {
     /// Settings that do not distinguish configurations.
     settings: Vec<Setting>,
     names: Vec<String>,
-    payload: Option<(Scatter, Vec<String>)>,
+    payload: Option<(Picture, Vec<String>)>,
     throughput: Option<Throughput>,
     /// Latency by length of the answer.
     lengths: Option<Lengths>,
-    users: Option<(Scatter, Vec<UsersRow>)>,
-    accuracy: Option<Scatter>,
+    users: Option<(Picture, Vec<UsersRow>)>,
+    accuracy: Option<Picture>,
     /// Commands that compare the runs by all their iterations.
     commands: Option<String>,
 }

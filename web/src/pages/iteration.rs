@@ -5,6 +5,7 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
+use peernet_figures::scale::Scale;
 use peernet_statistics::number::{NONE, count, duration, times};
 use peernet_store::{IterationDetail, IterationRow, RunDetail, RunSummary};
 
@@ -13,13 +14,13 @@ use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
 use crate::look;
+use crate::picture::Picture;
 use crate::state::{App, AppState};
-use crate::svg::{Axis, LaneDiagram, Scale};
 use crate::timeline::Timeline;
 use crate::view::bytes::{ByteRow, OtherMeasurement};
 use crate::view::chip::Chip;
 use crate::view::runs::reject_deleted;
-use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
+use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, lanes, rows};
 use crate::view::{clock_fault, link, place};
 
 /// Registration of this page.
@@ -48,8 +49,8 @@ struct Iteration {
     faster: Option<u64>,
     edge: String,
     cloud: Option<String>,
-    axis: Axis,
-    lanes: Option<LaneDiagram>,
+    axis: Picture,
+    lanes: Option<Picture>,
     rows: Vec<Row>,
     note: Option<String>,
     delays: Vec<DelayRow>,
@@ -126,7 +127,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
     let (run, row) = (&stored.summary, &detail.row);
     let snapshot = app.live_state();
     let timeline = Timeline::of(detail);
-    let scale = Scale::fit(timeline.end * 1e3, 6);
+    let scale = Scale::up_to(timeline.end * 1e3, 6);
     let host = |index: usize| {
         let name = detail.hosts.get(index).and_then(Option::as_ref).map(ToString::to_string);
         name.unwrap_or_else(|| if index == 0 { run.host_name.to_string() } else { NONE.to_owned() })
@@ -154,10 +155,8 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         next: neighbour(detail.next),
         slower: detail.slower,
         faster: detail.faster,
-        axis: Axis::milliseconds(&scale, ""),
-        lanes: cloud
-            .as_ref()
-            .and_then(|cloud| LaneDiagram::new(&timeline, journey(&timeline, &edge, cloud), &scale)),
+        axis: Picture::milliseconds_axis(&scale, ""),
+        lanes: cloud.as_ref().and_then(|cloud| lanes(&timeline, &journey(&timeline, &edge, cloud), &scale)),
         rows: rows(detail, &timeline, &hosts, &scale),
         note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),
         delays: delays(&timeline, &detail.row.delays),

@@ -16,7 +16,6 @@ use super::{Page, Update, page, path};
 use crate::error::WebError;
 use crate::parameters::Parameters;
 use crate::state::{App, AppState};
-use crate::svg::Tracks;
 use crate::view::chip::Chip;
 use crate::view::clock_fault::{self, FaultyClocks};
 use crate::view::incidents::IncidentLine;
@@ -30,6 +29,7 @@ use crate::view::link::origin::Origin;
 use crate::view::link::panels::{self, HostRow, Pairs};
 use crate::view::link::stats::{self, Stat};
 use crate::view::link::table::Row;
+use crate::view::link::tracks::Tracks;
 use crate::view::link::{Subject, canonical, find, no_link};
 
 /// Registration of this page.

@@ -22,8 +22,8 @@ use super::{Page, Update, page, path};
 use crate::error::WebError;
 use crate::look;
 use crate::parameters::Parameters;
+use crate::picture::Picture;
 use crate::state::{App, AppState};
-use crate::svg::Bar;
 use crate::view::chart::{ChartCard, Mark};
 use crate::view::clock_fault::{self, FaultyClocks};
 use crate::view::clocks::ClockCell;
@@ -77,7 +77,7 @@ struct PipelinePage {
     windows: Vec<(u32, &'static str)>,
     stats: Vec<Stat>,
     clock: ClockCell,
-    bar: Bar,
+    bar: Picture,
     stages: Vec<StageRow>,
     name: String,
     /// Always one chart. It is a list because the page shares the template of charts with the overview.
@@ -261,7 +261,7 @@ fn pipeline_page(
         windows: vec![(1, "1\u{202f}s"), (10, "10\u{202f}s"), (60, "1\u{202f}min")],
         stats: stats(placement.kind, window),
         clock: ClockCell::of(placement.kind, &window.bounds),
-        bar: stack.whole("big"),
+        bar: stack.whole("stages big"),
         stages: StageRow::of_window(window),
         runs: runs.iter().map(|run| RunLine::new(run, snapshot, app.zone)).collect(),
         layout: format!("{host}/{}", pipeline.pipeline),

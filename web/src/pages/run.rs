@@ -6,6 +6,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_analysis::trust::{Report, Starts};
+use peernet_figures::drawing::View;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, SPACE, count, duration, figure, mean_std_ms, percent, rate, share};
 use peernet_store::{IterationFilter, RunDetail, RunStatistics, RunSummary, StageStatistics};
@@ -18,11 +19,12 @@ use super::{Page, page, path};
 use crate::error::WebError;
 use crate::look;
 use crate::parameters::Parameters;
+use crate::picture::Picture;
 use crate::state::{App, AppState};
-use crate::svg::{Axis, Bar, DistributionView, HistogramPlot};
 use crate::view::chip::Chip;
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
+use crate::view::histogram::histogram;
 use crate::view::notes::Note;
 use crate::view::run::{Bucket, OtherStatistics, SlowIteration, Stored, Unanswered};
 use crate::view::runs::End;
@@ -56,9 +58,20 @@ pub(crate) struct Query {
     /// Stage whose distribution is shown; `total` unless given.
     stage: Option<String>,
     /// `histogram` or `cumulative`.
-    view: DistributionView,
+    #[serde(with = "ViewName")]
+    view: View,
     /// `linear` or `log`.
     scale: CountScale,
+}
+
+/// Names of the views in an address.
+#[derive(Deserialize)]
+#[serde(remote = "View")]
+enum ViewName {
+    #[serde(rename = "histogram")]
+    Counts,
+    #[serde(rename = "cumulative")]
+    Cumulative,
 }
 
 /// The scale of counts.
@@ -91,7 +104,7 @@ struct Run {
     skipped: Option<(String, String)>,
     clock: ClockCell,
     directions: Vec<(String, Chip)>,
-    bar: Bar,
+    bar: Picture,
     stages: Vec<StageRow>,
     others: Vec<OtherStatistics>,
     distribution: Distribution,
@@ -103,7 +116,7 @@ struct Run {
     marked: Marked,
     /// `true` if any bucket has enough samples for a 95th percentile.
     has_p95: bool,
-    axis: Axis,
+    axis: Picture,
     slowest: Vec<SlowIteration>,
     unanswered: Vec<Unanswered>,
     trust: Trust,
@@ -125,7 +138,7 @@ struct Marked {
 /// The selected distribution and the links that select another.
 struct Distribution {
     stage: String,
-    plot: Option<HistogramPlot>,
+    plot: Option<Picture>,
     views: [(&'static str, String, bool); 2],
     scales: [(&'static str, String, bool); 2],
     /// Appended to a stage's link, so that the choice of view stays.
@@ -145,7 +158,7 @@ async fn show(
     let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
     let without_answer = IterationFilter { after: 0, limit: UNANSWERED, unsuccessful: true };
-    let (known, histogram, series, slowest, unanswered, episodes, trust) = tokio::try_join!(
+    let (known, known_histogram, series, slowest, unanswered, episodes, trust) = tokio::try_join!(
         store.statistics_of(number),
         store.histogram(number, &wanted, BINS),
         store.series(number, &names, POINTS),
@@ -154,9 +167,7 @@ async fn show(
         store.episodes(number),
         store.trust_input(&run),
     )?;
-    let plot = histogram.map(|histogram| {
-        HistogramPlot::new(&histogram, look::class(&wanted), query.view, query.scale == CountScale::Log)
-    });
+    let plot = known_histogram.map(|known| histogram(&known, query.view, query.scale == CountScale::Log));
     let distribution = Distribution::new(wanted, plot, &query);
     let stored = Stored {
         run: &run,
@@ -171,13 +182,13 @@ async fn show(
 }
 
 impl Distribution {
-    fn new(stage: String, plot: Option<HistogramPlot>, query: &Query) -> Self {
-        let view = |view| if view == DistributionView::Cumulative { "cumulative" } else { "histogram" };
+    fn new(stage: String, plot: Option<Picture>, query: &Query) -> Self {
+        let view = |view| if view == View::Cumulative { "cumulative" } else { "histogram" };
         let scale = |scale| if scale == CountScale::Log { "log" } else { "linear" };
-        let link = |of: DistributionView, on: CountScale| format!("&view={}&scale={}", view(of), scale(on));
+        let link = |of: View, on: CountScale| format!("&view={}&scale={}", view(of), scale(on));
         Self {
-            views: [DistributionView::Histogram, DistributionView::Cumulative].map(|one| {
-                let name = if one == DistributionView::Histogram { "Histogram" } else { "Cumulative" };
+            views: [View::Counts, View::Cumulative].map(|one| {
+                let name = if one == View::Counts { "Histogram" } else { "Cumulative" };
                 (name, link(one, query.scale), one == query.view)
             }),
             scales: [CountScale::Linear, CountScale::Log]
@@ -282,7 +293,7 @@ fn assemble(
         skipped: skipped(&Starts::from(summary)),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
-        bar: stack.whole("big"),
+        bar: stack.whole("stages big"),
         stages: StageRow::of_run(stages, bounds),
         others: stored.others(),
         distribution,
@@ -295,7 +306,7 @@ fn assemble(
             warm_up: episodes.warm_up_until.is_some(),
             unanswered: !episodes.unanswered.is_empty(),
         },
-        axis: Axis::milliseconds(&stored.scale(), ""),
+        axis: Picture::milliseconds_axis(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),
         unanswered: stored.unanswered_rows(zone),
         trust: Trust::from(report),

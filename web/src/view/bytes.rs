@@ -5,7 +5,7 @@ use peernet_logger::{Measure, Name, Node, NodeId};
 use peernet_statistics::number::{NONE, SPACE, bytes, figure, throughput, throughput_between, times};
 use peernet_store::{Figures, IterationDetail};
 
-use crate::svg::shown_in;
+use crate::view::units::shown_in;
 
 /// One direction.
 #[derive(Clone, Debug, PartialEq, Eq)]

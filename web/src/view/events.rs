@@ -4,13 +4,14 @@ use std::cmp::Reverse;
 
 use peernet_aggregator::{Arrivals, HostSnapshot};
 use peernet_clock::Span;
+use peernet_figures::drawing;
 use peernet_statistics::number::{NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
 use peernet_store::Stored;
 use peernet_stream::Accounting;
 
 use super::chip::{Chip, Tone};
 use super::counted;
-use crate::svg::Meter;
+use crate::picture::Picture;
 use crate::zone::Zone;
 
 /// Delay of storing behind measuring from which on a note is shown.
@@ -67,19 +68,24 @@ pub(crate) struct Spool {
     pub percent: String,
     /// `312 MB of 1.07 GB`.
     pub words: String,
-    pub meter: Meter,
+    pub meter: Picture,
+}
+
+fn meter(share: f64, label: &str) -> Picture {
+    let (items, is_nearly_full) = drawing::meter(share);
+    Picture::of_items(&items, if is_nearly_full { "meter full" } else { "meter" }, label)
 }
 
 impl Spool {
     fn of(name: &str, accounting: &Accounting) -> Self {
         let (used, limit) = (accounting.spool_bytes as f64, accounting.spool_limit_bytes as f64);
         if accounting.spool_limit_bytes == 0 {
-            let meter = Meter::new(format!("the spool of {name} is not known"), 0.0);
+            let meter = meter(0.0, &format!("the spool of {name} is not known"));
             return Self { percent: NONE.to_owned(), words: "not known yet".to_owned(), meter };
         }
         let share = used / limit;
         let percent = percent(share);
-        let meter = Meter::new(format!("{percent}{SPACE}% of the spool of {name} is used"), share);
+        let meter = meter(share, &format!("{percent}{SPACE}% of the spool of {name} is used"));
         Self { percent, words: format!("{} of {}", bytes(used), bytes(limit)), meter }
     }
 }

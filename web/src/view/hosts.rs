@@ -2,6 +2,7 @@
 
 use peernet_aggregator::{HostSnapshot, LiveState, MetricsPoint};
 use peernet_clock::{ClockIdentity, Span};
+use peernet_figures::drawing::sparkline;
 use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, length};
 use peernet_stream::{Hardware, HostMetrics};
 
@@ -9,7 +10,7 @@ use super::chip::{Chip, Tone};
 use super::clock_fault;
 use super::events::{self, FAR_BEHIND, Remark};
 use super::link::panels::discipline;
-use crate::svg::Spark;
+use crate::picture::Picture;
 use crate::zone::{Zone, ZonedTime};
 
 /// Current state of one host. Texts are figures without their unit, which the header shows.
@@ -24,11 +25,11 @@ pub(crate) struct HostLine {
     /// Accelerator of the host, or its processor where it has none.
     pub kind: String,
     pub cpu: String,
-    pub cpu_spark: Spark,
+    pub cpu_spark: Picture,
     pub memory: String,
     pub memory_of: String,
     pub gpu: String,
-    pub gpu_spark: Option<Spark>,
+    pub gpu_spark: Option<Picture>,
     pub temperature: String,
     pub power: String,
     pub waiting: String,
@@ -142,25 +143,21 @@ impl HostLine {
             Some(remark) => remark.chip.tone.max(Tone::Warn),
             None => Tone::Ok,
         };
+        let spark = |what: &str, of: fn(&HostMetrics) -> Option<f64>| {
+            let items = sparkline(&history(&host.history, of));
+            Picture::of_items(&items, "spark", &format!("{what} of {name}, last 10 minutes"))
+        };
         Self {
             tone,
             remark,
             away: (!host.connected).then(|| zone.moment(host.last_seen)),
             kind: hardware_name(&host.description.hardware),
             cpu: percent(metrics.cpu),
-            cpu_spark: Spark::new(
-                format!("CPU of {name}, last 10 minutes"),
-                &history(&host.history, |metrics| metrics.cpu),
-            ),
+            cpu_spark: spark("CPU", |metrics| metrics.cpu),
             memory: metrics.memory_used_bytes.map_or_else(|| NONE.to_owned(), gigabytes),
             memory_of: fixed(host.description.hardware.memory_bytes as f64 / 1e9, 0),
             gpu: percent(metrics.gpu),
-            gpu_spark: metrics.gpu.map(|_| {
-                Spark::new(
-                    format!("GPU of {name}, last 10 minutes"),
-                    &history(&host.history, |metrics| metrics.gpu),
-                )
-            }),
+            gpu_spark: metrics.gpu.map(|_| spark("GPU", |metrics| metrics.gpu)),
             temperature: metrics.temperature_celsius.map_or_else(|| NONE.to_owned(), |value| fixed(value, 1)),
             power: metrics.power_watts.map_or_else(|| NONE.to_owned(), |watts| fixed(watts, 1)),
             waiting: count(host.accounting.waiting),

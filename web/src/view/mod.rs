@@ -11,6 +11,7 @@ pub(crate) mod data;
 pub(crate) mod episodes;
 pub(crate) mod events;
 pub(crate) mod health;
+pub(crate) mod histogram;
 pub(crate) mod hosts;
 pub(crate) mod incidents;
 pub(crate) mod link;
@@ -26,6 +27,7 @@ pub(crate) mod stages;
 pub(crate) mod startup;
 pub(crate) mod storing;
 pub(crate) mod trust;
+pub(crate) mod units;
 pub(crate) mod warnings;
 pub(crate) mod waterfall;
 

@@ -1,6 +1,7 @@
 //! Current pipelines as stage bars on one scale, with their figures.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
+use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, percent, rate, stage_ms, total_ms};
 use peernet_store::Figures;
@@ -12,7 +13,7 @@ use super::place;
 use super::speed::{self, NetworkDirection};
 use super::stack::Stack;
 use crate::look;
-use crate::svg::{Axis, Bar, Scale};
+use crate::picture::Picture;
 
 /// Largest length of the axis that a whisker may cause, as a multiple of the longest bar.
 const TAIL: f64 = 2.0;
@@ -23,9 +24,9 @@ const WINDOW_S: u32 = 60;
 /// Bars on a shared scale.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NowTable {
-    pub axis: Axis,
+    pub axis: Picture,
     /// Axis below each bar, for phones.
-    pub small_axis: Axis,
+    pub small_axis: Picture,
     pub rows: Vec<NowRow>,
     /// The stages that any of the rows has: columns of the table view.
     pub columns: Vec<&'static str>,
@@ -41,7 +42,7 @@ pub(crate) struct NowRow {
     pub about: String,
     /// State of the pipeline; `None` while it runs.
     pub state: Option<Chip>,
-    pub bar: Bar,
+    pub bar: Picture,
     pub p50: Cell,
     pub p95: Cell,
     pub p99: Cell,
@@ -126,7 +127,7 @@ impl NowTable {
                 .value(&stage::TOTAL)
                 .map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
         });
-        let scale = Scale::fit(reach.fold(0.0, f64::max).min(TAIL * longest).max(longest), 6);
+        let scale = Scale::up_to(reach.fold(0.0, f64::max).min(TAIL * longest).max(longest), 6);
         let has = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
         let mut columns: Vec<&'static str> =
             look::STACK.iter().copied().filter(|name| *name != "unattributed").filter(has).collect();
@@ -137,10 +138,10 @@ impl NowTable {
         let rows = windows
             .iter()
             .zip(stacks)
-            .map(|((pipeline, window), stack)| NowRow::new(pipeline, window, &stack, &scale, &columns));
+            .map(|((pipeline, window), stack)| NowRow::new(pipeline, window, &stack, scale, &columns));
         Self {
-            axis: Axis::milliseconds(&scale, ""),
-            small_axis: Axis::milliseconds(&scale, "small"),
+            axis: Picture::milliseconds_axis(&scale, ""),
+            small_axis: Picture::milliseconds_axis(&scale, "small"),
             rows: rows.collect(),
             columns,
             has_deadlines: windows.iter().any(|(_, window)| window.miss_rate.is_some()),
@@ -153,7 +154,7 @@ impl NowRow {
         pipeline: &PipelineSnapshot,
         window: &Window,
         stack: &Stack,
-        scale: &Scale,
+        scale: Scale,
         columns: &[&'static str],
     ) -> Self {
         let host = pipeline.host_name.as_str();
@@ -172,7 +173,7 @@ impl NowRow {
                 place::means(&pipeline.placement, Some(window))
             ),
             state: state_chip(&pipeline.state),
-            bar: stack.bar("", (p95, p99), scale),
+            bar: stack.bar("stages", (p95, p99), scale),
             p50: total.map_or_else(
                 || Cell::none("no successful iteration in this time"),
                 |total| Cell::new(total_ms(total.p50)),

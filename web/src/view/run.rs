@@ -5,6 +5,8 @@ use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::rows::SKIPPED_STARTS;
 use peernet_analysis::transfer::Transfer;
 use peernet_clock::{Span, Verdict, WallTime};
+use peernet_figures::drawing::StageBar;
+use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{
     NONE, SPACE, count, difference_ms, figure, length, stage_ms, throughput, times, total_ms,
@@ -18,7 +20,8 @@ use super::speed::{self, NetworkDirection};
 use super::stack::Stack;
 use super::{episodes, runs};
 use crate::look;
-use crate::svg::{Bar, Scale, shown_in};
+use crate::picture::Picture;
+use crate::view::units::shown_in;
 use crate::zone::{Zone, ZonedTime};
 
 /// Rows of the table of the slowest iterations.
@@ -67,7 +70,7 @@ pub(crate) struct SlowIteration {
     pub factor: String,
     /// The part with the largest excess over its median: name, look, excess.
     pub cause: Option<(String, &'static str, String)>,
-    pub bar: Bar,
+    pub bar: Picture,
 }
 
 /// A row of the iterations without an answer.
@@ -152,7 +155,7 @@ impl Stored<'_> {
 
     /// Returns a scale that holds the slowest iteration.
     pub(crate) fn scale(&self) -> Scale {
-        Scale::fit(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
+        Scale::up_to(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
     }
 
     /// Returns the course of the total, bucket by bucket.
@@ -239,6 +242,7 @@ impl Stored<'_> {
         let scale = self.scale();
         let rows = self.slowest.iter().take(SLOWEST).map(|row| {
             let stack = Stack::of_iteration(row);
+            let bar = StageBar { has_values: false, ..StageBar::new(&stack.parts, scale) };
             SlowIteration {
                 number: row.number,
                 label: count(row.number),
@@ -251,7 +255,7 @@ impl Stored<'_> {
                     let look = look::class(&name);
                     (name, look, format!("{more}{SPACE}ms"))
                 }),
-                bar: Bar::new("thin", String::new(), &stack.parts, &scale).silent(),
+                bar: Picture::of_items(&bar.items(), "stages thin", ""),
             }
         });
         rows.collect()

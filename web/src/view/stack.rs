@@ -2,18 +2,20 @@
 
 use peernet_aggregator::Window;
 use peernet_analysis::slowness;
+use peernet_figures::drawing::{StageBar, StagePart};
+use peernet_figures::scale::Scale;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{duration, figure};
 use peernet_store::{Bound, Figures, IterationRow, StageStatistics};
 
 use crate::look;
-use crate::svg::{Bar, Part, Scale};
+use crate::picture::Picture;
 
 /// The stages of a window or run, and the unattributed time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stack {
     /// Parts in the order of [`look::STACK`].
-    pub parts: Vec<Part>,
+    pub parts: Vec<StagePart>,
     /// Figures of `total`.
     pub total: Option<Figures>,
 }
@@ -48,22 +50,25 @@ impl Stack {
 
     /// Returns the stages of an iteration of a list, with both directions of the network where those are not known.
     pub(crate) fn of_iteration(row: &IterationRow) -> Self {
-        let part =
-            |(name, seconds): &(Name, f64)| Part { name: name.to_string(), seconds: *seconds, bound: None };
+        let part = |(name, seconds): &(Name, f64)| StagePart {
+            name: name.to_string(),
+            seconds: *seconds,
+            bound: None,
+        };
         // Where both are known only together, one that is known is a part of that.
         let apart = |(name, _): &&(Name, f64)| row.both_ways.is_none() || !look::is_one_way(name.as_str());
-        let mut parts: Vec<Part> = row.stages.iter().filter(apart).map(part).collect();
+        let mut parts: Vec<StagePart> = row.stages.iter().filter(apart).map(part).collect();
         if let Some(seconds) = row.both_ways {
             let at = look::STACK
                 .iter()
                 .take_while(|name| stage::UPLOAD != **name)
                 .filter(|name| parts.iter().any(|part| part.name == **name))
                 .count();
-            parts.insert(at, Part { name: look::NETWORK.to_owned(), seconds, bound: None });
+            parts.insert(at, StagePart { name: look::NETWORK.to_owned(), seconds, bound: None });
         }
         let left = row.total.map_or(0.0, |total| total - parts.iter().map(|part| part.seconds).sum::<f64>());
         if left > 0.0 {
-            parts.push(Part { name: "unattributed".to_owned(), seconds: left, bound: None });
+            parts.push(StagePart { name: "unattributed".to_owned(), seconds: left, bound: None });
         }
         Self { parts, total: None }
     }
@@ -78,15 +83,15 @@ impl Stack {
         &self,
         class: &'static str,
         quantiles: (Option<f64>, Option<f64>),
-        scale: &Scale,
-    ) -> Bar {
-        Bar::new(class, self.finding(quantiles), &self.parts, scale).whiskers(quantiles.0, quantiles.1, scale)
+        scale: Scale,
+    ) -> Picture {
+        let bar = StageBar { quantiles: quantiles.into(), ..StageBar::new(&self.parts, scale) };
+        Picture::of_items(&bar.items(), class, &self.finding(quantiles))
     }
 
     /// Returns the stack as a bar that fills its panel.
-    pub(crate) fn whole(&self, class: &'static str) -> Bar {
-        let scale = Scale::whole(self.end_ms());
-        Bar::new(class, self.finding((None, None)), &self.parts, &scale).without_grid()
+    pub(crate) fn whole(&self, class: &'static str) -> Picture {
+        Picture::of_items(&StageBar::whole(&self.parts).items(), class, &self.finding((None, None)))
     }
 
     /// Returns the description of the bar in words.
@@ -98,7 +103,7 @@ impl Stack {
                 text.push_str(&format!(", {name} {}", duration(seconds)));
             }
         }
-        let mut largest: Vec<&Part> = self.parts.iter().collect();
+        let mut largest: Vec<&StagePart> = self.parts.iter().collect();
         largest.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
         let names = largest
             .iter()
@@ -110,7 +115,7 @@ impl Stack {
 
 /// Returns the parts of the mean of the total, in the order of [`look::STACK`]; empty without a total. `of` gives the number of samples
 /// of a name and their mean in seconds; `sent` is `true` if anything was sent to another host.
-pub(crate) fn parts(sent: bool, of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<Part> {
+pub(crate) fn parts(sent: bool, of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<StagePart> {
     let Some((count, total)) = of("total") else { return Vec::new() };
     let mut left = total;
     // Without a relation of the clocks neither direction has a value; their sum needs none.
@@ -120,18 +125,18 @@ pub(crate) fn parts(sent: bool, of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<
     for name in stage::ORDER.iter().map(|name| name.as_str()) {
         if let Some(seconds) = of(name).map(|known| shared(known, count)) {
             left -= seconds;
-            parts.push(Part { name: name.to_owned(), seconds, bound: None });
+            parts.push(StagePart { name: name.to_owned(), seconds, bound: None });
         }
         if name == "send-queue" {
             network_at = parts.len();
         }
     }
     if let Some(network) = network {
-        parts.insert(network_at, Part { name: look::NETWORK.to_owned(), seconds: network, bound: None });
+        parts.insert(network_at, StagePart { name: look::NETWORK.to_owned(), seconds: network, bound: None });
         left -= network;
     }
     if left > 0.0 {
-        parts.push(Part { name: "unattributed".to_owned(), seconds: left, bound: None });
+        parts.push(StagePart { name: "unattributed".to_owned(), seconds: left, bound: None });
     }
     parts
 }

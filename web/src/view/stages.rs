@@ -1,14 +1,15 @@
 //! The table of stages, live or stored.
 
 use peernet_aggregator::Window;
-use peernet_statistics::number::{NONE, bound_ms, fixed, stage_ms};
+use peernet_figures::drawing::{StagePart, share_bar};
+use peernet_statistics::number::{self, NONE, bound_ms, fixed, stage_ms};
 use peernet_store::{Bound, Figures, StageStatistics, rank};
 
 use super::chip::{Chip, Sign};
 use super::clocks;
 use super::stack::Stack;
 use crate::look;
-use crate::svg::{Part, ShareBar};
+use crate::picture::Picture;
 
 /// One row. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,7 +24,7 @@ pub(crate) struct StageRow {
     pub p99: String,
     pub max: String,
     pub bound: BoundCell,
-    pub share: Option<ShareBar>,
+    pub share: Option<Picture>,
     pub sum: bool,
 }
 
@@ -52,7 +53,10 @@ impl StageRow {
             p99: text(|figures| figures.p99),
             max: text(|figures| Some(figures.max)),
             bound: BoundCell::of(name, bound),
-            share: share.map(|share| ShareBar::new(name, share)),
+            share: share.map(|share| {
+                let class = if name == "total" { "sharebar full" } else { "sharebar" };
+                Picture::of_items(&share_bar(name, share), class, &number::share(share))
+            }),
             sum: name == "total",
             name: name.to_owned(),
         }
@@ -64,7 +68,7 @@ impl StageRow {
     }
 
     /// Returns both directions together, exact where neither alone is known.
-    fn network(part: &Part, share: Option<f64>) -> Self {
+    fn network(part: &StagePart, share: Option<f64>) -> Self {
         let title = "free of any clock: the round trip less the time on the other host";
         Self {
             mean: stage_ms(part.seconds),

@@ -1,15 +1,20 @@
 //! The rows and sentences of an iteration's page.
 
+mod bars;
+
+use peernet_figures::scale::Scale;
 use peernet_statistics::number::{
     EXACT, NONE, SPACE, difference_ms, ends_ms, fixed, interval_ms, shift_ms, signed_within_ms, stage_ms,
     within_ms,
 };
 use peernet_store::IterationDetail;
 
+pub(crate) use bars::lanes;
+
 use super::chip::Chip;
 use super::link::basis::{brief, source_words};
 use crate::look;
-use crate::svg::{Scale, WaterfallRow};
+use crate::picture::Picture;
 use crate::timeline::{NodeLocation, Placed, Timeline};
 
 /// One node in the waterfall and in its table. Times in ms.
@@ -29,7 +34,7 @@ pub(crate) struct Row {
     pub chip: Option<Chip>,
     pub difference: String,
     pub strong: bool,
-    pub bar: WaterfallRow,
+    pub bar: Picture,
     pub start: String,
     pub lo: String,
     pub hi: String,
@@ -67,7 +72,7 @@ pub(crate) fn rows(
     let is_cause = |name: &str| unusual && detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &Placed| {
         let strong = is_cause(node.name.as_str());
-        Row::of(node, hosts, strong, WaterfallRow::new(node, timeline, scale, strong))
+        Row::of(node, hosts, strong, bars::row(node, timeline, scale, strong))
     };
     let is_late = |node: &&Placed| node.depth == 0 && node.name == *look::LATENESS;
     let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_late(node)).map(row).collect();
@@ -84,18 +89,18 @@ pub(crate) fn rows(
             let after = rows.iter().rposition(|row| row.class == "net").map_or(rows.len(), |last| last + 1);
             let usual = figures("upload").zip(figures("download")).map(|(up, down)| up + down);
             let usual = usual.filter(|_| name == look::NETWORK);
-            let mut row = Row::sum(name, "network".to_owned(), seconds, usual, WaterfallRow::blank(scale));
+            let mut row = Row::sum(name, "network".to_owned(), seconds, usual, bars::blank(scale));
             row.strong = is_cause(name);
             rows.insert(after, row);
         }
         if let Some(rest) = left.rest {
             let median = figures("unattributed");
-            let mut row = Row::sum("unattributed", edge.clone(), rest, median, WaterfallRow::blank(scale));
+            let mut row = Row::sum("unattributed", edge.clone(), rest, median, bars::blank(scale));
             row.strong = is_cause("unattributed");
             rows.push(row);
         }
         rows.extend(late);
-        let mut whole = Row::sum("total", edge, total, figures("total"), WaterfallRow::total(total, scale));
+        let mut whole = Row::sum("total", edge, total, figures("total"), bars::total(total, scale));
         whole.class = "total";
         rows.push(whole);
     }
@@ -149,7 +154,7 @@ fn group(rows: &mut [Row]) {
 }
 
 impl Row {
-    fn of(node: &Placed, hosts: &[String], strong: bool, bar: WaterfallRow) -> Self {
+    fn of(node: &Placed, hosts: &[String], strong: bool, bar: Picture) -> Self {
         let (host, class) = match node.at {
             NodeLocation::Network => ("network".to_owned(), "net"),
             NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
@@ -178,7 +183,7 @@ impl Row {
         }
     }
 
-    fn sum(name: &str, host: String, seconds: f64, median: Option<f64>, bar: WaterfallRow) -> Self {
+    fn sum(name: &str, host: String, seconds: f64, median: Option<f64>, bar: Picture) -> Self {
         Self {
             group: None,
             span: 1,
@@ -293,7 +298,7 @@ mod tests {
 
     fn shown(detail: &IterationDetail) -> Vec<(String, String)> {
         let timeline = Timeline::of(detail);
-        let rows = rows(detail, &timeline, &["cam-1".to_owned()], &Scale::fit(1_200.0, 6));
+        let rows = rows(detail, &timeline, &["cam-1".to_owned()], &Scale::up_to(1_200.0, 6));
         rows.into_iter().map(|row| (row.name, row.value)).collect()
     }
 
@@ -320,7 +325,7 @@ mod tests {
         let late = Measure::Timer(Some(Span::from_micros(500)));
         detail.tree.add(NodeId::ROOT, Name::from(look::LATENESS), Span::ZERO, late);
         let timeline = Timeline::of(&detail);
-        let rows = rows(&detail, &timeline, &["cam-1".to_owned()], &Scale::fit(100.0, 6));
+        let rows = rows(&detail, &timeline, &["cam-1".to_owned()], &Scale::up_to(100.0, 6));
         let end: Vec<(&str, u8)> =
             rows[rows.len() - 3..].iter().map(|row| (row.name.as_str(), row.depth)).collect();
         assert_eq!(end, [("unattributed", 0), ("lateness", 1), ("total", 0)]);

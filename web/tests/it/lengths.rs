@@ -31,7 +31,8 @@ async fn lengths_of_answers_match_data_file() {
     let panel = page.text().split(HEADING).nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");
     assert_eq!(panel.matches("class=\"joint\"").count(), 1, "those of the other are all alike: {panel}");
-    assert_eq!(panel.matches("h0").count(), rows.len(), "a dot for each: {panel}");
+    let dots = panel.split("class=\"dots d-inference\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
+    assert_eq!(dots.map(|dots| dots.matches('M').count()), Some(rows.len()), "a dot for each: {panel}");
     assert!(panel.contains(&format!("All {} iterations.", rows.len())), "{panel}");
     assert!(!dashboard.get("/compare?runs=2").await.text().contains(HEADING));
 }

@@ -73,7 +73,7 @@ impl Lengths {
             return vec![Item::path(Path::dots(self.places_in(plot)), style)];
         }
         let style = Style::area(format!("f-{class}"), Fill::of(colour));
-        let shades = cells(self.places_in(plot)).into_iter();
+        let shades = cells(self.places_in(plot), CELLS).into_iter();
         shades.map(|(shade, path)| Item::path(path, style.clone().opacity(shade))).collect()
     }
 
@@ -103,10 +103,12 @@ fn named_stage(name: &str) -> Option<Stage> {
     Some(stage(name)).filter(Stage::has_colour)
 }
 
-/// Counts points into cells. Returns one path of rectangles for each shade from 0 to 1, the lightest first. The scale is logarithmic: a
+/// Counts points into this number of cells across and upwards. Returns one path of rectangles for each shade from 0 to 1, the lightest first. The scale is logarithmic: a
 /// single point is visible, and ten times as many are a step darker.
-pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
-    let (columns, rows) = CELLS;
+pub(super) fn cells(
+    points: impl Iterator<Item = (f64, f64)>,
+    (columns, rows): (f64, f64),
+) -> Vec<(f64, Path)> {
     let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
     for (x, y) in points {
         let cell = ((x * columns).min(columns - 1.0) as u32, (y * rows).min(rows - 1.0) as u32);
@@ -140,7 +142,7 @@ fn side_bars(values: &SortedValues, place: impl Fn(f64, f64, f64) -> [At; 2]) ->
 }
 
 /// Returns whether an axis from zero would squeeze all values between these into a corner.
-pub fn would_squeeze(lo: f64, hi: f64) -> bool {
+pub(super) fn would_squeeze(lo: f64, hi: f64) -> bool {
     hi > lo && lo > hi * ZERO_THRESHOLD
 }
 

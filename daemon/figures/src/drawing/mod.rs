@@ -1,31 +1,45 @@
 //! Kinds of figures: the layout of the results of the analysis.
 //!
 //! Every kind is a value with a method `figure` (or `plot`, or `items`) that makes a layout of `crate::plot`; both sheets draw it.
-//! Everything that differs by colour differs by mark, dash or hatch as well. [`Distribution`], [`Stack`], [`cells`] and [`scaling_line`]
-//! are for pages too.
+//! Everything that differs by colour differs by mark, dash or hatch as well. [`Distribution`] and [`Stack`] are for both sheets. Kinds of
+//! pages alone say so; their values are sketches and means, because a page reads no iterations.
 
 mod accuracy;
+mod binned;
 mod course;
 mod cumulative;
 mod histogram;
+mod inline;
+mod joint;
 mod lengths;
 mod paired;
+mod quartiles;
 mod scaling;
+mod scatter;
 mod sharing;
 mod stack;
 mod stacked;
+mod stage_bar;
+mod stages_over_time;
 
 pub use crate::plot::Unit;
 pub use accuracy::{Accuracy, Score};
+pub use binned::BinnedAxis;
 pub use course::{Course, Line};
 pub use cumulative::{Cumulative, CumulativeCurve};
 pub use histogram::{Bins, Distribution, Histogram, View};
-pub use lengths::{Lengths, cells, would_squeeze};
+pub use inline::{meter, share_bar, sparkline};
+pub use joint::Joint;
+pub use lengths::Lengths;
 pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
-pub use scaling::{Parts, Scaling, Series, Value, line as scaling_line};
+pub use quartiles::Quartiles;
+pub use scaling::{Parts, Scaling, Series, Value};
+pub use scatter::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};
 pub use stack::{Direction, Stack};
 pub use stacked::{Bar, Stacked};
+pub use stage_bar::{StageBar, StagePart};
+pub use stages_over_time::{OverTimeAxes, StageBucket, StagesOverTime};
 
 #[cfg(test)]
 mod tests;

@@ -213,8 +213,8 @@ impl Scaling {
     }
 }
 
-/// Returns the part of a function of the horizontal axis that lies in the plot, as a path.
-pub fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
+/// Returns a function of the horizontal axis as a path, as far as it lies in the plot.
+fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
     let values = plot.x.scale.along(LINE_POINTS).map(|x| (x, of(x)));
     let inside = values.map(|(x, y)| plot.y.scale.has(y).then(|| (plot.x.scale.at(x), plot.up(y))));
     Path::line(inside)

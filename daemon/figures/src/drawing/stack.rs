@@ -38,6 +38,14 @@ impl Direction {
         }
         items
     }
+
+    /// Returns the same whisker on a rim of the ground's colour.
+    pub fn rimmed_whisker(self, ends: [At; 2], caps: [bool; 2], cap: f64) -> Vec<Item> {
+        [Style::halo(), Style::whisker()]
+            .iter()
+            .flat_map(|style| self.whisker(ends, caps, cap, style))
+            .collect()
+    }
 }
 
 /// Parts of one bar.

@@ -3,7 +3,7 @@
 use peernet_statistics::number::fixed;
 
 use super::stack::{Direction, Stack};
-use crate::look::{Style, TextStyle, stage};
+use crate::look::{TextStyle, stage};
 use crate::plot::{Anchor, Axis, Figure, Height, Item, Key, Label, Marks, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
 use crate::sheet::file::{MOST_NAME, SMALL, TEXT, WIDTH};
@@ -187,9 +187,7 @@ impl Stacked {
             end = end.max(total + std);
             let ends = [total - std, total + std].map(|value| direction.at(values.at(value), middle));
             let caps = [total - std, total + std].map(|value| values.has(value));
-            for style in [Style::halo(), Style::whisker()] {
-                items.extend(direction.whisker(ends, caps, CAP_HALF_WIDTH, &style));
-            }
+            items.extend(direction.rimmed_whisker(ends, caps, CAP_HALF_WIDTH));
         }
         (items, end)
     }

@@ -2,7 +2,8 @@
 //!
 //! Colour means stage, direction or verdict, nothing else: runs, places and configurations are distinguished by ink and greys, marks and
 //! dashes ([`series`]). Every [`Style`] says how a shape looks on both sheets: the class in the dashboard's style sheet, and fill and
-//! stroke for a file. A new look is one function or constant in `style.rs` and one rule in `web/assets/css`.
+//! stroke for a file. A new look is one function or constant in `style.rs` and one rule in `web/assets/css`; one that only pages
+//! have is the rule alone ([`Style::of_page`]).
 
 mod colour;
 mod hatch;

@@ -57,6 +57,11 @@ impl Style {
         Self { class: class.into(), fill: None, stroke: Some(Stroke { colour, width, dash: None }) }
     }
 
+    /// Returns the look of a shape that only pages have.
+    pub fn of_page(class: impl Into<Cow<'static, str>>) -> Self {
+        Self { class: class.into(), fill: None, stroke: None }
+    }
+
     /// Returns the same line with a dash and a gap, points.
     #[must_use]
     pub fn dashed(mut self, dash: Option<(f64, f64)>) -> Self {

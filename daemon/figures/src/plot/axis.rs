@@ -6,6 +6,9 @@ use peernet_statistics::number::{decimals, fixed};
 
 use crate::scale::{Scale, Tick};
 
+/// Marks on an axis that has no other number.
+pub(super) const MARKS: usize = 6;
+
 /// Quantity: its name and the factor from a value in SI units to the number shown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {
@@ -26,6 +29,11 @@ impl Unit {
     /// Returns the unit of bits per second, shown as MB/s.
     pub fn megabytes_per_second(what: &str) -> Self {
         Self { title: format!("{what}, MB/s"), symbol: "MB/s".into(), per_si: 1.0 / 8e6 }
+    }
+
+    /// Returns a unit without another name than its symbol, for pages.
+    pub fn symbol(symbol: &str, per_si: f64) -> Self {
+        Self { title: symbol.to_owned(), symbol: symbol.to_owned().into(), per_si }
     }
 
     /// Returns a value in SI units in words: `5.66 ms`. It has three digits, or as many as distinguish it from values that are `spread`
@@ -69,13 +77,10 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Marks on an axis that has no other number.
-    const MARKS: usize = 6;
-
     /// Returns an axis with round marks and without a grid.
     pub fn new(scale: Scale, title: impl Into<String>, unit: impl Into<Cow<'static, str>>) -> Self {
         let (title, unit) = (title.into(), unit.into());
-        Self { scale, title, unit, marks: Marks::Round(Self::MARKS), has_grid: false }
+        Self { scale, title, unit, marks: Marks::Round(MARKS), has_grid: false }
     }
 
     /// Returns the same axis with a grid.
@@ -93,7 +98,7 @@ impl Axis {
     /// Returns the same axis with labels that `label` makes of its round marks.
     #[must_use]
     pub fn labelled(self, label: impl Fn(&Tick) -> String) -> Self {
-        let ticks = self.ticks(Self::MARKS).into_iter();
+        let ticks = self.ticks(MARKS).into_iter();
         let ticks = ticks.map(|tick| Tick { text: label(&tick), ..tick }).collect();
         self.marked(Marks::At(ticks))
     }
@@ -104,6 +109,12 @@ impl Axis {
             Marks::Round(most) => self.scale.ticks((*most).min(room.max(1))),
             Marks::At(ticks) | Marks::Names(ticks) => ticks.clone(),
         }
+    }
+
+    /// Returns the name of its unit with the information that its marks alone do not show: the title on a page, which may be empty.
+    pub fn page_title(&self) -> String {
+        let scale = if self.scale.is_logarithmic() { "logarithmic" } else { "" };
+        [&*self.unit, scale].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
     }
 
     /// Returns its title with the information that its marks alone do not show.

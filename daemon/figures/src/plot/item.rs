@@ -1,7 +1,9 @@
 //! Items of a plot: shapes, lines and text.
 
+use super::axis::MARKS;
 use super::path::Path;
 use crate::look::{Mark, Style, TextStyle};
+use crate::scale::Scale;
 use crate::text;
 
 /// Place in a plot: shares of its width from the left and of its height from the top, and an offset in points.
@@ -67,6 +69,8 @@ pub struct Label {
     pub style: TextStyle,
     /// Minimum width of the picture at which a page shows it, rem; 0 for always, `None` for never.
     pub from: Option<u16>,
+    /// Words before the text and the minimum width of the picture for both; only pages have them.
+    pub lead: Option<(String, Option<u16>)>,
 }
 
 /// Distance from a place down to the baseline of text whose capitals have their middle at the place.
@@ -76,7 +80,7 @@ impl Label {
     /// Returns a text that begins at a place and is vertically centred on it.
     pub fn new(at: At, words: impl Into<String>, style: TextStyle) -> Self {
         let words = words.into();
-        Self { at, shift: (0.0, MIDDLE), anchor: Anchor::Start, words, style, from: Some(0) }
+        Self { at, shift: (0.0, MIDDLE), anchor: Anchor::Start, words, style, from: Some(0), lead: None }
     }
 
     /// Returns the same text with another point of it at its place.
@@ -91,11 +95,21 @@ impl Label {
         Self { shift: (right, down), ..self }
     }
 
-    /// Returns the same text, shown only in pictures in which it takes at most this share of the width. This applies to pages.
+    /// Returns the same text with words before it, where there is room for both.
+    #[must_use]
+    pub fn led_by(self, words: String) -> Self {
+        Self { lead: Some((words, Some(0))), ..self }
+    }
+
+    /// Returns the same text, shown only in pictures in which it takes at most this share of the width. This applies to pages, and can be
+    /// repeated.
     #[must_use]
     pub fn fits_within(self, share: f64) -> Self {
-        let from = text::width_step(text::rem(&self.words) / share.max(1e-9));
-        Self { from, ..self }
+        let more = |from: Option<u16>, words: &str| {
+            Some(from?.max(text::width_step(text::rem(words) / share.max(1e-9))?))
+        };
+        let lead = self.lead.map(|(lead, from)| (lead.clone(), more(from, &format!("{lead}{}", self.words))));
+        Self { from: more(self.from, &self.words), lead, ..self }
     }
 
     /// Returns its left end, top, right end and bottom in points from its place, for a type size.
@@ -175,6 +189,12 @@ impl Item {
     /// Returns a point.
     pub fn mark(at: At, mark: Mark, radius: f64, style: Style) -> Self {
         Self::Mark { at, mark, radius, style }
+    }
+
+    /// Returns upright lines at the ticks of a scale from left to right.
+    pub fn grid(scale: &Scale) -> Vec<Self> {
+        let line = |at: f64| Self::line(At::new(at, 0.0), At::new(at, 1.0), Style::grid());
+        scale.ticks(MARKS).into_iter().map(|tick| line(tick.at)).collect()
     }
 
     /// Returns an upright whisker between two places, with caps of `cap` points to each side. A cap is missing where the whisker leaves the

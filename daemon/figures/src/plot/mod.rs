@@ -25,18 +25,13 @@
 //! assert!(html.contains("class=\"bin f-total\""));
 //! ```
 //!
-//! # Moving a figure of a page
+//! # A figure of a page
 //!
-//! 1. Write `impl From<view value>` or a constructor for the kind's value in `crate::drawing` where files have the kind too (histogram,
-//!    stack, scatter, lengths, course); else a function beside the view that returns a [`Plot`] or a list of items.
-//! 2. Scales: `Scale::fit(largest, ticks)`, `Ruler::from_zero` and `Horizontal::Linear` are `Scale::linear((0, largest)).widened(ticks)`;
-//!    `Ruler::around(lo, hi, ticks)` is `Scale::linear((lo, hi)).widened(ticks)`, `both_sides` adds `.signed()`;
-//!    `Horizontal::Logarithmic` is `Scale::logarithmic`. `Scale::at` is from 0 to 1 and upwards: [`Plot::at`] inverts it.
-//! 3. Paths: `pen::line`, `band`, `area`, `dots`, `whiskers` and `ticks` are the constructors of [`Path`].
-//! 4. Text that must fit: [`Label::fits_within`], measured in the font itself.
-//! 5. Draw it with [`page::plot`](crate::sheet::page::plot) (axes at both sides), [`page::picture`](crate::sheet::page::picture)
-//!    (items alone: bars, sparklines, tracks) or [`page::axis`](crate::sheet::page::axis) (the row of labels above bars), and put the
-//!    result into the page's template as safe HTML.
+//! A kind that several pages have, or that files have too, is a value in `crate::drawing`; what depends on the types of one page, such as
+//! the waterfall of an iteration, is a function beside that page's view which returns [`Item`]s. [`page::plot`](crate::sheet::page::plot)
+//! draws axes at both sides, [`page::picture`](crate::sheet::page::picture) items alone (bars, sparklines, tracks), and
+//! [`page::axis`](crate::sheet::page::axis) the row of labels above bars. Text that must fit has [`Label::fits_within`], measured in the
+//! font itself. A line that may leave its plot is placed by [`Scale::at_or_outside`](crate::scale::Scale::at_or_outside).
 
 mod axis;
 mod figure;

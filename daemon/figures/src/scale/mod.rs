@@ -2,10 +2,12 @@
 //!
 //! A scale works with values and shares of its length, not with pixels: the sheets (`crate::sheet`) turn shares into points or percent.
 
+mod clock;
 mod step;
 #[cfg(test)]
 mod tests;
 
+pub use clock::times_of_day;
 pub use step::round_step;
 
 use peernet_statistics::number::{fixed, significant};
@@ -15,6 +17,12 @@ const MOST: f64 = 1e150;
 const LEAST: f64 = 1e-150;
 /// Room beyond the values of a scale from zero, as a share of their range.
 const ROOM: f64 = 0.04;
+/// Room at both ends of a logarithmic scale of sizes, for the names of points: this power of the range.
+const ENDS: f64 = 0.06;
+/// Ratio of the largest to the smallest value above which a scale of sizes is logarithmic.
+const DECADE: f64 = 10.0;
+/// Distance of values beyond an end from that end in [`Scale::at_or_outside`], as a share of the length.
+const PAST: f64 = 0.05;
 
 /// Spread of values along a scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,6 +76,26 @@ impl Scale {
         Self::linear(ends)
     }
 
+    /// Returns a linear scale from zero to a round number above the largest value, in about `ticks` steps; to 1 if no value is above zero.
+    pub fn up_to(largest: f64, ticks: usize) -> Self {
+        let largest = if largest.is_finite() && largest > 0.0 { largest } else { 1.0 };
+        Self::linear((0.0, largest)).widened(ticks)
+    }
+
+    /// Returns a scale of sizes: logarithmic with room at both ends if they span more than a decade, else linear from zero.
+    pub fn of_sizes(values: impl Iterator<Item = f64>) -> Self {
+        let (lo, hi) =
+            values.fold((f64::INFINITY, 0.0_f64), |(lo, hi), value| (lo.min(value), hi.max(value)));
+        let room = (hi / lo).powf(ENDS);
+        let wide = Self::decades((lo, hi)).map(|_| Self::logarithmic((lo / room, hi * room)));
+        wide.unwrap_or_else(|| Self::up_to(hi * (1.0 + ROOM / 2.0), 6))
+    }
+
+    /// Returns a logarithmic scale if these values are above zero and span more than a decade.
+    pub fn decades((lo, hi): (f64, f64)) -> Option<Self> {
+        (lo > 0.0 && hi > lo * DECADE && hi.is_finite()).then(|| Self::logarithmic((lo, hi)))
+    }
+
     /// Returns a logarithmic scale of values above 0.
     pub fn logarithmic(values: (f64, f64)) -> Self {
         let (lo, hi) = held(values);
@@ -111,14 +139,17 @@ impl Scale {
 
     /// Returns the position of a value, from 0 to 1. Values beyond the ends are placed at the ends, and NaN at the lower end.
     pub fn at(&self, value: f64) -> f64 {
-        if value.is_nan() {
-            return 0.0;
-        }
-        let value = value.clamp(self.lo, self.hi);
-        match self.spread {
+        self.at_or_outside(value).clamp(0.0, 1.0)
+    }
+
+    /// Returns the position of a value. Values beyond the ends are placed slightly outside of them, for lines that leave their plot.
+    pub fn at_or_outside(&self, value: f64) -> f64 {
+        let place = match self.spread {
+            _ if value.is_nan() => 0.0,
             Spread::Linear => (value - self.lo) / (self.hi - self.lo),
-            Spread::Logarithmic => (value / self.lo).ln() / (self.hi / self.lo).ln(),
-        }
+            Spread::Logarithmic => (value.max(LEAST) / self.lo).ln() / (self.hi / self.lo).ln(),
+        };
+        place.clamp(-PAST, 1.0 + PAST)
     }
 
     /// Returns whether a value lies on the scale.
@@ -141,9 +172,9 @@ impl Scale {
         (0..=steps).map(move |step| this.between(this.lo, this.hi, f64::from(step) / f64::from(steps)))
     }
 
-    /// Returns the marked places, which are round numbers: at most about `most`, or twice as many on a logarithmic scale. A logarithmic
-    /// scale is marked at powers of ten. If there are fewer than three, 2 and 5 times the powers are added; if there are still fewer than
-    /// three, the places are round numbers at even distances.
+    /// Returns the marked places, which are round numbers: at most about `most`, or twice as many on a logarithmic scale. A widened scale
+    /// has its own number of them. A logarithmic scale is marked at powers of ten. If there are fewer than three, 2 and 5 times the powers
+    /// are added; if there are still fewer than three, the places are round numbers at even distances.
     pub fn ticks(&self, most: usize) -> Vec<Tick> {
         match self.spread {
             Spread::Linear => self.even(most),

@@ -71,6 +71,33 @@ fn a_widened_scale_ends_at_ticks() {
     );
 }
 
+#[test]
+fn a_scale_up_to_a_value_ends_above_it() {
+    assert_eq!(texts(Scale::up_to(25.7, 6), 9), ["0", "5", "10", "15", "20", "25", "30"]);
+    assert_eq!(texts(Scale::up_to(0.37, 5), 9), ["0", "0.1", "0.2", "0.3", "0.4"]);
+    assert_eq!(texts(Scale::up_to(1_800.0, 4), 9), ["0", "500", "1,000", "1,500", "2,000"]);
+    assert_eq!(
+        [0.0, -3.0, f64::NAN, f64::INFINITY].map(|largest| Scale::up_to(largest, 5).ends().1),
+        [1.0; 4]
+    );
+    let scale = Scale::up_to(10.0, 5);
+    assert_eq!(
+        [-99.0, 5.0, 99.0].map(|value| scale.at_or_outside(value)),
+        [-0.05, 0.5, 1.05],
+        "it leaves the plot"
+    );
+}
+
+#[test]
+fn only_sizes_that_span_a_decade_are_logarithmic() {
+    let labels = |values: &[f64]| texts(Scale::of_sizes(values.iter().copied()), 6);
+    assert_eq!(labels(&[10.0, 50.0, 100.0]), ["0", "20", "40", "60", "80", "100", "120"]);
+    assert_eq!(labels(&[8.0, 30.0, 100.0]), ["10", "20", "50", "100"]);
+    assert_eq!(labels(&[0.1, 30.0, 1_000.0]), ["0.1", "1", "10", "100", "1,000"]);
+    assert!(!Scale::of_sizes([0.0, 1e6].into_iter()).is_logarithmic(), "zero has no logarithm");
+    assert!(!labels(&[]).is_empty());
+}
+
 proptest! {
     #[test]
     fn widened_scale_contains_values_with_few_ticks(lo in -1e6f64..1e6, width in 1e-3f64..1e6, most in 2usize..8) {

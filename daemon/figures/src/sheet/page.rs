@@ -6,9 +6,9 @@
 
 mod draw;
 
-use draw::{items, label, stretched};
+use draw::{items, label};
 
-use crate::plot::{Anchor, At, Item, Key, Label, Plot, Swatch};
+use crate::plot::{Anchor, At, Axis, Item, Key, Label, Plot, Swatch};
 use crate::scale::Tick;
 use crate::svg::{Em, Share, Tag, Writer};
 use crate::text::{rem, width_step};
@@ -23,19 +23,14 @@ const END: f64 = 0.04;
 pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
     let mut svg = Writer::default();
     svg.element(Tag::Div).set("class", class).set("role", "img").set("aria-label", words).open();
-    hidden(&mut svg, Tag::Span, "above").words(&unit(&plot.y));
+    named(&mut svg, "above", &plot.y);
     if let Some(strip) = &plot.above {
         hidden(&mut svg, Tag::Svg, "over").open();
         items(&mut svg, &strip.items);
         svg.close();
     }
     let (rows, columns) = (plot.y.ticks(usize::MAX), plot.x.ticks(usize::MAX));
-    hidden(&mut svg, Tag::Svg, "yaxis").open();
-    for tick in &rows {
-        let row = svg.element(Tag::Text).set("x", Share(1.0)).set("y", Share(1.0 - tick.at));
-        row.set("dy", Em(0.36)).set("text-anchor", "end").words(&tick.text);
-    }
-    svg.close();
+    side(&mut svg, "yaxis", &rows);
     hidden(&mut svg, Tag::Svg, "plot").open();
     for tick in rows.iter().filter(|_| plot.y.has_grid) {
         line(&mut svg, "gridl", [0.0, 1.0], [1.0 - tick.at; 2]);
@@ -55,7 +50,7 @@ pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
         svg.close();
     }
     row(&mut svg, "xaxis", &columns.iter().map(|tick| (Anchor::Middle, tick)).collect::<Vec<_>>());
-    hidden(&mut svg, Tag::Span, "below").words(&unit(&plot.x));
+    named(&mut svg, "below", &plot.x);
     svg.finish()
 }
 
@@ -73,10 +68,10 @@ pub fn picture(drawn: &[Item], class: &str, words: &str) -> String {
     svg.finish()
 }
 
-/// Draws the items on a sheet that is stretched over its picture, which is only suitable for [`Path`](crate::plot::Path)s.
-pub fn paths(drawn: &[Item], class: &str) -> String {
+/// Draws labels in a column at the left side of a picture.
+pub fn rows(class: &str, ticks: &[Tick]) -> String {
     let mut svg = Writer::default();
-    stretched(&mut svg, class, &drawn.iter().collect::<Vec<_>>());
+    side(&mut svg, class, ticks);
     svg.finish()
 }
 
@@ -105,7 +100,8 @@ pub fn legend(keys: &[Key], class: &str) -> String {
     svg.element(Tag::Ul).set("class", class).open();
     for key in keys {
         svg.element(Tag::Li).set("class", "extra").open();
-        svg.element(Tag::Svg).set("width", 10.0).set("height", 10.0).set("aria-hidden", "true").open();
+        let wide = if matches!(key.swatch, Swatch::Line(_)) { 18.0 } else { 10.0 };
+        svg.element(Tag::Svg).set("width", wide).set("height", 10.0).set("aria-hidden", "true").open();
         let middle = At::new(0.5, 0.5);
         let sample = match &key.swatch {
             Swatch::Area(style) => Item::rect(At::new(0.0, 0.0), At::new(1.0, 1.0), style.clone()),
@@ -122,9 +118,22 @@ pub fn legend(keys: &[Key], class: &str) -> String {
     svg.finish()
 }
 
-fn unit(axis: &crate::plot::Axis) -> String {
-    let scale = if axis.scale.is_logarithmic() { "log" } else { "" };
-    [&*axis.unit, scale].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
+/// Writes the title of an axis.
+fn named(svg: &mut Writer, class: &str, axis: &Axis) {
+    let title = axis.page_title();
+    if !title.is_empty() {
+        hidden(svg, Tag::Span, class).words(&title);
+    }
+}
+
+/// Writes labels at the left side of a picture.
+fn side(svg: &mut Writer, class: &str, ticks: &[Tick]) {
+    hidden(svg, Tag::Svg, class).open();
+    for tick in ticks {
+        let row = svg.element(Tag::Text).set("x", Share(1.0)).set("y", Share(1.0 - tick.at));
+        row.set("dy", Em(0.36)).set("text-anchor", "end").words(&tick.text);
+    }
+    svg.close();
 }
 
 fn hidden<'a>(svg: &'a mut Writer, tag: Tag, class: &str) -> crate::svg::Attributes<'a> {

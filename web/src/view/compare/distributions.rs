@@ -1,6 +1,9 @@
 //! Distributions of single runs, quantity by quantity, each quantity on one axis: the total and the six that the published program draws.
 
 use peernet_analysis::figure_files::HISTOGRAMS;
+use peernet_figures::drawing::BinnedAxis;
+use peernet_figures::look;
+use peernet_figures::plot::Unit;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::count;
 
@@ -8,10 +11,10 @@ use super::Comparison;
 use super::choice::{chosen, without_answer};
 use super::median::{CROSSING, Median};
 use crate::error::WebError;
-use crate::look;
-use crate::svg::{SmallAxis, SmallHistogram};
+use crate::picture::Picture;
 use crate::view::chip::Chip;
 use crate::view::counted;
+use crate::view::units::shown_in;
 
 /// Largest number of pictures with which all quantities are drawn together.
 const AT_ONCE: usize = 24;
@@ -44,7 +47,7 @@ pub(crate) struct RunHistogram {
     pub name: String,
     pub said: String,
     pub doubt: Option<Chip>,
-    pub picture: SmallHistogram,
+    pub picture: Picture,
 }
 
 /// A link to other distributions.
@@ -102,8 +105,10 @@ impl Quantity {
         let mut stages = comparison.configurations.iter().flat_map(|one| &one.stages);
         let unit = &stages.find(|known| known.stage == *name)?.unit;
         let (drawn, of) = chosen(comparison, |run| comparison.known(run.number, name));
-        let axis = SmallAxis::of(unit, drawn.iter().map(|(.., samples)| *samples))?;
-        let class = look::class(name.trim_end_matches("-throughput"));
+        let (symbol, per_si) = shown_in(unit);
+        let samples = drawn.iter().map(|(.., samples)| *samples);
+        let axis = BinnedAxis::around(samples, Unit::symbol(&symbol, per_si))?;
+        let look = look::stage(name.trim_end_matches("-throughput"));
         let runs = drawn.iter().filter_map(|(one, run, samples)| {
             let median = Median::of(comparison.kept.get(&run.number)?, name, unit)?;
             let beyond = match axis.beyond(samples) {
@@ -117,7 +122,9 @@ impl Quantity {
             );
             let label = format!("{} of run {}: {said}", self.title, run.number);
             let name = one.name.clone();
-            let picture = SmallHistogram::new(class, label, samples, &axis, median.within);
+            let items = axis.histogram(samples, &look, median.within);
+            let picture =
+                Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
             Some(RunHistogram { run: run.number, name, said, doubt: median.doubt, picture })
         });
         let runs: Vec<RunHistogram> = runs.collect();
@@ -129,7 +136,7 @@ impl Quantity {
         });
         Some(Group {
             title: self.title.clone(),
-            unit: axis.unit(),
+            unit: axis.axis().page_title(),
             missing: room.into_iter().chain(self.untold(comparison)).collect(),
             stage: (*name != stage::TOTAL).then(|| name.to_string()),
             runs,

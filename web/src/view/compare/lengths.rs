@@ -5,6 +5,9 @@ mod growth;
 pub(crate) mod tests;
 
 use peernet_analysis::answer_length::{Growth, LATENCY, answer_length, is_tokens, varies};
+use peernet_figures::drawing::{BinnedAxis, Joint};
+use peernet_figures::look::stage;
+use peernet_figures::plot::Unit;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{bytes, count, duration, fixed};
 use peernet_store::{RunSummary, StageStatistics, Store};
@@ -13,8 +16,7 @@ use growth::sentence;
 
 use super::{Comparison, Configuration};
 use crate::error::WebError;
-use crate::look;
-use crate::svg::{LengthAxis, LengthPlot, LengthValues};
+use crate::picture::Picture;
 use crate::view::counted;
 
 /// Largest number of configurations that are drawn.
@@ -111,7 +113,9 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
 /// The picture of one configuration.
 pub(crate) struct LengthRow {
     pub name: String,
-    pub plot: LengthPlot,
+    pub plot: Picture,
+    /// `true` if its points are counted into cells.
+    is_counted: bool,
     /// Sentences about the contents of the plot and its basis.
     pub said: Vec<String>,
 }
@@ -129,28 +133,30 @@ pub(crate) struct Lengths {
 pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Lengths> {
     let mut varying = Varying::all(comparison);
     let rest = varying.split_off(varying.len().min(MOST_DRAWN));
-    let up = LengthAxis::of(varying.iter().map(|it| it.y), "ms", 1e3)?;
+    let up = BinnedAxis::from_zero(varying.iter().map(|it| it.y), Unit::symbol("ms", 1e3))?;
     let row = |it: &Varying<'_>| {
         let alike = || varying.iter().filter(|other| other.length == it.length).map(|other| other.x);
         let longest = alike().map(|known| known.moments.max).fold(0.0, f64::max);
         let (unit, per_si, what, each) = it.unit(longest);
-        let across = LengthAxis::of(alike(), &unit, per_si)?;
+        let across = BinnedAxis::from_zero(alike(), Unit::symbol(&unit, per_si))?;
         let known = answers.iter().find(|known| known.name == it.one.name);
         let known = known.cloned().unwrap_or_default();
         let growth = Growth::from_iterations(&known.points);
         let slope = growth.as_ref().map(|growth| sentence(growth, what, each));
         let summed = sums(it);
-        let values = LengthValues {
+        let joint = Joint {
+            stage: stage(LATENCY),
             points: &known.points,
-            x: it.x,
-            y: it.y,
+            x: (&across, it.x),
+            y: (&up, it.y),
             line: growth.as_ref().and_then(Growth::line),
         };
         let label = format!("{}: inference against the length of the answer. {summed}", it.one.name);
         let label = slope.iter().fold(label, |label, slope| format!("{label} {slope}"));
         Some(LengthRow {
             name: it.one.name.clone(),
-            plot: LengthPlot::new(look::class(LATENCY), label, &values, (&across, &up)),
+            plot: Picture::of_plot(&joint.plot(), "joint", &label),
+            is_counted: joint.is_counted(),
             said: std::iter::once(summed)
                 .chain(slope)
                 .chain([amount(it, &known)])
@@ -161,7 +167,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
     let rows: Vec<LengthRow> = varying.iter().filter_map(row).collect();
     let others: Vec<&str> = rest.iter().map(|it| it.one.name.as_str()).collect();
     Some(Lengths {
-        is_counted: rows.iter().any(|row| row.plot.is_counted()),
+        is_counted: rows.iter().any(|row| row.is_counted),
         others: (!others.is_empty()).then(|| others.join("; ")),
         rows,
     })
@@ -216,7 +222,7 @@ fn amount(it: &Varying<'_>, known: &Answers) -> String {
 }
 
 /// Returns a sentence about the number of values beyond the axes; `None` if there are none.
-fn beyond(it: &Varying<'_>, (across, up): (&LengthAxis, &LengthAxis)) -> Option<String> {
+fn beyond(it: &Varying<'_>, (across, up): (&BinnedAxis, &BinnedAxis)) -> Option<String> {
     let lost = [(across.beyond(it.x), "length", "lengths"), (up.beyond(it.y), "latency", "latencies")];
     let told: Vec<String> = lost
         .iter()

@@ -8,9 +8,9 @@ use peernet_statistics::number::{
 };
 use peernet_store::MergeableStatistics;
 
-use crate::svg::shown_in;
 use crate::view::chip::Chip;
 use crate::view::clocks;
+use crate::view::units::shown_in;
 
 /// Quantities that depend on two clocks, each with the delay that it is computed from.
 pub(super) static CROSSING: [(Name, Name); 4] = [

@@ -1,12 +1,15 @@
 //! Distributions of the difference between an iteration and one of the baseline, on one axis.
 
 use peernet_analysis::compare::PairwiseDifference;
+use peernet_figures::drawing::BinnedAxis;
+use peernet_figures::look;
+use peernet_figures::plot::Unit;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{duration, percent};
 
 use super::{Comparison, Differences};
-use crate::svg::{SmallAxis, SmallHistogram};
+use crate::picture::Picture;
 
 /// Largest number of distributions that are drawn.
 const MOST: usize = 24;
@@ -16,7 +19,7 @@ const MOST: usize = 24;
 pub(crate) struct PairwiseRow {
     /// Share of the pairs in which it is faster, percent.
     pub faster: String,
-    pub picture: SmallHistogram,
+    pub picture: Picture,
 }
 
 /// Returns the pairwise differences of the totals of each other configuration and the baseline, in the order of the differences; `None`
@@ -34,7 +37,9 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
     let mut zero = Summary::default();
     zero.record(0.0);
     let known = found.iter().flatten().map(|found| &found.differences);
-    let Some(axis) = SmallAxis::of("s", known.chain([&zero])) else { return Vec::new() };
+    let Some(axis) = BinnedAxis::around(known.chain([&zero]), Unit::symbol("ms", 1e3)) else {
+        return Vec::new();
+    };
     let row = |(found, (place, _)): (Option<PairwiseDifference>, &(usize, _))| {
         let PairwiseDifference { differences: pairs, share_smaller } = found?;
         let interval = differences.total(*place).and_then(|stage| stage.found?.interval);
@@ -48,7 +53,10 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
             "{} less {}, total of one iteration each: median {median}, faster in {faster} % of the pairs{beyond}",
             all[*place].name, all[differences.baseline].name
         );
-        Some(PairwiseRow { faster, picture: SmallHistogram::new("total", label, &pairs, &axis, interval) })
+        let items = axis.histogram(&pairs, &look::stage(&stage::TOTAL), interval);
+        let picture =
+            Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
+        Some(PairwiseRow { faster, picture })
     };
     found.into_iter().zip(&differences.others).map(row).collect()
 }

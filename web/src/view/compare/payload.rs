@@ -1,14 +1,17 @@
 //! Latency against payload, and accuracy against latency.
 
 use peernet_analysis::fit::{Fit, MIN_SIZES, MeanAtSize, distinct_sizes, line_through_means};
-use peernet_logger::{Name, stage};
+use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+use peernet_figures::plot::Axis;
+use peernet_figures::scale::Scale;
+use peernet_logger::stage;
 use peernet_statistics::number::{SPACE, bytes, duration, figure, interval_ms, within_ms};
 use peernet_store::Figures;
 
 use super::names::in_words;
 use super::{Comparison, Configuration};
 use crate::look;
-use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+use crate::picture::Picture;
 use crate::view::accuracy;
 
 /// Sizes within this factor are one size.
@@ -23,7 +26,7 @@ fn sent(one: &Configuration) -> Option<f64> {
 }
 
 /// Returns latency against payload, where payloads have at least three sizes, and the results of lines through it.
-pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)> {
+pub(crate) fn payload(comparison: &Comparison) -> Option<(Picture, Vec<String>)> {
     let all: Vec<(&Configuration, f64)> =
         comparison.configurations.iter().filter_map(|one| Some((one, sent(one)?))).collect();
     let sizes = || all.iter().map(|(_, size)| *size);
@@ -31,9 +34,9 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
     (distinct_sizes(sizes()) >= MIN_SIZES).then_some(())?;
     let groups = groups(comparison, &all);
     let mut said = Vec::new();
-    let series = [stage::TOTAL, stage::UPLOAD].map(|name| {
+    let series = ["total", "upload"].map(|name| {
         let points = all.iter().filter_map(|(one, size)| {
-            let figures = one.figures(&name)?;
+            let figures = one.figures(name)?;
             Some(ScatterPoint {
                 x: size / 1e3,
                 y: figures.mean * 1e3,
@@ -43,24 +46,29 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
         });
         let mut lines = Vec::new();
         for group in &groups {
-            let Some((fit, ends)) = line(group, &name) else { continue };
+            let Some((fit, ends)) = line(group, name) else { continue };
             lines.push(ScatterLine {
                 intercept: fit.intercept.value * 1e3,
                 slope: fit.slope.value * 1e6,
                 from: ends.0 / 1e3,
                 to: ends.1 / 1e3,
             });
-            said.push(sentence(&name, group_name(comparison, group).as_deref(), &fit));
+            said.push(sentence(name, group_name(comparison, group).as_deref(), &fit));
         }
-        ScatterSeries { look: look::class(&name), name: name.to_string(), points: points.collect(), lines }
+        ScatterSeries {
+            stage: peernet_figures::look::stage(name),
+            name: name.to_owned(),
+            points: points.collect(),
+            lines,
+        }
     });
-    let across = Horizontal::of(sizes().map(|size| size / 1e3));
+    let x = Axis::new(Scale::of_sizes(sizes().map(|size| size / 1e3)), "", "kB sent");
     let points = || series.iter().flat_map(|one| &one.points);
-    let up = Ruler::from_zero(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
-    let unit = if across.is_logarithmic() { "kB sent, logarithmic" } else { "kB sent" };
+    let up = Scale::up_to(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
     let label =
         format!("Mean latency against payload, {} to {}. {}", bytes(least), bytes(most), said.join(" "));
-    Some((Scatter::new(label, (unit, &across), ("ms", &up), &series), said))
+    let scatter = Scatter { x, y: Axis::new(up, "", "ms"), series: series.into() };
+    Some((Picture::of_scatter(&scatter, &label), said))
 }
 
 pub(super) type Group<'a> = Vec<(&'a Configuration, f64)>;
@@ -111,7 +119,7 @@ pub(super) fn name_in(comparison: &Comparison, groups: &[Group<'_>], one: &Confi
 
 /// Returns the line of seconds over bytes, and its smallest and largest size, where there are three sizes. Each mean is weighted by its
 /// precision.
-pub(super) fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> {
+pub(super) fn line(group: &Group<'_>, name: &str) -> Option<(Fit, (f64, f64))> {
     let known = group.iter().filter_map(|(one, size)| {
         let Figures { count, mean, std, .. } = *one.figures(name)?;
         Some(MeanAtSize { size: *size, count, mean, std })
@@ -124,7 +132,7 @@ pub(super) fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> 
 }
 
 /// Returns `total (50 Hz): 0.12 ms (95 %: 0.10 – 0.14) and 0.84 ms (0.80 – 0.88) more per MB.`
-fn sentence(name: &Name, group: Option<&str>, fit: &Fit) -> String {
+fn sentence(name: &str, group: Option<&str>, fit: &Fit) -> String {
     let of = group.map_or_else(String::new, |group| format!(" ({group})"));
     let (base, slope) = (fit.intercept.span(), fit.slope.span());
     let per_megabyte = (slope.0 * 1e6, slope.1 * 1e6);
@@ -140,7 +148,7 @@ fn sentence(name: &Name, group: Option<&str>, fit: &Fit) -> String {
 }
 
 /// Returns the share of right first answers against the median of the total, where at least two configurations have both.
-pub(crate) fn accuracy(comparison: &Comparison) -> Option<Scatter> {
+pub(crate) fn accuracy(comparison: &Comparison) -> Option<Picture> {
     let point = |one: &Configuration| {
         let scores = one.figures(TOP_1)?;
         let known = accuracy::of(scores);
@@ -153,16 +161,20 @@ pub(crate) fn accuracy(comparison: &Comparison) -> Option<Scatter> {
     };
     let points: Vec<ScatterPoint> = comparison.configurations.iter().filter_map(point).collect();
     (points.len() >= 2).then_some(())?;
-    let across = Horizontal::of(points.iter().map(|point| point.x));
+    let x = Axis::new(Scale::of_sizes(points.iter().map(|point| point.x)), "", "median total, ms");
     let low = |it: &ScatterPoint| it.ends.map_or(it.y, |(low, _)| low);
     let (lo, hi) =
         points.iter().fold((100.0_f64, 0.0_f64), |(lo, hi), it| (lo.min(low(it)), hi.max(it.top())));
-    let up = Ruler::around((lo - 2.0).max(0.0), (hi + 2.0).min(100.0), 5);
+    let up = Scale::linear(((lo - 2.0).max(0.0), (hi + 2.0).min(100.0))).widened(5);
     let each =
         points.iter().map(|it| format!("{} {}{SPACE}% at {}", it.name, figure(it.y), duration(it.x / 1e3)));
     let label =
         format!("Top-1 accuracy against the median of the total: {}", each.collect::<Vec<_>>().join(", "));
-    let unit = if across.is_logarithmic() { "median total, ms, logarithmic" } else { "median total, ms" };
-    let series = ScatterSeries { look: "inference", name: "Top-1".to_owned(), points, lines: Vec::new() };
-    Some(Scatter::new(label, (unit, &across), ("%", &up), &[series]))
+    let series = ScatterSeries {
+        stage: peernet_figures::look::stage("inference"),
+        name: "Top-1".to_owned(),
+        points,
+        lines: Vec::new(),
+    };
+    Some(Picture::of_scatter(&Scatter { x, y: Axis::new(up, "", "%"), series: vec![series] }, &label))
 }

@@ -1,13 +1,15 @@
 //! Pictures of a comparison: stacks, pairs of local and cloud.
 
+use peernet_figures::drawing::{Quartiles, StageBar, StagePart};
+use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, duration, mean_std_ms};
 use peernet_stream::{Placement, PlacementKind};
 use std::slice;
 
+use super::spread::boxed;
 use super::{Comparison, Configuration, order};
-use crate::look;
-use crate::svg::{Axis, Bar, BoxPlot, BoxStatistics, Part, Scale};
+use crate::picture::Picture;
 use crate::view::place;
 use crate::view::stack::Stack;
 
@@ -17,20 +19,23 @@ const MOST_HOSTS: usize = 4;
 /// A configuration's stages as a bar.
 pub(crate) struct StackRow {
     pub name: String,
-    pub bar: Bar,
+    pub bar: Picture,
     pub total: (String, Option<String>),
     pub best: bool,
 }
 
 /// The labels of a scale: above all bars, and under each on a phone.
 pub(crate) struct Axes {
-    pub above: Axis,
-    pub under: Axis,
+    pub above: Picture,
+    pub under: Picture,
 }
 
 impl Axes {
     pub(super) fn of(scale: &Scale) -> Self {
-        Self { above: Axis::milliseconds(scale, ""), under: Axis::milliseconds(scale, "small") }
+        Self {
+            above: Picture::milliseconds_axis(scale, ""),
+            under: Picture::milliseconds_axis(scale, "small"),
+        }
     }
 }
 
@@ -47,26 +52,23 @@ pub(crate) struct PlaceRow {
     /// Host of the model, and the hosts that it serves.
     pub place: String,
     pub inference: (String, Option<String>),
-    pub spread: BoxPlot,
+    pub spread: Picture,
 }
 
 /// Returns the stages of all configurations on one scale, means with the standard deviation of the total.
 pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<StackRow>, Axes) {
     let all = &comparison.configurations;
     let reach = |one: &Configuration| one.total().map_or(0.0, |total| total.mean + total.std.unwrap_or(0.0));
-    let scale = Scale::fit(all.iter().map(reach).fold(0.0, f64::max) * 1e3, 6);
+    let scale = Scale::up_to(all.iter().map(reach).fold(0.0, f64::max) * 1e3, 6);
     let row = |(at, one): (usize, &Configuration)| {
         let parts = parts(one);
         let total = one.total();
-        let label = label(one, &parts);
-        let mut bar = Bar::new("", label, &parts, &scale);
-        if let Some((mean, std)) = total.and_then(|total| Some((total.mean, total.std?))) {
-            bar = bar.spread(mean, std, &scale);
-        }
+        let spread = total.and_then(|total| Some((total.mean, total.std?)));
+        let bar = StageBar { spread, ..StageBar::new(&parts, scale) };
         StackRow {
             name: one.name.clone(),
             total: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
-            bar,
+            bar: Picture::of_items(&bar.items(), "stages", &label(one, &parts)),
             best: best == Some(at),
         }
     };
@@ -74,11 +76,11 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
 }
 
 /// Returns the means of the stages; of a sensor alone its sensing.
-fn parts(one: &Configuration) -> Vec<Part> {
+fn parts(one: &Configuration) -> Vec<StagePart> {
     let mut parts = Stack::of_run(&one.stages, &one.bounds).parts;
     if parts.is_empty() {
         let sensing = one.figures(&stage::SENSING);
-        parts.extend(sensing.map(|figures| Part {
+        parts.extend(sensing.map(|figures| StagePart {
             name: stage::SENSING.to_string(),
             seconds: figures.mean,
             bound: None,
@@ -89,7 +91,7 @@ fn parts(one: &Configuration) -> Vec<Part> {
     parts
 }
 
-fn label(one: &Configuration, parts: &[Part]) -> String {
+fn label(one: &Configuration, parts: &[StagePart]) -> String {
     let Some(total) = one.total() else { return format!("{}: nothing measured", one.name) };
     let stages = parts.iter().map(|part| format!("{} {}", part.name, duration(part.seconds)));
     let stages = stages.collect::<Vec<_>>().join(", ");
@@ -139,16 +141,16 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
         has(PlacementKind::Local) && has(PlacementKind::Remote)
     };
     models.retain(both);
-    let five = |one: &Configuration| BoxStatistics::of(one.known(&stage::INFERENCE)?);
+    let five = |one: &Configuration| Quartiles::of(one.known(&stage::INFERENCE)?);
     let measured = models.iter().flat_map(|model| of(model));
     let reach = measured.filter_map(five).map(|five| five.top()).fold(0.0, f64::max);
-    let scale = Scale::fit(reach * 1e3, 6);
+    let scale = Scale::up_to(reach * 1e3, 6);
     let row = |one: &Configuration| {
-        let (figures, five): (_, BoxStatistics) = (one.figures(&stage::INFERENCE)?, five(one)?);
+        let (figures, five): (_, Quartiles) = (one.figures(&stage::INFERENCE)?, five(one)?);
         let wher = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
         let place = format!("{wher}, {}", routes(one));
         let label = format!("{}, {place}, inference", one.name);
-        let spread = BoxPlot::new(look::class(&stage::INFERENCE), &label, &five, &scale);
+        let spread = boxed(&stage::INFERENCE, &label, &five, &scale);
         let inference = mean_std_ms(figures.mean, figures.std);
         Some(PlaceRow { configuration: one.name.clone(), place, inference, spread })
     };

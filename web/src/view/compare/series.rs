@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use peernet_clock::WallTime;
+use peernet_figures::drawing::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{duration, length};
 use peernet_store::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store};
@@ -10,7 +11,7 @@ use peernet_store::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, Stage
 use super::choice::{Chosen, chosen, without_answer};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
-use crate::svg::{CourseAxes, CourseBucket, CourseData, CoursePlot, Part};
+use crate::picture::Picture;
 use crate::view::{counted, episodes, stack};
 
 /// Largest and smallest number of points of a run, and samples that each should have: enough for a 95th percentile.
@@ -40,10 +41,7 @@ pub(crate) struct OverTime {
     pub runs: Vec<RunPicture>,
     /// Unit of the horizontal axes.
     pub unit: &'static str,
-    pub has_p95: bool,
-    pub has_borders: bool,
-    pub has_warm_up: bool,
-    pub has_unanswered: bool,
+    pub legend: Picture,
     /// Number of runs, if not all are drawn.
     pub of: Option<usize>,
     /// A sentence about runs without a single answer.
@@ -55,7 +53,7 @@ pub(crate) struct RunPicture {
     pub run: i64,
     pub name: String,
     pub said: String,
-    pub picture: CoursePlot,
+    pub picture: Picture,
 }
 
 /// Returns the runs that are drawn, each with the quantity that is drawn: the total, or the sensor's time in a run without a model.
@@ -96,10 +94,14 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
         (points >= FEWEST_POINTS).then_some(())?;
         Some((one, run, &course.episodes, data(one, run, &name, course)))
     });
-    let (runs, all): (Vec<_>, Vec<CourseData>) =
+    let (runs, all): (Vec<_>, Vec<(String, StagesOverTime)>) =
         known.map(|(one, run, episodes, data)| ((one, run, episodes), data)).unzip();
-    let axes = CourseAxes::of(&all)?;
-    let picture = |((one, run, episodes), data): (&(&Configuration, &RunSummary, &Episodes), &CourseData)| {
+    let (labels, all): (Vec<String>, Vec<StagesOverTime>) = all.into_iter().unzip();
+    let axes = OverTimeAxes::of(&all)?;
+    let picture = |(((one, run, episodes), data), label): (
+        (&(&Configuration, &RunSummary, &Episodes), &StagesOverTime),
+        &String,
+    )| {
         let beyond = match axes.beyond(data) {
             0 => None,
             beyond => Some(format!("{} beyond ↑", counted(beyond, "mean", "means"))),
@@ -112,16 +114,13 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
             run: run.number,
             name: one.name.clone(),
             said: said.into_iter().flatten().collect::<Vec<_>>().join(", "),
-            picture: CoursePlot::new(data, &axes),
+            picture: Picture::of_plot(&data.plot(&axes), "course", label),
         }
     };
     Some(OverTime {
-        runs: runs.iter().zip(&all).map(picture).collect(),
+        runs: runs.iter().zip(&all).zip(&labels).map(picture).collect(),
         unit: axes.unit(),
-        has_p95: all.iter().flat_map(|one| &one.buckets).any(|bucket| bucket.p95.is_some()),
-        has_borders: all.iter().any(|one| !one.borders.is_empty()),
-        has_warm_up: all.iter().any(|one| one.warm_up.is_some()),
-        has_unanswered: all.iter().any(|one| !one.unanswered.is_empty()),
+        legend: Picture::of_legend(&OverTimeAxes::legend(&all), "key plain"),
         of,
         missing: without_answer(comparison),
     })
@@ -144,8 +143,8 @@ fn points_of(seconds: f64) -> String {
     format!("points of {count}\u{202f}{unit}")
 }
 
-/// Returns a run in seconds since its first iteration.
-fn data(one: &Configuration, run: &RunSummary, name: &Name, course: &RunCourse) -> CourseData {
+/// Returns a run in words, and in seconds since its first iteration.
+fn data(one: &Configuration, run: &RunSummary, name: &Name, course: &RunCourse) -> (String, StagesOverTime) {
     let RunCourse { series, means, episodes } = course;
     let points: &[SeriesPoint] = series.stages.first().map_or(&[], |stage| &stage.points);
     let width = f64::from(series.bucket_s.max(1));
@@ -163,15 +162,15 @@ fn data(one: &Configuration, run: &RunSummary, name: &Name, course: &RunCourse) 
         let parts = stack::parts(!one.bounds.is_empty(), |name| {
             mean(name, point.at).map(|known| (known.count, known.mean))
         });
-        let alone = || vec![Part { name: name.to_string(), seconds: point.mean, bound: None }];
-        CourseBucket {
+        let alone = || vec![StagePart { name: name.to_string(), seconds: point.mean, bound: None }];
+        StageBucket {
             begin: since(point.at),
             median: point.p50,
             p95: point.p95,
             parts: if parts.is_empty() { alone() } else { parts },
         }
     };
-    let buckets: Vec<CourseBucket> = points.iter().map(bucket).collect();
+    let buckets: Vec<StageBucket> = points.iter().map(bucket).collect();
     let medians = || buckets.iter().map(|bucket| bucket.median);
     let (lo, hi) = medians().fold((f64::INFINITY, 0.0_f64), |(lo, hi), it| (lo.min(it), hi.max(it)));
     let range = if buckets.is_empty() {
@@ -181,8 +180,8 @@ fn data(one: &Configuration, run: &RunSummary, name: &Name, course: &RunCourse) 
     };
     let more = [episodes::said(episodes), episodes::unanswered(episodes, run)].into_iter().flatten();
     let said: Vec<String> = [range].into_iter().chain(more).collect();
-    CourseData {
-        label: format!("Run {}, {name} over time: {}", run.number, said.join("; ")),
+    let label = format!("Run {}, {name} over time: {}", run.number, said.join("; "));
+    let data = StagesOverTime {
         length: lasted,
         width,
         buckets,
@@ -190,5 +189,6 @@ fn data(one: &Configuration, run: &RunSummary, name: &Name, course: &RunCourse) 
         warm_up: episodes.warm_up_until.map(since).filter(|until| *until > 0.0),
         unanswered: episodes.unanswered.iter().filter(|at| inside(at)).map(|at| since(*at)).collect(),
         p95: run.total.as_ref().and_then(|total| total.p95),
-    }
+    };
+    (label, data)
 }

@@ -2,6 +2,10 @@
 
 use peernet_analysis::fit::{MIN_SIZES, distinct_sizes, rate};
 use peernet_analysis::transfer::speed_between;
+use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+use peernet_figures::look;
+use peernet_figures::plot::Axis;
+use peernet_figures::scale::Scale;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{
     SPACE, bytes, stage_ms, throughput as megabytes, throughput_between, throughput_with,
@@ -9,8 +13,7 @@ use peernet_statistics::number::{
 
 use super::payload::{Group, group_name, groups, line, name_in};
 use super::{Comparison, Configuration};
-use crate::look;
-use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+use crate::picture::Picture;
 
 /// bit/s to MB/s.
 const MEGABYTES: f64 = 1.0 / 8e6;
@@ -22,7 +25,7 @@ static WAYS: [(Name, [Name; 2]); 2] = [
 
 /// Plot of the throughput, its numbers, and the results of lines through the delays.
 pub(crate) struct Throughput {
-    pub plot: Scatter,
+    pub plot: Picture,
     pub rows: Vec<ThroughputRow>,
     pub said: Vec<String>,
 }
@@ -98,23 +101,23 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
     // An upper end that is far above all values would compress the points at the bottom.
     let highest = all().map(|it| it.value).fold(0.0, f64::max) * MEGABYTES;
     let reach = all().filter_map(|it| it.ends?.1).map(|high| (high * MEGABYTES).min(2.0 * highest));
-    let up = Ruler::from_zero(reach.fold(highest, f64::max), 5);
-    let across = Horizontal::of(all().map(|it| it.bytes / 1e3));
+    let up = Scale::up_to(reach.fold(highest, f64::max), 5);
+    let x = Axis::new(Scale::of_sizes(all().map(|it| it.bytes / 1e3)), "", "kB");
     let mut said = Vec::new();
     let series = ways.iter().map(|(way, known)| {
         let sized: Group<'_> = known.iter().map(|it| (it.one, it.bytes)).collect();
         let groups = groups(comparison, &sized);
         let lines = groups.iter().filter_map(|group| level(comparison, way, group, &mut said)).collect();
         let name = |it: &ThroughputPoint<'_>| name_in(comparison, &groups, it.one);
-        let points = known.iter().map(|it| it.point(up.end() * 1.02, name(it))).collect();
-        ScatterSeries { look: look::class(way), name: way.to_string(), points, lines }
+        let points = known.iter().map(|it| it.point(up.ends().1 * 1.02, name(it))).collect();
+        ScatterSeries { stage: look::stage(way), name: way.to_string(), points, lines }
     });
     let series: Vec<ScatterSeries> = series.collect();
     let rows: Vec<ThroughputRow> =
         ways.iter().flat_map(|(way, known)| known.iter().map(|it| it.row(way))).collect();
-    let unit = if across.is_logarithmic() { "kB, logarithmic" } else { "kB" };
     let label = format!("Throughput against payload. {}", said.join(" "));
-    Some(Throughput { plot: Scatter::new(label, (unit, &across), ("MB/s", &up), &series), rows, said })
+    let scatter = Scatter { x, y: Axis::new(up, "", "MB/s"), series };
+    Some(Throughput { plot: Picture::of_scatter(&scatter, &label), rows, said })
 }
 
 /// Returns a level line at the throughput of large messages, by the delay of each further byte.

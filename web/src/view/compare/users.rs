@@ -1,13 +1,15 @@
 //! Latency against the number of users that measured at once, and the fairness between them.
 
 use peernet_analysis::users::{Curve, EdgeShare, Totals, Users, UsersLine};
-use peernet_logger::stage;
+use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+use peernet_figures::look;
+use peernet_figures::plot::Axis;
+use peernet_figures::scale::Scale;
 use peernet_statistics::number::{NONE, count, duration, mean_std_ms, measured, rate};
 use peernet_store::RunSummary;
 
 use super::{Comparison, Configuration};
-use crate::look;
-use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+use crate::picture::Picture;
 use crate::view::runs;
 
 /// Row of a configuration with a number of users.
@@ -25,7 +27,7 @@ pub(crate) struct UsersRow {
 }
 
 /// Returns the plot and its numbers, where several users measured at once and their number differs.
-pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)> {
+pub(crate) fn users(comparison: &Comparison) -> Option<(Picture, Vec<UsersRow>)> {
     comparison.experiment.as_ref()?;
     let users =
         Users { axes: comparison.axes.clone(), lines: comparison.configurations.iter().map(line).collect() };
@@ -62,11 +64,11 @@ fn share(run: &RunSummary) -> Option<EdgeShare> {
     EdgeShare::from_run(run.counts.ok + run.warm_up, seconds, run.total.map(|total| total.p50))
 }
 
-fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
+fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Picture {
     // Users of one cloud wait for each other.
-    let series = [stage::TOTAL, stage::QUEUE].map(|name| {
+    let series = ["total", "queue"].map(|name| {
         let point = |(line, one): &(&UsersLine, &Configuration)| {
-            let figures = one.figures(&name)?;
+            let figures = one.figures(name)?;
             Some(ScatterPoint {
                 x: line.edges as f64,
                 y: figures.mean * 1e3,
@@ -79,23 +81,29 @@ fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
         let lines =
             points.iter().flat_map(|curve| curve.windows(2)).filter_map(|pair| between(&pair[0], &pair[1]));
         ScatterSeries {
-            look: look::class(&name),
-            name: name.to_string(),
+            stage: look::stage(name),
+            name: name.to_owned(),
             lines: lines.collect(),
             points: points.concat(),
         }
     });
     let series: Vec<ScatterSeries> = series.into_iter().filter(|one| !one.points.is_empty()).collect();
     let points = || series.iter().flat_map(|one| &one.points);
-    let across = Horizontal::of_numbers(points().map(|point| point.x));
-    let up = Ruler::from_zero(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
+    let up = Scale::up_to(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
+    let x = Axis::new(numbers(points().map(|point| point.x)), "", "users at once");
     let said = curves.iter().flatten().filter_map(|(line, one)| {
         let total = one.total()?;
         Some(format!("{}: {} at {}", one.name, duration(total.mean), users_of(line)))
     });
     let label = format!("Mean latency against the number of users. {}", said.collect::<Vec<_>>().join(", "));
-    let unit = if across.is_logarithmic() { "users at once, logarithmic" } else { "users at once" };
-    Scatter::new(label, (unit, &across), ("ms", &up), &series)
+    Picture::of_scatter(&Scatter { x, y: Axis::new(up, "", "ms"), series }, &label)
+}
+
+/// Returns a scale of whole numbers with room beyond the largest.
+fn numbers(values: impl Iterator<Item = f64> + Clone) -> Scale {
+    let most = values.clone().fold(0.0, f64::max);
+    let scale = Scale::of_sizes(values);
+    if scale.is_logarithmic() { scale } else { Scale::up_to(most + 0.5, (most as usize + 1).min(6)) }
 }
 
 fn users_of(line: &UsersLine) -> String {

@@ -1,17 +1,21 @@
 //! The picture of a link over time.
 
 use peernet_clock::{Span, Verdict, WallTime};
+use peernet_figures::look::{Style, TextStyle};
+use peernet_figures::plot::{At, Item, Label, Path};
+use peernet_figures::scale::{Scale, Tick, times_of_day};
 use peernet_statistics::number::{SPACE, bound, bound_ms, count, figure, length};
 use peernet_store::{ClockPoint, IncidentRow};
 use serde::Deserialize;
 
-use super::super::chip::Chip;
+use super::super::chip::{Chip, Tone};
 use super::super::incidents::IncidentLine;
 use super::super::speed::NetworkDirection;
 use super::course::Course;
 use super::delays::{bounds, of_point};
+use super::tracks::{Place, RailSign, Track, Tracks, span};
 use super::{Subject, known, offset};
-use crate::svg::{Gap, Percent, RailSign, Ruler, Segment, Strip, Track, Tracks, pen};
+use crate::picture::Picture;
 use crate::zone::Zone;
 
 /// View of an offset.
@@ -38,9 +42,9 @@ impl OffsetView {
 /// Whiskers over the whole width.
 const WHISKERS: f64 = 60.0;
 /// Width of a gap from which on its reason is shown above it.
-const REASON_FITS: f64 = 8.0;
+const REASON_FITS: f64 = 0.08;
 /// Distance of signs below which they would overlap.
-const SIGN_FITS: f64 = 2.2;
+const SIGN_FITS: f64 = 0.022;
 /// A value larger than this multiple of the 95th percentile does not extend the scale.
 const TAIL: f64 = 3.0;
 
@@ -54,6 +58,10 @@ pub(super) struct Plan<'a> {
 impl Plan<'_> {
     fn x(&self, at: WallTime) -> f64 {
         (at - self.course.from).seconds() / self.course.seconds().max(1.0)
+    }
+
+    fn inside(&self, at: WallTime) -> f64 {
+        self.x(at).clamp(0.0, 1.0)
     }
 
     /// Returns a value of each point in milliseconds or another unit, with breaks where points are missing. Where a clock was set
@@ -98,9 +106,15 @@ pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Returns the number of values beyond the end of a scale, in words.
-pub(super) fn beyond(values: impl Iterator<Item = f64>, ruler: &Ruler, unit: &str) -> Option<String> {
-    let many = values.filter(|value| *value > ruler.end()).count() as u64;
-    (many > 0).then(|| format!("{} beyond {}{SPACE}{unit} ↑", count(many), ruler.end_label()))
+pub(super) fn beyond(values: impl Iterator<Item = f64>, scale: &Scale, unit: &str) -> Option<String> {
+    let many = values.filter(|value| *value > scale.ends().1).count() as u64;
+    let end = scale.ticks(1).pop().filter(|_| many > 0)?.text;
+    Some(format!("{} beyond {}{SPACE}{unit} ↑", count(many), end.trim_start_matches('+')))
+}
+
+/// Returns the distance of a value from the top of its track; a value beyond the scale lies slightly outside.
+pub(super) fn below(scale: &Scale, value: f64) -> f64 {
+    1.0 - scale.at_or_outside(value)
 }
 
 /// Returns the picture of a course.
@@ -123,25 +137,25 @@ pub(crate) fn tracks(
     if !subject.same_clock() || course.probes().sent > 0 {
         all.push(round_trips(&plan));
     }
+    let gaps: Vec<(f64, f64)> =
+        plan.gaps.iter().map(|(from, to)| (plan.inside(*from), plan.inside(*to))).collect();
+    let wide = gaps.iter().filter(|(from, to)| to - from >= REASON_FITS);
+    let hatched: Vec<Item> = gaps.iter().map(|gap| span(*gap, "hatch")).collect();
+    let signs = signs(&plan, incidents, zone);
+    let through = signs
+        .iter()
+        .map(|sign| Item::line(At::new(sign.x.0, 0.0), At::new(sign.x.0, 1.0), Style::of_page("incident")));
+    let ground: Vec<Item> = hatched.iter().cloned().chain(through).collect();
     Tracks {
         label: finding(subject, &plan, incidents.len()),
-        signs: signs(&plan, incidents, zone),
-        gaps: plan.gaps.iter().map(|(from, to)| gap(&plan, *from, *to)).collect(),
-        strips: [NetworkDirection::Up, NetworkDirection::Down].map(|way| strip(&plan, way)).to_vec(),
-        tracks: all,
+        reasons: wide.map(|(from, to)| (Place(f64::midpoint(*from, *to)), "no report")).collect(),
+        strips: [NetworkDirection::Up, NetworkDirection::Down]
+            .map(|way| strip(&plan, way, &hatched))
+            .to_vec(),
+        tracks: all.into_iter().map(|track| track.picture(&ground)).collect(),
+        signs,
         times: times(course, zone),
     }
-}
-
-fn percent(share: f64) -> Percent {
-    Percent((share * 100.0).clamp(0.0, 100.0))
-}
-
-fn gap(plan: &Plan<'_>, from: WallTime, to: WallTime) -> Gap {
-    let (x, end) = (percent(plan.x(from)), percent(plan.x(to)));
-    let width = Percent(end.0 - x.0);
-    let text = (width.0 >= REASON_FITS).then_some("no report");
-    Gap { x, width, middle: Percent(x.0 + width.0 / 2.0), text }
 }
 
 fn signs(plan: &Plan<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign> {
@@ -150,17 +164,18 @@ fn signs(plan: &Plan<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign
     let mut last = f64::NEG_INFINITY;
     let signs = rows.into_iter().map(|row| {
         let line = IncidentLine::new(row, zone);
-        let x = percent(plan.x(row.at));
-        let shown = x.0 - last >= SIGN_FITS;
-        if shown {
-            last = x.0;
+        let x = plan.inside(row.at);
+        let is_shown = x - last >= SIGN_FITS;
+        if is_shown {
+            last = x;
         }
-        RailSign { x, sign: line.sign, tone: line.tone.class(), shown }
+        RailSign { x: Place(x), sign: line.sign, tone: line.tone.class(), is_shown }
     });
     signs.collect()
 }
 
-fn strip(plan: &Plan<'_>, way: NetworkDirection) -> Strip {
+/// Draws the verdicts of a direction over time, below the stretches without data.
+fn strip(plan: &Plan<'_>, way: NetworkDirection, hatched: &[Item]) -> Picture {
     let half = plan.course.bucket as f64 / plan.course.seconds().max(1.0);
     let mut segments: Vec<(f64, f64, Verdict)> = Vec::new();
     for point in &plan.course.points {
@@ -172,12 +187,28 @@ fn strip(plan: &Plan<'_>, way: NetworkDirection) -> Strip {
             _ => segments.push((begin, end, verdict)),
         }
     }
-    let segments = segments.into_iter().map(|(from, to, verdict)| {
-        let (x, width) = (percent(from), Percent((to.min(1.0) - from) * 100.0));
-        let text = Some(format!("{} {verdict}", way.delay())).filter(|text| width.0 >= Segment::room(text));
-        Segment { x, width, tone: Chip::verdict(verdict).tone.class(), text }
-    });
-    Strip { segments: segments.collect() }
+    let segments = segments.into_iter().map(|(from, to, verdict)| (from, to.min(1.0), verdict));
+    let (mut items, mut texts) = (Vec::new(), Vec::new());
+    for (from, to, verdict) in segments {
+        let class = strip_class(Chip::verdict(verdict).tone);
+        items.push(span((from, to), class));
+        let words = format!("{} {verdict}", way.delay());
+        let label = Label::new(At::new(from, 0.5), words, TextStyle { class, ..TextStyle::AXIS });
+        texts.push(Item::Text(label.shifted(0.4, 0.36).fits_within(to - from)));
+    }
+    items.extend(texts);
+    items.extend(hatched.iter().cloned());
+    Picture::of_items(&items, "strip", "")
+}
+
+/// Returns the class of a state's area and of the text on it.
+const fn strip_class(tone: Tone) -> &'static str {
+    match tone {
+        Tone::Ok => "v-ok",
+        Tone::Quiet => "v-quiet",
+        Tone::Warn => "v-warn",
+        Tone::Bad => "v-bad",
+    }
 }
 
 fn delays(plan: &Plan<'_>) -> Track {
@@ -188,11 +219,10 @@ fn delays(plan: &Plan<'_>) -> Track {
             points.iter().flat_map(|point| both.map(|way| of_point(point, way).and_then(|one| one.median)));
         medians.flatten().map(|median| bounds(&median).1 * 1e3)
     };
-    let ruler = Ruler::from_zero(reach(upper()), 3);
-    let mut track =
-        Track::new(format!("one-way delay, median of {}, ms", bucket(plan.coarse.bucket)), &ruler);
+    let scale = Scale::up_to(reach(upper()), 3);
+    let mut track = Track::new(format!("one-way delay, median of {}, ms", bucket(plan.coarse.bucket)), scale);
     track.note = "whiskers: contain the true value".to_owned();
-    track.beyond = beyond(upper(), &ruler, "ms");
+    track.beyond = beyond(upper(), &scale, "ms");
     let half = plan.coarse.bucket as f64 / plan.course.seconds().max(1.0) / 2.0;
     for (way, whiskers, dots) in [
         (NetworkDirection::Up, "whiskers up", "dots up"),
@@ -203,12 +233,12 @@ fn delays(plan: &Plan<'_>) -> Track {
             .filter_map(|point| {
                 let median = of_point(point, way)?.median.filter(|median| !median.value.is_negative())?;
                 let (lo, hi) = bounds(&median);
-                let at = |seconds: f64| ruler.below(seconds * 1e3);
+                let at = |seconds: f64| below(&scale, seconds * 1e3);
                 Some(((plan.x(point.at) - half).max(0.0), at(hi), at(lo), at(median.value.seconds())))
             })
             .collect();
-        track.draw(whiskers, pen::whiskers(known.iter().map(|(x, hi, lo, _)| (*x, *hi, *lo)), 0.003));
-        track.draw(dots, pen::dots(known.iter().map(|(x, _, _, value)| (*x, *value))));
+        track.draw(whiskers, Path::whiskers(known.iter().map(|(x, hi, lo, _)| (*x, *hi, *lo)), 0.003));
+        track.draw(dots, Path::dots(known.iter().map(|(x, _, _, value)| (*x, *value))));
     }
     track
 }
@@ -217,13 +247,13 @@ fn round_trips(plan: &Plan<'_>) -> Track {
     let points = &plan.course.points;
     let medians =
         || points.iter().filter_map(|point| point.round_trip).map(|trip| trip.median.seconds() * 1e3);
-    let ruler = Ruler::from_zero(reach(medians()), 3);
-    let mut track = Track::new("probe round trip, ms".to_owned(), &ruler);
+    let scale = Scale::up_to(reach(medians()), 3);
+    let mut track = Track::new("probe round trip, ms".to_owned(), scale);
     track.note = "strong: smallest · faint: median · ticks: lost probes, by their share".to_owned();
-    track.beyond = beyond(medians(), &ruler, "ms");
+    track.beyond = beyond(medians(), &scale, "ms");
     let line = |of: fn(&peernet_stream::RoundTrip) -> Span| {
-        pen::line(plan.broken(points, |x, point| {
-            Some((x, ruler.below(of(point.round_trip.as_ref()?).seconds() * 1e3)))
+        Path::line(plan.broken(points, |x, point| {
+            Some((x, below(&scale, of(point.round_trip.as_ref()?).seconds() * 1e3)))
         }))
     };
     track.draw("faint", line(|trip| trip.median));
@@ -232,7 +262,7 @@ fn round_trips(plan: &Plan<'_>) -> Track {
         let share = f64::from(point.probes.lost) / f64::from(point.probes.sent.max(1));
         (plan.x(point.at), 0.03, 0.05 + 0.15 * (share * 5.0).min(1.0))
     });
-    track.draw("lost", pen::ticks(lost));
+    track.draw("lost", Path::ticks(lost));
     track
 }
 
@@ -241,19 +271,15 @@ fn bucket(seconds: i64) -> String {
     if seconds < 60 { format!("{seconds}{SPACE}s") } else { length(seconds as f64) }
 }
 
-/// Round times of day along the axis.
-fn times(course: &Course, zone: Zone) -> Vec<(Percent, String)> {
-    const STEPS: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, 86_400];
-    let seconds = course.seconds();
-    let step = STEPS.into_iter().find(|step| seconds / *step as f64 <= 12.0).unwrap_or(86_400);
-    let east = i64::from(zone.offset_seconds(course.to));
-    let first = (course.from.unix_seconds() + east).div_euclid(step) + 1;
-    let ticks = (first..).map(|tick| WallTime::from_unix_nanos((tick * step - east) * 1_000_000_000));
-    let ticks = ticks.take_while(|at| *at <= course.to).take(20);
-    let ticks =
-        ticks.map(|at| (Percent((at - course.from).seconds() / seconds * 100.0), zone.moment(at).minute()));
-    // A label at the very end would extend beyond the picture.
-    ticks.filter(|(x, _)| (1.5..=98.5).contains(&x.0)).collect()
+/// Draws round times of day along the axis.
+fn times(course: &Course, zone: Zone) -> Picture {
+    let from = course.from.unix_nanos() as f64 / 1e9;
+    let places = times_of_day(from, course.seconds(), i64::from(zone.offset_seconds(course.to)));
+    let tick = |(seconds, at): (i64, f64)| {
+        let time = WallTime::from_unix_nanos(seconds * 1_000_000_000);
+        Tick { value: seconds as f64, at, text: zone.moment(time).minute() }
+    };
+    Picture::labels_below("times", &places.into_iter().map(tick).collect::<Vec<_>>())
 }
 
 /// Returns the range of some values in words: `0.61 to 0.70 ms`.

@@ -13,6 +13,7 @@ pub(crate) mod origin;
 pub(crate) mod panels;
 pub(crate) mod stats;
 pub(crate) mod table;
+pub(crate) mod tracks;
 mod trend;
 
 use std::sync::Arc;

@@ -1,12 +1,14 @@
 //! The clock offset of a link over time: the certain band, the estimate in it, and the intervals of other sources.
 
 use peernet_clock::{DelaySource, Interval, RelatedClocks, Span};
+use peernet_figures::plot::Path;
+use peernet_figures::scale::Scale;
 use peernet_store::ClockPoint;
 
-use super::chart::{OffsetView, Plan, beyond, reach};
+use super::chart::{OffsetView, Plan, below, beyond, reach};
 use super::known;
+use super::tracks::Track;
 use super::trend::Trend;
-use crate::svg::{Ruler, Track, pen};
 
 /// Another source that is wider than the band by this factor does not extend the scale.
 const WIDER: f64 = 4.0;
@@ -53,16 +55,17 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     let certain: Vec<Ends> = points.iter().filter_map(band).collect();
     let others = [DelaySource::Kernel, DelaySource::Chrony]
         .map(|source| (source, points.iter().filter_map(|point| said(point, source)).collect::<Vec<Ends>>()));
-    let ruler = match view {
+    let scale = match view {
         OffsetView::Removed => {
             let own = usual(certain.iter().copied().map(larger));
             let sizes = others.iter().map(|(_, said)| reach(said.iter().copied().map(larger)));
-            Ruler::both_sides(sizes.filter(|size| *size <= own * WIDER).fold(own, f64::max), 6)
+            let most = sizes.filter(|size| *size <= own * WIDER).fold(own, f64::max);
+            Scale::linear((-most, most)).widened(6).signed()
         }
         OffsetView::Measured => {
             let span = |(lo, hi): Ends, one: &Ends| (lo.min(one.0), hi.max(one.1));
             let (lo, hi) = certain.iter().fold((f64::INFINITY, f64::NEG_INFINITY), span);
-            Ruler::around(lo, hi, 5).signed()
+            Scale::linear((lo, hi)).widened(5).signed()
         }
     };
 
@@ -72,13 +75,13 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
         Some(RelatedClocks::RawToWall) => "offset, free-running clock to wall clock of",
         Some(RelatedClocks::Wall) | None => "clock offset of",
     };
-    let mut track = Track::new(format!("{of} {cloud}{what}, ms"), &ruler);
+    let mut track = Track::new(format!("{of} {cloud}{what}, ms"), scale);
     track.class = "tall";
     let filled = plan.broken(points, |x, point| {
         let (lo, hi) = band(point)?;
-        Some((x, ruler.below(hi), ruler.below(lo)))
+        Some((x, below(&scale, hi), below(&scale, lo)))
     });
-    track.draw("band", pen::band(filled));
+    track.draw("band", Path::band(filled));
     let mut note = vec!["filled: certain".to_owned()];
     for (source, said_by) in &others {
         if said_by.is_empty() {
@@ -86,21 +89,21 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
         }
         for end in [|ends: Ends| ends.0, |ends: Ends| ends.1] {
             // Values beyond the axis are left out, not drawn along its end.
-            let at = |point: &ClockPoint| said(point, *source).map(end).filter(|value| ruler.holds(*value));
-            let line = plan.broken(points, |x, point| Some((x, ruler.below(at(point)?))));
-            track.draw("dashed", pen::line(line));
+            let at = |point: &ClockPoint| said(point, *source).map(end).filter(|value| scale.has(*value));
+            let line = plan.broken(points, |x, point| Some((x, below(&scale, at(point)?))));
+            track.draw("dashed", Path::line(line));
         }
-        let seen = said_by.iter().any(|(lo, hi)| ruler.holds(*lo) || ruler.holds(*hi));
+        let seen = said_by.iter().any(|(lo, hi)| scale.has(*lo) || scale.has(*hi));
         let name = source.name();
         note.push(if seen { format!("dashed: {name}") } else { format!("{name}: wider than the axis") });
     }
     let estimate = |point: &ClockPoint| Some(shown(point, offset(point)?.estimate));
-    let line = plan.broken(points, |x, point| Some((x, ruler.below(estimate(point)?))));
-    track.draw("strong", pen::line(line));
+    let line = plan.broken(points, |x, point| Some((x, below(&scale, estimate(point)?))));
+    track.draw("strong", Path::line(line));
     note.push("line: estimate".to_owned());
     track.note = note.join(" · ");
     if view == OffsetView::Removed {
-        track.beyond = beyond(certain.into_iter().map(larger), &ruler, "ms");
+        track.beyond = beyond(certain.into_iter().map(larger), &scale, "ms");
     }
     track
 }

@@ -88,7 +88,7 @@ impl Distribution {
                 } else {
                     Scale::from_zero((0.0, most))
                 };
-                Axis::new(scale.whole(), "Iterations", "")
+                Axis::new(scale.whole(), "Iterations", "iterations")
             }
             View::Cumulative => Axis::new(Scale::linear((0.0, 100.0)), "Iterations up to here, %", "%"),
         }

@@ -7,6 +7,9 @@ mod pages;
 mod pairs;
 mod points;
 mod sharing;
+mod sketches;
+mod stage_bars;
+mod stages_over_time;
 
 use std::collections::HashMap;
 

@@ -152,3 +152,51 @@ fn odd_scores_are_drawn_too() {
         assert_on_paper(&svg);
     }
 }
+
+mod scatter {
+    use super::super::super::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+    use crate::look::stage;
+    use crate::plot::Axis;
+    use crate::scale::Scale;
+    use crate::sheet::page;
+
+    fn html(points: &[(f64, f64)], lines: Vec<ScatterLine>) -> String {
+        let point = |(x, y): &(f64, f64)| ScatterPoint {
+            x: *x,
+            y: *y,
+            ends: Some((*y - 1.0, *y + 1.0)),
+            name: format!("{y}"),
+        };
+        let name = "total".to_owned();
+        let points: Vec<ScatterPoint> = points.iter().map(point).collect();
+        let x = Axis::new(Scale::of_sizes(points.iter().map(|point| point.x)), "", "kB");
+        let series = vec![ScatterSeries { stage: stage("total"), name, points, lines }];
+        let scatter = Scatter { x, y: Axis::new(Scale::up_to(10.0, 5), "", "ms"), series };
+        page::legend(&scatter.legend(), "key") + &page::plot(&scatter.plot(), "histogram", "in words")
+    }
+
+    fn across(html: &str) -> Vec<f64> {
+        let places = html.split(" cx=\"").skip(2);
+        places.filter_map(|rest| rest.split('%').next()?.parse().ok()).collect()
+    }
+
+    #[test]
+    fn points_lie_where_their_values_are() {
+        let html = html(&[(0.0, 0.0), (100.0, 9.0)], Vec::new());
+        assert!(html.contains("cx=\"0%\" cy=\"100%\"") && html.contains(" cy=\"10%\""), "{html}");
+        assert!(
+            html.contains("class=\"whisk\"") && html.contains(">kB</span>") && html.contains("total</li>")
+        );
+    }
+
+    #[test]
+    fn sizes_of_several_powers_of_ten_are_equally_far_apart() {
+        let line = ScatterLine { intercept: 1.0, slope: 0.001, from: 1.0, to: 1_000.0 };
+        let html = html(&[(1.0, 1.0), (31.622_776, 2.0), (1_000.0, 3.0)], vec![line]);
+        let x = across(&html);
+        assert!((x[1] - x[0] - (x[2] - x[1])).abs() < 0.01, "{x:?}");
+        assert!(html.contains(">kB, logarithmic</span>") && html.contains(">1,000</text>"), "{html}");
+        let line = html.split("class=\"g-total fit\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
+        assert_eq!(line.map(|line| line.matches('L').count()), Some(64), "a curve: {html}");
+    }
+}

@@ -14,7 +14,7 @@ pub(super) fn items(svg: &mut Writer, all: &[Item]) {
     let is_path = |item: &Item| matches!(item, Item::Path { .. });
     for run in all.chunk_by(|a, b| is_path(a) && is_path(b)) {
         if is_path(&run[0]) {
-            stretched(svg, "sheet", &run.iter().collect::<Vec<_>>());
+            stretched(svg, run);
         } else {
             item(svg, &run[0]);
         }
@@ -22,8 +22,9 @@ pub(super) fn items(svg: &mut Writer, all: &[Item]) {
 }
 
 /// Draws paths on a sheet that is stretched over the plot.
-pub(super) fn stretched(svg: &mut Writer, class: &str, paths: &[&Item]) {
-    let sheet = svg.element(Tag::Svg).set("class", class).set("width", Share(1.0)).set("height", Share(1.0));
+fn stretched(svg: &mut Writer, paths: &[Item]) {
+    let sheet =
+        svg.element(Tag::Svg).set("class", "sheet").set("width", Share(1.0)).set("height", Share(1.0));
     sheet.set("viewBox", "0 0 1000 1000").set("preserveAspectRatio", "none").open();
     for path in paths {
         if let Item::Path { path, style } = path
@@ -64,7 +65,7 @@ fn item(svg: &mut Writer, item: &Item) {
                 .leaf();
         }
         Item::Line { from, to, style } => line(svg, [*from, *to], style),
-        Item::Path { .. } => stretched(svg, "sheet", &[item]),
+        Item::Path { .. } => stretched(svg, std::slice::from_ref(item)),
         Item::Mark { at, mark, radius, style } => point(svg, *at, (*mark, radius * PER_POINT), style),
         Item::Text(text) => label(svg, text),
     }
@@ -121,9 +122,9 @@ fn point(svg: &mut Writer, at: At, (mark, radius): (Mark, f64), style: &Style) {
 pub(super) fn label(svg: &mut Writer, label: &Label) {
     let Some(from) = label.from else { return };
     let is_aside = label.at.dx != 0.0 || label.at.dy != 0.0;
-    let fits = if from > 0 { format!("fits w{from}") } else { String::new() };
-    let class =
-        [label.style.class, &fits].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ");
+    let fits = |from: u16| if from > 0 { format!("fits w{from}") } else { String::new() };
+    let class = [label.style.class.to_owned(), fits(from)];
+    let class = class.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ");
     if is_aside {
         open_at(svg, label.at.x, label.at.y);
     }
@@ -134,7 +135,12 @@ pub(super) fn label(svg: &mut Writer, label: &Label) {
         text.set("x", Share(label.at.x)).set("y", Share(label.at.y))
     };
     text = text.some("dx", (label.shift.0 != 0.0).then_some(Em(label.shift.0)));
-    text.set("dy", Em(label.shift.1)).set("text-anchor", label.anchor.name()).words(&label.words);
+    text.set("dy", Em(label.shift.1)).set("text-anchor", label.anchor.name()).open();
+    if let Some((lead, Some(from))) = &label.lead {
+        svg.element(Tag::Tspan).set("class", fits(*from)).words(lead);
+    }
+    svg.words(&label.words);
+    svg.close();
     if is_aside {
         svg.close();
     }

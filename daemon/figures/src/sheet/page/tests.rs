@@ -49,7 +49,7 @@ fn page_has_classes_and_shares_without_colours() {
     let html = super::plot(&plot, "histogram", "in words");
     for part in [
         "<div class=\"histogram\" role=\"img\" aria-label=\"in words\">",
-        "<span class=\"above\" aria-hidden=\"true\">log</span>",
+        "<span class=\"above\" aria-hidden=\"true\">logarithmic</span>",
         "<rect class=\"bin f-upload\" x=\"20%\" y=\"50%\" width=\"20%\" height=\"50%\"/>",
         "<path class=\"halo\" d=\"M0 500L1000 250\"/>",
         "<svg class=\"at\" x=\"50%\" y=\"50%\"><path class=\"f-ink\"",

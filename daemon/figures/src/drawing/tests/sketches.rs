@@ -1,0 +1,211 @@
+//! Distributions that pages draw from sketches.
+
+use peernet_statistics::Summary;
+
+use super::super::{BinnedAxis, Distribution, Joint, Quartiles, View};
+use crate::look::stage;
+use crate::plot::{Anchor, Item, Plot, Unit};
+use crate::scale::Scale;
+use crate::sheet::page;
+
+fn summary(values: impl IntoIterator<Item = f64>) -> Summary {
+    let mut summary = Summary::default();
+    values.into_iter().for_each(|value| summary.record(value));
+    summary
+}
+
+fn seconds(milliseconds: impl IntoIterator<Item = f64>) -> Summary {
+    summary(milliseconds.into_iter().map(|value| value / 1e3))
+}
+
+fn milliseconds<'a>(all: impl IntoIterator<Item = &'a Summary>) -> Option<BinnedAxis> {
+    BinnedAxis::around(all.into_iter(), Unit::symbol("ms", 1e3))
+}
+
+fn rects(items: &[Item], class: &str) -> Vec<[f64; 4]> {
+    let rect = |item: &Item| match item {
+        Item::Rect { from, to, style, .. } if style.class == class => Some([from.x, from.y, to.x, to.y]),
+        _ => None,
+    };
+    items.iter().filter_map(rect).collect()
+}
+
+#[test]
+fn a_box_lies_where_its_quantiles_are() {
+    let five = Quartiles::of(&seconds((1..=101).map(f64::from))).expect("samples");
+    let html = page::picture(&five.items("total", &Scale::up_to(100.0, 5)), "stages", "");
+    let number = |part: &str, after: &str| -> f64 {
+        let rest = html.split(part).nth(1).and_then(|rest| rest.split(after).nth(1)).expect("there");
+        rest.split('%').next().and_then(|number| number.parse().ok()).expect("a number")
+    };
+    let (from, wide) = (number("<rect", " x=\""), number("<rect", " width=\""));
+    let [low, high] = [" x1=\"", " x2=\""].map(|end| number("class=\"whisk2\"", end));
+    let median = number("class=\"halo\"", " x1=\"");
+    for (known, expected) in [(low, 6.0), (from, 26.0), (median, 51.0), (from + wide, 76.0), (high, 96.0)] {
+        assert!((known - expected).abs() < 0.011 * expected, "{known} {expected} {html}");
+    }
+    assert!((number("<circle", " cx=\"") - 51.0).abs() < 1e-9, "{html}");
+    assert!(five.words().starts_with("median 5"), "{}", five.words());
+}
+
+#[test]
+fn few_samples_have_no_whiskers_and_none_no_box() {
+    let few = Quartiles::of(&seconds((1..=59).map(f64::from))).expect("samples");
+    assert_eq!((few.tails, few.count), (None, 59));
+    assert!(Quartiles::of(&seconds((1..=60).map(f64::from))).expect("samples").tails.is_some());
+    assert_eq!(Quartiles::of(&Summary::default()), None);
+}
+
+#[test]
+fn histograms_share_their_axis_and_each_fills_its_height() {
+    let all = [seconds((0..200).map(|n| 10.0 + f64::from(n) / 200.0)), seconds([14.0; 50])];
+    let axis = milliseconds(&all).expect("samples");
+    let bars = all.each_ref().map(|one| rects(&axis.histogram(one, &stage("total"), None), "bin f-total"));
+    let last = |bars: &[[f64; 4]]| bars.last().map_or(0.0, |bar| bar[0]);
+    assert!(last(&bars[0]) < 0.3 && last(&bars[1]) > 0.9, "{bars:?}");
+    assert!(bars.iter().all(|bars| bars.iter().any(|bar| bar[1].abs() < 1e-9)), "{bars:?}");
+}
+
+#[test]
+fn a_straggler_is_counted_and_does_not_stretch_the_axis() {
+    let known = seconds((0..1_000).map(|n| if n == 0 { 1_000.0 } else { 10.0 + f64::from(n) / 100.0 }));
+    let axis = milliseconds([&known]).expect("samples");
+    assert!(!axis.scale.is_logarithmic() && (1..=3).contains(&axis.beyond(&known)), "{axis:?}");
+    assert_eq!(milliseconds([&Summary::default()]), None);
+    let equal = seconds([14.0; 10]);
+    let axis = milliseconds([&equal]).expect("samples");
+    assert_eq!((axis.beyond(&equal), axis.bars(&equal).len()), (0, 1), "{axis:?}");
+}
+
+#[test]
+fn runs_that_are_a_decade_apart_lie_on_a_logarithmic_axis() {
+    let all = [seconds((1..100).map(f64::from)), seconds((500..600).map(f64::from))];
+    let axis = milliseconds(&all).expect("samples");
+    assert!(axis.scale.is_logarithmic() && axis.axis().page_title() == "ms, logarithmic", "{axis:?}");
+}
+
+#[test]
+fn the_interval_of_a_median_is_a_band() {
+    let rates = summary((80..120).map(|n| f64::from(n) * 1e6));
+    let axis = BinnedAxis::around([&rates].into_iter(), Unit::symbol("MB/s", 1.0 / 8e6)).expect("samples");
+    assert_eq!((axis.axis().page_title().as_str(), axis.scale.ticks(5)[0].text.as_str()), ("MB/s", "10"));
+    let items = axis.histogram(&rates, &stage("upload"), Some((90e6, f64::INFINITY)));
+    let band = rects(&items, "band")[0];
+    assert!(band[0] > 0.1 && band[2] == 1.0, "without an end it reaches the axis' end: {band:?}");
+    assert!(!rects(&items, "bin f-upload").is_empty());
+}
+
+/// Tokens from 50 on and the seconds they take.
+fn talk(count: u32) -> Vec<(f64, f64)> {
+    (0..count).map(|n| (f64::from(50 + n % 300), 1e-3 * f64::from(100 + n % 300))).collect()
+}
+
+fn joint(points: &[(f64, f64)], line: Option<(f64, f64)>) -> (Plot, bool, u64) {
+    let [x, y] = [summary(points.iter().map(|it| it.0)), summary(points.iter().map(|it| it.1))];
+    let across = BinnedAxis::from_zero([&x].into_iter(), Unit::symbol("tokens", 1.0)).expect("values");
+    let up = BinnedAxis::from_zero([&y].into_iter(), Unit::symbol("ms", 1e3)).expect("values");
+    let joint = Joint { stage: stage("inference"), points, x: (&across, &x), y: (&up, &y), line };
+    (joint.plot(), joint.is_counted(), up.beyond(&y))
+}
+
+#[test]
+fn points_lie_where_their_values_are_and_distributions_beside_them() {
+    let (plot, is_counted, _) = joint(&talk(300), Some((0.05, 1e-3)));
+    let html = page::plot(&plot, "joint", "A");
+    let dots = html.split("class=\"dots d-inference\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
+    let dots = dots.expect("dots");
+    // 50 of 400 tokens and 100 of 450 ms.
+    assert!(dots.starts_with("M125 800L") && dots.matches('M').count() == 300 && !is_counted, "{dots}");
+    assert!(html.contains("<path class=\"fit\"") && !html.contains("class=\"halo\""), "{html}");
+    for strip in [plot.above, plot.beside] {
+        let bars = rects(&strip.expect("a strip").items, "bin f-total");
+        assert!(bars.len() > 40 && bars.iter().all(|bar| bar[3] <= 1.0), "{bars:?}");
+    }
+}
+
+#[test]
+fn many_points_are_cells_and_stragglers_are_counted() {
+    let (plot, is_counted, _) = joint(&talk(500), Some((0.05, 1e-3)));
+    let html = page::plot(&plot, "joint", "A");
+    assert!(is_counted && html.contains("fill-opacity") && html.contains("class=\"halo\""), "{html}");
+    let mut points = talk(300);
+    points.push((60.0, 30.0));
+    let (plot, _, beyond) = joint(&points, None);
+    let html = page::plot(&plot, "joint", "A");
+    let dots = html.split("class=\"dots").nth(1).and_then(|rest| rest.split("/>").next()).expect("dots");
+    assert_eq!((dots.matches('M').count(), beyond), (300, 1));
+    assert_eq!(joint(&points[..300], None).2, 0);
+}
+
+#[test]
+fn negative_lengths_have_places_of_their_own() {
+    let points: Vec<_> = (0..45).map(|n| (f64::from(n % 9) * -5.0, 0.1 + f64::from(n) * 1e-3)).collect();
+    let (plot, ..) = joint(&points, None);
+    let ends: Vec<f64> = [-40.0, -20.0, 0.0].map(|value| plot.x.scale.at(value)).to_vec();
+    assert_eq!(ends, [0.0, 0.5, 1.0]);
+    assert!(page::plot(&plot, "joint", "").contains("\u{2212}40"));
+    let all = summary([-40.0, -10.0]);
+    let axis = BinnedAxis::from_zero([&all].into_iter(), Unit::symbol("tokens", 1.0)).expect("values");
+    assert_eq!((axis.beyond(&all), axis.at(-40.0), axis.at(-10.0)), (0, Some(0.0), Some(0.75)));
+}
+
+#[test]
+fn axes_begin_at_zero_but_where_that_would_squeeze_or_needs_a_logarithm() {
+    let begins = |values: &[f64]| {
+        let axis =
+            BinnedAxis::from_zero([&summary(values.iter().copied())].into_iter(), Unit::symbol("B", 1.0));
+        axis.map(|axis| (axis.scale.ticks(5)[0].text.clone(), axis.axis().page_title())).expect("values")
+    };
+    assert_eq!(begins(&[100.0, 200.0]), ("0".to_owned(), "B".to_owned()));
+    assert_eq!(begins(&[1e-320, 3.0, 2.0]), ("0".to_owned(), "B".to_owned()), "almost zero is zero");
+    assert!(begins(&[900.0, 1_000.0]).0 != "0" && begins(&[900.0, 1_000.0]).1 == "B");
+    assert_eq!(begins(&[10.0, 2_000.0]), ("10".to_owned(), "B, logarithmic".to_owned()));
+    assert_eq!(begins(&[0.0, 2_000.0]).0, "0", "zero has no logarithm");
+    assert!(BinnedAxis::from_zero([&Summary::default()].into_iter(), Unit::symbol("B", 1.0)).is_none());
+    assert!(BinnedAxis::from_zero([&summary([7.0, 7.0])].into_iter(), Unit::symbol("B", 1.0)).is_some());
+}
+
+fn distribution() -> Distribution {
+    Distribution {
+        edges: vec![0.0, 0.5, 1.0, 2.0],
+        counts: vec![40, 900, 25],
+        beyond: (0, 35),
+        quantiles: vec![("median", 0.8), ("p95", 1.03), ("p99", 2.5)],
+        unit: Unit::symbol("ms", 1e3),
+        stage: stage("total"),
+        view: View::Counts,
+        is_logarithmic: false,
+        ems: 19.6,
+    }
+}
+
+fn heights(of: &Distribution) -> Vec<f64> {
+    rects(&of.plot().items, "bin f-total").into_iter().map(|bar| 1.0 - bar[3]).collect()
+}
+
+#[test]
+fn labels_of_quantiles_do_not_meet_on_a_phone() {
+    let places = |p50, p95, p99| {
+        let close =
+            Distribution { quantiles: vec![("median", p50), ("p95", p95), ("p99", p99)], ..distribution() };
+        let label = |item| if let Item::Text(label) = item { Some(label) } else { None };
+        let labels = close.plot().items.into_iter().filter_map(label);
+        labels.map(|label| (label.anchor, ((-label.shift.1 - 0.4) / 1.3).round())).collect::<Vec<_>>()
+    };
+    use Anchor::{End, Start};
+    assert_eq!(places(0.9, 1.030, 1.9), [(End, 0.0), (Start, 0.0), (End, 1.0)]);
+    assert_eq!(places(0.1, 0.2, 0.3), [(Start, 0.0), (Start, 1.0), (Start, 2.0)]);
+    assert_eq!(places(0.1, 0.2, 0.9)[..2], [(Start, 0.0), (Start, 1.0)]);
+    assert_eq!(places(0.9, 1.03, 2.5).len(), 2, "a quantile beyond the axis has no line");
+}
+
+#[test]
+fn counts_are_whole_and_a_running_sum_rises_to_what_the_bins_hold() {
+    let few = Distribution { counts: vec![1, 0, 0], beyond: (0, 0), ..distribution() };
+    let labels: Vec<String> = few.plot().y.ticks(9).into_iter().map(|tick| tick.text).collect();
+    assert_eq!(labels, ["0", "1"]);
+    let sum = heights(&Distribution { view: View::Cumulative, ..distribution() });
+    assert!(sum.is_sorted() && (sum[2] - 0.965).abs() < 1e-9, "{sum:?}");
+    let log = Distribution { counts: vec![1, 1_000, 0], is_logarithmic: true, ..distribution() };
+    assert!(heights(&log)[0] > 0.05 && heights(&log)[1] == 1.0, "one is visible: {:?}", heights(&log));
+}

@@ -1,0 +1,123 @@
+//! One iteration as bars under each other, and as two rails with the messages between them.
+
+use peernet_figures::drawing::Direction;
+use peernet_figures::look::{Style, stage};
+use peernet_figures::plot::{At, Item, Label};
+use peernet_figures::scale::Scale;
+use peernet_statistics::number::stage_ms;
+
+use crate::picture::Picture;
+use crate::timeline::{NodeLocation, Placed, Timeline, Visit};
+
+/// Narrower bars would not be seen.
+const THINNEST: f64 = 0.002;
+/// Upper and lower side of a bar, and of the bar of a node below another.
+const BAR: (f64, f64) = (0.24, 0.76);
+const CHILD: (f64, f64) = (0.3, 0.7);
+/// Half the width of the caps of a clock bound, in a bar and below a rail, points.
+const CAPS: (f64, f64) = (3.8, 2.6);
+/// Heights of the rails of edge and cloud, and half the height of the bars on them.
+const RAILS: (f64, f64) = (0.24, 0.76);
+const HALF: f64 = 0.12;
+/// Height of the clock bounds below the cloud's rail.
+const BOUNDS: f64 = 0.94;
+
+fn at(scale: &Scale, seconds: f64) -> f64 {
+    scale.at(seconds * 1e3)
+}
+
+fn stretch(scale: &Scale, start: f64, length: f64) -> (f64, f64) {
+    let (from, to) = (at(scale, start), at(scale, start + length.max(0.0)));
+    (from, to.max(from + THINNEST))
+}
+
+fn rect((from, to): (f64, f64), (top, bottom): (f64, f64), style: Style) -> Item {
+    Item::rect(At::new(from, top), At::new(to, bottom), style)
+}
+
+/// Returns the strips in which a host's stay may shift: around its arrival and around its answer.
+fn bands(visit: &Visit, scale: &Scale) -> Vec<(f64, f64)> {
+    let (earlier, later) = visit.shift;
+    if later - earlier <= 0.0 {
+        return Vec::new();
+    }
+    let ends = [Some(visit.arrived), visit.answered.map(|(left, _)| left)];
+    ends.into_iter().flatten().map(|end| stretch(scale, end + earlier, later - earlier)).collect()
+}
+
+/// Returns a row without a bar.
+pub(super) fn blank(scale: &Scale) -> Picture {
+    Picture::of_items(&Item::grid(scale), "row", "")
+}
+
+/// Returns the bar of the whole.
+pub(super) fn total(seconds: f64, scale: &Scale) -> Picture {
+    let mut items = Item::grid(scale);
+    items.push(rect(stretch(scale, 0.0, seconds), BAR, Style::total()));
+    Picture::of_items(&items, "row", "")
+}
+
+/// Returns the bar of a node; `tick` marks the run's median in it.
+pub(super) fn row(node: &Placed, timeline: &Timeline, scale: &Scale, tick: bool) -> Picture {
+    let (visit, look) = (timeline.visit(), stage(&node.name));
+    let mut items = Item::grid(scale);
+    if let Some(visit) = visit.filter(|_| node.at != NodeLocation::Host(0)) {
+        items.extend(bands(visit, scale).into_iter().map(|it| rect(it, (0.0, 1.0), Style::of_page("band"))));
+    }
+    let is_download = node.name == "download";
+    if let Some((start, length)) = node.start.zip(node.length) {
+        let sides = if node.depth > 0 { CHILD } else { BAR };
+        items.push(rect(stretch(scale, start, length), sides, look.plain()));
+    } else if let Some(visit) = visit.filter(|_| node.at == NodeLocation::Network && node.length.is_none()) {
+        // Its position is not known: the outline of the interval in which it lies.
+        let ends = if is_download { visit.answered } else { Some((visit.left, visit.arrived)) };
+        let ghost =
+            ends.map(|(from, to)| rect(stretch(scale, from, to - from), BAR, Style::of_page("ghost")));
+        items.extend(ghost);
+    }
+    if let Some(((start, length), median)) = node.start.zip(node.length).zip(node.median).filter(|_| tick) {
+        let x = at(scale, start + median);
+        items.push(Item::line(At::new(x, 0.08), At::new(x, 0.92), Style::of_page("medtick")));
+        let label = Label::new(At::new(x, 0.5), format!("median {}", stage_ms(median)), look.text());
+        items.push(Item::Text(label.shifted(0.5, 0.36).fits_within(at(scale, start + length) - x)));
+    }
+    // The whisker is drawn at the message's uncertain end: an upload ends there, a download begins there.
+    let bounds = node.delay.and_then(|delay| delay.bounds).filter(|(lo, hi)| hi > lo).zip(visit);
+    let ends = bounds.and_then(|((lo, hi), visit)| match visit.answered {
+        Some((_, back)) if is_download => Some([back - hi, back - lo]),
+        None if is_download => None,
+        _ => Some([visit.left + lo, visit.left + hi]),
+    });
+    if let Some(ends) = ends {
+        let ends = ends.map(|end| At::new(at(scale, end), 0.5));
+        items.extend(Direction::Level.rimmed_whisker(ends, [true; 2], CAPS.0));
+    }
+    Picture::of_items(&items, "row", "")
+}
+
+/// Returns the rails of an iteration that went to exactly one other host; `label` describes them in words.
+pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<Picture> {
+    let visit = timeline.visit()?;
+    let (edge, cloud) = RAILS;
+    let bands = bands(visit, scale);
+    let mut items = Item::grid(scale);
+    items.extend(bands.iter().map(|it| rect(*it, (0.5, 1.0), Style::of_page("band"))));
+    items.extend([edge, cloud].map(|y| Item::line(At::new(0.0, y), At::new(1.0, y), Style::rail())));
+    let hop = |(from, y): (f64, f64), (to, end): (f64, f64), class| {
+        Item::line(At::new(at(scale, from), y), At::new(at(scale, to), end), Style::of_page(class))
+    };
+    items.push(hop((visit.left, edge), (visit.arrived, cloud), "hop h-up"));
+    items.extend(visit.answered.map(|(left, back)| hop((left, cloud), (back, edge), "hop h-down")));
+    for (host, y) in [(0, edge), (1, cloud)] {
+        let nodes = timeline.nodes.iter().filter(|it| it.depth == 0 && it.at == NodeLocation::Host(host));
+        items.extend(nodes.filter_map(|node| {
+            let ends = stretch(scale, node.start?, node.length?);
+            Some(rect(ends, (y - HALF, y + HALF), stage(&node.name).plain()))
+        }));
+    }
+    for (from, to) in bands {
+        let ends = [from, to].map(|x| At::new(x, BOUNDS));
+        items.extend(Direction::Level.whisker(ends, [true; 2], CAPS.1, &Style::whisker()));
+    }
+    Some(Picture::of_items(&items, "lane", label))
+}
