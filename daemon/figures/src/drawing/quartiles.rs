@@ -1,6 +1,6 @@
 //! A distribution in five numbers, lying; several share one scale. Pages have it.
 
-use peernet_analysis::order::ENOUGH_FOR_P95;
+use peernet_analysis::order::MIN_VALUES_FOR_P95;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{SPACE, count, milliseconds};
 
@@ -31,7 +31,7 @@ impl Quartiles {
     /// Returns the numbers of a distribution; `None` without samples. Quantiles are within 1 % of the true ones.
     pub fn of(summary: &Summary) -> Option<Self> {
         let [p5, p25, p50, p75, p95] = [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| summary.quantile(q));
-        let tails = p5.zip(p95).filter(|_| summary.count() >= ENOUGH_FOR_P95 as u64);
+        let tails = p5.zip(p95).filter(|_| summary.count() >= MIN_VALUES_FOR_P95 as u64);
         Some(Self { count: summary.count(), mean: summary.moments.mean, middle: [p25?, p50?, p75?], tails })
     }
 

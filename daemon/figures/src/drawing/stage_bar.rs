@@ -1,6 +1,6 @@
 //! Bar of the stages of one thing, with its values and with what is known of its total. Pages have it.
 
-use peernet_analysis::slowness::BOTH_WAYS;
+use peernet_analysis::slowness::BOTH_DIRECTIONS;
 use peernet_statistics::number::{figure, fixed};
 
 use super::stack::{Direction, Stack};
@@ -86,7 +86,7 @@ impl<'a> StageBar<'a> {
         let (begin, end) = (self.scale.at(from), self.scale.at(to));
         let (middle, value) = (f64::midpoint(begin, end), to - from);
         let words = if (1.0..9.95).contains(&value) { fixed(value, 1) } else { figure(value) };
-        let short = if name == BOTH_WAYS { "up + down" } else { name };
+        let short = if name == BOTH_DIRECTIONS { "up + down" } else { name };
         let label = Label::new(At::new(middle, 0.5), words, stage(name).text()).anchored(Anchor::Middle);
         let label = label.led_by(format!("{short} ")).fits_within(end - begin);
         match self.spread_ends() {

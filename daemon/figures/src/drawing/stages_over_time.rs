@@ -1,6 +1,6 @@
 //! Stages of one run over time, stacked, with the quantiles of the total; several runs share their axes. Pages have it.
 
-use peernet_analysis::slowness::BOTH_WAYS;
+use peernet_analysis::slowness::BOTH_DIRECTIONS;
 
 use super::stage_bar::StagePart;
 use crate::look::{STAGES, Style, stage};
@@ -24,7 +24,7 @@ const TOUCHING: f64 = 0.005;
 /// Returns the position of a stage in a stack, counted from below.
 fn place(name: &str) -> usize {
     // Both directions together take the place of the upload.
-    let name = if name == BOTH_WAYS { "upload" } else { name };
+    let name = if name == BOTH_DIRECTIONS { "upload" } else { name };
     STAGES.iter().position(|known| known.name == name).unwrap_or(STAGES.len())
 }
 
