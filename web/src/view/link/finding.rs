@@ -114,8 +114,8 @@ fn meaning(delays: &Delays, young: bool) -> Meaning {
         (Some(Verdict::Limited), Some(point)) => {
             let (lo, hi) = bounds(point);
             format!(
-                "takes about {}{SPACE}ms, too little for a bound of {}. Read it as {}{SPACE}ms: the truth is in there, \
-                 where is not known.",
+                "takes about {}{SPACE}ms, too little for a bound of {}. Read it as {}{SPACE}ms: the true value can be \
+                 anywhere in it.",
                 digits(point),
                 bound((hi - lo) / 2.0),
                 interval_ms(lo, hi)
