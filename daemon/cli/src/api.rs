@@ -115,6 +115,6 @@ mod tests {
         let url = format!("http://{}", server.local_addr().expect("bound"));
         let error = Api { url }.request::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
         let message = format!("{error:#}");
-        assert!(message.starts_with("cannot reach") && message.contains("waited 0.3 s"), "{message}");
+        assert!(message.starts_with("cannot reach") && message.contains("within 0.3 s"), "{message}");
     }
 }

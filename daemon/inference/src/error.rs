@@ -59,7 +59,7 @@ pub enum LoadError {
     #[error("two models are named {0}; give each its own name")]
     Duplicate(String),
     /// A value is above its upper limit.
-    #[error("{value} is above the limit of {most}")]
+    #[error("{value} is too large; at most {most}")]
     AboveLimit {
         /// Key in the model's table.
         key: &'static str,

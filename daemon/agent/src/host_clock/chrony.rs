@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn unsynchronised_chrony_claims_nothing() {
-        for (line, why) in [(NOT_SYNCHRONISED, "not synchronised"), (OWN_CLOCK, "own clock")] {
+        for (line, why) in [(NOT_SYNCHRONISED, "not synchronised"), (OWN_CLOCK, "local reference")] {
             let answer = answer(line);
             assert_eq!(answer.claim, None);
             assert!(answer.text.contains(why), "{}", answer.text);
@@ -178,7 +178,7 @@ mod tests {
             assert!(Tracking::parse(line).is_err(), "{line}");
         }
         let error = Tracking::parse(&BIASED.replace("0.049999367", "slow")).expect_err("it is no number");
-        assert_eq!(error.to_string(), "system time \"slow\" is no number");
+        assert_eq!(error.to_string(), "system time \"slow\" is not a number");
     }
 
     #[test]

@@ -138,7 +138,7 @@ fn event_stream_over_another_network_is_refused() {
     config.agent.state_dir = state.path().to_owned();
     config.agent.aggregator = Some("udp://127.0.0.1:5550".parse().expect("an address"));
     let found = peernet_agent::Agent::check(&config, &clock("system"));
-    let expected = "agent.aggregator: the event stream goes over zmq-tcp, but udp://127.0.0.1:5550 is an address of zmq-udp; \
+    let expected = "agent.aggregator: the event stream uses the network zmq-tcp, but udp://127.0.0.1:5550 is an address of zmq-udp; \
                     write tcp://host:port";
     assert!(found.iter().any(|problem| problem.to_string() == expected), "{expected} in {found:#?}");
 }

@@ -160,7 +160,7 @@ fn failed_load_leaves_no_cache_entry() {
     put(root.path(), "good");
     let bad = put(root.path(), "bad");
     fs::remove_file(bad.join("model.onnx")).expect("removed");
-    fs::write(bad.join("model.onnx"), "no model").expect("written");
+    fs::write(bad.join("model.onnx"), b"\x3a\x00").expect("written"); // an empty graph
     let bank = bank(root.path(), "most_loaded = 1");
     for _ in 0..2 {
         assert!(matches!(bank.load(&slug("bad"), None), Err(LoadError::Session { .. })));
@@ -200,7 +200,7 @@ fn invalid_card_blocks_no_other_model() {
     let reasons: Vec<_> =
         found.iter().map(|found| found.card.as_ref().expect_err("no card").to_string()).collect();
     assert_eq!(found.len(), 3, "{reasons:?}");
-    for (reason, part) in reasons.iter().zip(["regular file", "at most", "root:x"]) {
+    for (reason, part) in reasons.iter().zip(["regular file", "the limit is", "root:x"]) {
         assert!(reason.contains(part), "{reason}");
     }
     for found in &found {

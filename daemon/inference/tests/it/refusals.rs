@@ -83,8 +83,8 @@ fn missing_and_broken_files_are_named() {
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
     let (_folder, bank) = changed(b"this is no model", &card);
     let error = refused(&bank, "qc", None);
-    assert!(matches!(error, LoadError::Session { .. }), "{error}");
-    assert!(error.to_string().contains("model.onnx"), "{error}");
+    assert!(matches!(error, LoadError::File { .. }), "{error}");
+    assert!(error.to_string().contains("model.onnx: it is not an ONNX model"), "{error}");
 }
 
 #[test]
@@ -92,8 +92,8 @@ fn card_that_contradicts_model_is_refused_at_load() {
     let model = fs::read(demo().join("model.onnx")).expect("is committed");
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
     for (from, to, named) in [
-        ("name = \"image\"", "name = \"picture\"", "no input \"picture\""),
-        ("name = \"logits\"", "name = \"scores\"", "no output \"scores\""),
+        ("name = \"image\"", "name = \"picture\"", "its card names the input \"picture\""),
+        ("name = \"logits\"", "name = \"scores\"", "its card names the output \"scores\""),
         ("\"hole missing\"]", "\"hole missing\", \"bent\"]", "[1, 5]"),
         ("colour = \"rgb\"", "colour = \"grey\"", "3 channels"),
     ] {

@@ -387,11 +387,11 @@ mod tests {
     }
 
     #[test]
-    fn list_of_too_many_mistakes_says_that_it_is_not_whole() {
+    fn truncated_list_of_mistakes_says_that_it_is_incomplete() {
         let keys: String = (0..200).map(|key| format!("k{key} = 1\n")).collect();
         let (told, _) = found(&format!("[first]\n{keys}"));
         assert_eq!(told.len(), MAX_MISTAKES);
-        assert!(told[MAX_MISTAKES - 1].contains("more mistakes"), "{told:#?}");
+        assert!(told[MAX_MISTAKES - 1].contains("not complete"), "{told:#?}");
     }
 
     #[test]

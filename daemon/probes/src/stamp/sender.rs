@@ -395,7 +395,7 @@ pub const NO_ORIGIN: &str = "an authentic reply that does not say which process 
                            reflector is not of PEERNet";
 
 /// Reason for a reply of a PEERNet reflector without the requested stamps of its free-running clock.
-const NO_RAW_STAMPS: &str = "an answer without the stamps of the reflector's free-running clock";
+const NO_RAW_STAMPS: &str = "without the stamps of the reflector's free-running clock";
 
 /// Checks that a reply returns the stamp and the octets of its request.
 fn check_answer(request: &Departure, reply: &Reply, tlv_values: &TlvValues) -> Result<(), &'static str> {

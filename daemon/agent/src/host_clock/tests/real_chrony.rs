@@ -10,7 +10,7 @@ use crate::config::ClockConfig;
 
 /// Waits for the first state after chrony was queried.
 async fn first_answer(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
-    let answered = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not asked"));
+    let answered = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not queried"));
     answered.await.expect("the task runs").clone()
 }
 

@@ -32,7 +32,7 @@ async fn broken_spool_is_quarantined_and_measuring_begins() {
     assert_eq!(seen.iterations().len(), 20);
     let reported = seen.incidents(IncidentKind::Gap);
     assert_eq!(reported.len(), 1, "{reported:?}");
-    let (_, kept) = reported[0].text.split_once("kept as ").expect("says where");
+    let (_, kept) = reported[0].text.split_once("moved to ").expect("says where");
     let (kept, _) = kept.split_once(',').expect("says more");
     assert!(std::fs::read(kept).expect("kept").starts_with(b"not a database"), "{kept}");
     agent.stop().await.expect("stops well");
