@@ -43,11 +43,8 @@ impl LogLimit {
             self.logged = Volume::default();
         }
         let is_admitted = self.logged.lines < MAX_LINES && self.logged.bytes < MAX_BYTES;
-        if is_admitted {
-            self.logged.add(line)
-        } else {
-            self.omitted.add(line)
-        }
+        let volume = if is_admitted { &mut self.logged } else { &mut self.omitted };
+        volume.add(line);
         is_admitted
     }
 
