@@ -266,7 +266,7 @@ fn check_pipeline(
     if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator.acts() {
         report.add(
             format!("{at}.actuator"),
-            "a pipeline with placement kind = \"none\" has no answers to act on; remove the actuator",
+            "a pipeline that only senses has no answers to act on; remove the actuator",
         );
     }
     let warm_up = &pipeline.warm_up;

@@ -195,7 +195,7 @@ fn actuator_of_sensor_alone_is_refused() {
     let found = problems(&alone);
     assert_eq!(found.len(), 2, "{found:#?}");
     assert!(
-        found[0].starts_with("pipeline[0].actuator: a pipeline with placement kind = \"none\""),
+        found[0].starts_with("pipeline[0].actuator: a pipeline that only senses"),
         "{found:#?}"
     );
     assert!(
