@@ -5,7 +5,7 @@
 //! band is too short for such a proof: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The
 //! best point of every sixteen seconds is therefore kept for half an hour. These points bound no delay.
 
-use super::best_points::{BestPoints, Placement};
+use super::best_points::{BestPoints, InsertResult};
 use super::hull;
 use super::slots::Point;
 
@@ -44,7 +44,7 @@ impl SkewProof {
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
         let placed = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
         // Computed once per interval, because it compares all pairs of points of the hulls.
-        if placed.contains(&Placement::First) {
+        if placed.contains(&InsertResult::First) {
             self.proven = self.prove();
         }
     }

@@ -11,7 +11,7 @@
 
 use std::sync::OnceLock;
 
-use super::best_points::{BestPoints, Placement};
+use super::best_points::{BestPoints, InsertResult};
 use super::hull;
 use super::skew::SkewProof;
 use super::slots::Point;
@@ -75,11 +75,11 @@ impl Trend {
         self.exchanges += 1;
         self.proof.insert(upper, lower, self.slope);
         let placed = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
-        if placed != [Placement::Worse; 2] {
+        if placed != [InsertResult::Worse; 2] {
             self.newest_slope.take();
         }
         // Once per second is enough, because the skew changes slowly.
-        if placed.contains(&Placement::First) {
+        if placed.contains(&InsertResult::First) {
             self.slope = self.slope(lower.x, ESTIMATE_SECONDS, limit).unwrap_or(0.0);
         }
     }
@@ -130,7 +130,7 @@ impl Trend {
             Some((above - below) / 2.0)
         };
         let are_newest =
-            |points: &BestPoints| points.are_newest_around(x, seconds, MAX_DISTANCE_NANOS as u64);
+            |points: &BestPoints| points.newest_points_are_around(x, seconds, MAX_DISTANCE_NANOS as u64);
         let slope = if seconds == ESTIMATE_SECONDS && are_newest(&self.upper) && are_newest(&self.lower) {
             *self.newest_slope.get_or_init(compute)
         } else {

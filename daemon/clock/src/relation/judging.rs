@@ -4,7 +4,7 @@ use super::sources::{CombinedOffset, OffsetSources};
 use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
-/// Smallest number of exchanges in the window from which a delay is judged at all.
+/// Smallest number of exchanges in the window; with fewer, all delays are `stale`.
 const MIN_EXCHANGES: u64 = 3;
 
 impl Relation {
@@ -12,8 +12,11 @@ impl Relation {
     /// `unsynchronised` if the clocks were never related.
     pub fn judge(&mut self, observation: &ExchangeObservation) -> JudgedExchange {
         let exchange = &observation.exchange;
-        let is_fresh =
-            self.exchange_times.has_exchange_near(exchange.sent, exchange.returned, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(
+            exchange.sent,
+            exchange.returned,
+            self.settings.max_fresh_age,
+        );
         // The exchange must not count as a recent one for its own delays, but narrows their intervals.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
@@ -36,7 +39,7 @@ impl Relation {
     /// exchanges learnt so far.
     pub fn delay(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
-        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.max_fresh_age);
         self.corrected_delay(direction, sent, received, self.combined_offset(at), is_fresh)
     }
 
@@ -51,7 +54,7 @@ impl Relation {
         up: (RawTime, RawTime),
         down: (RawTime, RawTime),
     ) -> [OneWayDelay; 2] {
-        let is_fresh = self.exchange_times.has_exchange_near(up.0, down.1, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(up.0, down.1, self.settings.max_fresh_age);
         let [of_up, of_down] = self.offsets_of_exchange(up.0, down.1);
         [
             self.corrected_difference(Direction::Up, up.0, up.1, of_up, is_fresh),
@@ -68,7 +71,7 @@ impl Relation {
         received: RawTime,
     ) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
-        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.max_fresh_age);
         self.corrected_difference(direction, sent, received, self.combined_offset(at), is_fresh)
     }
 
@@ -128,7 +131,7 @@ impl Relation {
     }
 
     /// Returns `ok`, `stale` or `inconsistent`. `is_fresh` says whether there are recent exchanges.
-    // Old exchanges and violated assumptions matter only where exchanges narrow the interval.
+    // Old exchanges and violated assumptions matter only if exchanges narrow the interval.
     pub(super) fn verdict_of(&self, offset: &CombinedOffset, is_fresh: bool) -> Verdict {
         let in_band = matches!(offset.source, DelaySource::InBand | DelaySource::Intersection);
         if !offset.is_consistent || (in_band && self.violates_limit()) {

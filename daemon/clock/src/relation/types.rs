@@ -30,7 +30,7 @@ pub struct RelationSettings {
     /// Time for which exchanges are kept to answer queries about the past. A value below `window` counts as `window`.
     pub retention: Span,
     /// Largest distance in time to the nearest other exchange at which a delay is not `stale`.
-    pub fresh: Span,
+    pub max_fresh_age: Span,
     /// `true` if the claims of both hosts' time daemons narrow the interval. No exchange proves a claim: if a daemon is
     /// wrong about its clock, the interval is wrong, too.
     pub trust_time_daemons: bool,
@@ -44,7 +44,7 @@ impl Default for RelationSettings {
             max_drift_change_ppm_per_s: 1.0,
             window: Span::from_seconds(10),
             retention: Span::from_seconds(10),
-            fresh: Span::from_seconds(10),
+            max_fresh_age: Span::from_seconds(10),
             trust_time_daemons: false,
         }
     }
@@ -115,7 +115,8 @@ pub struct Offset {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExchangeCounts {
     /// Accepted exchanges.
-    pub taken: u64,
+    #[serde(rename = "taken")]
+    pub accepted: u64,
     /// Refused because impossible.
     pub impossible: u64,
     /// Refused as outliers.
