@@ -50,14 +50,18 @@ impl Actuator for Exec {
     fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
         let request = Request::Answer { answer, source };
         let failed = |error| ActuatorError::Program { command: self.command.clone(), error };
-        let exchange = self.program.call(request).map_err(failed)?;
-        if let Some((from, to)) = exchange.restart_interval() {
+        let program_call = self.program.call(request).map_err(failed)?;
+        if let Some((from, to)) = program_call.restart_interval() {
             log.record_timer(stage::ACTUATION_RESTART, from, to);
         }
-        for (name, span) in &exchange.notes.stages {
-            log.record_timer(Name::from(name.as_str()), exchange.started_at, exchange.started_at + *span);
+        for (name, span) in &program_call.notes.stages {
+            log.record_timer(
+                Name::from(name.as_str()),
+                program_call.started_at,
+                program_call.started_at + *span,
+            );
         }
-        for (name, value, unit) in &exchange.notes.values {
+        for (name, value, unit) in &program_call.notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         Ok(())

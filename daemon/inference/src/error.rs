@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use peernet_external::exec::ExchangeError;
+use peernet_external::exec::ProgramCallError;
 use peernet_external::python::PythonError;
 
 /// Largest number of names in a message.
@@ -113,7 +113,7 @@ pub enum LoadError {
         /// The program without its arguments, which may be secret.
         command: String,
         /// The error.
-        error: ExchangeError,
+        error: ProgramCallError,
     },
     /// A Python object cannot be created.
     #[error(transparent)]
@@ -155,7 +155,7 @@ impl LoadError {
             Self::File { .. }
                 | Self::NotFound { .. }
                 | Self::UnknownModel { .. }
-                | Self::Program { error: ExchangeError::Command(_), .. }
+                | Self::Program { error: ProgramCallError::Command(_), .. }
                 | Self::Python(
                     PythonError::NoModule { .. } | PythonError::NoPython(_) | PythonError::Folder(_)
                 )

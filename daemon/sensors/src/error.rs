@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use peernet_external::exec::ExchangeError;
+use peernet_external::exec::ProgramCallError;
 use peernet_external::python::PythonError;
 use peernet_imaging::ImageError;
 use peernet_ros::topics::TopicError;
@@ -39,7 +39,7 @@ pub enum SensorError {
         /// The program without its arguments, which may be secret.
         command: String,
         /// The error.
-        error: ExchangeError,
+        error: ProgramCallError,
     },
     /// The Python object cannot be created or gave no sample.
     #[error(transparent)]

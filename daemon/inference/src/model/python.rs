@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use peernet_clock::SharedClock;
 use peernet_external::hide_values;
 pub use peernet_external::python::PythonConfig;
-use peernet_external::python::{PythonError, PythonObject, Role, Stage};
+use peernet_external::python::{PythonError, PythonObject, Role, Step};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
@@ -99,13 +99,13 @@ impl Worker for PythonWorker {
             log.record_timer(stage::RESTART, from, started_at);
         }
         log.record_timer(stage::IPC, started_at, started_at + called.times.overhead());
-        let has_inferred = called.times.stages.iter().any(|(stage, ..)| *stage == Stage::Infer);
-        for (step, from, to) in called.times.stages {
+        let has_inferred = called.times.steps.iter().any(|(step, ..)| *step == Step::Infer);
+        for (step, from, to) in called.times.steps {
             let name = match step {
-                Stage::Preprocess => stage::PREPROCESSING,
-                Stage::Infer => stage::INFERENCE,
-                Stage::Postprocess => stage::POSTPROCESSING,
-                Stage::Sample => stage::CAPTURE,
+                Step::Preprocess => stage::PREPROCESSING,
+                Step::Infer => stage::INFERENCE,
+                Step::Postprocess => stage::POSTPROCESSING,
+                Step::Sample => stage::CAPTURE,
             };
             log.record_timer(name, from, to);
         }

@@ -2,18 +2,18 @@
 
 use std::sync::Weak;
 
-use super::cloud::PortState;
+use super::cloud::ListenerState;
 use crate::PeerClock;
 
 /// Sends clock states and statistics to the sessions of a [`Listener`](crate::Listener). Clones belong to the same
 /// listener and do not keep it open.
 #[derive(Clone, Debug)]
 pub struct Announcer {
-    shared: Weak<PortState>,
+    shared: Weak<ListenerState>,
 }
 
 impl Announcer {
-    pub(crate) const fn new(shared: Weak<PortState>) -> Self {
+    pub(crate) const fn new(shared: Weak<ListenerState>) -> Self {
         Self { shared }
     }
 

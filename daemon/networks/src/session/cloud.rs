@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use peernet_clock::SharedClock;
 use peernet_logger::HostId;
-pub(crate) use port::PortState;
+pub(crate) use port::ListenerState;
 
 use super::announcer::Announcer;
 use super::bind_error::BindError;
@@ -32,7 +32,7 @@ use crate::{Address, SessionSettings};
 /// A port on which edges open sessions.
 #[derive(Debug)]
 pub struct Listener {
-    shared: Arc<PortState>,
+    shared: Arc<ListenerState>,
     receiver: Box<dyn CloudReceiver>,
     address: Address,
     caveat: Option<String>,
@@ -91,7 +91,7 @@ impl Listener {
             BindFailure::NotLocal => BindError::NotLocal(address.clone()),
             BindFailure::Other(reason) => BindError::Other(address.clone(), reason),
         })?;
-        let shared = Arc::new(PortState::new(&settings, bound.sender, clock, host));
+        let shared = Arc::new(ListenerState::new(&settings, bound.sender, clock, host));
         let closed = VecDeque::new();
         let (receiver, address, caveat) = (bound.receiver, bound.address, bound.caveat);
         Ok(Self { shared, receiver, address, caveat, settings, closed })

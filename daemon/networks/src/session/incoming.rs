@@ -7,7 +7,7 @@ use peernet_clock::{RawTime, Stamp};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 
-use super::cloud::PortState;
+use super::cloud::ListenerState;
 use crate::message::{SessionAccepted, SessionHello, SessionId};
 
 /// Event of a listener.
@@ -51,7 +51,7 @@ pub struct OpenRequest {
     pub session: SessionId,
     /// Address of the other end of the connection, if known.
     pub address: Option<SocketAddr>,
-    shared: Option<Weak<PortState>>,
+    shared: Option<Weak<ListenerState>>,
 }
 
 impl OpenRequest {
@@ -59,7 +59,7 @@ impl OpenRequest {
         hello: SessionHello,
         session: SessionId,
         address: Option<SocketAddr>,
-        shared: Weak<PortState>,
+        shared: Weak<ListenerState>,
     ) -> Self {
         Self { hello, session, address, shared: Some(shared) }
     }
@@ -135,11 +135,11 @@ pub(crate) struct ArrivalStamp {
 #[derive(Debug)]
 pub struct Responder {
     key: RequestKey,
-    shared: Option<Weak<PortState>>,
+    shared: Option<Weak<ListenerState>>,
 }
 
 impl Responder {
-    pub(crate) const fn new(key: RequestKey, shared: Weak<PortState>) -> Self {
+    pub(crate) const fn new(key: RequestKey, shared: Weak<ListenerState>) -> Self {
         Self { key, shared: Some(shared) }
     }
 

@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, SharedClock};
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
-    CommandLine, ExchangeError, FingerprintKey, Program, ReplyNotes, ReplyOutcome, Request, Role,
+    CommandLine, FingerprintKey, Program, ProgramCallError, ReplyNotes, ReplyOutcome, Request, Role,
 };
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
@@ -58,7 +58,7 @@ impl SensorConfig {
 }
 
 impl Exec {
-    fn failed(&self, error: ExchangeError) -> SensorError {
+    fn failed(&self, error: ProgramCallError) -> SensorError {
         SensorError::Program { command: self.command.clone(), error }
     }
 
@@ -83,14 +83,14 @@ impl Exec {
 
 impl Sensor for Exec {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
-        let exchange = self.program.call(Request::Next).map_err(|error| self.failed(error))?;
-        let restart = exchange.restart_interval();
-        let ReplyOutcome::Parts(parts) = exchange.outcome else { return Ok(None) };
+        let program_call = self.program.call(Request::Next).map_err(|error| self.failed(error))?;
+        let restart = program_call.restart_interval();
+        let ReplyOutcome::Parts(parts) = program_call.outcome else { return Ok(None) };
         if let Some((from, to)) = restart {
             log.record_timer(stage::CAPTURE_RESTART, from, to);
         }
-        self.record_notes(&exchange.notes, log, exchange.started_at);
-        let ReplyNotes { source, label, .. } = exchange.notes;
+        self.record_notes(&program_call.notes, log, program_call.started_at);
+        let ReplyNotes { source, label, .. } = program_call.notes;
         Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))
     }
 

@@ -18,7 +18,7 @@ use crate::transport::{CloudSender, ConnectionId, Peer};
 /// State that a listener shares with all answers in progress. Answers hold it weakly, so that the connections are
 /// closed when the listener is dropped.
 #[derive(Debug)]
-pub(crate) struct PortState {
+pub(crate) struct ListenerState {
     server: Mutex<Server>,
     pub(super) budget: Arc<RequestBudget>,
     pub(super) output: PortOutput,
@@ -28,7 +28,7 @@ pub(crate) struct PortState {
     answers: AnswersBeingSent,
 }
 
-impl PortState {
+impl ListenerState {
     pub(super) fn new(
         settings: &SessionSettings,
         sender: Box<dyn CloudSender>,
