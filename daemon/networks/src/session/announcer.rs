@@ -23,7 +23,7 @@ impl Announcer {
     /// Never waits. An edge whose connection takes no more bytes does not get the message.
     pub fn announce(&self, clock: PeerClock) {
         if let Some(shared) = self.shared.upgrade() {
-            shared.announce(clock);
+            shared.send_clock_to_edges(clock);
         }
     }
 

@@ -290,7 +290,7 @@ mod tests {
         }
 
         #[test]
-        fn session_opens_on_answer_only(header in strategies::header(Vec::new())) {
+        fn session_opens_only_if_accepted_in_known_version(header in strategies::header(Vec::new())) {
             let spoken = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
             let answers = matches!(&header, Header::Accepted(accepted) if spoken.contains(&accepted.protocol));
             prop_assert_eq!(matches!(classify_answer(header), HelloOutcome::Accepted(_)), answers);

@@ -9,17 +9,17 @@
 //! ```
 
 mod answers;
+mod listener_state;
 mod output;
-mod port;
 mod requests;
 
 use std::collections::VecDeque;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
+pub(crate) use listener_state::ListenerState;
 use peernet_clock::SharedClock;
 use peernet_logger::HostId;
-pub(crate) use port::ListenerState;
 
 use super::announcer::Announcer;
 use super::bind_error::BindError;

@@ -272,8 +272,9 @@ impl Server {
         self.remove_session(session).map(|entry| (entry.peer, Self::refusal(reason)))
     }
 
-    /// Sets the state of the clocks. Returns the messages to the open sessions, with their destinations.
-    pub(crate) fn announce(&mut self, clock: PeerClock) -> Vec<(Peer, Header)> {
+    /// Sets the state of the clocks, which later sessions get when they are accepted. Returns the messages to the open
+    /// sessions, with their destinations.
+    pub(crate) fn update_clock(&mut self, clock: PeerClock) -> Vec<(Peer, Header)> {
         let open = self.sessions.iter().filter(|(_, entry)| entry.accepted);
         let headers = open
             .map(|(session, entry)| {

@@ -52,7 +52,8 @@ pub(super) struct SessionState {
     /// Last report of the cloud about its end of the connection.
     pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     pub(super) remarks: Remarks,
-    /// Number of iterations that the run was configured to have; set when the run is over.
+    /// Number of iterations that the run has in all. Set when the run is over, for the goodbye: a cloud that serves a fixed
+    /// number of requests then does not wait for missing requests.
     pub(super) planned_iterations: OnceLock<u64>,
 }
 

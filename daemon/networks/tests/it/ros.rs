@@ -284,7 +284,7 @@ async fn connection_without_session_ends_after_hello_timeout() {
 }
 
 #[tokio::test]
-async fn slow_subscriber_delays_nothing() {
+async fn subscriber_that_does_not_read_loses_no_message() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;

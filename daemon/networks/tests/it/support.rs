@@ -21,7 +21,7 @@ use crate::ros_master::RosMaster;
 pub(crate) const TIME_LIMIT: Duration = Duration::from_secs(20);
 
 /// Defines tests that call a function with a [`TestNetwork`]: one for each network whose listeners have ports.
-macro_rules! over_every_port {
+macro_rules! over_every_network_with_ports {
     ($($name:ident),*) => {$(
         mod $name {
             #[tokio::test]
@@ -36,7 +36,7 @@ macro_rules! over_every_port {
         }
     )*};
 }
-pub(crate) use over_every_port;
+pub(crate) use over_every_network_with_ports;
 
 /// Defines tests that call a function with a [`TestNetwork`]: one for each network.
 macro_rules! over_every_network {

@@ -245,7 +245,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn slow_subscriber_delays_nothing() {
+async fn subscriber_that_does_not_read_loses_no_message() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;

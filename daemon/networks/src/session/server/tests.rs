@@ -178,7 +178,7 @@ fn announcement_reaches_open_and_later_sessions() {
     let (open, asking) = (open_session(&mut server, 1), open_session(&mut server, 2));
     server.accept(open, accepted()).expect("the edge is there");
     let clock = PeerClock { epoch: 3, ..PeerClock::default() };
-    let headers = server.announce(clock.clone());
+    let headers = server.update_clock(clock.clone());
     assert!(matches!(
         &headers[..],
         [(to, Header::Clock(update))] if to.connection.0 == 1 && update.session == open && update.clock == clock

@@ -299,7 +299,7 @@ impl Connection {
         }
         if self.timer.expires_at() <= now {
             let seconds = self.timer.timeout().seconds();
-            self.end(format!("nothing was heard of the peer for {seconds} s"));
+            self.end(format!("nothing was received from the peer for {seconds} s"));
             return;
         }
         if self.ping_at() <= now {

@@ -170,7 +170,7 @@ fn max_payload_bytes(node: &dyn SessionNode, peer: PeerState) -> Option<usize> {
 fn describe_long_payload(bytes: usize, max_bytes: usize, topic: &str) -> String {
     format!(
         "a payload of {bytes} bytes is longer than the {max_bytes} bytes of the socket buffers of both hosts: such payloads are sent \
-         in parts and not on topic {topic}, where other programs would see them; raise socket_buffer_bytes of the session, and \
+         in fragments and not on topic {topic}, where other programs would see them; raise socket_buffer_bytes of the session, and \
          net.core.rmem_max, on both hosts"
     )
 }

@@ -50,7 +50,7 @@ mod tests {
     }
 
     #[test]
-    fn totals_follow_what_is_reported_twice() {
+    fn totals_are_lower_of_two_reports_and_never_fall() {
         let mut reported = ReportedTotals::default();
         assert_eq!(reported.receive(totals(1, 2, 3), 10), Ok(()));
         assert_eq!(reported.totals(), None);

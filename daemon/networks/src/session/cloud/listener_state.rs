@@ -7,7 +7,7 @@ use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 
 use super::answers::{AnswersBeingSent, encode_answer};
-use super::output::PortOutput;
+use super::output::ListenerOutput;
 use crate::SessionSettings;
 use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsReport};
 use crate::session::budget::RequestBudget;
@@ -21,7 +21,7 @@ use crate::transport::{CloudSender, ConnectionId, Peer};
 pub(crate) struct ListenerState {
     server: Mutex<Server>,
     pub(super) budget: Arc<RequestBudget>,
-    pub(super) output: PortOutput,
+    pub(super) output: ListenerOutput,
     pub(super) clock: SharedClock,
     pub(super) host: HostId,
     log_throttle: Mutex<LogThrottle>,
@@ -38,7 +38,7 @@ impl ListenerState {
         Self {
             server: Mutex::new(Server::new(settings)),
             budget: RequestBudget::new(settings.max_in_flight_bytes),
-            output: PortOutput::new(sender),
+            output: ListenerOutput::new(sender),
             clock,
             host,
             log_throttle: Mutex::default(),
@@ -51,7 +51,7 @@ impl ListenerState {
         self.server.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells the transport what the connection may send from now on.
+    /// Tells the transport what the edge may send on the connection from now on.
     pub(super) fn update_admission(&self, connection: ConnectionId) {
         let admission = self.server().admission(connection);
         self.output.set_admission(connection, admission);
@@ -72,8 +72,9 @@ impl ListenerState {
         }
     }
 
-    pub(crate) fn announce(&self, clock: PeerClock) {
-        let headers = self.server().announce(clock);
+    /// Sends the state of this host's clocks to all edges with an open session, and keeps it for later sessions.
+    pub(crate) fn send_clock_to_edges(&self, clock: PeerClock) {
+        let headers = self.server().update_clock(clock);
         for (peer, header) in headers {
             self.send_message(&peer, &header);
         }
@@ -91,8 +92,8 @@ impl ListenerState {
     /// Sends an answer with the nodes that `log` recorded here. `log` is `None` if no model computed the answer; the
     /// reply then has neither tree delta nor departure.
     pub(crate) fn answer(&self, key: RequestKey, log: Option<Recorder>, result: Result<Sample, Failure>) {
-        // Counted before the request leaves the requests in flight. `wait_until_idle` thus sees one of the two at any
-        // time; otherwise the port could close between them and send the goodbye before the answer.
+        // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees one of them.
+        // Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
             let route = self.server().finish_request(key.session, key.request);
             let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, log, result));
