@@ -164,7 +164,7 @@ impl LoadError {
 }
 
 impl LoadError {
-    /// Returns whether the given name is not a valid name of an object.
+    /// Returns whether `object` in the configuration is not a valid name of a Python object.
     pub const fn is_misnamed(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }

@@ -73,7 +73,7 @@ pub enum SensorError {
 }
 
 impl SensorError {
-    /// Returns whether the given name is not a valid name of an object.
+    /// Returns whether `object` in the configuration is not a valid name of a Python object.
     pub const fn is_misnamed(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }

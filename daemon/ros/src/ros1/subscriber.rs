@@ -25,9 +25,9 @@ pub struct SubscriberOptions {
     pub queue: QueueLimits,
     /// Policy for a message that arrives while the queue is full.
     pub when_full: WhenFull,
-    /// Largest accepted message in bytes. A publisher of a larger one is disconnected.
+    /// Largest accepted message in bytes. A publisher of a larger message is disconnected.
     pub max_message_bytes: usize,
-    /// Name of the only node whose messages are accepted; other publishers are disconnected before they send any. By
+    /// Name of the only node whose messages are accepted; other publishers are disconnected before they send a message. By
     /// default messages of all nodes are accepted.
     pub publisher: Option<Arc<str>>,
     /// Limit that the subscriber shares with others, on messages from their first bytes until they are dropped. A
@@ -70,7 +70,7 @@ pub struct ReceiveCounts {
     /// Bytes of these messages, without the length before each.
     pub bytes: u64,
     /// Messages that were dropped because the subscriber's queue was full. With several publishers and
-    /// [`WhenFull::DropOldest`], a message counts for the publisher of the one that replaced it.
+    /// [`WhenFull::DropOldest`], a message counts for the publisher of the message that replaced it.
     pub dropped: u64,
     /// Connections that were opened.
     pub connections: u64,
@@ -317,8 +317,8 @@ impl SubscribedTopic {
         self.changed.notify_waiters();
     }
 
-    /// Removes a publisher that is not listed. Returns whether it was removed.
-    pub(super) fn remove_unlisted(&self, link: &PublisherLink) -> bool {
+    /// Removes a publisher if the master does not list it any more or the subscriber stops. Returns whether it was removed.
+    pub(super) fn remove_if_ended(&self, link: &PublisherLink) -> bool {
         let mut state = self.state();
         if link.is_listed() && !self.stop.is_cancelled() {
             return false;

@@ -82,7 +82,7 @@ pub enum Ros2Error {
     },
     /// The message could not be published in time.
     #[error(
-        "a message to topic {topic} was not published within {waited:?}: {peers} subscriptions do not keep up; lower the rate, or raise net.core.rmem_max on their hosts"
+        "a message to topic {topic} was not published within {waited:?}: not all of its {peers} subscriptions keep up; lower the rate, or raise net.core.rmem_max on their hosts"
     )]
     PublishTimeout {
         /// The topic.

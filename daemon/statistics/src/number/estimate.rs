@@ -1,7 +1,7 @@
 //! Estimates from samples with their intervals, in ms.
 
 use super::milliseconds::default_decimals;
-use super::{between, decimals, fixed, has_digit, plus};
+use super::{between, decimals, fixed, has_nonzero_digit, plus};
 
 /// Largest number of decimals of an estimate: a picosecond.
 const MAX_DECIMALS: usize = 9;
@@ -70,7 +70,7 @@ impl Estimate {
         let excludes_zero = self.interval.0 > 0.0 || self.interval.1 < 0.0;
         let first = if excludes_zero && value != 0.0 { -value.abs().log10().floor() } else { 0.0 };
         let text = fixed(value, self.decimals);
-        if first > 0.0 && !has_digit(&text) { fixed(value, first as usize) } else { text }
+        if first > 0.0 && !has_nonzero_digit(&text) { fixed(value, first as usize) } else { text }
     }
 }
 
@@ -118,7 +118,7 @@ mod tests {
             let (lo, hi) = if is_negative { (-hi, -lo) } else { (lo, hi) };
             let found = estimate(f64::midpoint(lo, hi), lo, hi);
             let [from, to] = found.ends();
-            prop_assert!(has_digit(&from) && has_digit(&to) && has_digit(&found.value()), "{found:?}");
+            prop_assert!(has_nonzero_digit(&from) && has_nonzero_digit(&to) && has_nonzero_digit(&found.value()), "{found:?}");
             prop_assert!(from != to || hi - lo < 1e-8, "{from} {to}");
         }
     }

@@ -106,7 +106,7 @@ async fn node_with_unique_name_ignores_shutdown_call() {
 }
 
 #[tokio::test]
-async fn running_nodes_are_those_with_the_topic() {
+async fn node_without_the_topic_does_not_count_as_running() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::from_message::<StringMessage>();

@@ -29,7 +29,7 @@ pub struct Ros2Publisher {
 }
 
 impl Ros2Publisher {
-    /// Largest number of unacknowledged bytes, unless half of the receive buffer is less; a single message may be
+    /// Largest number of unacknowledged bytes, unless half of the receive buffer is less. A single message may be
     /// larger. Bytes that do not fit into the receive buffer of a peer are lost, and repairing several large messages
     /// between `rustdds` and Fast DDS fails. Cyclone DDS requests a receive buffer of this size.
     pub(super) const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;
@@ -61,13 +61,15 @@ impl Ros2Publisher {
     /// Publishes a message and returns its sequence number. The payload begins with the encapsulation header (`00 01 00
     /// 00`) and is sent without being copied.
     ///
-    /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is larger) or 1 MiB
-    /// are unacknowledged. Subscriptions receive `source_time` as the time of publishing.
+    /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is larger) are
+    /// unacknowledged, or more bytes than 1 MiB or half of the receive buffer, whichever is less. Subscriptions receive `source_time` as the time of publishing.
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NotCdr`] if the payload lacks the header, [`Ros2Error::PublishTimeout`] if there is no room within
-    /// [`max_blocking_ms`](QosProfile::max_blocking_ms), [`Ros2Error::ShutDown`] after the node was shut down.
+    /// - [`Ros2Error::NotCdr`] if the payload does not begin with the header.
+    /// - [`Ros2Error::PublishTimeout`] if the limits are still exceeded after
+    ///   [`max_blocking_ms`](QosProfile::max_blocking_ms).
+    /// - [`Ros2Error::ShutDown`] after the node was shut down.
     pub async fn publish(&self, payload: Bytes, source_time: WallTime) -> Result<i64, Ros2Error> {
         let topic = || self.endpoint.topic.clone();
         let message =
@@ -91,11 +93,11 @@ impl Ros2Publisher {
         }
     }
 
-    /// Publishes a message as [`publish`](Self::publish) does, but never waits. Returns `None` if there is no room.
+    /// Publishes a message as [`publish`](Self::publish) does, but never waits. Returns `None` if it would wait.
     ///
     /// # Errors
     ///
-    /// Those of `publish`, except the time limit.
+    /// As for `publish`, without `PublishTimeout`.
     pub fn try_publish(&self, payload: Bytes, source_time: WallTime) -> Result<Option<i64>, Ros2Error> {
         let topic = || self.endpoint.topic.clone();
         if self.endpoint.node.closed.is_cancelled() {
