@@ -62,7 +62,8 @@ impl Ros2Publisher {
     /// 00`) and is sent without being copied.
     ///
     /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is larger) are
-    /// unacknowledged, or more bytes than 1 MiB or half of the receive buffer, whichever is less. Subscriptions receive `source_time` as the time of publishing.
+    /// unacknowledged, or more bytes than 1 MiB or half of the receive buffer, whichever is less. Subscriptions receive
+    /// `source_time` as the time of publishing.
     ///
     /// # Errors
     ///
