@@ -144,12 +144,12 @@ impl Ros {
 }
 
 impl Actuator for Ros {
-    fn act(&mut self, _source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
+    fn act(&mut self, _source: &str, answer: &Sample, recorder: &mut Recorder) -> Result<(), ActuatorError> {
         let mut dropped = 0;
         for part in &answer.parts {
             dropped += self.publish(part)?.dropped;
         }
-        log.value(DROPPED_ANSWERS, dropped as f64, Unit::NONE);
+        recorder.value(DROPPED_ANSWERS, dropped as f64, Unit::NONE);
         Ok(())
     }
 

@@ -34,7 +34,7 @@ pub trait Worker: Send {
     ///
     /// # Errors
     /// If this sample cannot be computed. The next sample may succeed.
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError>;
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError>;
 }
 
 /// A loaded model.

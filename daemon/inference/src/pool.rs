@@ -100,9 +100,9 @@ impl Pool {
     /// Blocks: not for an I/O thread.
     pub fn shutdown(&self) {
         let Execution::Threads { queue, handles } = &self.execution else { return };
-        for Job { log, reply, .. } in queue.close() {
+        for Job { recorder, reply, .. } in queue.close() {
             let result = Err(InferenceError::Stopped { model: self.name.to_string() });
-            deliver(&self.name, reply, FinishedJob { log, result });
+            deliver(&self.name, reply, FinishedJob { recorder, result });
         }
         let handles = std::mem::take(&mut *handles.lock().unwrap_or_else(PoisonError::into_inner));
         for handle in handles {

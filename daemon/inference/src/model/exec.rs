@@ -111,15 +111,15 @@ struct ExecWorker {
 }
 
 impl Worker for ExecWorker {
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let program_call =
             self.program.call(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
         for stage in program_call.stages().map_err(|error| failed(error.to_string()))? {
-            log.record_timer(Name::from(stage.name), stage.from, stage.to);
+            recorder.record_timer(Name::from(stage.name), stage.from, stage.to);
         }
         for (name, value, unit) in &program_call.notes.values {
-            log.value(Name::from(name.as_str()), *value, Unit::new(unit));
+            recorder.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         match program_call.outcome {
             ReplyOutcome::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),

@@ -92,13 +92,13 @@ struct PythonWorker {
 }
 
 impl Worker for PythonWorker {
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
         let called = self.object.call(&sample.parts);
         let started_at = called.times.started_at;
         if let Some(from) = called.times.restarted_at {
-            log.record_timer(stage::RESTART, from, started_at);
+            recorder.record_timer(stage::RESTART, from, started_at);
         }
-        log.record_timer(stage::IPC, started_at, started_at + called.times.overhead());
+        recorder.record_timer(stage::IPC, started_at, started_at + called.times.overhead());
         let has_inferred = called.times.steps.iter().any(|(step, ..)| *step == Step::Infer);
         for (step, from, to) in called.times.steps {
             let name = match step {
@@ -107,7 +107,7 @@ impl Worker for PythonWorker {
                 Step::Postprocess => stage::POSTPROCESSING,
                 Step::Sample => stage::CAPTURE,
             };
-            log.record_timer(name, from, to);
+            recorder.record_timer(name, from, to);
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {

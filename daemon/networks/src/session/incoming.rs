@@ -95,7 +95,7 @@ pub struct IncomingRequest {
     /// Sample to compute on.
     pub sample: Sample,
     /// Tree of the iteration, continued on this host; `upload` ended at `received`.
-    pub log: Recorder,
+    pub recorder: Recorder,
     /// Time at which the whole message had arrived.
     pub received: Stamp,
     /// Sends the answer.
@@ -145,9 +145,9 @@ impl Responder {
 
     /// Sends the answer with the nodes that this host added to the tree. Never waits. An answer that cannot be handed
     /// to the network is dropped and counted.
-    pub fn send(mut self, log: Recorder, result: Result<Sample, Failure>) {
+    pub fn send(mut self, recorder: Recorder, result: Result<Sample, Failure>) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
-            shared.answer(self.key, Some(log), result);
+            shared.answer(self.key, Some(recorder), result);
         }
     }
 }

@@ -12,7 +12,7 @@ use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 
 use crate::ros_master::RosMaster;
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, open, recorder, settings, within,
 };
 
 /// Returns a node of another program.
@@ -33,11 +33,11 @@ fn request_topic(pipeline: &str) -> String {
 pub(crate) async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sample) -> Sample {
     let pending = tokio::spawn({
         let (session, sample) = (session.clone(), sample.clone());
-        async move { session.request(log(), &sample, TIME_LIMIT).await }
+        async move { session.request(recorder(), &sample, TIME_LIMIT).await }
     });
     let incoming = cloud.next_request().await;
     assert_eq!(incoming.sample, sample);
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     within(pending).await.expect("no panic").result.expect("an answer")
 }
 

@@ -89,14 +89,19 @@ impl ListenerState {
         }
     }
 
-    /// Sends an answer with the nodes that `log` recorded here. `log` is `None` if no model computed the answer; the
+    /// Sends an answer with the nodes that `recorder` recorded here. `recorder` is `None` if no model computed the answer; the
     /// reply then has neither tree delta nor departure.
-    pub(crate) fn answer(&self, key: RequestKey, log: Option<Recorder>, result: Result<Sample, Failure>) {
+    pub(crate) fn answer(
+        &self,
+        key: RequestKey,
+        recorder: Option<Recorder>,
+        result: Result<Sample, Failure>,
+    ) {
         // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees one of them.
         // Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
             let route = self.server().finish_request(key.session, key.request);
-            let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, log, result));
+            let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, recorder, result));
             if !sent {
                 self.output.counters.count_lost(1);
                 if let Some(route) = &route {
@@ -110,10 +115,10 @@ impl ListenerState {
         &self,
         route: &Route,
         key: RequestKey,
-        log: Option<Recorder>,
+        recorder: Option<Recorder>,
         result: Result<Sample, Failure>,
     ) -> bool {
-        match encode_answer(&*self.clock, route, key, log, result) {
+        match encode_answer(&*self.clock, route, key, recorder, result) {
             Ok(frames) => self.output.send(&route.peer, frames, Some(key.request), Some(&route.counters)),
             Err(error) => {
                 tracing::warn!(%error, "cannot encode an answer; it is dropped");

@@ -87,13 +87,13 @@ fn incoming_request(
             return None;
         }
     };
-    let log = resume_tree(shared, frames.get(1), request.departure, received);
+    let recorder = resume_tree(shared, frames.get(1), request.departure, received);
     let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(InvalidRequest::from);
-    match (log, sample) {
-        (Ok(log), Ok(sample)) => {
+    match (recorder, sample) {
+        (Ok(recorder), Ok(sample)) => {
             let reply = Responder::new(key, Arc::downgrade(shared));
             let session = key.session;
-            Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
+            Some(Incoming::Request(IncomingRequest { session, sample, recorder, received, reply }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
             shared.report_malformed(peer, &problem.to_string());

@@ -142,32 +142,32 @@ impl Ros {
     }
 
     /// Records capture time and arrival, and the delay between them if both stamps are of one clock.
-    fn record_stamp(&self, stamp: WallTime, received: WallTime, log: &mut Recorder) {
+    fn record_stamp(&self, stamp: WallTime, received: WallTime, recorder: &mut Recorder) {
         let raw = received - stamp;
         let delay = match self.config.stamp_clock {
             StampClock::Host => OneWayDelay::same_clock(raw),
             StampClock::Unknown => OneWayDelay::unsynchronised(raw),
         };
-        let sent = Stamp { wall: stamp, mono: log.clock().mono(), ..Stamp::default() };
-        let node = log.start_transit(CAPTURE_DELAY, sent);
-        log.end_transit(node, received);
-        if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(node) {
+        let sent = Stamp { wall: stamp, mono: recorder.clock().mono(), ..Stamp::default() };
+        let node = recorder.start_transit(CAPTURE_DELAY, sent);
+        recorder.end_transit(node, received);
+        if let Some(Measure::Transit(transit)) = recorder.tree_mut().measure_mut(node) {
             transit.delay = Some(delay);
         }
     }
 }
 
 impl Sensor for Ros {
-    fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+    fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let message = self.read()?;
-        log.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
+        recorder.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),
             of: message.type_name.to_string(),
             reason: error.to_string(),
         })?;
         if let Some(stamp) = payload.stamp {
-            self.record_stamp(stamp, message.received, log);
+            self.record_stamp(stamp, message.received, recorder);
         }
         Ok(Some(Sample { parts: payload.parts, source: self.config.topic.clone(), label: None }))
     }
