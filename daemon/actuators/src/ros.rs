@@ -17,7 +17,7 @@ const DROPPED_ANSWERS: Name = Name::from_static("dropped-answers");
 
 /// Configuration of the actuator: `{ kind = "ros", … }`. Each part of an answer is published as a message.
 ///
-/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as for every ROS node.
+/// Environment variables select the master of ROS 1 and the domain of ROS 2, as for every ROS node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RosActuatorConfig {
@@ -26,7 +26,7 @@ pub struct RosActuatorConfig {
     /// Type of the messages. Default: `std_msgs/String`.
     #[serde(default, rename = "type")]
     pub message_type: AnswerType,
-    /// ROS version, 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
+    /// ROS version, 1 or 2. Default: the value of `ROS_VERSION`, else the version of `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
 }

@@ -65,7 +65,7 @@ impl ClockIdentity {
     }
 
     /// Creates an identity for a time namespace.
-    // The initial namespace is left out, so that the identity equals that of releases which ignore namespaces.
+    // The initial namespace is left out, so that the identity equals the identity in releases that ignore namespaces.
     fn in_namespace(boot: &str, namespace: &str, clock: &str) -> Self {
         if namespace == Self::INITIAL_TIME_NAMESPACE {
             Self::new(boot, clock)

@@ -18,7 +18,7 @@ pub struct ManualClock {
 
 impl ManualClock {
     /// Time that the free-running clock shows at first. It differs from zero, so that its stamps are not mistaken for
-    /// those of another clock.
+    /// stamps of another clock.
     pub const FIRST_RAW: RawTime = RawTime::from_nanos(5_000_000_000_000);
 
     /// Creates a clock whose wall clock shows `wall`, whose monotonic clock shows zero and whose free-running clock

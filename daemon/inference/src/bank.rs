@@ -1,4 +1,4 @@
-//! The models that a host offers: those of its configuration and those in its model folders.
+//! The models that a host offers: models of its configuration, and models in its model folders.
 
 mod cache_entry;
 mod config;

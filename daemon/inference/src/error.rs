@@ -39,7 +39,7 @@ pub enum LoadError {
         /// The models that this host offers.
         known: Vec<String>,
     },
-    /// The files of a model in use differ from those that were loaded.
+    /// The files of a model in use differ from the files that were loaded.
     #[error("the files of model {0} changed while it is in use; try again after its sessions have ended")]
     Changed(String),
     /// The largest number of loaded models is reached, and all are in use.
@@ -78,7 +78,7 @@ pub enum LoadError {
         /// The configured device.
         offered: String,
     },
-    /// The name is not that of a device.
+    /// No device has this name.
     #[error(
         "{0:?} is not a device; use cpu, cuda:N, tensorrt:N or openvino:DEVICE (N from 0, DEVICE such as CPU or GPU.0)"
     )]
@@ -102,7 +102,7 @@ pub enum LoadError {
         provider: &'static str,
         /// The library in use.
         library: PathBuf,
-        /// The library's execution providers, of those that this program knows.
+        /// The execution providers that the library has and this program knows.
         available: Vec<&'static str>,
     },
     /// A program cannot be started.

@@ -29,7 +29,7 @@ use peernet_sample::Sample;
 
 /// A loaded model, as used by one thread.
 pub trait Worker: Send {
-    /// Computes the answer, and records those of the stages `preprocessing`, `inference` and `postprocessing` that
+    /// Computes the answer, and records each of the stages `preprocessing`, `inference` and `postprocessing` that
     /// the model has.
     ///
     /// # Errors

@@ -21,7 +21,7 @@ pub struct Pool {
     load_duration: Span,
     workers: usize,
     execution: Execution,
-    /// Facts in addition to those of the model.
+    /// Facts in addition to the facts of the model.
     additional_facts: Vec<(String, String)>,
 }
 
@@ -66,7 +66,7 @@ impl Pool {
         })
     }
 
-    /// Adds facts to those of the model.
+    /// Adds facts to the facts of the model.
     pub(crate) fn with_facts(mut self, facts: Vec<(String, String)>) -> Self {
         self.additional_facts = facts;
         self

@@ -21,7 +21,7 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// Creates a folder `peernet-KIND-…` among the system's temporary files, and removes those of this user's
+    /// Creates a folder `peernet-KIND-…` among the system's temporary files, and removes folders of this user's
     /// processes that have ended.
     ///
     /// # Errors

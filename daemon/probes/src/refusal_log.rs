@@ -39,7 +39,7 @@ impl RefusalLog {
             }
             (Refusal::TooOften, _) => "raise [probes] max_per_source_hz here, or lower rate_hz there",
             (Refusal::TooMany, _) => {
-                "peers with a session are still answered; check which hosts send so many probes, or raise [probes] max_per_source_hz"
+                "peers with a session are still answered; check which hosts send too many probes, or raise [probes] max_per_source_hz"
             }
             (Refusal::Short, false) | (Refusal::NoPort | Refusal::Reply, _) => {
                 "it is not a probe of a peer; check which program sends it"

@@ -22,7 +22,7 @@ pub enum SensorError {
     /// The folder contains no picture.
     #[error("{} contains no picture; put .jpg, .jpeg or .png files into it or into folders named after their label", .0.display())]
     Empty(PathBuf),
-    /// The name of the file is not that of a picture.
+    /// The file does not have the name of a picture.
     #[error("{} is neither a folder nor a .jpg, .jpeg or .png file", .0.display())]
     NotAPicture(PathBuf),
     /// The labels cannot be used.

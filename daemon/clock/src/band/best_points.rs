@@ -52,7 +52,7 @@ impl BestPoints {
             return InsertResult::Better;
         }
         if self.points.len() >= self.max_points {
-            // The interval is older than those of all other points.
+            // The interval is older than the intervals of all other points.
             if at == 0 {
                 return InsertResult::Worse;
             }

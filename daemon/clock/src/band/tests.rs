@@ -33,7 +33,7 @@ fn host_clock_pairs(offset: Span, length: Span, random: &mut RandomSource) -> Ve
     host_clock_pairs
 }
 
-/// Delays some answers, so that the trips are learnt in another order than that of their ends.
+/// Delays some answers, so that the trips are not learnt in the order of their ends.
 fn overtaken(trips: &mut [Trip], random: &mut RandomSource) {
     for trip in trips.iter_mut() {
         trip.ended += if random.chance(0.1) { random.exponential(2e9) } else { 0.0 };

@@ -6,7 +6,7 @@
 //! narrower. The estimate is the middle of this narrow band. It assumes that the shortest delays of both directions are
 //! equal. This cannot be verified, and the bounds do not rely on it.
 //!
-//! The slots of the band are unsuitable for the estimate. The best point of a slot is the one that bounds later times
+//! The slots of the band are unsuitable for the estimate. The best point of a slot is the point that bounds later times
 //! best. For two clocks that drift apart at the limit, that is always the earliest or the latest point.
 
 use std::sync::OnceLock;

@@ -23,7 +23,7 @@ impl ExchangeTimes {
         Self { times: VecDeque::new(), newest: None, min_gap: Span::from_nanos(min_gap), window }
     }
 
-    /// Inserts the time of an exchange and removes those that are more than `window` before the newest.
+    /// Inserts the time of an exchange and removes times that are more than `window` before the newest.
     pub(super) fn insert(&mut self, at: RawTime) {
         self.newest = self.newest.max(Some(at));
         let index = self.times.partition_point(|time| *time <= at);

@@ -5,11 +5,11 @@ use crate::{Exchange, ExchangeObservation, RawTime, Span};
 /// Number of answers in a row with the same lower epoch after which the peer counts as restarted.
 // Fewer are late answers that were overtaken.
 const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
-/// Longest time between the start of an excluded exchange and the return of the one that reported a step of the edge.
+/// Longest time between the start of an excluded exchange and the return of the exchange that reported a step of the edge.
 // It is short, because the stamps themselves may have been set back. Longer exchanges show the step against the
 // monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
-/// Longest time between the start of an excluded exchange and the return of the one that reported a step of the cloud.
+/// Longest time between the start of an excluded exchange and the return of the exchange that reported a step of the cloud.
 const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
 /// The epochs of both hosts, and the exclusion of exchanges that the last step requires.

@@ -19,7 +19,7 @@ const MAX_UNINTERRUPTED_GAP: Span = Span::from_micros(3);
 const MAX_READS: u32 = 8;
 
 impl<T, C: Copy + Sub<Output = Span>> PairedReading<T, C> {
-    /// Reads until a reading is not interrupted. If all are interrupted, returns the one with the shortest gap.
+    /// Reads until a reading is not interrupted. If all are interrupted, returns the reading with the shortest gap.
     pub(crate) fn read_uninterrupted(mut read: impl FnMut() -> Self) -> Self {
         let mut best = read();
         for _ in 1..MAX_READS {

@@ -19,7 +19,7 @@ pub enum Disturbance {
 ///
 /// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`. The rate itself is no slew: on a machine
 /// whose crystal is off by 60 ppm and whose time daemon compensates for it, the rate is a constant 60 ppm and the wall
-/// clock is excellent. A rate that exceeds that of any crystal (100 ppm) by more than the limit counts as a slew from the
+/// clock is excellent. A rate that exceeds the rate error of any crystal (100 ppm) by more than the limit counts as a slew from the
 /// start.
 // The limit applies to a pair of hosts. Neither host knows how much the other one contributes, so that each may use the
 // whole limit. Exchanges between the two hosts detect what this check misses.

@@ -148,7 +148,7 @@ impl Process {
         self.process_end()
     }
 
-    /// Converts the error of a pipe to that of the process; waits for the exit status of a process that closed its end.
+    /// Converts the error of a pipe to an error of the process; waits for the exit status of a process that closed its end.
     fn convert_pipe_error(&mut self, error: PipeError) -> ProcessError {
         error.into_process_error().unwrap_or_else(|fault| {
             // A process that ends closes its pipes as well. A closed pipe is a fault only of a process that still

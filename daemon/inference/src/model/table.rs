@@ -13,7 +13,7 @@ use super::ModelKind;
 /// Keys with their values.
 pub type Keys = Map<String, Value>;
 
-/// Keys that several kinds share. A kind lists those that it has ([`ModelKind::shared_keys`]); the others have their
+/// Keys that several kinds share. A kind lists the keys that it has ([`ModelKind::shared_keys`]); the other keys have their
 /// defaults.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SharedKeys {

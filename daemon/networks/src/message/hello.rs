@@ -25,7 +25,7 @@ use super::{deserialize_text, printable};
 /// | 0.3.0 | 4 and 5 |
 ///
 /// Version 5 adds stamps of the free-running clocks to departures, replies and clock states, and reports of the cloud's
-/// statistics. Epochs are those of the free-running clock in version 5 and those of the wall clock in version 4.
+/// statistics. Epochs count interruptions of the free-running clock in version 5 and steps of the wall clock in version 4.
 pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 5, Release(0, 1, 0));
 
 /// First version in which messages carry stamps of the free-running clocks.

@@ -111,7 +111,7 @@ impl Session {
         self.inner.shared.terms.clocks()
     }
 
-    /// Returns a reader of the state of the cloud's clocks. The first state is that of the acceptance.
+    /// Returns a reader of the state of the cloud's clocks. The first state comes with the acceptance.
     pub fn peer_clock(&self) -> watch::Receiver<PeerClock> {
         self.inner.shared.peer_clock.subscribe()
     }

@@ -151,7 +151,7 @@ pub enum AddressProblem {
     InvalidListenerName(String),
 }
 
-/// Error: a configuration names another network than the one of the address.
+/// Error: a configuration names another network than the address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the network is {named}, but {address} is an address of {}; leave the network out, or write {}", .address.network(), forms_of(&[*.named]))]
 pub struct NetworkMismatch {
@@ -196,7 +196,7 @@ impl Address {
         self.scheme.text
     }
 
-    /// Checks that `named`, a network that was named next to the address, is the one that the scheme selects.
+    /// Checks that the scheme selects `named`, a network that was named next to the address.
     ///
     /// # Errors
     /// If it is another network.

@@ -132,7 +132,7 @@ pub(crate) async fn dial(
         }
     };
     let receiver = DealerReceiver { socket: socket.clone(), monitor, end_reason: None };
-    // `is_cloud` is `false`, because every ROUTER accepts the connection, also that of an aggregator.
+    // `is_cloud` is `false`, because every ROUTER accepts the connection, also the ROUTER of an aggregator.
     let sender = Box::new(DealerSender { socket, addresses });
     Ok(EdgeConnection { sender, receiver: Box::new(receiver), is_cloud: false })
 }

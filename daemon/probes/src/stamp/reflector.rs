@@ -289,7 +289,7 @@ fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
     })
 }
 
-/// Returns whether the form of a packet is that of an authenticated one with TLVs.
+/// Returns whether a packet has the form of an authenticated packet with TLVs.
 fn has_authentication_code(packet: &[u8]) -> bool {
     let tlvs = packet.get(Mode::Authenticated.base_bytes()..).unwrap_or_default();
     tlv::headers(tlvs).any(|header| header.kind == tlv::HMAC && header.value.len() == CODE_BYTES)

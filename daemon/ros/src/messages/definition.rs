@@ -19,7 +19,7 @@ pub struct MessageDefinition {
 }
 
 impl MessageDefinition {
-    /// Returns the text followed by those of the dependencies, in the form of connection headers and bags.
+    /// Returns the text followed by the texts of the dependencies, in the form of connection headers and bags.
     pub fn full_text(&self) -> String {
         let mut full = self.text.to_owned();
         for dependency in self.dependencies {

@@ -143,7 +143,7 @@ impl Node {
         self.shared.registrar.master().topic_types().await
     }
 
-    /// Returns those of `nodes`, without this one, that are running and publish a topic. The master also lists nodes
+    /// Returns the nodes of `nodes`, without this node, that are running and publish a topic. The master also lists nodes
     /// that ended without unregistering. A node with this node's name counts until this node has registered something.
     ///
     /// # Errors
@@ -152,7 +152,7 @@ impl Node {
         self.running_nodes("getPublications", topic, nodes).await
     }
 
-    /// Returns those of `nodes`, without this one, that are running and subscribe to a topic, as
+    /// Returns the nodes of `nodes`, without this node, that are running and subscribe to a topic, as
     /// [`Node::running_publishers`] does.
     ///
     /// # Errors

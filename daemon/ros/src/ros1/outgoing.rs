@@ -33,7 +33,7 @@ pub struct SendCounts {
     pub dropped: u64,
     /// Messages that were waiting in the queue when the connection ended.
     pub lost: u64,
-    /// Messages that wait in the queue, including the one that is partly written.
+    /// Messages that wait in the queue, including the message that is partly written.
     pub waiting: u64,
 }
 

@@ -150,7 +150,7 @@ impl Publisher {
         self.topic.subscribers()
     }
 
-    /// Returns the sums over all subscribers, including those that are gone.
+    /// Returns the sums over all subscribers, including subscribers that have left.
     pub fn counts(&self) -> SendCounts {
         self.topic.counts()
     }

@@ -206,7 +206,7 @@ impl PublisherLink {
                 read_endpoint(&params).ok_or_else(|| no_endpoint("its answer has no host and port"))
             }
             Some((_, reason, _)) => Err(no_endpoint(&reason)),
-            None => Err(no_endpoint("its answer is not that of a ROS node")),
+            None => Err(no_endpoint("its answer does not have the form of a ROS node's answer")),
         }
     }
 

@@ -144,13 +144,13 @@ impl Subscriber {
         self.topic.queue.try_pop()
     }
 
-    /// Returns the publishers that the master knows, and those that are still connected. A caller that expects a single
+    /// Returns the publishers that the master lists or that are still connected. A caller that expects a single
     /// one can detect others.
     pub fn publishers(&self) -> Vec<PublisherStatus> {
         self.topic.publishers()
     }
 
-    /// Returns the sums over all publishers, including those that are gone.
+    /// Returns the sums over all publishers, including publishers that have left.
     pub fn counts(&self) -> ReceiveCounts {
         self.topic.counts()
     }

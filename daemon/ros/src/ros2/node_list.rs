@@ -1,4 +1,4 @@
-//! The node list of ROS 2 (`ros2 node list`, `ros2 node info`): our entry, and those of others.
+//! The node list of ROS 2 (`ros2 node list`, `ros2 node info`): our entry, and the entries of other participants.
 //!
 //! Every participant publishes `rmw_dds_common/msg/ParticipantEntitiesInfo` on the DDS topic `ros_discovery_info`: its
 //! own identifier, then for each node the names and the identifiers of subscriptions and publishers.

@@ -53,7 +53,7 @@ pub enum VersionError {
 }
 
 impl RosVersion {
-    /// Returns the version: the configured one, else that of `ROS_VERSION`, else that of the distribution `ROS_DISTRO`.
+    /// Returns the version: the configured version, else `ROS_VERSION`, else the version of the distribution `ROS_DISTRO`.
     /// `variable` looks up an environment variable; an empty value counts as unset.
     ///
     /// # Errors

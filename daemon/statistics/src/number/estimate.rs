@@ -34,7 +34,7 @@ impl Estimate {
         self.decimals
     }
 
-    /// Returns the estimate with this number of decimals, such as that of its column.
+    /// Returns the estimate with this number of decimals, for example the number in its column.
     #[must_use]
     pub fn with_decimals(self, decimals: usize) -> Self {
         Self { decimals, ..self }

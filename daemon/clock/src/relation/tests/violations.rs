@@ -117,7 +117,7 @@ fn excess_drift_on_short_path_is_noticed_within_window() {
     }
 }
 
-/// A jump such as that of a migrated virtual machine. It is smaller than the round trip, so that no exchange
+/// A jump as after the migration of a virtual machine. It is smaller than the round trip, so that no exchange
 /// contradicts the others.
 #[test]
 fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {

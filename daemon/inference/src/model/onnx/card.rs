@@ -200,7 +200,7 @@ pub(super) enum CardError {
     Numbers { key: &'static str, count: usize, channels: usize },
     /// A number cannot be used in the computation.
     #[error(
-        "preprocessing.scale, mean and std are finite numbers; write the ones with which the model was trained"
+        "preprocessing.scale, mean and std are finite numbers; write the values with which the model was trained"
     )]
     NotFinite,
     /// A standard deviation is not positive.
@@ -211,7 +211,7 @@ pub(super) enum CardError {
     /// The size after preprocessing depends on the picture.
     #[error("preprocessing.resize to the shortest side needs a crop after it")]
     NoCrop,
-    /// The size after preprocessing differs from that of the input; each is width and height, pixels.
+    /// The size after preprocessing differs from the size of the input; each is width and height, pixels.
     #[error("preprocessing makes {} × {} pixels, input.shape requires {} × {}", .made.0, .made.1, .wanted.0, .wanted.1)]
     Size { made: (u32, u32), wanted: (usize, usize) },
     /// There is no class to answer with.
@@ -327,7 +327,7 @@ fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[usize; 4], D::
             .filter(|length| *length > 0)
             .ok_or_else(|| {
                 D::Error::custom(format_args!(
-                    "a length is {value}; write the one with which the model is run, and 1 for the batch"
+                    "a length is {value}; write the length with which the model is run, and 1 for the batch"
                 ))
             })?;
     }
@@ -430,7 +430,7 @@ labels = ["a", "b"]
             ("labels = [\"a\", \"b\"]", "labels = []", "at least one label"),
             ("labels = [\"a\", \"b\"]", "labels = [\"a\", \"b\", \"a\"]", "has \"a\" twice"),
             ("labels = [", "top_k = 3\nlabels = [", "write top_k = 2"),
-            ("shape = [1, 1, 1, 2]", "shape = [-1, 1, 1, 2]", "a length is -1; write the one"),
+            ("shape = [1, 1, 1, 2]", "shape = [-1, 1, 1, 2]", "a length is -1; write the length"),
             ("shape = [1, 1, 1, 2]", "shape = [\"batch\", 1, 1, 2]", "1 for the batch"),
             ("task = \"classification\"", "task = \"detection\"", "classification"),
             ("dtype = \"float32\"", "dtype = \"float16\"", "float32"),

@@ -12,7 +12,7 @@ use super::library::Runtime;
 use super::shared_model::SharedModel;
 use crate::LoadError;
 
-/// Opens a session and checks that the model is the one that the card describes.
+/// Opens a session and checks that the model matches its card.
 pub(super) fn open(
     plan: &Plan,
     runtime: &Runtime,

@@ -16,7 +16,7 @@ use crate::LoadError;
 /// Card of a model as text.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CardSummary {
-    /// Name of the model, which may differ from that of its folder.
+    /// Name of the model, which may differ from the name of its folder.
     pub name: String,
     /// Version; may be empty.
     pub version: String,

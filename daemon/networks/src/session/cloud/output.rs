@@ -26,7 +26,7 @@ impl ListenerOutput {
         }
     }
 
-    /// Returns the statistics of a session, with those that its transport has of the connection.
+    /// Returns the statistics of a session, with the statistics of the connection from its transport.
     pub(super) fn statistics(
         &self,
         connection: ConnectionId,

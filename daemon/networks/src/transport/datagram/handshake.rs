@@ -169,7 +169,7 @@ impl DialState {
         }
     }
 
-    /// Continues with shorter datagrams, because the path does not carry those of the current length.
+    /// Continues with shorter datagrams, because the path does not carry datagrams of the current length.
     ///
     /// # Errors
     /// If there are no shorter ones to try.

@@ -51,7 +51,7 @@ pub(crate) enum ReassemblyOutcome {
     Duplicate,
     /// The fragment contradicts earlier fragments of its message.
     Inconsistent,
-    /// The message is too far above those that are known to have been sent.
+    /// The message's number is too far above all numbers that are known to have been sent.
     TooFarAhead,
 }
 

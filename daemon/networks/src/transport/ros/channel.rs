@@ -230,7 +230,7 @@ impl Channel {
         Some(ConnectionAddresses { local: peer.local, remote: peer.remote })
     }
 
-    /// Returns the statistics of the transport. The round trip is that of the connection with the peer's companions.
+    /// Returns the statistics of the transport. The round trip is measured on the connection with the peer's companions.
     pub(super) fn statistics(&self) -> TransportStatistics {
         let round_trip = self.addresses().and_then(|addresses| tcp_statistics(&addresses).round_trip);
         let lost = Some(self.lock().missing_companions());

@@ -9,7 +9,7 @@ use peernet_ros::topics::{RosVersion, VersionError};
 use super::names::to_ros_name;
 use crate::transport::ListenerLookupError;
 
-/// Returns the address of the cloud with this name. The version is `version` or that of the environment. In ROS 1 the
+/// Returns the address of the cloud with this name. The version is `version`, or the version in the environment. In ROS 1 the
 /// master is that of `ROS_MASTER_URI`, in ROS 2 the domain is that of `ROS_DOMAIN_ID`.
 pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, ListenerLookupError> {
     find_with(name, version, |name| std::env::var(name).ok())

@@ -119,7 +119,7 @@ impl ConnectionTable {
     }
 }
 
-/// A connection that was added, and those that made room for it.
+/// A connection that was added, and the connections that were closed for it.
 #[derive(Debug)]
 pub(super) struct InsertedConnection {
     pub(super) connection: Arc<ZmtpConnection>,

@@ -29,7 +29,7 @@ pub enum FrameError {
         /// Longest allowed length. Bytes.
         max: usize,
     },
-    /// The frame and those that arrive at the same time exceed the shared limit.
+    /// The frame and other frames that arrive at the same time exceed the shared limit.
     #[error("no memory for a frame of {length} bytes: all frames that arrive at the same time share a limit")]
     NoMemory {
         /// Announced length. Bytes.

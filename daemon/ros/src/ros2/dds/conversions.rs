@@ -1,4 +1,4 @@
-//! Conversions between our types and those of `rustdds`.
+//! Conversions between our types and the types of `rustdds`.
 
 use peernet_clock::WallTime;
 use rustdds::policy::{self, History, ResourceLimits};

@@ -386,7 +386,7 @@ async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
         let entry = entry.map_err(|error| error.to_string()).and_then(|message| {
             let writer = endpoint_id(message.writer_guid()).participant();
             match ListEntry::decode(&message.into_value().0) {
-                // A participant may only list its own nodes; otherwise it could rename those of others.
+                // A participant may only list its own nodes; otherwise it could rename other participants' nodes.
                 Ok(entry) if entry.participant == writer => Ok(entry),
                 Ok(_) => Err(format!("participant {writer} lists nodes of another participant")),
                 Err(error) => Err(format!("the entry of participant {writer} cannot be read: {error}")),

@@ -12,7 +12,7 @@ const MAX_HASHED_BYTES: u64 = 256 << 20;
 
 /// Describes files with their names in the data set: number, bytes and hash.
 ///
-/// The hash is that of the list that `sha256sum` prints of the files, in the order of their names as bytes; of a data set
+/// The hash is computed over the list that `sha256sum` prints of the files, in the order of their names as bytes; of a data set
 /// of more than [`MAX_HASHED_BYTES`] bytes, of the list of sizes and names (`stat -c '%s  %n'`).
 pub(super) fn describe_files<'a>(files: impl Iterator<Item = (&'a OsStr, &'a Path)>) -> String {
     let mut files: Vec<_> = files.collect();

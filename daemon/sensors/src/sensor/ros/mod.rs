@@ -26,7 +26,7 @@ const CAPTURE_DELAY: Name = Name::from_static("capture-delay");
 
 /// Configuration of the sensor: `{ kind = "ros", … }`. Each sample is a message of the topic.
 ///
-/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as for every ROS node.
+/// Environment variables select the master of ROS 1 and the domain of ROS 2, as for every ROS node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RosSensorConfig {
@@ -35,7 +35,7 @@ pub struct RosSensorConfig {
     /// Type of the messages. ROS 2 needs it; without it ROS 1 accepts the published type.
     #[serde(default, rename = "type", skip_serializing_if = "Option::is_none")]
     pub message_type: Option<MessageType>,
-    /// ROS version, 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
+    /// ROS version, 1 or 2. Default: the value of `ROS_VERSION`, else the version of `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
     /// Largest number of messages that wait while the pipeline is busy, 1 to 8192. If more arrive, the oldest is

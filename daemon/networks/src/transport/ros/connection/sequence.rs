@@ -64,8 +64,8 @@ pub(super) struct IncomingSequence {
 }
 
 impl IncomingSequence {
-    /// Counts the companions that are missing before the one that arrived. A number that is lower than expected counts
-    /// none.
+    /// Counts the companions that are missing before the companion that arrived. If its number is lower than expected,
+    /// counts none.
     pub(super) fn receive(&mut self, number: u64) {
         let next_expected = self.next_expected.unwrap_or(number);
         self.missing += number.saturating_sub(next_expected);
