@@ -23,7 +23,7 @@ pub enum LoadError {
     #[error(
         "no model named {name} in {}; {}; search another folder, give a path with a slash, or export the model \
          (models/export_torchvision.py)",
-        listed(.searched), available_text(.known)
+        list_folders(.searched), available_text(.known)
     )]
     NotFound {
         /// The requested name.
@@ -289,7 +289,7 @@ pub enum InferenceError {
     },
 }
 
-fn listed(folders: &[PathBuf]) -> String {
+fn list_folders(folders: &[PathBuf]) -> String {
     folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 

@@ -49,9 +49,9 @@ use serde::{Deserialize, Deserializer};
 
 /// Deserializes a peer's text. Control characters become spaces, because the text is shown on terminals and in logs.
 fn deserialize_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
-    String::deserialize(deserializer).map(|text| printable(&text))
+    String::deserialize(deserializer).map(|text| to_printable(&text))
 }
 
-fn printable(text: &str) -> String {
+fn to_printable(text: &str) -> String {
     printable_line(text).into_owned()
 }

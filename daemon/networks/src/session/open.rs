@@ -53,7 +53,7 @@ pub enum OpenError {
         reason: String,
     },
     /// The cloud speaks no version of the protocol that this program speaks.
-    #[error("{}", incompatible(.address, .mismatch))]
+    #[error("{}", describe_incompatibility(.address, .mismatch))]
     Incompatible {
         /// Address of the cloud.
         address: Address,
@@ -62,7 +62,7 @@ pub enum OpenError {
     },
 }
 
-fn incompatible(address: &Address, mismatch: &VersionMismatch) -> String {
+fn describe_incompatibility(address: &Address, mismatch: &VersionMismatch) -> String {
     mismatch.describe("the session protocol", "this program", &format!("the cloud at {address}"))
 }
 

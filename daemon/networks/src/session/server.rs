@@ -175,8 +175,8 @@ impl Server {
         let allowed = free.div_ceil(2);
         if host_sessions >= allowed {
             return Some(format!(
-                "this host has {host_sessions} sessions, and {allowed} are allowed: half of those that other hosts leave of \
-                 the cloud's max_sessions, {max}; close some or raise max_sessions there"
+                "this host has {host_sessions} sessions, and {allowed} are allowed: half of the sessions that other \
+                 hosts do not use of the cloud's max_sessions, {max}; close some or raise max_sessions there"
             ));
         }
         // Peers of a network without addresses are only limited by their hosts.
@@ -192,8 +192,8 @@ impl Server {
         let allowed = ((max - (open_sessions - group_sessions)) * 3).div_ceil(4);
         (group_sessions >= allowed).then(|| {
             format!(
-                "this address has {group_sessions} sessions, and {allowed} are allowed: three quarters of those that other \
-                 addresses leave of the cloud's max_sessions, {max}; close some or raise max_sessions there"
+                "this address has {group_sessions} sessions, and {allowed} are allowed: three quarters of the sessions \
+                 that other addresses do not use of the cloud's max_sessions, {max}; close some or raise max_sessions there"
             )
         })
     }

@@ -111,9 +111,9 @@ pub(crate) async fn dial(
     _context: &DialContext<'_>,
 ) -> Result<EdgeConnection, DialFailure> {
     let options = options(settings).handshake_timeout(settings.open_timeout());
-    let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable)?;
+    let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable_failure)?;
     let mut monitor = socket.monitor();
-    socket.connect(address.to_string()).await.map_err(unreachable)?;
+    socket.connect(address.to_string()).await.map_err(unreachable_failure)?;
     let addresses = loop {
         match monitor.recv().await {
             Ok(MonitorEvent::HandshakeSucceeded { peer, .. }) => break addresses(&peer),
@@ -150,7 +150,7 @@ fn addresses(peer: &PeerInfo) -> Option<ConnectionAddresses> {
     })
 }
 
-fn unreachable(error: Error) -> DialFailure {
+fn unreachable_failure(error: Error) -> DialFailure {
     match error {
         Error::Timeout => DialFailure::TimedOut,
         error => DialFailure::Unreachable(error.to_string()),

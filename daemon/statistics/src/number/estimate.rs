@@ -1,7 +1,7 @@
 //! Estimates from samples with their intervals, in ms.
 
 use super::milliseconds::default_decimals;
-use super::{between, decimals, fixed, has_nonzero_digit, plus};
+use super::{decimals, fixed, has_nonzero_digit, join_ends, with_plus_sign};
 
 /// Largest number of decimals of an estimate: a picosecond.
 const MAX_DECIMALS: usize = 9;
@@ -47,17 +47,17 @@ impl Estimate {
 
     /// Formats the value with its sign.
     pub fn signed(&self) -> String {
-        plus(self.value())
+        with_plus_sign(self.value())
     }
 
     /// Formats both ends: `0.0179 – 0.0187`, `−1.54 to −1.35`.
     pub fn between(&self) -> String {
-        between(self.ends())
+        join_ends(self.ends())
     }
 
     /// Formats both ends with their signs: `−0.65 to +0.63`.
     pub fn shift(&self) -> String {
-        self.ends().map(plus).join(" to ")
+        self.ends().map(with_plus_sign).join(" to ")
     }
 
     fn ends(&self) -> [String; 2] {

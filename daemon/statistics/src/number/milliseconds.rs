@@ -1,6 +1,6 @@
 //! Formatting of durations, in ms where they are compared.
 
-use super::{Quantity, between, decimals, figure, fixed, measured, signed};
+use super::{Quantity, decimals, figure, fixed, join_ends, measured, signed};
 
 /// Largest number of decimals of a value in ms: a nanosecond.
 const MAX_DECIMALS: usize = 6;
@@ -85,7 +85,7 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
         return milliseconds(lo);
     }
     let decimals = decimals((hi - lo) / 2.0 * 1e3, 2).min(TENTH_OF_MICROSECOND);
-    between([lo, hi].map(|end| fixed(end * 1e3, decimals)))
+    join_ends([lo, hi].map(|end| fixed(end * 1e3, decimals)))
 }
 
 /// Returns the number of decimals of a column in ms whose values have a known error: two, or three if the half width

@@ -122,10 +122,10 @@ pub fn measured(value: f64, decimals: usize) -> String {
 
 /// Formats a number with its sign, unless it is shown as zero.
 fn signed(value: f64, decimals: usize) -> String {
-    plus(fixed(value, decimals))
+    with_plus_sign(fixed(value, decimals))
 }
 
-fn plus(text: String) -> String {
+fn with_plus_sign(text: String) -> String {
     if !text.starts_with(MINUS) && has_nonzero_digit(&text) { format!("+{text}") } else { text }
 }
 
@@ -136,7 +136,7 @@ fn has_nonzero_digit(text: &str) -> bool {
 
 /// Joins both ends of an interval by a dash, or by a word, because a dash before a minus sign is hard to read. Equal
 /// ends give one number.
-fn between([lo, hi]: [String; 2]) -> String {
+fn join_ends([lo, hi]: [String; 2]) -> String {
     match (lo == hi, lo.starts_with(MINUS) || hi.starts_with(MINUS)) {
         (true, _) => lo,
         (false, true) => format!("{lo} to {hi}"),

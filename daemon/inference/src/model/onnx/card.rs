@@ -294,7 +294,7 @@ impl Card {
 
 impl Output {
     /// Returns the number of classes in an answer.
-    pub(super) fn listed(&self) -> usize {
+    pub(super) fn listed_classes(&self) -> usize {
         self.top_k.unwrap_or(LISTED).min(self.labels.len())
     }
 
@@ -400,7 +400,7 @@ labels = ["a", "b"]
     #[test]
     fn card_is_read_with_its_defaults() {
         let card = changed("", "").expect("is right");
-        assert_eq!(card.output.listed(), 2, "all, because there are fewer than five");
+        assert_eq!(card.output.listed_classes(), 2, "all, because there are fewer than five");
         assert_eq!(
             card.preprocessing.resize,
             Some(Resize::Exact { width: 2, height: 1, filter: Filter::Bilinear, antialias: true })

@@ -47,7 +47,7 @@ pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Ve
     let mut top: Vec<_> = output.labels.iter().zip(numbers.iter()).map(ranked).collect();
     // A stable sort: classes with equal scores stay in the order of the labels.
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
-    top.truncate(output.listed());
+    top.truncate(output.listed_classes());
     let best = top.first().ok_or(OutputError::NoClasses)?;
     let answer = Answer { label: best.label, score: best.score, top };
     Ok(serde_json::to_vec(&answer)?)

@@ -103,7 +103,11 @@ impl Card {
             description: self.description.clone(),
             input: format!("{} float32 {}", shape.join(" × "), input.layout),
             preprocessing: steps,
-            output: format!("{} classes, {scores}, best {} listed", output.labels.len(), output.listed()),
+            output: format!(
+                "{} classes, {scores}, best {} listed",
+                output.labels.len(),
+                output.listed_classes()
+            ),
             labels: output.labels.clone(),
             provenance: self.provenance.iter().map(|(key, value)| (key.clone(), plain_text(value))).collect(),
         }
