@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_type_is_refused_with_those_there_are() {
+    fn unknown_type_error_lists_possible_types() {
         let error = read("kind = 'ros'\ntopic = '/a'\ntype = 'std_msgs/Strin'").expect_err("there is none");
         assert!(error.contains("`std_msgs/String` or `std_msgs/UInt8MultiArray`"), "{error}");
         let error = read("kind = 'ros'\ntopic = '/a'\nros_version = 3").expect_err("there is none");

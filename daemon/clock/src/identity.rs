@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn time_namespace_is_that_of_the_identity() {
+    fn time_namespace_equals_namespace_in_identity() {
         let link =
             std::fs::read_link(ClockIdentity::TIME_NAMESPACE).expect("this kernel has time namespaces");
         let inode = time_namespace().expect("it was just read");

@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn wall_clock_is_that_of_system() {
+    fn wall_clock_equals_system_time() {
         let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
         #[expect(clippy::disallowed_methods, reason = "the reference that the clock is compared with")]
         let reference = std::time::SystemTime::now()

@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bend_is_rounded_up_and_saturates() {
+    fn max_deviation_is_rounded_up_and_saturates() {
         let limit = DriftChangeLimit::new(1.0, DriftLimit::new(0.0));
         let second = 1_000_000_000;
         // 1 ppm/s over 10 s and 10 s: 50 µs.

@@ -165,7 +165,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bound_after_all_points_is_that_of_all_points(
+        fn bound_of_slots_equals_bound_of_all_points(
             points in proptest::collection::vec((0i64..5_000_000_000, -40_000i64..40_000), 1..200),
             after in 5_000_000_000i64..15_000_000_000,
         ) {

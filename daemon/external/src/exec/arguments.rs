@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn configurations_lose_arguments_and_nothing_else() {
+    fn only_arguments_are_hidden_in_configurations() {
         let plain = "name = \"line\"\n\n[sensor]\nkind = \"synthetic\"\nsize_bytes = 100\n";
         assert_eq!(hide_arguments(plain), plain);
         let text = "name = 'line'\nsensor = { kind = 'exec', command = ['./light', '--token', 'hunter2'], timeout_ms = 5 }\n\
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_lose_their_arguments_whatever_their_key() {
+    fn arguments_are_hidden_under_any_key_of_command() {
         /// Kind of program with other keys.
         #[derive(Serialize)]
         #[serde(tag = "kind", rename_all = "kebab-case")]

@@ -23,7 +23,7 @@ proptest! {
     }
 
     #[test]
-    fn no_stamps_can_panic(
+    fn arbitrary_stamps_never_panic(
             stamps: [i64; 4],
             apart: [u32; 6],
             uncertainty: i64,
@@ -151,7 +151,7 @@ fn consistently_wrong_stamps_contradict_time_daemons_only() {
 }
 
 #[test]
-fn excess_drift_is_doubted_soon() {
+fn drift_beyond_limit_withdraws_all_delays() {
     let host_clocks = HostClocks {
         edge: SimulatedClock::drifting(Span::ZERO, 0.0),
         cloud: SimulatedClock::drifting(Span::ZERO, 400.0),
@@ -173,7 +173,7 @@ fn excess_drift_is_doubted_soon() {
 }
 
 #[test]
-fn rare_unannounced_steps_cast_no_doubt() {
+fn rare_unannounced_steps_violate_no_limit() {
     let cloud = SimulatedClock::drifting(Span::ZERO, 10.0)
         .stepped(Span::from_seconds(20), Span::from_millis(50))
         .stepped(Span::from_seconds(100), Span::from_millis(-70));

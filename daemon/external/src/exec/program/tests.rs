@@ -195,7 +195,7 @@ fn control_characters_of_program_are_replaced_or_escaped() {
 }
 
 #[test]
-fn garbage_is_quoted_and_ends_it() {
+fn error_quotes_output_outside_of_framing() {
     let mut program = start(Role::Model, "read -r line; echo Loading model...; cat", PATIENT);
     let error = program.call(Request::Sample(&echo())).expect_err("garbage").to_string();
     assert!(error.contains("Loading model...") && error.contains("standard error"), "{error}");

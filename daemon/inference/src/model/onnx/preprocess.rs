@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn layouts_and_orders_of_channels() {
+    fn pixels_follow_layout_and_colour_of_card() {
         let colour = |layout: &str, shape: &str, order: &str| {
             let card = SMALL
                 .replace("layout = \"nchw\"", &format!("layout = \"{layout}\""))

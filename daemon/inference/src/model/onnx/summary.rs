@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn hash_is_that_of_sha256sum() {
+    fn card_hash_equals_output_of_sha256sum() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(CARD), "abc").expect("written");
         // Example in FIPS 180-4.

@@ -97,7 +97,7 @@ fn a_refused_session_is_unknown() {
 }
 
 #[test]
-fn a_goodbye_frees_the_place() {
+fn session_can_be_opened_after_goodbye_of_another() {
     let mut server = server();
     let sessions: Vec<_> = (0..3).map(|connection| open_session(&mut server, connection)).collect();
     assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::Answer(Header::Refused(_))));

@@ -302,7 +302,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn totals_add_up(
+        fn counted_datagrams_and_losses_add_up(
             loss in 0_u64..50, doubled in 0_u64..30, late in 0_usize..40, count in 1_u32..9_000, seed: u64,
         ) {
             let mut random = seed | 1;

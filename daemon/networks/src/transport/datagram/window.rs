@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn window_grows_with_what_arrives_up_to_what_fits() {
+    fn window_grows_with_arrived_bytes_up_to_receivers_window() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         let sent = fill(&mut window, at(0));
         assert_eq!(sent, INITIAL_WINDOW.div_ceil(1_000));

@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn version_and_place_come_from_configuration_and_environment() {
+    fn version_and_address_come_from_configuration_and_environment() {
         let (noetic, jazzy) = (("ROS_DISTRO", "noetic"), ("ROS_DISTRO", "jazzy"));
         let ros1 = Ok("ros1://localhost:11311/jetson_orin".to_owned());
         for (version, variables) in [(Some(1), &[jazzy][..]), (None, &[noetic]), (None, &[])] {

@@ -19,7 +19,7 @@ async fn value(node: &Node, method: &str) -> Value {
 }
 
 #[tokio::test]
-async fn tools_get_answers() {
+async fn slave_api_answers_queries_of_tools() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::from_message::<StringMessage>();

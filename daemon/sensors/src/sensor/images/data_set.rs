@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn hash_equals_that_of_sha256sum() {
+    fn data_set_hash_equals_output_of_sha256sum() {
         let files = [("a b.jpg", "one"), ("c.png", "three")];
         // printf one > 'a b.jpg'; printf three > c.png; sha256sum * | sha256sum
         let expected_hash = "80a1a4de32989a8bc607fd2b8ec1b0b01bb8b8e6c1c719e5ddcda90111e72296";
