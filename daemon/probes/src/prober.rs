@@ -235,7 +235,7 @@ impl Prober {
     }
 
     fn record_departure(&mut self, token: Token, left: Option<WallTime>) {
-        // Stamps come in the order of departure. Those of dropped packets never come.
+        // Stamps come in the order of departure. The stamps of dropped packets never come.
         let Some(found) =
             self.awaited_departures.iter().position(|(awaited_departures, _)| *awaited_departures == token)
         else {

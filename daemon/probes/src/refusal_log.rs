@@ -21,7 +21,7 @@ impl RefusalLog {
     }
 
     /// Counts a refused probe. If a log line is due, returns the number of probes refused for this reason since the
-    /// last one, and the advice.
+    /// last line, and the advice.
     pub(crate) fn record(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
         let (logged, count) = &mut self.reasons[why as usize];
         *count += 1;

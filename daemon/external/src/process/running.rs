@@ -182,7 +182,7 @@ impl Process {
         self.status.is_some() || wait_until(&self.clock, self.pidfd.as_ref(), deadline).wait_for_exit()
     }
 
-    /// Kills the rest of the process and its group; `fault` is what the process did wrong before.
+    /// Kills the rest of the process and its group; `fault` is the misbehaviour of the process before, if any.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
             let has_ended = self.exits_within(Span::ZERO);

@@ -159,7 +159,7 @@ fn keep_line(last: &Mutex<VecDeque<String>>, line: &str) {
     last.push_back(line[..line.floor_char_boundary(MAX_KEPT_LINE_BYTES)].to_owned());
 }
 
-/// Splitter of output into lines. A carriage return ends a line as well: progress bars write nothing else.
+/// Splitter of output into lines. A carriage return ends a line as well: progress bars write only these.
 #[derive(Default)]
 struct LineSplitter(Vec<u8>);
 

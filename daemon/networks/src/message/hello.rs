@@ -16,7 +16,7 @@ use super::{deserialize_text, to_printable};
 /// Versions of the session protocol that this release speaks, as an edge and as a cloud.
 ///
 /// A release that changes messages raises the newest version and keeps writing the older forms to peers that chose an
-/// older version. A release that drops the oldest version names the first release that speaks the next one.
+/// older version. A release that drops the oldest version names the first release that speaks the next version.
 ///
 /// | release | versions |
 /// | --- | --- |
@@ -36,7 +36,7 @@ pub(crate) const STATISTICS_SINCE: u16 = 5;
 
 /// Largest number of conditions of a host that a peer may send.
 pub const MAX_CONDITIONS: usize = 32;
-/// Largest number of accelerators that are read of a peer's hardware; further ones are ignored.
+/// Largest number of accelerators that are read of a peer's hardware; further accelerators are ignored.
 const MAX_GPUS: usize = 16;
 /// Largest number of characters that are read of each text about a peer's hardware.
 const MAX_TEXT_CHARS: usize = 128;

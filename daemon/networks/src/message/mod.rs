@@ -9,7 +9,7 @@
 //! | clock | cloud | session, state of the cloud's clocks | | |
 //! | statistics | cloud | session, statistics of the cloud's end of the connection | | |
 //! | unknown-session | cloud | session, number | | |
-//! | goodbye | either | session, reason; from an edge whose run is over: its configured number of iterations | | |
+//! | goodbye | either | session, reason; from an edge whose run is over: the run's number of iterations | | |
 //!
 //! The tree is encoded first, then the departure is stamped, then the small header is encoded. `upload` and `download`
 //! therefore contain the network and no encoding. The transit node itself is in neither tree; the receiver adds it from

@@ -1,11 +1,11 @@
 //! The cloud's driver of the session protocol: all sessions of a port.
 //!
 //! ```text
-//! cloud            the port: binds it, returns arrivals, closes it
-//! cloud/port       state that the listener shares with all answers in progress
-//! cloud/requests   effects of an edge's message
-//! cloud/answers    the wire form of an answer, and the number of answers that are being sent
-//! cloud/output     the sending half of the port, with its counters
+//! cloud                 the port: binds it, returns arrivals, closes it
+//! cloud/listener_state  state that the listener shares with all answers in progress
+//! cloud/requests        effects of an edge's message
+//! cloud/answers         the wire form of an answer, and the number of answers that are being sent
+//! cloud/output          the sending half of the port, with its counters
 //! ```
 
 mod answers;
@@ -59,7 +59,7 @@ impl Listener {
     /// the process has for connections of edges.
     ///
     /// # Errors
-    /// Those of [`bind`](Self::bind), for the first address that cannot be bound. The ports bound before it are closed.
+    /// As for [`bind`](Self::bind), for the first address that cannot be bound. The ports bound before it are closed.
     pub async fn bind_all(
         addresses: &[Address],
         settings: &SessionSettings,

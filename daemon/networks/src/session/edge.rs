@@ -196,7 +196,7 @@ impl Session {
         let recorder = &mut exchange.recorder;
         exchange.arrived_at = Some(arrived.stamp);
         let has_raw_stamps = shared.terms.has_raw_stamps();
-        // First of all additions, because the node ids in the tree delta refer to the tree as it was sent.
+        // The delta is added before all other nodes, because the node ids in the tree delta refer to the tree as it was sent.
         let absorbed = absorb(recorder, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
         sent.sizes.record(recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
@@ -224,8 +224,8 @@ impl Session {
         self.inner.stopped.cancelled().await;
     }
 
-    /// [Closes](Self::close) the session at the end of a run that was configured to have `planned_iterations`, so that the
-    /// cloud does not wait for missing ones.
+    /// [Closes](Self::close) the session at the end of a run of `planned_iterations` iterations, so that the cloud does
+    /// not wait for missing requests.
     pub async fn close_after_run(&self, planned_iterations: u64) {
         self.inner.shared.planned_iterations.get_or_init(|| planned_iterations);
         self.close().await;

@@ -26,7 +26,7 @@ pub struct Exchange {
     /// The four stamps of `upload` and `download`, from which the clock relation of the two hosts is estimated.
     ///
     /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since version
-    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), before that of its wall clock. `None` if no model answered. Also
+    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), and of its wall clock in earlier versions. `None` if no model answered. Also
     /// `None` if the clock of either host was interrupted in between, because such stamps bound no offset.
     pub observation: Option<ExchangeObservation>,
 }
@@ -62,7 +62,7 @@ pub enum RequestError {
     /// The session ended before the answer arrived, or the request or its answer was lost on the way.
     #[error("the request was lost: {0}")]
     Lost(String),
-    /// No answer came in time. An answer that still comes is dropped and counted.
+    /// No answer came in time. An answer that comes later is dropped and counted.
     #[error("no answer in time")]
     Timeout,
     /// The sample could not be sent, or the cloud's model failed on it. The next request may succeed.

@@ -66,8 +66,7 @@ fn describe_incompatibility(address: &Address, mismatch: &VersionMismatch) -> St
     mismatch.describe("the session protocol", "this program", &format!("the cloud at {address}"))
 }
 
-/// Returns the advice for a cloud that cannot be reached. It is empty if the reason already contains advice, as that of
-/// a missing ROS master does.
+/// Returns the advice for a cloud that cannot be reached. It is empty if the reason already contains advice, as for a missing ROS master.
 fn advice(reason: &str) -> &'static str {
     if reason.contains("; ") { "" } else { "; is it running, and is the address right?" }
 }

@@ -88,7 +88,7 @@ impl RequestsInFlight {
         self.client().receive(header)
     }
 
-    /// Removes a request that was lost on the way, or whose answer was. Returns its waiter if the request was in flight.
+    /// Removes a request that was lost on the way, or whose answer was lost. Returns its waiter if the request was in flight.
     pub(super) fn lose_request(&self, request: u64) -> Option<Waiter> {
         self.client().lose_request(request)
     }

@@ -1,7 +1,7 @@
 //! `zmq-tcp`: ZMTP 3.1 over TCP, a DEALER on the edge and a ROUTER on the cloud.
 //!
 //! The edge's socket is the library's, in its latency profile; the cloud's is [`zmtp`](super::zmtp). On both ends the
-//! sending task writes to the connection itself. Only what the kernel does not accept at once is left to the
+//! sending task writes to the connection itself. Only the bytes that the kernel does not accept at once are left to the
 //! connection's own task. The library's reconnecting is disabled, because a session ends with its connection.
 
 use std::io;

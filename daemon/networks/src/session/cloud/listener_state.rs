@@ -59,7 +59,7 @@ impl ListenerState {
 
     pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
         let Some((peer, header)) = self.server().accept(session, accepted) else { return false };
-        // Before the acceptance is sent, because the edge's first request may be large.
+        // This happens before the acceptance is sent, because the edge's first request may be large.
         self.update_admission(peer.connection);
         self.send_message(&peer, &header)
     }

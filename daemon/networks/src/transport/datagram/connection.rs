@@ -1,7 +1,8 @@
 //! A virtual connection, without I/O: both halves, heartbeats and the goodbye.
 //!
 //! An end sends a ping if nothing arrived for the heartbeat interval. It pings sooner while messages that it sent are not
-//! settled, because the answer says which of them never arrived. If nothing arrives for the heartbeat timeout, the
+//! settled (delivered or counted as lost), because the answer says which of them never arrived. If nothing arrives for
+//! the heartbeat timeout, the
 //! connection ends. A connection is closed by a goodbye that is repeated until it is confirmed.
 
 mod control_queue;

@@ -188,7 +188,7 @@ impl Endpoint {
         self.schedule(id, now);
     }
 
-    /// Returns whether one more connection may be opened. Closes a connection to make room if necessary.
+    /// Returns whether one more connection may be opened. If a limit is reached, closes a connection without a session.
     fn make_room(&mut self, group: AddressGroup) -> bool {
         match self.table.capacity(group, self.limits.max_connections) {
             Capacity::Free => true,

@@ -1,7 +1,7 @@
 //! Joins each payload with its companion, without I/O.
 //!
-//! Payloads and companions are on separate topics, each of which is in order. A half waits for its partner on the other
-//! topic. If a later message arrives there first, the partner is certainly lost. If no later message arrives, a deadline
+//! Payloads and companions are on separate topics, each of which is in order. Each of them waits for its partner on the
+//! other topic. If a later message arrives there first, the partner is certainly lost. If no later message arrives, a deadline
 //! ends the wait.
 
 use std::collections::BTreeMap;

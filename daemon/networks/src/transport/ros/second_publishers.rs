@@ -15,8 +15,8 @@ const NAME_DISCOVERY_TIMEOUT: Duration = Duration::from_secs(2);
 /// Largest number of second publishers that are remarked on.
 const MAX_SECOND_PUBLISHERS: usize = 16;
 
-/// Nodes other than the peer that publish on a topic of the connection. There is one remark about each of them, with its
-/// name if that is known.
+/// Nodes other than the peer that publish on a topic of the connection. One remark is made about each node, with its
+/// name if the name is known.
 #[derive(Debug, Default)]
 pub(super) struct SecondPublishers {
     reported: BTreeSet<Arc<str>>,

@@ -144,8 +144,8 @@ struct EdgeEnd {
     invalid_packets: VecDeque<String>,
     /// Token that proves that a sender who repeats it receives what is sent to its address.
     token: u64,
-    /// Check of another address that claims to be the cloud's: the address, the time when it was noticed, and whether the
-    /// token still has to be sent to it.
+    /// Check of another address whose sender claims to be the cloud: the address, the time of its first packet, and
+    /// whether the token still has to be sent to it.
     path_check: Option<(SocketAddr, MonoTime, bool)>,
 }
 

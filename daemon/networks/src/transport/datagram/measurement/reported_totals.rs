@@ -8,7 +8,7 @@ const MAX_COPIES: u64 = 16;
 
 /// Totals of this end's datagrams, as the other end reports them.
 ///
-/// No total decreases, and each is at most the lower one of two successive reports. A total that was altered or forged
+/// No total decreases, and each is at most the lower of two successive reports. A total that was altered or forged
 /// in one packet is therefore not kept.
 #[derive(Debug, Default)]
 pub(super) struct ReportedTotals {

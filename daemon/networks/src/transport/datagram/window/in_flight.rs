@@ -63,7 +63,7 @@ impl BytesInFlight {
         self.datagrams.push_back(DatagramInFlight { end, sent: self.sent });
     }
 
-    /// Handles a report of progress. Returns the number of bytes that arrived since the last one.
+    /// Handles a report of progress. Returns the number of bytes that arrived since the last report.
     pub(super) fn record_progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let before = self.arrived;
         // Reports are cumulative: progress up to `end` includes all datagrams sent before.

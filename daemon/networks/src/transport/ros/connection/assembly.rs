@@ -79,7 +79,7 @@ impl MessageAssembly {
             self.receive_half(stamp, Half::Info(Box::new(info)), reserved, now, events);
             return;
         }
-        // The payload may arrive as well, until the other end knows that payloads do.
+        // Until the other end knows that payloads arrive on their topic, it sends each payload there and in the companion.
         self.last_whole_stamp = stamp.max(self.last_whole_stamp);
         self.pairing.drop_payload(stamp);
         let mut lost = Vec::new();
@@ -158,7 +158,7 @@ impl MessageAssembly {
         true
     }
 
-    /// Returns the time at which the next half of a message has waited too long.
+    /// Returns the time at which the next companion or payload has waited too long for its partner.
     pub(super) fn next_timer(&self) -> Option<MonoTime> {
         self.pairing.next_timer()
     }

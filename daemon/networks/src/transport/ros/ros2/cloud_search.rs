@@ -90,7 +90,7 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
 pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> Result<(), NodeFailure> {
     let node = participant.node()?;
     let sessions = sessions_topic(cloud);
-    // Waits for the whole time even if a cloud is visible, because that one may just be ending.
+    // Waits for the whole time even if a cloud is visible, because that cloud may just be ending.
     sleep(OTHER_CLOUD_SEARCH_TIME).await;
     match visible_clouds(&node, &sessions).is_empty() {
         true => Ok(()),
