@@ -147,7 +147,7 @@ pub enum LoadError {
 }
 
 impl LoadError {
-    /// Returns whether something that was named does not exist: a model, its file, a program, a module or a Python
+    /// Returns whether something in the configuration does not exist: a model, its file, a program, a module or a Python
     /// interpreter.
     pub const fn is_missing(&self) -> bool {
         matches!(
@@ -212,7 +212,7 @@ pub enum LibraryError {
         .searched.join(", ")
     )]
     NotFound {
-        /// Each place that was searched, in order, with the result.
+        /// Each path that was searched, in order, with the result.
         searched: Vec<String>,
     },
     /// The library was found and cannot be used.
@@ -293,7 +293,7 @@ fn list_folders(folders: &[PathBuf]) -> String {
     folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// Lists the first names of a list. The list may be long, but an answer to a peer must not be.
+/// Lists the first names of a list, because an answer to a peer must not be long.
 fn first_names(names: &[String]) -> String {
     match names.get(..MAX_LISTED) {
         Some(first_names) if names.len() > MAX_LISTED => {

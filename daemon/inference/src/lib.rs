@@ -42,7 +42,7 @@ pub trait Model: Send + Sync {
     /// Creates a worker for one more thread; all workers share the loaded model.
     ///
     /// # Errors
-    /// If the device has no room for another worker.
+    /// If the device has no memory for another worker.
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError>;
 
     /// Returns whether `infer` may block or compute for long, so that it must not run on an I/O thread.

@@ -213,9 +213,9 @@ impl Recorder {
     /// inserted nodes.
     ///
     /// # Errors
-    /// If this tree would exceed its limits, or the other one is invalid.
+    /// If this tree would exceed its limits, or the other tree is invalid.
     pub fn insert(&mut self, tree: &Tree) -> Result<NodeId, TreeError> {
-        // The reserve is for values that are computed afterwards, as for recorded nodes.
+        // Reserved nodes stay free for values that are computed afterwards, as they do for recorded nodes.
         let fits = self.tree.nodes.len() + tree.nodes().len() <= MAX_NODES - RESERVED_NODES;
         if !fits {
             return Err(TreeError::TooManyNodes(self.tree.nodes.len() + tree.nodes().len()));

@@ -50,7 +50,7 @@ pub struct NodeName {
 }
 
 impl NodeName {
-    /// Creates the name of a node in a namespace, which may lack the first `/`.
+    /// Creates the name of a node in a namespace, whose first `/` may be omitted.
     ///
     /// # Errors
     /// If a name is not allowed in ROS, or the node's name contains a namespace.

@@ -91,7 +91,7 @@ impl Publisher {
     /// Publishes a message as [`publish`](Self::publish) does. Returns the outcome for the subscriber of one node.
     ///
     /// # Errors
-    /// Those of `publish`.
+    /// As for `publish`.
     pub fn publish_to(&self, node: &str, message: impl Into<EncodedMessage>) -> Result<Delivery, NodeError> {
         let (message, prefix) = self.check_message(message.into())?;
         let mut delivery = Delivery::NotConnected;
@@ -109,7 +109,7 @@ impl Publisher {
     }
 
     /// Publishes a message and waits until each subscriber's queue has accepted it. Nothing is dropped while a
-    /// subscriber is connected, and the slowest one determines the rate.
+    /// subscriber is connected, and the slowest subscriber determines the rate.
     ///
     /// # Errors
     /// If the node has ended, or the message has more than 2³² − 1 bytes.

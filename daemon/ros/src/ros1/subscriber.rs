@@ -30,7 +30,7 @@ pub struct SubscriberOptions {
     /// Name of the only node whose messages are accepted; other publishers are disconnected before they send a message. By
     /// default messages of all nodes are accepted.
     pub publisher: Option<Arc<str>>,
-    /// Limit that the subscriber shares with others, on messages from their first bytes until they are dropped. A
+    /// Limit on the memory of messages, from their first bytes until they are dropped; several subscribers may share it. A
     /// publisher whose message exceeds the limit is disconnected. By default there is no such limit.
     pub memory: Option<Arc<dyn MemoryLimit>>,
 }
@@ -145,7 +145,7 @@ impl Subscriber {
     }
 
     /// Returns the publishers that the master lists or that are still connected. A caller that expects a single
-    /// one can detect others.
+    /// publisher can detect others.
     pub fn publishers(&self) -> Vec<PublisherStatus> {
         self.topic.publishers()
     }
@@ -289,7 +289,7 @@ impl SubscribedTopic {
         self.add_links(&mut state, uris);
     }
 
-    /// Adds publishers to the known ones. None is removed, because the answer to a registration may be older than a
+    /// Adds publishers to the known publishers. No publisher is removed, because the answer to a registration may be older than a
     /// list that has arrived since.
     pub(super) fn add_publishers(self: &Arc<Self>, uris: &[String]) {
         self.add_links(&mut self.state(), uris);

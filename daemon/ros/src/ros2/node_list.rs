@@ -72,7 +72,7 @@ impl ListEntry {
     /// [`NodeListError`].
     pub(crate) fn decode(payload: &Bytes) -> Result<Self, NodeListError> {
         let [short, long] = IDENTIFIER_LENGTHS.map(|length| Self::decode_with_length(payload, length));
-        // A message of one length has bytes left, or too few, if it is read with the other length.
+        // If a message is read with the wrong length, bytes remain or are missing.
         short.or_else(|error| long.map_err(|_| error))
     }
 

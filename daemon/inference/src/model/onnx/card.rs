@@ -51,7 +51,7 @@ pub(super) struct Input {
     pub(super) name: String,
     dtype: DataType,
     pub(super) layout: Layout,
-    /// Four lengths in the order of the layout; the first one, the batch, is 1.
+    /// Four lengths in the order of the layout; the first, the batch, is 1.
     #[serde(deserialize_with = "lengths")]
     pub(super) shape: [usize; 4],
     pub(super) colour: Colour,
@@ -114,7 +114,7 @@ pub(super) enum Resize {
         #[serde(default = "yes")]
         antialias: bool,
     },
-    /// Resizes the shorter side to this length, and the other one in proportion, rounded down. Pixels.
+    /// Resizes the shorter side to this length, and the other side in proportion, rounded down. Pixels.
     Shortest {
         size: u32,
         #[serde(default)]
@@ -302,7 +302,7 @@ impl Output {
         if self.labels.is_empty() || self.top_k == Some(0) {
             return Err(CardError::NoLabels);
         }
-        // Labels are compared without regard to case and spaces; two that differ in those alone are told apart by nobody.
+        // Labels are compared without regard to case and spaces, so that two labels must not differ in these alone.
         let mut seen = HashSet::new();
         if let Some(label) = self.labels.iter().find(|label| !seen.insert(normalized_label(label))) {
             return Err(CardError::DuplicateLabel(label.clone()));

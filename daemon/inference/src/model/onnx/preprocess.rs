@@ -13,7 +13,7 @@ pub(super) enum InputError {
     /// The sample has no part.
     #[error("it has no payload")]
     NoPayload,
-    /// The first part is not a picture, or one that cannot be decoded, resized or cropped.
+    /// The first part is not a picture, or it cannot be decoded, resized or cropped.
     #[error(transparent)]
     Picture(#[from] ImageError),
     /// The picture has another size than the input, and the card does not resize.

@@ -82,7 +82,7 @@ impl FrameBuffer {
         }
         let mut room = self.bytes.capacity() - arrived;
         if frame > READ_BYTES {
-            // At most twice what has arrived, so that a claimed length takes no memory from others.
+            // At most twice the bytes that have arrived, so that a claimed length takes no memory from others.
             let allowed = frame.min((2 * arrived).max(READ_BYTES));
             if !self.memory.grow(allowed, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });

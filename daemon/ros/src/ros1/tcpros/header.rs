@@ -64,7 +64,7 @@ impl ConnectionHeader {
         self.get(name).ok_or(HeaderError::Missing { name })
     }
 
-    /// Reads the fields of a frame. Of two fields with the same name the last one is used.
+    /// Reads the fields of a frame. Of two fields with the same name the last is used.
     ///
     /// # Errors
     /// If the bytes are not a header.

@@ -53,7 +53,7 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if there is none within `time_limit`, with what was tried.
+    /// [`Ros2Error::NoPeer`] if no subscription is found within `time_limit`; it says what was tried.
     pub async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         self.endpoint.wait_for_peer(time_limit).await
     }
@@ -116,8 +116,8 @@ impl Ros2Publisher {
         }
     }
 
-    /// Counts all messages so far as acknowledged, so that a slow subscription does not stop later messages. Messages
-    /// that it lacks are still kept for it.
+    /// Counts all messages so far as acknowledged, so that a slow subscription does not stop later messages. The
+    /// messages that it has not received are still kept for it.
     pub fn forget_unacknowledged(&self) {
         self.unacknowledged_bytes.store(0, Ordering::Relaxed);
     }
@@ -145,7 +145,7 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::Unacknowledged`] if they do not within `time_limit`.
+    /// [`Ros2Error::Unacknowledged`] if not all messages are acknowledged within `time_limit`.
     pub async fn wait_for_acknowledgment(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         let acknowledged = tokio::time::timeout(time_limit, self.writer.async_wait_for_acknowledgments());
         match self.endpoint.node.closed.run_until_cancelled(acknowledged).await {

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use peernet_external::sha256;
 
-/// Largest data set whose contents are hashed, bytes. Hashing 256 MiB takes a second at most; a larger one would delay the run.
+/// Largest data set whose contents are hashed, bytes. Hashing 256 MiB takes a second at most; a larger data set would delay the run.
 const MAX_HASHED_BYTES: u64 = 256 << 20;
 
 /// Describes files with their names in the data set: number, bytes and hash.

@@ -40,7 +40,7 @@ pub struct ImagesConfig {
     /// `true` to begin again after the last picture, if shuffled in a new order. Default: `true`.
     #[serde(default = "yes")]
     pub repeat: bool,
-    /// File of labels, at any place: comma-separated, with the columns `file` (path below `path`) and `label`. It may
+    /// File of labels, in any folder: comma-separated, with the columns `file` (path below `path`) and `label`. It may
     /// list files that are not in the folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<PathBuf>,

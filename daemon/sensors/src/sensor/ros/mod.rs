@@ -21,7 +21,7 @@ use super::{DROPPED_SAMPLES, SensorKind};
 use crate::{Sensor, SensorError};
 
 /// Transit from `header.stamp` of the message to its arrival at this host, with both stamps. It has no clock
-/// relation, because ROS does not tell whose clock a stamp is of.
+/// relation, because ROS does not say which clock made a stamp.
 const CAPTURE_DELAY: Name = Name::from_static("capture-delay");
 
 /// Configuration of the sensor: `{ kind = "ros", … }`. Each sample is a message of the topic.
@@ -141,7 +141,7 @@ impl Ros {
         read
     }
 
-    /// Records capture time and arrival, and the delay between them if both stamps are of one clock.
+    /// Records capture time and arrival, and the delay between them if one clock made both stamps.
     fn record_stamp(&self, stamp: WallTime, received: WallTime, recorder: &mut Recorder) {
         let raw = received - stamp;
         let delay = match self.config.stamp_clock {
