@@ -134,12 +134,12 @@ impl ModelOnDisk {
     /// # Errors
     /// When a file cannot be read.
     pub fn hash(&self) -> Result<String, LoadError> {
-        onnx::hash_network(&self.folder)
+        onnx::hash_model(&self.folder)
     }
 
     /// Returns the size of these files, bytes; `None` if one is missing or `model.onnx` is not a model.
     pub fn size(&self) -> Option<u64> {
-        onnx::files(&self.folder).ok()?.iter().map(|file| Some(file.metadata().ok()?.len())).sum()
+        onnx::model_files(&self.folder).ok()?.iter().map(|file| Some(file.metadata().ok()?.len())).sum()
     }
 }
 
