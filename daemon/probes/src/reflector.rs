@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::refusal_log::RefusalLog;
-use crate::socket::{ProbeSocket, Received, Token};
+use crate::socket::{ProbeSocket, ReceivedPacket, Token};
 use crate::stamp::kernel::KernelStamp;
 use crate::stamp::reflector::{Arrival, ReflectorState, SessionId};
 use crate::stamp::uncertainty::ORDER_TOLERANCE;
@@ -244,7 +244,7 @@ impl Reflector {
         }
     }
 
-    async fn answer(&mut self, packet: &mut [u8], received: &Received) -> Result<(), Refusal> {
+    async fn answer(&mut self, packet: &mut [u8], received: &ReceivedPacket) -> Result<(), Refusal> {
         let read = self.clock.stamp();
         let kernel = received.kernel.filter(|stamp| *stamp <= read.wall + ORDER_TOLERANCE);
         if kernel.is_none() && received.kernel.is_some() {

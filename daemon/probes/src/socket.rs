@@ -37,7 +37,7 @@ pub(crate) type Token = SendTimestampToken;
 
 /// A packet that was received.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Received {
+pub(crate) struct ReceivedPacket {
     pub(crate) bytes: usize,
     pub(crate) source: SocketAddr,
     /// Address of this machine to which it was sent.
@@ -163,9 +163,9 @@ impl ProbeSocket {
     }
 
     /// Waits for the next packet. Cancel safe.
-    pub(crate) async fn receive(&self, buffer: &mut [u8]) -> io::Result<Received> {
+    pub(crate) async fn receive(&self, buffer: &mut [u8]) -> io::Result<ReceivedPacket> {
         let received = self.inner.recv(buffer).await?;
-        Ok(Received {
+        Ok(ReceivedPacket {
             bytes: received.bytes_read,
             source: received.remote_addr,
             local: received.local_addr,

@@ -78,15 +78,15 @@ thread_local! {
 /// Outside of it each command is serialized as its program and the number of its arguments, whatever its key.
 pub fn with_arguments<T>(write: impl FnOnce() -> T) -> T {
     /// Restores the previous mode, also when `write` panics.
-    struct Restore(bool);
+    struct ShowsArgumentsGuard(bool);
 
-    impl Drop for Restore {
+    impl Drop for ShowsArgumentsGuard {
         fn drop(&mut self) {
             SHOWS_ARGUMENTS.set(self.0);
         }
     }
 
-    let _restore = Restore(SHOWS_ARGUMENTS.replace(true));
+    let _restore = ShowsArgumentsGuard(SHOWS_ARGUMENTS.replace(true));
     write()
 }
 

@@ -13,7 +13,7 @@ use peernet_sample::escaped_line;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::log_limit::{LogLimit, Volume};
+use super::log_limit::{LogLimit, LogVolume};
 
 /// Longest line in the log, bytes; a longer one is split.
 const MAX_LINE_BYTES: usize = 4096;
@@ -47,8 +47,8 @@ impl StderrLog {
         }
     }
 
-    fn log_omission(self, name: &str, omitted: Volume) {
-        let Volume { lines, bytes } = omitted;
+    fn log_omission(self, name: &str, omitted: LogVolume) {
+        let LogVolume { lines, bytes } = omitted;
         let limit = LogLimit::in_words();
         self.log_line(
             name,

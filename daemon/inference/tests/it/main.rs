@@ -72,12 +72,12 @@ fn run(pool: &Pool, sample: Sample) -> FinishedJob {
 struct Answer {
     label: String,
     score: f64,
-    top: Vec<Ranked>,
+    top: Vec<RankedLabel>,
 }
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Ranked {
+struct RankedLabel {
     label: String,
     score: f64,
 }

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::error::NodeError;
 use super::limits::QueueLimits;
-use super::outgoing::{Offer, OutgoingConnection, SendCounts};
+use super::outgoing::{OfferOutcome, OutgoingConnection, SendCounts};
 use super::registration_guard::RegistrationGuard;
 use super::tcpros::{ConnectionHeader, Publication};
 use crate::messages::EncodedMessage;
@@ -80,9 +80,9 @@ impl Publisher {
         let mut published = PublishOutcome::default();
         for connection in connections {
             match connection.offer(&message, prefix, true) {
-                Offer::Accepted => published.subscribers += 1,
-                Offer::Full => published.dropped += 1,
-                Offer::Closed => {}
+                OfferOutcome::Accepted => published.subscribers += 1,
+                OfferOutcome::Full => published.dropped += 1,
+                OfferOutcome::Closed => {}
             }
         }
         Ok(published)
@@ -99,9 +99,9 @@ impl Publisher {
             let offer = connection.offer(&message, prefix, true);
             if *connection.subscriber == *node {
                 delivery = match offer {
-                    Offer::Accepted => Delivery::Accepted,
-                    Offer::Full => Delivery::Full,
-                    Offer::Closed => delivery,
+                    OfferOutcome::Accepted => Delivery::Accepted,
+                    OfferOutcome::Full => Delivery::Full,
+                    OfferOutcome::Closed => delivery,
                 };
             }
         }

@@ -12,7 +12,7 @@ use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::ros::fragments::FrameFragments;
 use crate::transport::ros::frames;
-use crate::transport::ros::pairing::{Half, Pairing, request_number};
+use crate::transport::ros::pairing::{MessageHalf, Pairing, request_number};
 
 /// Messages that have arrived in part. Their memory is reserved, and each waits for a limited time.
 #[derive(Debug)]
@@ -76,7 +76,7 @@ impl MessageAssembly {
         };
         let stamp = info.header.stamp.as_nanos();
         if info.has_payload {
-            self.receive_half(stamp, Half::Info(Box::new(info)), reserved, now, events);
+            self.receive_half(stamp, MessageHalf::Info(Box::new(info)), reserved, now, events);
             return;
         }
         // Until the other end knows that payloads arrive on their topic, it sends each payload there and in the companion.
@@ -117,13 +117,13 @@ impl MessageAssembly {
         // If memory is short, the companion reports the loss, because it has the number of the request and is still to
         // come.
         let Some(reserved) = self.reserve(payload.len()) else { return };
-        self.receive_half(stamp, Half::Payload(payload), reserved, now, events);
+        self.receive_half(stamp, MessageHalf::Payload(payload), reserved, now, events);
     }
 
     fn receive_half(
         &mut self,
         stamp: i64,
-        half: Half,
+        half: MessageHalf,
         reserved: Reservation,
         now: MonoTime,
         events: &mut EventQueue,
