@@ -34,7 +34,7 @@ pub enum LoadError {
         known: Vec<String>,
     },
     /// The request names no model although several are offered.
-    #[error("the request names no model; {}; name one", offered_text(.known))]
+    #[error("the request names no model; {}; name a model", offered_text(.known))]
     Unnamed {
         /// The models that this host offers.
         known: Vec<String>,
@@ -56,7 +56,7 @@ pub enum LoadError {
         in_use: Vec<String>,
     },
     /// Two models have the same name.
-    #[error("two models are named {0}; give each its own name")]
+    #[error("two models are named {0}; give each a different name")]
     Duplicate(String),
     /// A value is above its upper limit.
     #[error("{value} is above the limit of {most}")]

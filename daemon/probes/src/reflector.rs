@@ -63,7 +63,7 @@ pub enum BindError {
     NotPermitted(SocketAddr),
     /// The address does not belong to this machine.
     #[error(
-        "cannot listen for probes on {0}: this machine has no such address; use one of its own, or 0.0.0.0 or [::]"
+        "cannot listen for probes on {0}: this machine has no such address; use one of its addresses, or 0.0.0.0 or [::]"
     )]
     NoSuchAddress(SocketAddr),
     /// Another error.

@@ -33,7 +33,9 @@ pub enum PythonError {
     #[error("{} is not a folder; set folder to the folder that contains the module", .0.display())]
     Folder(PathBuf),
     /// The interpreter does not exist.
-    #[error("there is no Python at {0}; install python3, or name one with python or PEERNET_PYTHON")]
+    #[error(
+        "there is no Python at {0}; install python3, or name an interpreter with the key python or the variable PEERNET_PYTHON"
+    )]
     NoPython(String),
     /// Python does not find the module.
     #[error(

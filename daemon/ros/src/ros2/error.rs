@@ -15,7 +15,7 @@ pub enum Ros2Error {
     )]
     NotBuilt,
     /// The name is not allowed in ROS 2.
-    #[error("`{name}` is not a valid {kind} name in ROS 2; a valid one is `{example}`")]
+    #[error("`{name}` is not a valid {kind} name in ROS 2; a valid name is `{example}`")]
     InvalidName {
         /// The name.
         name: String,
@@ -102,7 +102,7 @@ pub enum Ros2Error {
     },
     /// Some published messages were not acknowledged in time.
     #[error(
-        "subscriptions of topic {topic} did not acknowledge all messages within {waited:?}; the unacknowledged ones are lost"
+        "subscriptions of topic {topic} did not acknowledge all messages within {waited:?}; unacknowledged messages are lost"
     )]
     Unacknowledged {
         /// The topic.

@@ -19,7 +19,7 @@ pub(super) enum PayloadType {
 /// Error: a payload message cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PayloadError {
-    #[error("its type {0} is not one that carries payloads of sessions")]
+    #[error("its type {0} cannot carry payloads of sessions")]
     OtherType(String),
     #[error(transparent)]
     Decode(#[from] DecodeError),

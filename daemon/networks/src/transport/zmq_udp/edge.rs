@@ -187,7 +187,7 @@ impl Machine for EdgeEnd {
     }
 
     fn handle_port_unreachable(&mut self) {
-        self.connection.end("nobody listens at the peer's port any more");
+        self.connection.end("no program listens at the peer's port any more");
     }
 
     fn tick(&mut self, now: MonoTime) {

@@ -22,7 +22,7 @@ const MAX_GROWTH: usize = 16;
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// The frame is longer than allowed.
-    #[error("the peer announces a frame of {length} bytes; the longest allowed has {max}")]
+    #[error("the peer announces a frame of {length} bytes; the limit is {max}")]
     TooLong {
         /// Announced length. Bytes.
         length: usize,

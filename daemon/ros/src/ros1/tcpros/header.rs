@@ -26,7 +26,7 @@ pub enum HeaderError {
     #[error("a field of the connection header is not UTF-8")]
     NotUtf8,
     /// A required field is missing.
-    #[error("the connection header lacks the field {name}")]
+    #[error("the connection header does not contain the field {name}")]
     Missing {
         /// Name of the field.
         name: &'static str,

@@ -33,7 +33,7 @@ pub(super) async fn find_cloud(
     let found = wait_for_discovery(&node, time_limit, || clouds().len() == 1).await;
     if found.is_err() && clouds().is_empty() {
         return Err(NodeFailure(format!(
-            "{} has no cloud with the name {}: nobody subscribes to {sessions} within {} s; {}",
+            "{} has no cloud with the name {}: no node subscribes to {sessions} within {} s; {}",
             node.describe_domain(),
             topics.cloud,
             time_limit.as_secs_f64(),
@@ -47,7 +47,7 @@ pub(super) async fn find_cloud(
     match clouds.first() {
         Some(cloud) if clouds.len() == 1 => Ok(cloud.to_string().into()),
         _ => Err(NodeFailure(format!(
-            "{} clouds serve the name {} in {}; stop all but one, or give each a name of its own",
+            "{} clouds serve the name {} in {}; stop all but one, or give each a different name",
             clouds.len(),
             topics.cloud,
             node.describe_domain(),
