@@ -10,7 +10,7 @@ use crate::size::check_size;
 use crate::{ImageError, Picture};
 
 /// Filter that combines pixels when a picture is scaled. When the picture becomes smaller, all filters but `nearest`
-/// average over every source pixel (as Pillow does; "antialias" elsewhere).
+/// average over every source pixel, as Pillow does. Other libraries call this "antialias".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Filter {
@@ -33,7 +33,7 @@ pub struct Scaling {
     /// Filter that combines pixels.
     pub filter: Filter,
     /// `true` to average over all source pixels when the picture becomes smaller. Otherwise only the nearest pixels
-    /// count, as many as when it becomes larger; some models were trained with such pictures.
+    /// count, the same number as when the picture becomes larger; some models were trained with such pictures.
     pub antialias: bool,
 }
 

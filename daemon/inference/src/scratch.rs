@@ -62,7 +62,7 @@ fn remove_abandoned(parent: &Path) {
         if !is_ours || !file.is_file() {
             continue;
         }
-        // The lock is held until the folder is deleted, so that no other program takes it meanwhile.
+        // The lock is held until the folder is deleted, so that no other program takes the folder before.
         let Ok(lock) = File::open(&file) else { continue };
         if lock.try_lock().is_ok()
             && let Err(error) = fs::remove_dir_all(&folder)

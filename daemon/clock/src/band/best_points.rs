@@ -77,7 +77,7 @@ impl BestPoints {
         self.points.range(end.saturating_sub(count)..end).copied()
     }
 
-    /// Returns whether the points [`around`](Self::around) `x` are the newest ones and all lie within `reach` of it.
+    /// Returns whether the points [`around`](Self::around) `x` are the newest points and all lie within `reach` of it.
     pub(super) fn newest_points_are_around(&self, x: i64, count: usize, reach: u64) -> bool {
         let len = self.points.len();
         // `around` returns the newest `count` points if at most `count / 2` of all points are at or after `x`: then the point

@@ -1,7 +1,7 @@
 //! The point estimate of the offset within the band, and its rate.
 //!
 //! The estimate keeps the best point of each second on either side. The skew is the mean slope of two lines, one below
-//! all upper points and one above all lower ones, of about twenty seconds around the time of the query. After the skew is
+//! all upper points and the other above all lower points, of about twenty seconds around the time of the query. After the skew is
 //! removed, the remaining drift is a wander much slower than the limit, so that the band of these points is much
 //! narrower. The estimate is the middle of this narrow band. It assumes that the shortest delays of both directions are
 //! equal. This cannot be verified, and the bounds do not rely on it.
@@ -40,8 +40,8 @@ pub(super) struct Trend {
     upper: BestPoints,
     /// Lower bounds with the opposite sign.
     lower: BestPoints,
-    /// Skew of the offset as of the newest second. A later point replaces an earlier one of its second if it is lower than
-    /// the earlier one plus the drift at this skew.
+    /// Skew of the offset as of the newest second. A later point replaces an earlier point of its second if it is lower
+    /// than the earlier point plus the drift at this skew.
     slope: f64,
     /// Cached slope of the newest [`ESTIMATE_SECONDS`] seconds, until one of their points changes.
     // Most queries are about the present, and most exchanges change no point.
@@ -104,7 +104,7 @@ impl Trend {
     }
 
     /// Returns the rate of the offset over the latest exchanges in seconds per second. No limit applies, so that clocks
-    /// which exceed theirs are visible.
+    /// that exceed the limit are visible.
     pub(super) fn skew(&self) -> Option<f64> {
         self.slope(self.span?.1, SKEW_SECONDS, f64::INFINITY)
     }

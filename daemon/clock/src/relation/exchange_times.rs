@@ -7,7 +7,7 @@ use crate::{RawTime, Span};
 /// Largest number of stamps kept per window.
 const MAX_STAMPS: i64 = 1024;
 
-/// Times of exchanges in order, no two closer than `min_gap`, except for the newest.
+/// Times of exchanges in order. No two of them are closer than `min_gap`; the newest time is stored in addition.
 #[derive(Clone, Debug)]
 pub(super) struct ExchangeTimes {
     times: VecDeque<RawTime>,

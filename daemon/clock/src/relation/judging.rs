@@ -8,8 +8,8 @@ use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, R
 const MIN_EXCHANGES: u64 = 3;
 
 impl Relation {
-    /// Learns a finished exchange of data, and returns its two delays. If it is refused, they are `stepped`, or
-    /// `unsynchronised` if the clocks were never related.
+    /// Learns a finished exchange of data, and returns its two delays. If the exchange is refused, its delays are
+    /// `stepped`, or `unsynchronised` if the clocks were never related.
     pub fn judge(&mut self, observation: &ExchangeObservation) -> JudgedExchange {
         let exchange = &observation.exchange;
         let is_fresh = self.exchange_times.has_exchange_near(
@@ -17,7 +17,7 @@ impl Relation {
             exchange.returned,
             self.settings.max_fresh_age,
         );
-        // The exchange must not count as a recent one for its own delays, but narrows their intervals.
+        // The exchange must not count as a recent exchange for its own delays, but narrows their intervals.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
         if let LearnResult::Refused(why) = learned {
@@ -35,8 +35,8 @@ impl Relation {
         }
     }
 
-    /// Returns the delay of a message stamped `sent` by its sender's clock and `received` by its receiver's, by the
-    /// exchanges learnt so far.
+    /// Returns the delay of a message stamped `sent` by its sender's clock and `received` by its receiver's clock. Uses
+    /// the exchanges learnt so far.
     pub fn delay(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
         let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.max_fresh_age);
@@ -44,8 +44,8 @@ impl Relation {
     }
 
     /// Returns the differences between the times at which two receivers on the two hosts got the same message, for one
-    /// message in each direction. Each pair contains the stamps of the two receivers; the one on the sender's host comes
-    /// first.
+    /// message in each direction. Each pair contains the stamps of the two receivers; the stamp of the receiver on the
+    /// sender's host comes first.
     ///
     /// A difference and its interval may be negative, because each receiver has its own delay.
     // The relation learns nothing from these stamps. None of them is a departure, so that they do not bound the offset.

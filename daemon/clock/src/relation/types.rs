@@ -14,15 +14,15 @@ pub enum Direction {
     Down,
 }
 
-/// Settings that an estimate rests on in addition to the exchanges.
+/// Settings of a relation: its clocks, the limits of their drift, and the exchanges that count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelationSettings {
     /// Clocks of the two hosts that are related.
     pub clocks: RelatedClocks,
-    /// Largest drift between the two clocks, parts per million. All bounds hold as long as the clocks keep it.
+    /// Largest drift between the two clocks, parts per million. All bounds hold as long as the clocks keep this limit.
     pub max_drift_ppm: f64,
     /// Largest change of the drift, parts per million per second. Used where both clocks run freely: all bounds then
-    /// hold as long as the clocks keep it, too.
+    /// hold as long as the clocks keep this limit, too.
     pub max_drift_change_ppm_per_s: f64,
     /// Largest time between an exchange and a query at which the exchange bounds the offset. The newest eight exchanges
     /// bound it at any distance.
@@ -68,7 +68,7 @@ pub enum LearnResult {
     /// It was accepted.
     Accepted,
     /// It was accepted as the first of a new window, because a clock was stepped before it. The value is the estimate
-    /// after the step minus the one before it, where both exist.
+    /// after the step minus the estimate before it, if both exist.
     Restarted(Option<Span>),
     /// It was accepted as the first of a new window, because a jump is suspected. The value is the movement of the
     /// offset, which is more than queueing on the network explains. Either the path between the hosts changed, or a

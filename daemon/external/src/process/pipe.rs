@@ -112,7 +112,7 @@ impl Wait<'_> {
     }
 }
 
-/// Writes all parts in order, and reads what the process writes meanwhile.
+/// Writes all parts in order, and at the same time reads what the process writes.
 // Otherwise both sides would wait for each other if the process answers before it has read everything.
 pub(super) fn write(
     fd: &OwnedFd,
@@ -135,7 +135,7 @@ pub(super) fn write(
     Ok(())
 }
 
-/// Waits until the pipe accepts more, and reads what the process writes meanwhile.
+/// Waits until the pipe accepts more bytes, and at the same time reads what the process writes.
 fn wait_to_write(fd: &OwnedFd, answers: &mut Reader, wait: Wait<'_>) -> Result<(), PipeError> {
     let writable = (fd, PollFlags::OUT);
     if answers.is_full() {

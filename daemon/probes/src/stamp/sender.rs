@@ -70,7 +70,7 @@ pub struct Departure {
     nonce: Option<Nonce>,
     /// Difference wall clock minus free-running clock, read before the stamp.
     ahead: Interval,
-    /// Edge's epoch, read before the stamp, so that the stamp belongs to this epoch or a later one.
+    /// Edge's epoch, read before the stamp, so that the stamp belongs to this epoch or a later epoch.
     epoch: u32,
 }
 

@@ -32,7 +32,7 @@ fn hash_files(files: &[(&OsStr, &Path)], largest: u64) -> io::Result<(u64, Strin
     let bytes = sizes.iter().sum();
     let (is_small, mut list) = (bytes <= largest, Vec::new());
     for ((name, file), size) in files.iter().zip(sizes) {
-        // No more than the size is read, so that a file that grows meanwhile does not delay the run.
+        // No more than the size is read, so that a file that grows at the same time does not delay the run.
         let hash_or_size = if is_small { sha256(File::open(file)?.take(size))? } else { size.to_string() };
         list.extend([hash_or_size.as_bytes(), b"  ", name.as_encoded_bytes(), b"\n"].concat());
     }
