@@ -60,10 +60,10 @@ impl AnswerType {
 }
 
 impl RosActuatorConfig {
-    fn validated(&self) -> Result<(RosVersion, MessageType), ActuatorError> {
-        let of = MessageType::try_from(self.message_type.name().to_owned())?;
-        let version = check_topic(self.ros_version, &self.topic, Some(&of))?;
-        Ok((version, of))
+    fn check_topic_and_type(&self) -> Result<(RosVersion, MessageType), ActuatorError> {
+        let message_type = MessageType::try_from(self.message_type.name().to_owned())?;
+        let version = check_topic(self.ros_version, &self.topic, Some(&message_type))?;
+        Ok((version, message_type))
     }
 }
 
@@ -71,7 +71,7 @@ impl ActuatorKind for RosActuatorConfig {
     /// Publishes the topic now, so that subscribers are connected before the first answer. If the master does not answer,
     /// each answer tries again.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
-        let (version, _) = self.validated()?;
+        let (version, _) = self.check_topic_and_type()?;
         let mut ros = Ros { config: self.clone(), version, clock: SharedClock::clone(clock), writer: None };
         if let Err(error) = ros.writer() {
             tracing::warn!(topic = self.topic, %error, "cannot publish answers on a topic yet; each answer tries again");
@@ -80,19 +80,19 @@ impl ActuatorKind for RosActuatorConfig {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        let version = self.validated().map(|(version, _)| version.to_string());
+        let version = self.check_topic_and_type().map(|(version, _)| version.to_string());
         let version = version.unwrap_or_else(|_| "ROS".to_owned());
         let topic = format!("{version} topic {} ({})", self.topic, self.message_type.name());
         vec![("Actuator".to_owned(), topic)]
     }
 
     fn check(&self) -> Result<(), ActuatorError> {
-        self.validated().map(drop)
+        self.check_topic_and_type().map(drop)
     }
 
     fn remarks(&self) -> Vec<String> {
-        let Ok((version, of)) = self.validated() else { return Vec::new() };
-        match check_topic_at_master(version, &self.topic, Some(&of), TopicAccess::Write) {
+        let Ok((version, message_type)) = self.check_topic_and_type() else { return Vec::new() };
+        match check_topic_at_master(version, &self.topic, Some(&message_type), TopicAccess::Write) {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],
         }

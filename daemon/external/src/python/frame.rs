@@ -94,7 +94,7 @@ impl PartHead {
 /// Defect of a message from the worker.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
-    /// The message does not begin with [`MESSAGE_PREFIX`].
+    /// The message does not begin with `PN1`.
     #[error("it starts with {0:?} instead of PN1; does the program write to the pipe of PEERNet?")]
     Prefix(String),
     /// The header is longer than allowed.

@@ -63,8 +63,8 @@ async fn listen(host: &str) -> Result<TcpListener, NodeError> {
 
 fn port(listener: &TcpListener) -> Result<u16, NodeError> {
     let address = SocketAddr::from(([0; 4], 0));
-    let own = listener.local_addr().map_err(|source| NodeError::Listen { address, source })?;
-    Ok(own.port())
+    let local = listener.local_addr().map_err(|source| NodeError::Listen { address, source })?;
+    Ok(local.port())
 }
 
 /// Returns the host that a node gives to others if no environment variable sets it.

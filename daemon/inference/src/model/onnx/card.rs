@@ -111,7 +111,7 @@ pub(super) enum Resize {
         #[serde(default)]
         filter: Filter,
         /// `true` to average over all source pixels when the picture becomes smaller.
-        #[serde(default = "yes")]
+        #[serde(default = "default_true")]
         antialias: bool,
     },
     /// Resizes the shorter side to this length, and the other side in proportion, rounded down. Pixels.
@@ -120,7 +120,7 @@ pub(super) enum Resize {
         #[serde(default)]
         filter: Filter,
         /// `true` to average over all source pixels when the picture becomes smaller.
-        #[serde(default = "yes")]
+        #[serde(default = "default_true")]
         antialias: bool,
     },
 }
@@ -363,7 +363,7 @@ impl fmt::Display for Layout {
     }
 }
 
-const fn yes() -> bool {
+const fn default_true() -> bool {
     true
 }
 

@@ -90,7 +90,8 @@ pub(super) fn encode(
     }
 }
 
-/// Decodes a payload message of a type. Returns the connection, the stamp of its companion, and the payload.
+/// Decodes a payload message of a type. Returns the connection, the stamp of its companion message (`mod.rs`), and the
+/// payload.
 pub(super) fn decode(
     form: WireForm,
     type_name: &str,

@@ -162,8 +162,8 @@ impl PayloadTopic {
 
 /// Returns the smaller size of both ends' socket buffers in bytes; `None` if payloads of any length arrive.
 fn max_payload_bytes(node: &dyn SessionNode, peer: PeerState) -> Option<usize> {
-    let own = node.receive_buffer_bytes()?;
-    Some(peer.receive_buffer_bytes.map_or(own, |theirs| own.min(theirs as usize)))
+    let own_bytes = node.receive_buffer_bytes()?;
+    Some(peer.receive_buffer_bytes.map_or(own_bytes, |peer_bytes| own_bytes.min(peer_bytes as usize)))
 }
 
 /// Returns the remark about a payload that is too long for the socket buffers.
