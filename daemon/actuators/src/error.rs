@@ -1,6 +1,6 @@
 //! Errors of actuators.
 
-use peernet_external::exec::{CommandError, ExchangeError};
+use peernet_external::exec::{CommandError, ProgramCallError};
 use peernet_ros::topics::{InvalidMessageType, TopicError};
 
 /// Reason why an actuator did not act on an answer or cannot be built.
@@ -15,7 +15,7 @@ pub enum ActuatorError {
         /// The program without its arguments, which may be secret.
         command: String,
         /// The error.
-        error: ExchangeError,
+        error: ProgramCallError,
     },
     /// ROS has no message type of this name.
     #[error(transparent)]

@@ -47,18 +47,22 @@ impl ActuatorKind for ExecConfig {
 }
 
 impl Actuator for Exec {
-    fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
+    fn act(&mut self, source: &str, answer: &Sample, recorder: &mut Recorder) -> Result<(), ActuatorError> {
         let request = Request::Answer { answer, source };
         let failed = |error| ActuatorError::Program { command: self.command.clone(), error };
-        let exchange = self.program.call(request).map_err(failed)?;
-        if let Some((from, to)) = exchange.restart_interval() {
-            log.record_timer(stage::ACTUATION_RESTART, from, to);
+        let program_call = self.program.call(request).map_err(failed)?;
+        if let Some((from, to)) = program_call.restart_interval() {
+            recorder.record_timer(stage::ACTUATION_RESTART, from, to);
         }
-        for (name, span) in &exchange.notes.stages {
-            log.record_timer(Name::from(name.as_str()), exchange.started_at, exchange.started_at + *span);
+        for (name, span) in &program_call.notes.stages {
+            recorder.record_timer(
+                Name::from(name.as_str()),
+                program_call.started_at,
+                program_call.started_at + *span,
+            );
         }
-        for (name, value, unit) in &exchange.notes.values {
-            log.value(Name::from(name.as_str()), *value, Unit::new(unit));
+        for (name, value, unit) in &program_call.notes.values {
+            recorder.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         Ok(())
     }
@@ -95,11 +99,11 @@ mod tests {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut actuator = config.build(&clock).expect("sh is there");
         assert!(actuator.blocks());
-        let mut log = Recorder::new(SharedClock::clone(&clock), HostId::random());
+        let mut recorder = Recorder::new(SharedClock::clone(&clock), HostId::random());
         let answer = Sample::from_part(Description::unshaped(MediaType::Text), "left".into());
-        actuator.act("door", &answer, &mut log).expect("acts");
-        assert_eq!(log.tree().find(&["force"]).and_then(|(_, node)| node.measure.value()), Some(2.5));
-        let error = actuator.act("wall", &answer, &mut log).expect_err("says so").to_string();
+        actuator.act("door", &answer, &mut recorder).expect("acts");
+        assert_eq!(recorder.tree().find(&["force"]).and_then(|(_, node)| node.measure.value()), Some(2.5));
+        let error = actuator.act("wall", &answer, &mut recorder).expect_err("says so").to_string();
         assert!(error.contains("too close"), "{error}");
         let written = std::fs::read_to_string(&file).expect("was written");
         assert_eq!(written, "answer text/plain door: left\nanswer text/plain wall: left\n");
@@ -115,10 +119,11 @@ mod tests {
         for (answer, acts, restarted) in
             [("go", true, false), ("die", false, false), ("go", true, true), ("go", true, false)]
         {
-            let mut log = Recorder::new(SharedClock::clone(&clock), HostId::random());
+            let mut recorder = Recorder::new(SharedClock::clone(&clock), HostId::random());
             let answer = Sample::from_part(Description::unshaped(MediaType::Text), answer.into());
-            assert_eq!(actuator.act("door", &answer, &mut log).is_ok(), acts);
-            let waited = log.tree().find(&["actuation-restart"]).and_then(|(_, node)| node.measure.value());
+            assert_eq!(actuator.act("door", &answer, &mut recorder).is_ok(), acts);
+            let waited =
+                recorder.tree().find(&["actuation-restart"]).and_then(|(_, node)| node.measure.value());
             assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
         }
     }

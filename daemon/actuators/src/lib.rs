@@ -24,7 +24,7 @@ pub trait Actuator: Send {
     ///
     /// # Errors
     /// If the action fails; the iteration is recorded as failed.
-    fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError>;
+    fn act(&mut self, source: &str, answer: &Sample, recorder: &mut Recorder) -> Result<(), ActuatorError>;
 
     /// Returns whether `act` may block, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {

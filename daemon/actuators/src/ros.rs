@@ -17,7 +17,7 @@ const DROPPED_ANSWERS: Name = Name::from_static("dropped-answers");
 
 /// Configuration of the actuator: `{ kind = "ros", … }`. Each part of an answer is published as a message.
 ///
-/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as for every ROS node.
+/// Environment variables select the master of ROS 1 and the domain of ROS 2, as for every ROS node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RosActuatorConfig {
@@ -26,7 +26,7 @@ pub struct RosActuatorConfig {
     /// Type of the messages. Default: `std_msgs/String`.
     #[serde(default, rename = "type")]
     pub message_type: AnswerType,
-    /// ROS version, 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
+    /// ROS version, 1 or 2. Default: the value of `ROS_VERSION`, else the version of `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
 }
@@ -60,10 +60,10 @@ impl AnswerType {
 }
 
 impl RosActuatorConfig {
-    fn validated(&self) -> Result<(RosVersion, MessageType), ActuatorError> {
-        let of = MessageType::try_from(self.message_type.name().to_owned())?;
-        let version = check_topic(self.ros_version, &self.topic, Some(&of))?;
-        Ok((version, of))
+    fn check_topic_and_type(&self) -> Result<(RosVersion, MessageType), ActuatorError> {
+        let message_type = MessageType::try_from(self.message_type.name().to_owned())?;
+        let version = check_topic(self.ros_version, &self.topic, Some(&message_type))?;
+        Ok((version, message_type))
     }
 }
 
@@ -71,7 +71,7 @@ impl ActuatorKind for RosActuatorConfig {
     /// Publishes the topic now, so that subscribers are connected before the first answer. If the master does not answer,
     /// each answer tries again.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
-        let (version, _) = self.validated()?;
+        let (version, _) = self.check_topic_and_type()?;
         let mut ros = Ros { config: self.clone(), version, clock: SharedClock::clone(clock), writer: None };
         if let Err(error) = ros.writer() {
             tracing::warn!(topic = self.topic, %error, "cannot publish answers on a topic yet; each answer tries again");
@@ -80,19 +80,19 @@ impl ActuatorKind for RosActuatorConfig {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        let version = self.validated().map(|(version, _)| version.to_string());
+        let version = self.check_topic_and_type().map(|(version, _)| version.to_string());
         let version = version.unwrap_or_else(|_| "ROS".to_owned());
         let topic = format!("{version} topic {} ({})", self.topic, self.message_type.name());
         vec![("Actuator".to_owned(), topic)]
     }
 
     fn check(&self) -> Result<(), ActuatorError> {
-        self.validated().map(drop)
+        self.check_topic_and_type().map(drop)
     }
 
     fn remarks(&self) -> Vec<String> {
-        let Ok((version, of)) = self.validated() else { return Vec::new() };
-        match check_topic_at_master(version, &self.topic, Some(&of), TopicAccess::Write) {
+        let Ok((version, message_type)) = self.check_topic_and_type() else { return Vec::new() };
+        match check_topic_at_master(version, &self.topic, Some(&message_type), TopicAccess::Write) {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],
         }
@@ -144,12 +144,12 @@ impl Ros {
 }
 
 impl Actuator for Ros {
-    fn act(&mut self, _source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
+    fn act(&mut self, _source: &str, answer: &Sample, recorder: &mut Recorder) -> Result<(), ActuatorError> {
         let mut dropped = 0;
         for part in &answer.parts {
             dropped += self.publish(part)?.dropped;
         }
-        log.value(DROPPED_ANSWERS, dropped as f64, Unit::NONE);
+        recorder.value(DROPPED_ANSWERS, dropped as f64, Unit::NONE);
         Ok(())
     }
 
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_type_is_refused_with_those_there_are() {
+    fn unknown_type_error_lists_possible_types() {
         let error = read("kind = 'ros'\ntopic = '/a'\ntype = 'std_msgs/Strin'").expect_err("there is none");
         assert!(error.contains("`std_msgs/String` or `std_msgs/UInt8MultiArray`"), "{error}");
         let error = read("kind = 'ros'\ntopic = '/a'\nros_version = 3").expect_err("there is none");

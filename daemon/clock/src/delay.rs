@@ -1,4 +1,4 @@
-//! The one-way delay between two hosts: its stamps, its corrected value, and how far that can be trusted.
+//! The one-way delay between two hosts: its raw difference, its corrected value with an interval, and a verdict on it.
 
 use std::fmt;
 
@@ -68,7 +68,7 @@ pub enum DelaySource {
     None,
 }
 
-/// Reciprocal of the share of delays that need a verdict, or a worse one, for it to be the verdict on all of them.
+/// Reciprocal of a share: a verdict prevails if at least this share of the delays have it or a worse verdict.
 const MIN_SHARE_RECIPROCAL: u64 = 20;
 
 /// Degree to which a delay can be trusted.
@@ -102,9 +102,9 @@ impl Verdict {
         }
     }
 
-    /// Returns the verdict on many delays from the number of delays by verdict: the worst verdict for which at least a
-    /// twentieth of the delays have it or a worse one. `None` without delays.
-    // A few bad delays must not hide that all others are good, and many must not be hidden by the others.
+    /// Returns the verdict on many delays from the number of delays by verdict: the worst verdict that at least a
+    /// twentieth of the delays have or exceed. `None` without delays.
+    // A few bad delays must not hide that all others are good, and many bad delays must not be hidden by good ones.
     pub fn prevailing(counts: impl IntoIterator<Item = (Self, u64)>) -> Option<Self> {
         let mut counts: Vec<(Self, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();
         let total: u64 = counts.iter().map(|(_, count)| count).sum();

@@ -65,7 +65,7 @@ impl ClockIdentity {
     }
 
     /// Creates an identity for a time namespace.
-    // The initial namespace is left out, so that the identity equals that of releases which ignore namespaces.
+    // The initial namespace is left out, so that the identity equals the identity in releases that ignore namespaces.
     fn in_namespace(boot: &str, namespace: &str, clock: &str) -> Self {
         if namespace == Self::INITIAL_TIME_NAMESPACE {
             Self::new(boot, clock)
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn time_namespace_is_that_of_the_identity() {
+    fn time_namespace_equals_namespace_in_identity() {
         let link =
             std::fs::read_link(ClockIdentity::TIME_NAMESPACE).expect("this kernel has time namespaces");
         let inode = time_namespace().expect("it was just read");

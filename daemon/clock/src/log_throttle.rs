@@ -11,7 +11,7 @@ const LINE_INTERVAL: Span = Span::from_seconds(60);
 // A peer that invents kinds must not use up memory.
 const MAX_KINDS: usize = 256;
 
-/// Selects which of many similar events are logged: the first one at once, then one per minute with the number of events
+/// Selects which of many similar events are logged: the first event at once, then one event per minute with the number of events
 /// since the last line.
 #[derive(Debug, Default)]
 pub struct LogThrottle {

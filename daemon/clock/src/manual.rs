@@ -18,7 +18,7 @@ pub struct ManualClock {
 
 impl ManualClock {
     /// Time that the free-running clock shows at first. It differs from zero, so that its stamps are not mistaken for
-    /// those of another clock.
+    /// stamps of another clock.
     pub const FIRST_RAW: RawTime = RawTime::from_nanos(5_000_000_000_000);
 
     /// Creates a clock whose wall clock shows `wall`, whose monotonic clock shows zero and whose free-running clock
@@ -41,20 +41,21 @@ impl ManualClock {
         self.mono.fetch_add(span.nanos(), Ordering::SeqCst);
     }
 
-    /// Simulates a sleep of the machine: advances the wall clock and the boot clock, and begins a new epoch.
+    /// Simulates a sleep of the machine: advances the wall clock and the boot clock, and counts an
+    /// interruption of the free-running clock ([`Clock::epoch`]).
     pub fn sleep(&self, span: Span) {
         self.wall.fetch_add(span.nanos(), Ordering::SeqCst);
         self.slept.fetch_add(span.nanos(), Ordering::SeqCst);
         self.epoch.fetch_add(1, Ordering::SeqCst);
     }
 
-    /// Moves the wall clock without a new epoch, as a time daemon does that slews it.
+    /// Moves the wall clock without a new epoch, like a time daemon that slews it.
     pub fn slew_wall(&self, by: Span) {
         self.wall.fetch_add(by.nanos(), Ordering::SeqCst);
     }
 
-    /// Steps the wall clock forward or back, as an administrator does. A new epoch of it begins, however small the
-    /// step.
+    /// Steps the wall clock forward or back, like an administrator. A step of any size starts a new epoch of the wall
+    /// clock ([`Clock::wall_epoch`]).
     pub fn step_wall(&self, by: Span) {
         self.wall.fetch_add(by.nanos(), Ordering::SeqCst);
         self.last_step.store(by.nanos(), Ordering::SeqCst);

@@ -76,8 +76,8 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// Returns the number of interruptions of the free-running clock: by sleeps of the machine and by calls of
     /// [`begin_epoch`](Self::begin_epoch).
     ///
-    /// Each call checks for a sleep; the first call after a sleep counts it. Stamps that were taken before a call belong
-    /// to the returned epoch or an earlier one.
+    /// Each call checks for a sleep; the first call after a sleep counts it. Stamps that were taken before a call
+    /// belong to the returned epoch or an earlier epoch.
     // A stamp and a call next to it reveal a sleep with the first message after it, before a periodic check does.
     fn epoch(&self) -> u32 {
         0
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn wall_clock_is_that_of_system() {
+    fn wall_clock_equals_system_time() {
         let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
         #[expect(clippy::disallowed_methods, reason = "the reference that the clock is compared with")]
         let reference = std::time::SystemTime::now()

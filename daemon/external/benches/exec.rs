@@ -58,9 +58,9 @@ fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let sample = Sample::from_part(Description::bytes(), vec![7; size].into());
     let mut taken: Vec<f64> = (0..rounds + rounds / 10)
         .map(|_| {
-            let exchange = program.call(Request::Sample(&sample)).expect("it answers");
-            assert!(matches!(&exchange.outcome, ReplyOutcome::Parts(parts) if *parts == sample.parts));
-            exchange.duration().seconds()
+            let program_call = program.call(Request::Sample(&sample)).expect("it answers");
+            assert!(matches!(&program_call.outcome, ReplyOutcome::Parts(parts) if *parts == sample.parts));
+            program_call.duration().seconds()
         })
         .skip(rounds / 10)
         .collect();

@@ -49,7 +49,7 @@ mod tests {
 
     use super::*;
 
-    fn numbered(width: u32, height: u32) -> Picture {
+    fn numbered_picture(width: u32, height: u32) -> Picture {
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (16 * y + x) as u8)).collect();
         Picture::new(PixelFormat::Grey8, width, height, pixels).expect("fits")
     }
@@ -57,10 +57,11 @@ mod tests {
     #[test]
     fn rectangle_is_at_position_or_centre() {
         let mut target = Picture::default();
-        crop(&numbered(5, 4), Crop { width: 2, height: 2, x: Some(3), y: Some(0) }, &mut target)
+        crop(&numbered_picture(5, 4), Crop { width: 2, height: 2, x: Some(3), y: Some(0) }, &mut target)
             .expect("fits");
         assert_eq!(target.pixels(), [3, 4, 19, 20]);
-        crop(&numbered(5, 4), Crop { width: 2, height: 2, x: None, y: None }, &mut target).expect("fits");
+        crop(&numbered_picture(5, 4), Crop { width: 2, height: 2, x: None, y: None }, &mut target)
+            .expect("fits");
         assert_eq!(target.pixels(), [17, 18, 33, 34]);
     }
 
@@ -68,7 +69,7 @@ mod tests {
         #[test]
         fn rectangle_is_cropped_or_refused(w in 0u32..9, h in 0u32..9, x: Option<u32>, y in proptest::option::of(0u32..9)) {
             let mut target = Picture::default();
-            match crop(&numbered(7, 6), Crop { width: w, height: h, x, y }, &mut target) {
+            match crop(&numbered_picture(7, 6), Crop { width: w, height: h, x, y }, &mut target) {
                 Ok(()) => prop_assert_eq!((target.width(), target.height(), target.pixels().len()), (w, h, (w * h) as usize)),
                 Err(ImageError::Size { .. }) => prop_assert!(w == 0 || h == 0),
                 Err(error) => prop_assert!(matches!(error, ImageError::Outside { .. }), "{}", error),

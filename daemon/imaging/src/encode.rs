@@ -41,8 +41,8 @@ pub fn encode(picture: &Picture, encoding: Encoding) -> Result<Part, ImageError>
 }
 
 fn write_jpeg(picture: &Picture, quality: u8, file: &mut Vec<u8>) -> Result<(), ImageError> {
-    let unwritable = |reason: String| unwritable("jpeg", picture, reason);
-    let side = |pixels: u32| u16::try_from(pixels).map_err(|_| unwritable("a side is too long".to_owned()));
+    let failed = |reason: String| encoding_error("jpeg", picture, reason);
+    let side = |pixels: u32| u16::try_from(pixels).map_err(|_| failed("a side is too long".to_owned()));
     let colours = match picture.format() {
         PixelFormat::Rgb8 => jpeg_encoder::ColorType::Rgb,
         PixelFormat::Grey8 => jpeg_encoder::ColorType::Luma,
@@ -52,7 +52,7 @@ fn write_jpeg(picture: &Picture, quality: u8, file: &mut Vec<u8>) -> Result<(), 
     encoder.set_chroma_subsampling_method(jpeg_encoder::ChromaSubsamplingMethod::Average);
     encoder
         .encode(picture.pixels(), side(picture.width())?, side(picture.height())?, colours)
-        .map_err(|error| unwritable(error.to_string()))
+        .map_err(|error| failed(error.to_string()))
 }
 
 fn write_png(picture: &Picture, file: &mut Vec<u8>) -> Result<(), ImageError> {
@@ -62,9 +62,9 @@ fn write_png(picture: &Picture, file: &mut Vec<u8>) -> Result<(), ImageError> {
     };
     PngEncoder::new(file)
         .write_image(picture.pixels(), picture.width(), picture.height(), colours)
-        .map_err(|error| unwritable("png", picture, error.to_string()))
+        .map_err(|error| encoding_error("png", picture, error.to_string()))
 }
 
-fn unwritable(format: &'static str, picture: &Picture, reason: String) -> ImageError {
+fn encoding_error(format: &'static str, picture: &Picture, reason: String) -> ImageError {
     ImageError::Unwritable { format, width: picture.width(), height: picture.height(), reason }
 }

@@ -38,12 +38,12 @@ pub fn turn_upright(part: &Part, picture: &mut Picture) -> Result<(), ImageError
     };
     match exif.as_deref().and_then(Tag::from_exif_chunk) {
         None | Some(Tag::NoTransforms) => {}
-        Some(tag) => *picture = turned(picture, tag),
+        Some(tag) => *picture = turn_picture(picture, tag),
     }
     Ok(())
 }
 
-fn turned(picture: &Picture, tag: Tag) -> Picture {
+fn turn_picture(picture: &Picture, tag: Tag) -> Picture {
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     let is_sideways =
         matches!(tag, Tag::Rotate90 | Tag::Rotate270 | Tag::Rotate90FlipH | Tag::Rotate270FlipH);

@@ -10,7 +10,7 @@ use crate::size::check_size;
 use crate::{ImageError, Picture};
 
 /// Filter that combines pixels when a picture is scaled. When the picture becomes smaller, all filters but `nearest`
-/// average over every source pixel (as Pillow does; "antialias" elsewhere).
+/// average over every source pixel, as Pillow does. Other libraries call this "antialias".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Filter {
@@ -33,7 +33,7 @@ pub struct Scaling {
     /// Filter that combines pixels.
     pub filter: Filter,
     /// `true` to average over all source pixels when the picture becomes smaller. Otherwise only the nearest pixels
-    /// count, as many as when it becomes larger; some models were trained with such pictures.
+    /// count, the same number as when the picture becomes larger; some models were trained with such pictures.
     pub antialias: bool,
 }
 
@@ -111,7 +111,7 @@ impl fmt::Debug for Resizer {
 mod tests {
     use super::*;
 
-    fn checkers(side: u32) -> Picture {
+    fn checkerboard(side: u32) -> Picture {
         let pixels = (0..side * side).map(|i| if (i / side + i % side).is_multiple_of(2) { 0 } else { 255 });
         Picture::new(PixelFormat::Grey8, side, side, pixels.collect()).expect("fits")
     }
@@ -120,7 +120,7 @@ mod tests {
     fn shrinking_averages_over_all_pixels() {
         let mut target = Picture::default();
         for filter in [Filter::Box, Filter::Bilinear, Filter::Bicubic, Filter::Lanczos] {
-            Resizer::new().resize(&checkers(64), 8, 8, filter, &mut target).expect("fits");
+            Resizer::new().resize(&checkerboard(64), 8, 8, filter, &mut target).expect("fits");
             let far = target.pixels().iter().filter(|grey| grey.abs_diff(128) > 12).count();
             assert_eq!(far, 0, "{filter:?}: {:?}", target.pixels());
         }
@@ -157,7 +157,7 @@ mod tests {
     fn impossible_sizes_are_refused() {
         let mut target = Picture::default();
         for (width, height) in [(0, 1), (1, 0), (u32::MAX, 1), (20_000, 20_000)] {
-            let refused = Resizer::new().resize(&checkers(4), width, height, Filter::Box, &mut target);
+            let refused = Resizer::new().resize(&checkerboard(4), width, height, Filter::Box, &mut target);
             assert!(matches!(refused, Err(ImageError::Size { .. })));
         }
         let empty = Resizer::new().resize(&Picture::default(), 2, 2, Filter::Box, &mut target);

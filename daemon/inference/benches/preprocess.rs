@@ -35,12 +35,12 @@ fn main() {
     for _ in 0..rounds {
         let (sender, receiver) = sync_channel(1);
         let reply = Box::new(move |done: FinishedJob| sender.send(done).expect("is awaited"));
-        let log = Recorder::new(Arc::clone(&clock), HostId::random());
-        let job = Job { sample: sample.clone(), log, received: clock.mono(), reply };
+        let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
+        let job = Job { sample: sample.clone(), recorder, received: clock.mono(), reply };
         pool.submit(job).expect("the queue is empty");
-        let FinishedJob { log, result } = receiver.recv().expect("is answered");
+        let FinishedJob { recorder, result } = receiver.recv().expect("is answered");
         result.expect("the picture is classified");
-        let tree = log.finish();
+        let tree = recorder.finish();
         for (stage, times) in STAGES.iter().zip(&mut taken) {
             times.extend(tree.find(&[stage]).and_then(|(_, node)| node.measure.value()));
         }

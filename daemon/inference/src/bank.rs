@@ -1,4 +1,4 @@
-//! The models that a host offers: those of its configuration and those in its model folders.
+//! The models that a host offers: models of its configuration, and models in its model folders.
 
 mod cache_entry;
 mod config;
@@ -74,7 +74,7 @@ impl Bank {
         self
     }
 
-    /// Adds the models of these folders. A configured model takes precedence over one of the same name.
+    /// Adds the models of these folders. A configured model takes precedence over a model of the same name.
     #[must_use]
     pub fn with_folders(mut self, config: BankConfig) -> Self {
         self.cache = Some(ModelCache::new(config));
@@ -98,8 +98,8 @@ impl Bank {
         self.entries.iter().map(|entry| &entry.config)
     }
 
-    /// Returns the names of all models that can be requested except the built-in one: the configured ones, then those
-    /// that are in the folders now. Reads the folders.
+    /// Returns the names of all models that can be requested except the built-in one: the configured models, then the
+    /// models that are in the folders now. Reads the folders.
     pub fn offered_names(&self) -> Vec<Slug> {
         let mut names = self.configured_names();
         for name in self.cache.iter().flat_map(ModelCache::names) {
@@ -130,7 +130,7 @@ impl Bank {
 
     /// Returns the pool of a model; loads the model if it is not loaded.
     ///
-    /// `device` is the requested device; `None` stands for the configured one. A model of the folders stays loaded
+    /// `device` is the requested device; `None` stands for the configured device. A model of the folders stays loaded
     /// while its pool is in use. Blocks while the model loads, which may take seconds, so that this must not be
     /// called on an I/O thread.
     ///

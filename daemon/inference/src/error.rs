@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use peernet_external::exec::ExchangeError;
+use peernet_external::exec::ProgramCallError;
 use peernet_external::python::PythonError;
 
 /// Largest number of names in a message.
@@ -23,7 +23,7 @@ pub enum LoadError {
     #[error(
         "no model named {name} in {}; {}; search another folder, give a path with a slash, or export the model \
          (models/export_torchvision.py)",
-        listed(.searched), available_text(.known)
+        list_folders(.searched), available_text(.known)
     )]
     NotFound {
         /// The requested name.
@@ -34,12 +34,12 @@ pub enum LoadError {
         known: Vec<String>,
     },
     /// The request names no model although several are offered.
-    #[error("the request names no model; {}; name one", offered_text(.known))]
+    #[error("the request names no model; {}; name a model", offered_text(.known))]
     Unnamed {
         /// The models that this host offers.
         known: Vec<String>,
     },
-    /// The files of a model in use differ from those that were loaded.
+    /// The files of a model in use differ from the files that were loaded.
     #[error("the files of model {0} changed while it is in use; try again after its sessions have ended")]
     Changed(String),
     /// The largest number of loaded models is reached, and all are in use.
@@ -56,7 +56,7 @@ pub enum LoadError {
         in_use: Vec<String>,
     },
     /// Two models have the same name.
-    #[error("two models are named {0}; give each its own name")]
+    #[error("two models are named {0}; give each a different name")]
     Duplicate(String),
     /// A value is above its upper limit.
     #[error("{value} is too large; at most {most}")]
@@ -78,7 +78,7 @@ pub enum LoadError {
         /// The configured device.
         offered: String,
     },
-    /// The name is not that of a device.
+    /// No device has this name.
     #[error(
         "{0:?} is not a device; use cpu, cuda:N, tensorrt:N or openvino:DEVICE (N from 0, DEVICE such as CPU or GPU.0)"
     )]
@@ -102,7 +102,7 @@ pub enum LoadError {
         provider: &'static str,
         /// The library in use.
         library: PathBuf,
-        /// The library's execution providers, of those that this program knows.
+        /// The execution providers that the library has and this program knows.
         available: Vec<&'static str>,
     },
     /// A program cannot be started.
@@ -113,7 +113,7 @@ pub enum LoadError {
         /// The program without its arguments, which may be secret.
         command: String,
         /// The error.
-        error: ExchangeError,
+        error: ProgramCallError,
     },
     /// A Python object cannot be created.
     #[error(transparent)]
@@ -147,7 +147,7 @@ pub enum LoadError {
 }
 
 impl LoadError {
-    /// Returns whether something that was named does not exist: a model, its file, a program, a module or a Python
+    /// Returns whether something in the configuration does not exist: a model, its file, a program, a module or a Python
     /// interpreter.
     pub const fn is_missing(&self) -> bool {
         matches!(
@@ -155,7 +155,7 @@ impl LoadError {
             Self::File { .. }
                 | Self::NotFound { .. }
                 | Self::UnknownModel { .. }
-                | Self::Program { error: ExchangeError::Command(_), .. }
+                | Self::Program { error: ProgramCallError::Command(_), .. }
                 | Self::Python(
                     PythonError::NoModule { .. } | PythonError::NoPython(_) | PythonError::Folder(_)
                 )
@@ -164,7 +164,7 @@ impl LoadError {
 }
 
 impl LoadError {
-    /// Returns whether the given name is not a valid name of an object.
+    /// Returns whether `object` in the configuration is not a valid name of a Python object.
     pub const fn is_misnamed(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }
@@ -212,7 +212,7 @@ pub enum LibraryError {
         .searched.join(", ")
     )]
     NotFound {
-        /// Each place that was searched, in order, with the result.
+        /// Each path that was searched, in order, with the result.
         searched: Vec<String>,
     },
     /// The library was found and cannot be used.
@@ -289,11 +289,11 @@ pub enum InferenceError {
     },
 }
 
-fn listed(folders: &[PathBuf]) -> String {
+fn list_folders(folders: &[PathBuf]) -> String {
     folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// Lists the first names of a list. The list may be long, but an answer to a peer must not be.
+/// Lists the first names of a list, because an answer to a peer must not be long.
 fn first_names(names: &[String]) -> String {
     match names.get(..MAX_LISTED) {
         Some(first_names) if names.len() > MAX_LISTED => {

@@ -8,12 +8,12 @@ use peernet_sample::Sample;
 
 use crate::InferenceError;
 
-/// Sample to be computed, with its recorder and receiver.
+/// Sample for which a model computes an answer, with its recorder and its callback.
 pub struct Job {
     /// The input.
     pub sample: Sample,
     /// Recorder of the stages; it is returned in [`FinishedJob`].
-    pub log: Recorder,
+    pub recorder: Recorder,
     /// Time at which this host received the sample: the beginning of the stage `queue`.
     pub received: MonoTime,
     /// Callback for the result. It is called once, on the thread that computed the result, and must not block.
@@ -26,7 +26,7 @@ pub(crate) type Reply = Box<dyn FnOnce(FinishedJob) + Send>;
 /// Finished job.
 pub struct FinishedJob {
     /// The recorder of the job, with the stages of the model.
-    pub log: Recorder,
+    pub recorder: Recorder,
     /// The answer, or the error.
     pub result: Result<Sample, InferenceError>,
 }

@@ -29,12 +29,12 @@ use peernet_sample::Sample;
 
 /// A loaded model, as used by one thread.
 pub trait Worker: Send {
-    /// Computes the answer, and records those of the stages `preprocessing`, `inference` and `postprocessing` that
+    /// Computes the answer, and records each of the stages `preprocessing`, `inference` and `postprocessing` that
     /// the model has.
     ///
     /// # Errors
     /// If this sample cannot be computed. The next sample may succeed.
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError>;
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError>;
 }
 
 /// A loaded model.
@@ -42,7 +42,7 @@ pub trait Model: Send + Sync {
     /// Creates a worker for one more thread; all workers share the loaded model.
     ///
     /// # Errors
-    /// If the device has no room for another worker.
+    /// If the device has no memory for another worker.
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError>;
 
     /// Returns whether `infer` may block or compute for long, so that it must not run on an I/O thread.

@@ -21,7 +21,7 @@ pub struct Pool {
     load_duration: Span,
     workers: usize,
     execution: Execution,
-    /// Facts in addition to those of the model.
+    /// Facts in addition to the facts of the model.
     additional_facts: Vec<(String, String)>,
 }
 
@@ -66,7 +66,7 @@ impl Pool {
         })
     }
 
-    /// Adds facts to those of the model.
+    /// Adds facts to the facts of the model.
     pub(crate) fn with_facts(mut self, facts: Vec<(String, String)>) -> Self {
         self.additional_facts = facts;
         self
@@ -100,9 +100,9 @@ impl Pool {
     /// Blocks: not for an I/O thread.
     pub fn shutdown(&self) {
         let Execution::Threads { queue, handles } = &self.execution else { return };
-        for Job { log, reply, .. } in queue.close() {
+        for Job { recorder, reply, .. } in queue.close() {
             let result = Err(InferenceError::Stopped { model: self.name.to_string() });
-            deliver(&self.name, reply, FinishedJob { log, result });
+            deliver(&self.name, reply, FinishedJob { recorder, result });
         }
         let handles = std::mem::take(&mut *handles.lock().unwrap_or_else(PoisonError::into_inner));
         for handle in handles {

@@ -21,7 +21,7 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// Creates a folder `peernet-KIND-…` among the system's temporary files, and removes those of this user's
+    /// Creates a folder `peernet-KIND-…` among the system's temporary files, and removes folders of this user's
     /// processes that have ended.
     ///
     /// # Errors
@@ -62,7 +62,7 @@ fn remove_abandoned(parent: &Path) {
         if !is_ours || !file.is_file() {
             continue;
         }
-        // The lock is held until the folder is deleted, so that no other program takes it meanwhile.
+        // The lock is held until the folder is deleted, so that no other program takes the folder before.
         let Ok(lock) = File::open(&file) else { continue };
         if lock.try_lock().is_ok()
             && let Err(error) = fs::remove_dir_all(&folder)

@@ -32,13 +32,13 @@ impl WorkerSlot {
 
     /// Computes one job; the caller passes the result to [`deliver`]. Never panics.
     pub(crate) fn compute(&mut self, job: Job) -> (Reply, FinishedJob) {
-        let Job { sample, mut log, received, reply } = job;
-        log.record_timer(stage::QUEUE, received, self.clock.mono());
-        let result = self.infer(&sample, &mut log);
-        (reply, FinishedJob { log, result })
+        let Job { sample, mut recorder, received, reply } = job;
+        recorder.record_timer(stage::QUEUE, received, self.clock.mono());
+        let result = self.infer(&sample, &mut recorder);
+        (reply, FinishedJob { recorder, result })
     }
 
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
         let mut worker = match self.worker.take() {
             Some(worker) => worker,
             None => {
@@ -47,13 +47,13 @@ impl WorkerSlot {
                     model: self.name.to_string(),
                     reason: format!("its worker could not be rebuilt after a panic: {error}"),
                 })?;
-                log.record_timer(stage::RESTART, restarted_at, self.clock.mono());
+                recorder.record_timer(stage::RESTART, restarted_at, self.clock.mono());
                 worker
             }
         };
         // The panic closes the recorder's open nodes as it unwinds, so that the recorder stays usable. The worker is
         // discarded.
-        match catch_unwind(AssertUnwindSafe(|| worker.infer(sample, log))) {
+        match catch_unwind(AssertUnwindSafe(|| worker.infer(sample, recorder))) {
             Ok(result) => {
                 self.worker = Some(worker);
                 result

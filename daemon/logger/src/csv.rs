@@ -5,7 +5,7 @@
 //! the order in which nodes were logged. Values are seconds, bytes and bits per second as plain numbers. A cell is
 //! empty if the iteration has no such node or its value is unknown.
 //!
-//! Later iterations may have nodes that earlier ones lack. A first pass over the trees therefore collects the columns,
+//! Later iterations may have nodes that earlier iterations do not have. A first pass over the trees therefore collects the columns,
 //! and a second pass writes the rows, so that memory does not grow with the number of rows.
 
 use std::collections::{HashMap, HashSet};

@@ -82,7 +82,7 @@ impl Slug {
         Self("any".into())
     }
 
-    /// Returns `none`, the placeholder where a name is required but there is none.
+    /// Returns `none`, the placeholder for a missing name.
     pub fn none() -> Self {
         Self("none".into())
     }

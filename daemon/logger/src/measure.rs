@@ -50,7 +50,7 @@ pub struct Transit {
 }
 
 /// Times at which a message left one host and arrived at another, on the free-running clock of each. A cloud without
-/// such stamps sends those of its wall clock ([`RawTime::from_wall`]).
+/// such stamps sends stamps of its wall clock ([`RawTime::from_wall`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RawStamps {
     /// Time on the sender's clock just before the message was handed to the network.

@@ -45,12 +45,12 @@ pub struct Recorder {
     /// Number of nodes left out because the tree had reached its limits.
     skipped: u32,
     /// State on arrival of a tree that came from another host.
-    received: Option<Received>,
+    resume_state: Option<ResumeState>,
 }
 
 /// State of a tree when it arrived from another host.
 #[derive(Clone, Copy, Debug)]
-struct Received {
+struct ResumeState {
     /// Number of nodes.
     base: u32,
     /// The transit that ended here, and the time of its end.
@@ -93,8 +93,8 @@ impl Recorder {
         // The arrival is the origin of this host's times, so that they need no relation to the sender's clock.
         tree.anchors.push(Anchor { host, wall: arrival.wall });
         let host = HostIndex((tree.anchors.len() - 1) as u8);
-        let received = Some(Received { base, closed: (transit, arrival.wall) });
-        Ok(Self::for_tree(clock, tree, host, arrival.mono, received))
+        let resume_state = Some(ResumeState { base, closed: (transit, arrival.wall) });
+        Ok(Self::for_tree(clock, tree, host, arrival.mono, resume_state))
     }
 
     const fn for_tree(
@@ -102,9 +102,9 @@ impl Recorder {
         tree: Tree,
         host: HostIndex,
         zero: MonoTime,
-        received: Option<Received>,
+        resume_state: Option<ResumeState>,
     ) -> Self {
-        Self { clock, tree, host, zero, open: NodeId::ROOT, level: 1, skipped: 0, received }
+        Self { clock, tree, host, zero, open: NodeId::ROOT, level: 1, skipped: 0, resume_state }
     }
 
     /// Returns the clock that the recorder reads.
@@ -213,9 +213,9 @@ impl Recorder {
     /// inserted nodes.
     ///
     /// # Errors
-    /// If this tree would exceed its limits, or the other one is invalid.
+    /// If this tree would exceed its limits, or the other tree is invalid.
     pub fn insert(&mut self, tree: &Tree) -> Result<NodeId, TreeError> {
-        // The reserve is for values that are computed afterwards, as for recorded nodes.
+        // Reserved nodes stay free for values that are computed afterwards, as they do for recorded nodes.
         let fits = self.tree.nodes.len() + tree.nodes().len() <= MAX_NODES - RESERVED_NODES;
         if !fits {
             return Err(TreeError::TooManyNodes(self.tree.nodes.len() + tree.nodes().len()));
@@ -232,7 +232,7 @@ impl Recorder {
     /// Ends the recording of a [resumed](Self::resume) tree. Returns the nodes that this host added, to be sent back;
     /// `None` for a tree that was created here.
     pub fn into_tree_delta(mut self) -> Option<TreeDelta> {
-        let Received { base, closed } = self.received?;
+        let ResumeState { base, closed } = self.resume_state?;
         self.record_skipped();
         let nodes = self.tree.nodes.split_off(base as usize);
         // The first anchor that was added here is this host's own.

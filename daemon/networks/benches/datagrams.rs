@@ -176,7 +176,7 @@ async fn serve(settings: SessionSettings) -> BenchResult<Address> {
                 }
                 Incoming::Request(request) => {
                     let answer = request.sample.parts[0].bytes.slice(..ANSWER_BYTES);
-                    request.reply.send(request.log, Ok(Sample::from_part(Description::bytes(), answer)));
+                    request.reply.send(request.recorder, Ok(Sample::from_part(Description::bytes(), answer)));
                 }
                 _ => {}
             }
@@ -205,8 +205,8 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchR
     for _ in 0..trips {
         let sample = Sample::from_part(Description::bytes(), payload.clone());
         let start = clock.mono();
-        let log = Recorder::new(clock.clone(), host);
-        let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
+        let recorder = Recorder::new(clock.clone(), host);
+        let exchange = session.request(recorder, &sample, Duration::from_secs(10)).await;
         // A lost request has no round trip; the statistics at the end count it.
         if exchange.result.is_ok() {
             spans.push(clock.mono() - start);

@@ -191,7 +191,7 @@ async fn serve_session(plan: Plan, address_sender: std::sync::mpsc::SyncSender<A
             Incoming::Request(request) => {
                 let payload = &request.sample.parts[0].bytes;
                 let answer = payload.slice(..plan.answer_bytes(payload.len()).min(payload.len()));
-                request.reply.send(request.log, Ok(Sample::from_part(Description::bytes(), answer)));
+                request.reply.send(request.recorder, Ok(Sample::from_part(Description::bytes(), answer)));
             }
             _ => {}
         }
@@ -291,11 +291,12 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchR
     for _ in 0..trips {
         let sample = Sample::from_part(Description::bytes(), payload.clone());
         let start = clock.mono();
-        let log = Recorder::new(clock.clone(), host);
-        let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
+        let recorder = Recorder::new(clock.clone(), host);
+        let exchange = session.request(recorder, &sample, Duration::from_secs(10)).await;
         let trip = clock.mono() - start;
         exchange.result?;
-        let upload = exchange.upload.and_then(|up| exchange.log.tree().get(up)).map(|node| &node.measure);
+        let upload =
+            exchange.upload.and_then(|up| exchange.recorder.tree().get(up)).map(|node| &node.measure);
         let Some(Measure::Transit(upload)) = upload else { return Err("no upload".into()) };
         let upload = upload.received.ok_or("upload did not end")? - upload.sent;
         times.add(trip, upload);

@@ -60,7 +60,7 @@ async fn serve(mut listener: Listener, accepted: SessionAccepted) {
     while let Some(incoming) = listener.next().await {
         match incoming {
             Incoming::Open(open) => assert!(open.accept(accepted.clone()), "the edge is there"),
-            Incoming::Request(request) => request.reply.send(request.log, Ok(request.sample)),
+            Incoming::Request(request) => request.reply.send(request.recorder, Ok(request.sample)),
             Incoming::Closed { .. } => {}
             Incoming::Remark { text, .. } | Incoming::Refused { text, .. } => println!("{text}"),
         }
@@ -73,8 +73,8 @@ async fn exchange(session: &Session, size: usize, count: usize) -> Result<(usize
     for number in 0..count {
         let bytes: Vec<u8> = (0..size).map(|at| ((at * 7 + number) % 256) as u8).collect();
         let sent = Sample::from_part(Description::bytes(), bytes.into());
-        let log = Recorder::new(clock(), HostId::random());
-        match session.request(log, &sent, TIMEOUT).await.result {
+        let recorder = Recorder::new(clock(), HostId::random());
+        match session.request(recorder, &sent, TIMEOUT).await.result {
             Ok(answer) if answer == sent => answered += 1,
             Ok(_) => return Err(format!("an answer of {size} bytes differs").into()),
             Err(RequestError::Lost(_)) => lost += 1,

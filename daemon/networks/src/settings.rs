@@ -29,7 +29,7 @@ const UNFINISHED_BYTES_RANGE: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
 const DATAGRAM_BYTES_RANGE: (u64, u64) = (512, 8_192);
 const SOCKET_BUFFER_BYTES_RANGE: (u64, u64) = (64 << 10, 1 << 30);
 
-/// Timeouts and limits of a session. Each end has its own; where a limit concerns both ends, the smaller value applies.
+/// Timeouts and limits of a session. Each end has separate settings; if a limit concerns both ends, the smaller value applies.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SessionSettings {

@@ -72,7 +72,7 @@ impl Counters {
         self.lost.fetch_add(count, Ordering::Relaxed);
     }
 
-    /// Returns the totals together with those of the transport.
+    /// Returns the totals together with the totals of the transport.
     pub(crate) fn statistics(&self, transport: &TransportStatistics) -> ConnectionStatistics {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         ConnectionStatistics {

@@ -10,7 +10,7 @@ use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::schedule::Schedule;
-use crate::socket::{ProbeSocket, Received, Token};
+use crate::socket::{ProbeSocket, ReceivedPacket, Token};
 use crate::stamp::sender::{LATE, ReplyArrival, SenderConfig, SenderState};
 use crate::{Key, StampSource};
 
@@ -229,13 +229,13 @@ impl Prober {
                 self.awaited_departures.clear();
             }
             Err(error) => {
-                tracing::debug!(%error, "failed to reopen the socket for probes; the old one remains in use")
+                tracing::debug!(%error, "failed to reopen the socket for probes; the old socket remains in use")
             }
         }
     }
 
     fn record_departure(&mut self, token: Token, left: Option<WallTime>) {
-        // Stamps come in the order of departure. Those of dropped packets never come.
+        // Stamps come in the order of departure. The stamps of dropped packets never come.
         let Some(found) =
             self.awaited_departures.iter().position(|(awaited_departures, _)| *awaited_departures == token)
         else {
@@ -247,7 +247,12 @@ impl Prober {
         }
     }
 
-    fn handle_packet(&mut self, packet: &[u8], received: &Received, pending_results: &mut PendingResults) {
+    fn handle_packet(
+        &mut self,
+        packet: &[u8],
+        received: &ReceivedPacket,
+        pending_results: &mut PendingResults,
+    ) {
         let read = self.clock.stamp();
         let (from, target) = (received.source, self.config.target);
         // A packet from another address is not an answer, even if its contents match.

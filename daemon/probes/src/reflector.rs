@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::refusal_log::RefusalLog;
-use crate::socket::{ProbeSocket, Received, Token};
+use crate::socket::{ProbeSocket, ReceivedPacket, Token};
 use crate::stamp::kernel::KernelStamp;
 use crate::stamp::reflector::{Arrival, ReflectorState, SessionId};
 use crate::stamp::uncertainty::ORDER_TOLERANCE;
@@ -38,7 +38,7 @@ pub struct ReflectorConfig {
     /// Key that peers get with their session, used if there is no [`key`](Self::key). Requests with this key get
     /// authenticated answers; unauthenticated requests get unauthenticated answers.
     pub session_key: Option<Key>,
-    /// Random number of this process. Answers carry it, so that a prober knows whose clock they are of.
+    /// Random number of this process. Answers carry it, so that a prober knows whose clock stamped them.
     pub instance: u64,
     /// Largest number of answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits. All sources
     /// without a session ([`Reflector::peers`]) together get at most ten times as many.
@@ -63,7 +63,7 @@ pub enum BindError {
     NotPermitted(SocketAddr),
     /// The address does not belong to this machine.
     #[error(
-        "cannot listen for probes on {0}: this machine has no such address; use one of its own, or 0.0.0.0 or [::]"
+        "cannot listen for probes on {0}: this machine has no such address; use one of its addresses, or 0.0.0.0 or [::]"
     )]
     NoSuchAddress(SocketAddr),
     /// Another error.
@@ -89,7 +89,7 @@ pub struct ReceiveError {
 /// Answers probes (session-reflector of RFC 8762).
 ///
 /// A reflector cannot amplify an attack on third parties: an answer has the length of its request, each source has a rate
-/// limit, and all sources without a session share another one. With a key, only requests with that key are answered. A
+/// limit, and all sources without a session share another rate limit. With a key, only requests with that key are answered. A
 /// packet that looks like a reply is never answered, so that two reflectors, or a reflector and an echo service, cannot
 /// form a loop. The memory for sources and sessions is bounded.
 #[derive(Debug)]
@@ -244,7 +244,7 @@ impl Reflector {
         }
     }
 
-    async fn answer(&mut self, packet: &mut [u8], received: &Received) -> Result<(), Refusal> {
+    async fn answer(&mut self, packet: &mut [u8], received: &ReceivedPacket) -> Result<(), Refusal> {
         let read = self.clock.stamp();
         let kernel = received.kernel.filter(|stamp| *stamp <= read.wall + ORDER_TOLERANCE);
         if kernel.is_none() && received.kernel.is_some() {
@@ -283,7 +283,7 @@ impl Reflector {
 
     /// Handles the kernel's stamp of a departure, `left`.
     fn record_departure(&mut self, token: Token, left: Option<WallTime>) {
-        // Stamps come in the order of departure. Those of dropped packets never come.
+        // Stamps come in the order of departure. The stamps of dropped packets never come.
         let Some(found) =
             self.awaited_departures.iter().position(|awaited_departures| awaited_departures.token == token)
         else {
@@ -308,7 +308,7 @@ impl Reflector {
     }
 
     /// Returns the difference of the clocks at the newest comparison that was certainly before the kernel's stamp.
-    /// `None` if all remembered ones may have been after it.
+    /// `None` if all remembered comparisons may have been after it.
     fn difference_before(&self, stamp: WallTime) -> Option<Interval> {
         let newest = self.comparisons.back()?.ahead;
         let is_before = |comparison: &&ClockComparison| {

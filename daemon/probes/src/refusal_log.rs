@@ -21,7 +21,7 @@ impl RefusalLog {
     }
 
     /// Counts a refused probe. If a log line is due, returns the number of probes refused for this reason since the
-    /// last one, and the advice.
+    /// last line, and the advice.
     pub(crate) fn record(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
         let (logged, count) = &mut self.reasons[why as usize];
         *count += 1;
@@ -39,7 +39,7 @@ impl RefusalLog {
             }
             (Refusal::TooOften, _) => "raise [probes] max_per_source_hz here, or lower rate_hz there",
             (Refusal::TooMany, _) => {
-                "peers with a session are still answered; check which hosts send so many probes, or raise [probes] max_per_source_hz"
+                "peers with a session are still answered; check which hosts send too many probes, or raise [probes] max_per_source_hz"
             }
             (Refusal::Short, false) | (Refusal::NoPort | Refusal::Reply, _) => {
                 "it is not a probe of a peer; check which program sends it"

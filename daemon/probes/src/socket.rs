@@ -15,17 +15,17 @@ use timestamped_socket::socket::{
 
 use crate::stamp::uncertainty::ORDER_TOLERANCE;
 
-/// Time limit of the packet to this machine itself that checks the kernel's stamps.
+/// Time limit of the loopback packet that checks the kernel's stamps.
 const LOOPBACK_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// Largest number of packets to this machine itself until one gives a result.
-// A packet gives none if the clock was set meanwhile.
+/// Maximum number of loopback packets for one check.
+// A packet gives no result if the clock is set in the meantime.
 const MAX_LOOPBACK_ATTEMPTS: u32 = 3;
 
 /// Source of the packet stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StampSource {
-    /// The kernel stamps packets, if it supports that; otherwise as [`Program`](Self::Program).
+    /// The kernel stamps packets. If it does not support this, the program does.
     #[default]
     Kernel,
     /// The program stamps packets around its system calls. Required if the program reads another clock than the kernel.
@@ -37,7 +37,7 @@ pub(crate) type Token = SendTimestampToken;
 
 /// A packet that was received.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Received {
+pub(crate) struct ReceivedPacket {
     pub(crate) bytes: usize,
     pub(crate) source: SocketAddr,
     /// Address of this machine to which it was sent.
@@ -50,7 +50,7 @@ pub(crate) struct ProbeSocket {
     inner: Socket<SocketAddr, Open>,
     mode: GeneralTimestampMode,
     clock: SharedClock,
-    /// `true` if the kernel's stamps are ignored, because they are of another clock than the program's.
+    /// `true` if the kernel's stamps are ignored, because the kernel and the program read different clocks.
     kernel_stamps_disabled: bool,
 }
 
@@ -123,7 +123,7 @@ impl ProbeSocket {
         self.mode == GeneralTimestampMode::SoftwareAll
     }
 
-    /// Checks, with a packet to this machine itself, that the kernel stamps by the clock that the program reads.
+    /// Checks with a loopback packet that the kernel stamps by the clock that the program reads.
     /// `libfaketime`, for example, shows a false time to the program alone. If the clocks differ, only the program's
     /// stamps are used from now on.
     pub(crate) async fn check(&mut self) {
@@ -163,9 +163,9 @@ impl ProbeSocket {
     }
 
     /// Waits for the next packet. Cancel safe.
-    pub(crate) async fn receive(&self, buffer: &mut [u8]) -> io::Result<Received> {
+    pub(crate) async fn receive(&self, buffer: &mut [u8]) -> io::Result<ReceivedPacket> {
         let received = self.inner.recv(buffer).await?;
-        Ok(Received {
+        Ok(ReceivedPacket {
             bytes: received.bytes_read,
             source: received.remote_addr,
             local: received.local_addr,
@@ -198,7 +198,7 @@ impl ProbeSocket {
         tokio::time::timeout(timeout, sending).await.unwrap_or_else(|_| Err(io::ErrorKind::WouldBlock.into()))
     }
 
-    /// Waits for the kernel's next stamp of a departure; forever if it makes none. Cancel safe.
+    /// Waits for the kernel's next stamp of a departure; forever if the kernel does not stamp departures. Cancel safe.
     pub(crate) async fn departure(&self) -> io::Result<(Token, Option<WallTime>)> {
         if !self.stamps_departures() {
             return pending().await;

@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn controls_become_spaces() {
+    fn control_characters_become_spaces() {
         let text = "one\ttwo\r\n\u{1b}[31mthrée\u{9b}4m\u{7}";
         assert_eq!(printable_line(text), "one two   [31mthrée 4m ");
         assert_eq!(printable_lines(text), "one two \n [31mthrée 4m ");

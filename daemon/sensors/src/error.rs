@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use peernet_external::exec::ExchangeError;
+use peernet_external::exec::ProgramCallError;
 use peernet_external::python::PythonError;
 use peernet_imaging::ImageError;
 use peernet_ros::topics::TopicError;
@@ -22,7 +22,7 @@ pub enum SensorError {
     /// The folder contains no picture.
     #[error("{} contains no picture; put .jpg, .jpeg or .png files into it or into folders named after their label", .0.display())]
     Empty(PathBuf),
-    /// The name of the file is not that of a picture.
+    /// The file does not have the name of a picture.
     #[error("{} is neither a folder nor a .jpg, .jpeg or .png file", .0.display())]
     NotAPicture(PathBuf),
     /// The labels cannot be used.
@@ -39,7 +39,7 @@ pub enum SensorError {
         /// The program without its arguments, which may be secret.
         command: String,
         /// The error.
-        error: ExchangeError,
+        error: ProgramCallError,
     },
     /// The Python object cannot be created or gave no sample.
     #[error(transparent)]
@@ -73,7 +73,7 @@ pub enum SensorError {
 }
 
 impl SensorError {
-    /// Returns whether the given name is not a valid name of an object.
+    /// Returns whether `object` in the configuration is not a valid name of a Python object.
     pub const fn is_misnamed(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }

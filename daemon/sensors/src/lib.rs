@@ -16,11 +16,11 @@ use peernet_sample::Sample;
 /// Produces samples.
 pub trait Sensor: Send {
     /// Returns the next sample; `None` if there are no more. May block if [`blocks`](Self::blocks) returns `true`.
-    /// Values and stages beside its duration are recorded in `log`.
+    /// Values and stages beside its duration are recorded in `recorder`.
     ///
     /// # Errors
     /// If this sample cannot be captured. The next sample may succeed.
-    fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError>;
+    fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError>;
 
     /// Returns whether `sample` may block or compute for long, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {
@@ -38,7 +38,7 @@ pub trait Transform: Send {
     ///
     /// # Errors
     /// If this sample cannot be changed, for example because it is not a picture.
-    fn apply(&mut self, sample: Sample, log: &mut Recorder) -> Result<Sample, SensorError>;
+    fn apply(&mut self, sample: Sample, recorder: &mut Recorder) -> Result<Sample, SensorError>;
 
     /// Describes the transform: `resize to 320 × 240`.
     fn describe(&self) -> String;

@@ -6,7 +6,7 @@ use crate::Merge;
 
 /// Count, mean, sum of squared deviations from the mean, and extremes.
 ///
-/// Updated by Welford's method (1962), merged by that of Chan, Golub and LeVeque (1979).
+/// Updated by Welford's method (1962), merged by the method of Chan, Golub and LeVeque (1979).
 // Sums of squares would lose precision where the mean is much larger than the deviation, as with durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "UncheckedMoments")]

@@ -122,7 +122,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn merged_seconds_equal_recorded_ones(
+        fn merged_seconds_equal_sum_of_recorded_seconds(
             steps in prop::collection::vec((0_i64..4, 0_i64..5), 1..200), length in 5_usize..30, back in 1_usize..40,
         ) {
             let mut recent_seconds = RecentSeconds::<Count>::new(length);

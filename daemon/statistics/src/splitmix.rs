@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn means_and_deviation_are_those_of_the_distributions() {
+    fn mean_and_deviation_match_distribution() {
         let mut random = SplitMix64::new(3);
         let mut mean =
             |of: fn(&mut SplitMix64) -> f64| (0..100_000).map(|_| of(&mut random)).sum::<f64>() / 100_000.0;

@@ -284,7 +284,7 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
         offset,
         probes: ProbeCounts { sent: 10, answered: 10, lost: 0, refused: 0 },
         exchanges: half.map_or_else(ExchangeCounts::default, |_| ExchangeCounts {
-            taken: 6_120,
+            accepted: 6_120,
             outliers: 4,
             ..ExchangeCounts::default()
         }),

@@ -60,7 +60,7 @@ impl ClockConfig {
             max_drift_change_ppm_per_s: self.max_drift_change_ppm_per_s,
             window: Span::from_seconds_f64(self.window_s),
             retention: Span::from_seconds_f64(self.window_s),
-            fresh: Span::from_seconds_f64(self.fresh_s),
+            max_fresh_age: Span::from_seconds_f64(self.fresh_s),
             trust_time_daemons: self.trust_time_daemons,
             ..RelationSettings::default()
         }

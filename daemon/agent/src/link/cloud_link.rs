@@ -100,8 +100,8 @@ impl CloudLink {
             // Without an answer neither delay is known.
             return None;
         };
-        let transport = transport(&exchange.log, up, down, arrived);
-        let tree = exchange.log.tree_mut();
+        let transport = transport(&exchange.recorder, up, down, arrived);
+        let tree = exchange.recorder.tree_mut();
         let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
         let message_delays = [
             MessageDelay { raw: raw_difference(tree, up)?, bits: bits[0] },

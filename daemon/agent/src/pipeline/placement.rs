@@ -132,7 +132,7 @@ impl Placement {
                     error => outcome_from_error(error),
                 };
                 Computed {
-                    log: exchange.log,
+                    log: exchange.recorder,
                     result: exchange.result.map(Some).map_err(unanswered),
                     transport,
                 }
@@ -315,12 +315,12 @@ async fn compute_locally(pool: &Pool, log: Recorder, sample: &Sample, timeout: D
         // The receiver is gone after a timeout.
         let _ = reply.send(done);
     });
-    if let Err(refused) = pool.submit(Job { sample: sample.clone(), log, received, reply }) {
+    if let Err(refused) = pool.submit(Job { sample: sample.clone(), recorder: log, received, reply }) {
         let result = Err(Outcome::Failed(refused.reason.to_string()));
-        return Computed { log: refused.job.log, result, transport: None };
+        return Computed { log: refused.job.recorder, result, transport: None };
     }
     match tokio::time::timeout(timeout, done).await {
-        Ok(Ok(FinishedJob { log, result })) => {
+        Ok(Ok(FinishedJob { recorder: log, result })) => {
             let result = result.map(Some).map_err(|error| Outcome::Failed(error.to_string()));
             Computed { log, result, transport: None }
         }

@@ -328,17 +328,18 @@ impl Server {
     /// Passes a request to its service, which sends the answer.
     fn compute(&self, request: IncomingRequest) {
         let Some(peer) = self.peers.get(&request.session) else {
-            let IncomingRequest { log, reply, .. } = request;
-            reply.send(log, Err(Failure::Failed("the session is not open".to_owned())));
+            let IncomingRequest { recorder, reply, .. } = request;
+            reply.send(recorder, Err(Failure::Failed("the session is not open".to_owned())));
             return;
         };
         let served = peer.counters.as_ref().map(|(requests, served)| {
             requests.fetch_add(1, Ordering::Relaxed);
             Arc::clone(served)
         });
-        peer.service.answer(request, move |FinishedJob { log, result }: &FinishedJob| {
+        peer.service.answer(request, move |FinishedJob { recorder, result }: &FinishedJob| {
             if let Some(served) = served {
-                let inference = result.as_ref().ok().and_then(|_| served::inference_duration(log.tree()));
+                let inference =
+                    result.as_ref().ok().and_then(|_| served::inference_duration(recorder.tree()));
                 served.send_modify(|served| served.add(result.is_err(), inference));
             }
         });

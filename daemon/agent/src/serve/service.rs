@@ -75,22 +75,22 @@ impl Service {
         request: IncomingRequest,
         answered: impl FnOnce(&FinishedJob) + Send + 'static,
     ) {
-        let IncomingRequest { sample, log, received, reply, .. } = request;
+        let IncomingRequest { sample, recorder, received, reply, .. } = request;
         match self {
             Self::Model(pool) => {
                 let reply = Box::new(move |done: FinishedJob| {
                     answered(&done);
-                    let FinishedJob { log, result } = done;
-                    reply.send(log, result.map_err(|error| failure_from_error(&error)));
+                    let FinishedJob { recorder, result } = done;
+                    reply.send(recorder, result.map_err(|error| failure_from_error(&error)));
                 });
-                if let Err(refused) = pool.submit(Job { sample, log, received: received.mono, reply }) {
-                    let Job { log, reply, .. } = *refused.job;
-                    reply(FinishedJob { log, result: Err(refused.reason) });
+                if let Err(refused) = pool.submit(Job { sample, recorder, received: received.mono, reply }) {
+                    let Job { recorder, reply, .. } = *refused.job;
+                    reply(FinishedJob { recorder, result: Err(refused.reason) });
                 }
             }
             Self::Stamps(observed, host) => {
                 reply.send(
-                    log,
+                    recorder,
                     observed.answer(&sample, &host.name).map_err(|error| Failure::Failed(error.to_string())),
                 );
             }

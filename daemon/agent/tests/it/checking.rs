@@ -194,10 +194,7 @@ fn actuator_of_sensor_alone_is_refused() {
     alone.agent.state_dir = state.path().to_owned();
     let found = problems(&alone);
     assert_eq!(found.len(), 2, "{found:#?}");
-    assert!(
-        found[0].starts_with("pipeline[0].actuator: a pipeline that only senses"),
-        "{found:#?}"
-    );
+    assert!(found[0].starts_with("pipeline[0].actuator: a pipeline that only senses"), "{found:#?}");
     assert!(
         found[1].starts_with("pipeline[1].sensor: ") && found[1].contains("no-such-program"),
         "{found:#?}"

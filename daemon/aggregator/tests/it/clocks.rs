@@ -58,7 +58,7 @@ pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
             age: Some(Span::from_millis(80)),
         }),
         probes: ProbeCounts { sent: 10, answered: 9, lost: 1, refused: 0 },
-        exchanges: ExchangeCounts { taken: 9, impossible: 1, outliers: 2, stepped: 3, restarts: 4 },
+        exchanges: ExchangeCounts { accepted: 9, impossible: 1, outliers: 2, stepped: 3, restarts: 4 },
         round_trip: Some(RoundTrip {
             min: Span::from_micros(2 * width),
             median: Span::from_micros(3 * width),

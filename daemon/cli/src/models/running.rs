@@ -61,18 +61,18 @@ impl Running {
         let (sender, receiver) = sync_channel(1);
         // Sending fails only if this function has panicked.
         let reply = Box::new(move |done| drop(sender.send(done)));
-        let log = Recorder::new(Arc::clone(&self.clock), self.host);
+        let recorder = Recorder::new(Arc::clone(&self.clock), self.host);
         let received = self.clock.mono();
-        if let Err(refused) = self.pool.submit(Job { sample, log, received, reply }) {
-            return (Err(refused.reason), refused.job.log.finish());
+        if let Err(refused) = self.pool.submit(Job { sample, recorder, received, reply }) {
+            return (Err(refused.reason), refused.job.recorder.finish());
         }
         match receiver.recv() {
-            Ok(done) => (done.result, done.log.finish()),
+            Ok(done) => (done.result, done.recorder.finish()),
             Err(_) => {
                 let reason = "its thread dropped the sample".to_owned();
-                let log = Recorder::new(Arc::clone(&self.clock), self.host);
+                let recorder = Recorder::new(Arc::clone(&self.clock), self.host);
                 let model = self.pool.name().to_string();
-                (Err(InferenceError::Failed { model, reason }), log.finish())
+                (Err(InferenceError::Failed { model, reason }), recorder.finish())
             }
         }
     }

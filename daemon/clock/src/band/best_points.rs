@@ -6,10 +6,10 @@ use super::slots::Point;
 
 /// Result of the insertion of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Placement {
-    /// The point was not kept: its interval has a better one, or is too old.
+pub(super) enum InsertResult {
+    /// The point was not inserted: its interval has a better point or is too old.
     Worse,
-    /// The point replaced the one of its interval.
+    /// The point replaced the earlier best point of its interval.
     Better,
     /// The point is the first of its interval.
     First,
@@ -31,7 +31,7 @@ impl BestPoints {
     }
 
     /// Inserts a point if it is the lowest of its interval after the skew `slope` (seconds per second) is removed.
-    pub(super) fn insert(&mut self, point: Point, slope: f64) -> Placement {
+    pub(super) fn insert(&mut self, point: Point, slope: f64) -> InsertResult {
         let interval_number = point.x.div_euclid(self.interval);
         let number = |point: &Point| point.x.div_euclid(self.interval);
         let at = match self.points.back().map(number) {
@@ -43,25 +43,25 @@ impl BestPoints {
             _ => self.points.len(),
         };
         if let Some(best) = self.points.get(at).copied().filter(|point| number(point) == interval_number) {
-            // Without the skew the earliest or latest point of an interval would always be the lowest.
+            // If the skew were not removed, the lowest point would always be the earliest or the latest of its interval.
             let drifted = best.bound.saturating_add((slope * (point.x - best.x) as f64) as i64);
             if point.bound >= drifted {
-                return Placement::Worse;
+                return InsertResult::Worse;
             }
             self.points[at] = point;
-            return Placement::Better;
+            return InsertResult::Better;
         }
         if self.points.len() >= self.max_points {
-            // The interval is older than all that are kept.
+            // The interval is older than the intervals of all other points.
             if at == 0 {
-                return Placement::Worse;
+                return InsertResult::Worse;
             }
             self.points.pop_front();
             self.points.insert(at - 1, point);
         } else {
             self.points.insert(at, point);
         }
-        Placement::First
+        InsertResult::First
     }
 
     /// Returns all points in the order of time.
@@ -69,20 +69,23 @@ impl BestPoints {
         self.points.iter().copied()
     }
 
-    /// Returns the `count` points nearest to `x`: half of them before it and half after it, where enough points exist.
+    /// Returns `count` points around `x`: half of them before it and half after it. If there are too few points on one
+    /// side, more points of the other side take their place.
     pub(super) fn around(&self, x: i64, count: usize) -> impl Iterator<Item = Point> + '_ {
         let after = self.points.partition_point(|point| point.x < x);
         let end = after.saturating_add(count / 2).max(count).min(self.points.len());
         self.points.range(end.saturating_sub(count)..end).copied()
     }
 
-    /// Returns whether the points [`around`](Self::around) `x` are the newest ones and all lie within `reach` of it.
-    pub(super) fn are_newest_around(&self, x: i64, count: usize, reach: u64) -> bool {
+    /// Returns whether the points [`around`](Self::around) `x` are the newest points and all lie within `reach` of it.
+    pub(super) fn newest_points_are_around(&self, x: i64, count: usize, reach: u64) -> bool {
         let len = self.points.len();
+        // `around` returns the newest `count` points if at most `count / 2` of all points are at or after `x`: then the point
+        // before these is before `x`.
         let (oldest, middle) = (len.saturating_sub(count), len.saturating_sub(count / 2 + 1));
         let is_near = |at: usize| self.points.get(at).is_some_and(|point| point.x.abs_diff(x) <= reach);
-        let is_late = len <= count || self.points.get(middle).is_some_and(|point| point.x < x);
-        is_late && is_near(oldest) && is_near(len.saturating_sub(1))
+        let x_is_after_middle = len <= count || self.points.get(middle).is_some_and(|point| point.x < x);
+        x_is_after_middle && is_near(oldest) && is_near(len.saturating_sub(1))
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
@@ -112,14 +115,14 @@ mod tests {
     fn best_point_is_lowest_after_skew_is_removed() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         let mut insert = |x: i64, bound: i64| seconds.insert(Point { x, bound }, 50e-6);
-        assert_eq!(insert(0, 100), Placement::First);
-        assert_eq!(insert(10_000_000, 400), Placement::Better);
-        assert_eq!(insert(20_000_000, 901), Placement::Worse);
+        assert_eq!(insert(0, 100), InsertResult::First);
+        assert_eq!(insert(10_000_000, 400), InsertResult::Better);
+        assert_eq!(insert(20_000_000, 901), InsertResult::Worse);
         assert_eq!(seconds.points[0].bound, 400);
     }
 
     #[test]
-    fn are_newest_around_matches_the_points() {
+    fn newest_points_are_around_matches_the_points() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         for n in [0, 1, 2, 3, 10, 11, 12, 40] {
             seconds.insert(Point { x: n * SECOND, bound: 0 }, 0.0);
@@ -130,7 +133,11 @@ mod tests {
                     seconds.iter().skip(seconds.points.len().saturating_sub(count)).collect();
                 let are_near = around.iter().all(|point| point.x.abs_diff(x) <= 20 * SECOND as u64);
                 let expected = around == newest && are_near;
-                assert_eq!(seconds.are_newest_around(x, count, 20 * SECOND as u64), expected, "{x} {count}");
+                assert_eq!(
+                    seconds.newest_points_are_around(x, count, 20 * SECOND as u64),
+                    expected,
+                    "{x} {count}"
+                );
             }
         }
     }

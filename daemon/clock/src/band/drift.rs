@@ -23,8 +23,8 @@ impl DriftLimit {
 
     /// Converts a limit in parts per million, whichever of the two clocks it is relative to.
     ///
-    /// When the edge is the slow one, a difference of ρ per second of the cloud is one of ρ / (1 − ρ) per second of the
-    /// edge. NaN is converted to the largest limit.
+    /// If the edge's clock is the slower one, a difference of ρ per second of the cloud's clock is ρ / (1 − ρ) per
+    /// second of the edge's clock. NaN is converted to the largest limit.
     pub(crate) fn new(ppm: f64) -> Self {
         let ppm = if ppm.is_nan() { Self::MAX_PPM } else { ppm.clamp(0.0, Self::MAX_PPM) };
         let rate = ppm / (1e6 - ppm);
@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bend_is_rounded_up_and_saturates() {
+    fn max_deviation_is_rounded_up_and_saturates() {
         let limit = DriftChangeLimit::new(1.0, DriftLimit::new(0.0));
         let second = 1_000_000_000;
         // 1 ppm/s over 10 s and 10 s: 50 µs.

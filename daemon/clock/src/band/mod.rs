@@ -24,12 +24,12 @@ use trend::Trend;
 
 use crate::{Exchange, Interval, RawTime, Span};
 
-/// Number of newest exchanges that bound the offset at any age. Where the window holds fewer, it is extended back to
-/// them.
+/// Number of newest exchanges that bound the offset at any age. If the window contains fewer exchanges, it is extended
+/// back to the oldest of these.
 const MIN_EXCHANGES: usize = 8;
 
-/// Time after the newest exchange for which the hulls are built.
-// They then serve all queries shortly after the exchange. Points that will be too old by then are left out.
+/// Time from the newest exchange to the time of query for which the hulls are built in advance, nanoseconds.
+// These hulls serve all queries within that time. Points that leave the window before its end are left out.
 const HULL_LEAD_NANOS: i64 = 1_000_000_000;
 
 /// Widening of each bound for the rounding of stamps to whole nanoseconds.
@@ -65,7 +65,7 @@ impl Bounds {
     }
 }
 
-/// Assumption that an exchange contradicts together with the exchanges before it.
+/// Assumption under which an exchange and the earlier exchanges exclude each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Contradiction {
     /// The limit of drift.
@@ -77,7 +77,7 @@ pub(crate) enum Contradiction {
 /// Interval that contains the offset at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct OffsetInterval {
-    /// The interval by both assumptions; by the limit of drift alone where no offset satisfies both.
+    /// The interval by both assumptions. If no offset satisfies both, the interval by the limit of drift alone.
     pub(crate) interval: Interval,
     /// `true` if an offset exists that satisfies both assumptions and all exchanges.
     pub(crate) is_consistent: bool,
@@ -98,7 +98,8 @@ pub(crate) struct Band {
     lower: Slots,
     /// The newest exchanges, in the order of their return.
     latest: VecDeque<Bounds>,
-    /// Hulls of the points around the newest exchange.
+    /// Convex hulls of the points around the newest exchange. They give the bounds by the limit of the drift's change
+    /// ([`rate_change`]).
     hulls: Hulls,
     trend: Trend,
     /// Time on the edge's clock in nanoseconds at which the newest exchange returned.
@@ -132,9 +133,10 @@ impl Band {
     /// If each exchange is checked before it is inserted, the bounds by the limit of drift never exclude each other. The
     /// bounds by the limit of its change may, although each exchange was checked, because they involve three or four
     /// points at once. [`interval`](Self::interval) reports that.
-    // Proof of the first statement: hi(q) < lo(q) would mean U + w(|q − x|) < L − w(|q − y|), hence U < L − w(|x − y|)
-    // for two exchanges that are kept at once. The later one would have been rejected. For that reason the check covers
-    // all exchanges that are kept, not only those of the window.
+    // Proof of the first statement: let U be the upper bound of one exchange at x, L the lower bound of another at y, and
+    // w(t) the largest drift during t. If the bounds at q excluded each other, U + w(|q − x|) < L − w(|q − y|), then also
+    // U < L − w(|x − y|), and the later of the two exchanges would have been rejected. For that reason the check covers
+    // all exchanges that are kept, not only the exchanges of the window.
     pub(crate) fn contradiction(&self, bounds: &Bounds) -> Option<Contradiction> {
         let Bounds { upper, lower } = *bounds;
         // Points of the lower side have the opposite sign, so that a bound is negated for the comparison with the other side.
@@ -150,8 +152,7 @@ impl Band {
             return Some(Contradiction::Drift);
         }
         let change = self.drift.change?;
-        // A cheap check first: an exchange whose bounds are no better than those of the newest ones cannot contradict
-        // them.
+        // A cheap check first: an exchange contradicts nothing if the newest exchanges give bounds as good as its own.
         let improves = |point: Point, side: fn(&Bounds) -> Point| {
             self.latest.iter().all(|bounds| side(bounds).bound_at(limit, point.x) > point.bound)
         };
@@ -187,7 +188,7 @@ impl Band {
         }
     }
 
-    /// Removes everything that bounds the offset after `end`. The estimate keeps its points, because it is no bound.
+    /// Removes the bounds of exchanges after `end`. The estimate keeps its points, because it is no bound.
     pub(crate) fn truncate(&mut self, end: RawTime) {
         let end = end.nanos();
         self.upper.truncate(end);
@@ -196,7 +197,8 @@ impl Band {
         self.hulls = Hulls::default();
     }
 
-    /// Returns a copy of the band without the exchanges before `start`.
+    /// Returns a copy of the band without the bounds of exchanges before `start`. The estimate and the number of exchanges
+    /// still include them.
     pub(crate) fn without_exchanges_before(&self, start: RawTime) -> Self {
         let mut copy = Self { hulls: Hulls::default(), ..self.clone() };
         let start = start.nanos();
@@ -214,14 +216,14 @@ impl Band {
             hi: Span::from_nanos(hi),
         };
         let (hi, lo) = (self.upper_bound(q)?, self.lower_bound(q)?);
-        let cones = OffsetInterval { interval: interval(hi, lo), is_consistent: true };
-        let Some(change) = self.drift.change else { return Some(cones) };
+        let by_drift_limit = OffsetInterval { interval: interval(hi, lo), is_consistent: true };
+        let Some(change) = self.drift.change else { return Some(by_drift_limit) };
         let (upper_bound, lower_bound) =
             self.query_hulls(q, change, |hulls| (hulls.upper_bound(q, change), hulls.lower_bound(q, change)));
         let (hi, lo) =
             (upper_bound.map_or(hi, |bound| bound.min(hi)), lower_bound.map_or(lo, |bound| bound.min(lo)));
         if hi.saturating_add(lo) < 0 {
-            return Some(OffsetInterval { is_consistent: false, ..cones });
+            return Some(OffsetInterval { is_consistent: false, ..by_drift_limit });
         }
         Some(OffsetInterval { interval: interval(hi, lo), is_consistent: true })
     }
@@ -264,13 +266,13 @@ impl Band {
         }
     }
 
-    /// Returns whether the newest exchanges reach back further than the window before `q`.
+    /// Returns whether the oldest of the newest eight exchanges is before the window of `q`.
     fn is_sparse(&self, q: i64) -> bool {
         self.latest.front().is_some_and(|oldest| q.saturating_sub(oldest.upper.x) > self.window)
     }
 
-    /// Returns the age of the oldest exchange that bounds the offset at a time: the window, or the age of the oldest of
-    /// the newest eight exchanges if that is more. `None` without exchanges.
+    /// Returns the age that an exchange can have and still bound the offset at a time: the window, or the age of the oldest
+    /// of the newest eight exchanges if that is more. `None` without exchanges.
     pub(crate) fn window_span(&self, at: RawTime) -> Option<Span> {
         let oldest = self.latest.front()?.upper.x;
         Some(Span::from_nanos(at.nanos().saturating_sub(oldest).max(self.window)))
@@ -283,7 +285,7 @@ impl Band {
         self.upper.bound(q, self.window).into_iter().chain(latest).min()
     }
 
-    /// Returns the lower bound at `q` in the same way, with the opposite sign.
+    /// Returns the lower bound at `q` by the limit of drift, with the opposite sign.
     fn lower_bound(&self, q: i64) -> Option<i64> {
         let latest = lowest_bound(self.latest.iter().map(|bounds| bounds.lower), self.drift.limit, q);
         self.lower.bound(q, self.window).into_iter().chain(latest).min()
@@ -326,8 +328,8 @@ impl Band {
         self.exchanges
     }
 
-    /// Returns the time from which on exchanges bound the offset at `at`: the start of the window, or the oldest of the
-    /// newest eight exchanges if that is earlier.
+    /// Returns the time of the earliest exchange that can bound the offset at `at`: the start of the window, or the oldest
+    /// of the newest eight exchanges if that is earlier.
     pub(crate) fn window_start(&self, at: RawTime) -> RawTime {
         let start = at.nanos().saturating_sub(self.window);
         let oldest = self.latest.front().map_or(start, |oldest| oldest.upper.x);

@@ -9,7 +9,7 @@
 //! - beyond two points of both sides, a < b ≤ q, the chord of φ from a to q is below φ(b): θ(q) ≤ U_b + (q−b)·(U_b −
 //!   L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
 //!
-//! Convex hulls select the two points that bound θ(q) best: those of the points (x, U + κx²/2) of one side and of the
+//! Convex hulls select the two points that bound θ(q) best: the hull of the points (x, U + κx²/2) of one side and of the
 //! points (x, U − κx²/2) of the other. A shift of the origin of x adds a straight line and changes no hull, so that one
 //! set of hulls serves every q. The selection uses floating point; the bound of the selected two is an integer that is
 //! rounded up. Bounds from below are the same with the opposite sign. `docs/clocks.md` contains the proof.

@@ -1,11 +1,11 @@
 //! The skew that exchanges prove, whatever their delays were: not an estimate, but bounds.
 //!
-//! With an upper bound U_a and a later lower one L_b, the offset grew by at least L_b − U_a: at some time in between
+//! With an upper bound U_a and a later lower bound L_b, the offset grew by at least L_b − U_a: at some time in between
 //! its rate was (L_b − U_a) / (b − a) or more. With L_a and U_b it was (U_b − L_a) / (b − a) or less. The window of the
 //! band is too short for such a proof: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The
 //! best point of every sixteen seconds is therefore kept for half an hour. These points bound no delay.
 
-use super::best_points::{BestPoints, Placement};
+use super::best_points::{BestPoints, InsertResult};
 use super::hull;
 use super::slots::Point;
 
@@ -44,7 +44,7 @@ impl SkewProof {
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
         let placed = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
         // Computed once per interval, because it compares all pairs of points of the hulls.
-        if placed.contains(&Placement::First) {
+        if placed.contains(&InsertResult::First) {
             self.proven = self.prove();
         }
     }

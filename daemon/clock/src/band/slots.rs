@@ -47,7 +47,7 @@ pub(super) fn lowest_bound(
     drift: DriftLimit,
     q: i64,
 ) -> Option<i64> {
-    // The last points are usually the nearest to `q`. Their bounds rule out most of the others without a multiplication.
+    // The last points are usually the nearest to `q`. Their bounds rule out most of the other points without a multiplication.
     points.rev().fold(None, |best, point| match best {
         Some(best) if point.bound >= best => Some(best),
         Some(best) => Some(point.bound_at(drift, q).min(best)),
@@ -58,11 +58,11 @@ pub(super) fn lowest_bound(
 /// Result of the insertion of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Insertion {
-    /// The point was not kept: its slot has a better one.
+    /// The point was not inserted: its slot has a better point.
     Unchanged,
-    /// The point replaced the best one of the newest slot.
+    /// The point replaced the best point of the newest slot.
     Newest,
-    /// The point is the first of its slot, or replaced the best one of an older slot.
+    /// The point is the first of its slot, or replaced the best point of an older slot.
     Other,
 }
 
@@ -165,7 +165,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bound_after_all_points_is_that_of_all_points(
+        fn bound_of_slots_equals_bound_of_all_points(
             points in proptest::collection::vec((0i64..5_000_000_000, -40_000i64..40_000), 1..200),
             after in 5_000_000_000i64..15_000_000_000,
         ) {

@@ -33,7 +33,7 @@ fn host_clock_pairs(offset: Span, length: Span, random: &mut RandomSource) -> Ve
     host_clock_pairs
 }
 
-/// Delays some answers, so that the trips are learnt in another order than that of their ends.
+/// Delays some answers, so that the trips are not learnt in the order of their ends.
 fn overtaken(trips: &mut [Trip], random: &mut RandomSource) {
     for trip in trips.iter_mut() {
         trip.ended += if random.chance(0.1) { random.exponential(2e9) } else { 0.0 };
@@ -54,7 +54,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn truth_is_always_inside(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
+    fn interval_contains_true_offset(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
         let mut random = RandomSource::new(seed);
         let (window, kept) = (Span::from_seconds(10), Span::from_seconds(40));
         for host_clocks in host_clock_pairs(Span::from_nanos(ahead), Span::from_seconds(120), &mut random) {
@@ -77,7 +77,7 @@ proptest! {
     }
 
     #[test]
-    fn now_the_interval_is_that_of_all_exchanges_of_the_window(seed: u64, path in paths(), hz in 0.2..50.0f64) {
+    fn present_interval_equals_interval_of_all_exchanges(seed: u64, path in paths(), hz in 0.2..50.0f64) {
         let mut random = RandomSource::new(seed);
         let host_clocks = HostClocks {
             edge: SimulatedClock::drifting(Span::ZERO, 0.0),

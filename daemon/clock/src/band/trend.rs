@@ -1,17 +1,17 @@
 //! The point estimate of the offset within the band, and its rate.
 //!
 //! The estimate keeps the best point of each second on either side. The skew is the mean slope of two lines, one below
-//! all upper points and one above all lower ones, of about twenty seconds around the time of the query. After the skew is
+//! all upper points and the other above all lower points, of about twenty seconds around the time of the query. After the skew is
 //! removed, the remaining drift is a wander much slower than the limit, so that the band of these points is much
 //! narrower. The estimate is the middle of this narrow band. It assumes that the shortest delays of both directions are
 //! equal. This cannot be verified, and the bounds do not rely on it.
 //!
-//! The slots of the band are unsuitable for the estimate. The best point of a slot is the one that bounds later times
+//! The slots of the band are unsuitable for the estimate. The best point of a slot is the point that bounds later times
 //! best. For two clocks that drift apart at the limit, that is always the earliest or the latest point.
 
 use std::sync::OnceLock;
 
-use super::best_points::{BestPoints, Placement};
+use super::best_points::{BestPoints, InsertResult};
 use super::hull;
 use super::skew::SkewProof;
 use super::slots::Point;
@@ -40,8 +40,8 @@ pub(super) struct Trend {
     upper: BestPoints,
     /// Lower bounds with the opposite sign.
     lower: BestPoints,
-    /// Skew of the offset as of the newest second. A later point replaces an earlier one of its second if it is lower than
-    /// the earlier one plus the drift at this skew.
+    /// Skew of the offset as of the newest second. A later point replaces an earlier point of its second if it is lower
+    /// than the earlier point plus the drift at this skew.
     slope: f64,
     /// Cached slope of the newest [`ESTIMATE_SECONDS`] seconds, until one of their points changes.
     // Most queries are about the present, and most exchanges change no point.
@@ -75,11 +75,11 @@ impl Trend {
         self.exchanges += 1;
         self.proof.insert(upper, lower, self.slope);
         let placed = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
-        if placed != [Placement::Worse; 2] {
+        if placed != [InsertResult::Worse; 2] {
             self.newest_slope.take();
         }
         // Once per second is enough, because the skew changes slowly.
-        if placed.contains(&Placement::First) {
+        if placed.contains(&InsertResult::First) {
             self.slope = self.slope(lower.x, ESTIMATE_SECONDS, limit).unwrap_or(0.0);
         }
     }
@@ -104,7 +104,7 @@ impl Trend {
     }
 
     /// Returns the rate of the offset over the latest exchanges in seconds per second. No limit applies, so that clocks
-    /// which exceed theirs are visible.
+    /// that exceed the limit are visible.
     pub(super) fn skew(&self) -> Option<f64> {
         self.slope(self.span?.1, SKEW_SECONDS, f64::INFINITY)
     }
@@ -130,7 +130,7 @@ impl Trend {
             Some((above - below) / 2.0)
         };
         let are_newest =
-            |points: &BestPoints| points.are_newest_around(x, seconds, MAX_DISTANCE_NANOS as u64);
+            |points: &BestPoints| points.newest_points_are_around(x, seconds, MAX_DISTANCE_NANOS as u64);
         let slope = if seconds == ESTIMATE_SECONDS && are_newest(&self.upper) && are_newest(&self.lower) {
             *self.newest_slope.get_or_init(compute)
         } else {

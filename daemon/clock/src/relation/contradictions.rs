@@ -1,4 +1,5 @@
-//! Exchanges that contradict the band: they are wrong, or the first after a step that no host reported.
+//! Exchanges that contradict the band: either their stamps are wrong, or they are the first exchanges after a step that no
+//! host reported.
 
 use super::types::ViolatedLimit;
 use crate::band::{Band, Bounds, Contradiction};
@@ -7,13 +8,13 @@ use crate::{RawTime, Span};
 /// Number of agreeing suspects that prove an unreported step.
 const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 
-/// Longest time between two unreported steps that together prove a violated limit, and time for which the
-/// limit counts as violated after the second of them.
+/// Two unreported steps within this time prove a violated limit. The limit counts as violated for the same time after the
+/// second step.
 // Clocks are rarely set twice a minute. A clock that drifts faster than the limit, or a peer that sends wrong stamps,
 // contradicts the band again and again.
 const VIOLATION_DURATION: Span = Span::from_seconds(60);
 
-/// Exchanges that contradict the band now, and the steps that earlier ones proved.
+/// Exchanges that contradict the band now, and the steps that earlier exchanges proved.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Contradictions {
     pub(super) suspects: SuspectExchanges,
@@ -28,7 +29,7 @@ pub(super) struct UnannouncedSteps {
 }
 
 impl UnannouncedSteps {
-    /// Records a step. A second one within [`VIOLATION_DURATION`] violates a limit.
+    /// Records a step. A second step within [`VIOLATION_DURATION`] violates a limit.
     pub(super) fn record(&mut self, at: RawTime, contradiction: Contradiction) {
         if let Some((_, before)) = self.last.filter(|(last, _)| (at - *last).abs() <= VIOLATION_DURATION) {
             let is_change = [before, contradiction].contains(&Contradiction::DriftChange);
@@ -76,9 +77,10 @@ impl SuspectExchanges {
         None
     }
 
-    /// Compares the suspects with an accepted exchange, which the band contains already. Removes the suspects in three
-    /// cases: the exchange contradicts them, they contradict nothing that still bounds the offset, or they are too old to
-    /// bound it themselves.
+    /// Compares the suspects with an accepted exchange, which the band already contains. Removes the suspects if
+    /// - the exchange contradicts them,
+    /// - they contradict no exchange that still bounds the offset, or
+    /// - they are too old to bound the offset themselves.
     // A wide exchange that fits both the band and the suspects keeps them; otherwise no step could be recognised under
     // load. The suspicion still ends: if the clocks changed, the exchanges from before the change leave the window.
     // Suspects are rare, and `learn` is called for every message.

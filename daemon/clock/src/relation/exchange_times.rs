@@ -1,13 +1,13 @@
-//! Thinned times of exchanges, which show whether there are exchanges near a time.
+//! Times of a part of the exchanges, which show whether an exchange took place near a given time.
 
 use std::collections::VecDeque;
 
 use crate::{RawTime, Span};
 
-/// Largest number of times kept per window.
-const MAX_TIMES: i64 = 1024;
+/// Largest number of stamps kept per window.
+const MAX_STAMPS: i64 = 1024;
 
-/// Times of exchanges in order, no two closer than `min_gap`, except for the newest.
+/// Times of exchanges in order. No two of them are closer than `min_gap`; the newest time is stored in addition.
 #[derive(Clone, Debug)]
 pub(super) struct ExchangeTimes {
     times: VecDeque<RawTime>,
@@ -17,13 +17,13 @@ pub(super) struct ExchangeTimes {
 }
 
 impl ExchangeTimes {
-    pub(super) fn new(fresh: Span, window: Span) -> Self {
-        // A fraction of `fresh`, so that thinning hardly changes whether an exchange counts as recent.
-        let min_gap = (fresh.nanos() / 8).max(window.nanos() / MAX_TIMES).max(1);
+    pub(super) fn new(max_fresh_age: Span, window: Span) -> Self {
+        // A fraction of `max_fresh_age`, so that thinning hardly changes whether an exchange counts as recent.
+        let min_gap = (max_fresh_age.nanos() / 8).max(window.nanos() / MAX_STAMPS).max(1);
         Self { times: VecDeque::new(), newest: None, min_gap: Span::from_nanos(min_gap), window }
     }
 
-    /// Inserts the time of an exchange and removes those that are more than `window` before the newest.
+    /// Inserts the time of an exchange and removes times that are more than `window` before the newest.
     pub(super) fn insert(&mut self, at: RawTime) {
         self.newest = self.newest.max(Some(at));
         let index = self.times.partition_point(|time| *time <= at);
@@ -72,7 +72,7 @@ mod tests {
         for n in 0..200_000 {
             exchange_times.insert(second(f64::from(n * 7919 % 200_000) / 100.0));
         }
-        assert!(exchange_times.times.len() as i64 <= MAX_TIMES, "{}", exchange_times.times.len());
+        assert!(exchange_times.times.len() as i64 <= MAX_STAMPS, "{}", exchange_times.times.len());
         assert!(exchange_times.times.iter().is_sorted());
         for at in [1_400.0, 1_700.5, 2_005.0, 2_009.5] {
             assert!(exchange_times.has_exchange_near(second(at), second(at), Span::from_seconds(10)), "{at}");

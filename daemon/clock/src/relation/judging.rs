@@ -4,17 +4,20 @@ use super::sources::{CombinedOffset, OffsetSources};
 use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
-/// Smallest number of exchanges in the window from which a delay is judged at all.
+/// Smallest number of exchanges in the window; with fewer, all delays are `stale`.
 const MIN_EXCHANGES: u64 = 3;
 
 impl Relation {
-    /// Learns a finished exchange of data, and returns its two delays. If it is refused, they are `stepped`, or
-    /// `unsynchronised` if the clocks were never related.
+    /// Learns a finished exchange of data, and returns its two delays. If the exchange is refused, its delays are
+    /// `stepped`, or `unsynchronised` if the clocks were never related.
     pub fn judge(&mut self, observation: &ExchangeObservation) -> JudgedExchange {
         let exchange = &observation.exchange;
-        let is_fresh =
-            self.exchange_times.has_exchange_near(exchange.sent, exchange.returned, self.settings.fresh);
-        // The exchange must not count as a recent one for its own delays, but narrows their intervals.
+        let is_fresh = self.exchange_times.has_exchange_near(
+            exchange.sent,
+            exchange.returned,
+            self.settings.max_fresh_age,
+        );
+        // The exchange must not count as a recent exchange for its own delays, but narrows their intervals.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
         if let LearnResult::Refused(why) = learned {
@@ -32,17 +35,17 @@ impl Relation {
         }
     }
 
-    /// Returns the delay of a message stamped `sent` by its sender's clock and `received` by its receiver's, by the
-    /// exchanges learnt so far.
+    /// Returns the delay of a message stamped `sent` by its sender's clock and `received` by its receiver's clock. Uses
+    /// the exchanges learnt so far.
     pub fn delay(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
-        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.max_fresh_age);
         self.corrected_delay(direction, sent, received, self.combined_offset(at), is_fresh)
     }
 
     /// Returns the differences between the times at which two receivers on the two hosts got the same message, for one
-    /// message in each direction. Each pair contains the stamps of the two receivers; the one on the sender's host comes
-    /// first.
+    /// message in each direction. Each pair contains the stamps of the two receivers; the stamp of the receiver on the
+    /// sender's host comes first.
     ///
     /// A difference and its interval may be negative, because each receiver has its own delay.
     // The relation learns nothing from these stamps. None of them is a departure, so that they do not bound the offset.
@@ -51,7 +54,7 @@ impl Relation {
         up: (RawTime, RawTime),
         down: (RawTime, RawTime),
     ) -> [OneWayDelay; 2] {
-        let is_fresh = self.exchange_times.has_exchange_near(up.0, down.1, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(up.0, down.1, self.settings.max_fresh_age);
         let [of_up, of_down] = self.offsets_of_exchange(up.0, down.1);
         [
             self.corrected_difference(Direction::Up, up.0, up.1, of_up, is_fresh),
@@ -68,7 +71,7 @@ impl Relation {
         received: RawTime,
     ) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
-        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.max_fresh_age);
         self.corrected_difference(direction, sent, received, self.combined_offset(at), is_fresh)
     }
 
@@ -128,7 +131,7 @@ impl Relation {
     }
 
     /// Returns `ok`, `stale` or `inconsistent`. `is_fresh` says whether there are recent exchanges.
-    // Old exchanges and violated assumptions matter only where exchanges narrow the interval.
+    // Old exchanges and violated assumptions matter only if exchanges narrow the interval.
     pub(super) fn verdict_of(&self, offset: &CombinedOffset, is_fresh: bool) -> Verdict {
         let in_band = matches!(offset.source, DelaySource::InBand | DelaySource::Intersection);
         if !offset.is_consistent || (in_band && self.violates_limit()) {

@@ -4,9 +4,9 @@
 //! lengthens its round trip by all of it. A middle that moves further than half of the round trip's growth was not
 //! moved by waiting: either the path changed, or a clock jumped. Exchanges cannot tell these two apart.
 //!
-//! When the edge's clock is set back, the exchanges in flight have one bound from before the jump and one from after
-//! it, and seem shorter than the path. Their round trips would hide the jump in later exchanges. Such an exchange
-//! therefore counts only if one that was sent later is as short, which shows that the path became shorter.
+//! When the edge's clock is set back, the exchanges in flight have one bound from before the jump and the other from
+//! after it, and seem shorter than the path. Their round trips would hide the jump in later exchanges. Such an exchange
+//! therefore counts only if an exchange that was sent later is as short, which shows that the path became shorter.
 
 use std::collections::VecDeque;
 
@@ -30,11 +30,11 @@ const ROUND_TRIP_TO_TOLERANCE: i64 = 50;
 #[derive(Clone, Debug, Default)]
 pub(super) struct ShortestRoundTrips {
     points: VecDeque<RoundTripPoint>,
-    /// Shortest round trip, and the spread of the next ones above it, in nanoseconds. The shortest may exceed the
+    /// Shortest round trip, and the spread of the next shortest round trips above it, in nanoseconds. The shortest may exceed the
     /// path's own round trip by the spread.
     shortest: i64,
     spread: i64,
-    /// Time until which short exchanges are ignored, after one seemed shorter than the path.
+    /// Time until which short exchanges are ignored, because an exchange seemed shorter than the path.
     // An exchange that is sent later was not in flight together with the short one.
     shortened_until: Option<RawTime>,
 }

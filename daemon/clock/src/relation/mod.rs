@@ -1,5 +1,5 @@
-//! The relation between two hosts' clocks: its offset by the exchanges between the hosts, by the claims of their time
-//! daemons, and by a proof that they read one clock.
+//! The relation between two hosts' clocks: the offset that follows from the exchanges between the hosts, from the claims
+//! of their time daemons, and from a proof that both hosts read one clock.
 //!
 //! The module does no I/O. Tests feed it generated histories of clocks and paths, some of which violate an assumption.
 
@@ -28,10 +28,10 @@ use windows::Windows;
 /// Largest magnitude of stamps and offsets: 73 years.
 // A host whose clock has no battery starts in 1970, so that large offsets are valid.
 const MAX_STAMP: Span = Span::from_nanos(1 << 61);
-/// Largest difference between the progress of a wall clock and of the monotonic clock that is no step.
-// Reading two clocks takes time.
+/// Largest difference between the progress of a wall clock and of the monotonic clock that does not count as a step.
+// The two clocks are read one after the other.
 const MAX_READING_DIFFERENCE: Span = Span::from_micros(50);
-/// Further difference that is no step, in parts per million of the progress.
+/// Addition to [`MAX_READING_DIFFERENCE`], in parts per million of the progress.
 // A clock with injected faults drifts against the monotonic clock.
 const MAX_RATE_DIFFERENCE_PPM: i64 = 500;
 
@@ -47,7 +47,8 @@ pub struct Relation {
     exchange_times: ExchangeTimes,
     contradictions: Contradictions,
     steps: StepTracker,
-    /// The last estimate before the step that started the window; `None` once an exchange was accepted in this window.
+    /// `Some` until the first exchange of a window that a step started: the last estimate before the step, or `Some(None)`
+    /// if there was no estimate.
     estimate_before_restart: Option<Option<Span>>,
     claims: Claims,
     counts: ExchangeCounts,
@@ -60,7 +61,10 @@ impl Relation {
             same_clock: false,
             settings,
             windows: Windows::new(&settings),
-            exchange_times: ExchangeTimes::new(settings.fresh, settings.window.max(settings.retention)),
+            exchange_times: ExchangeTimes::new(
+                settings.max_fresh_age,
+                settings.window.max(settings.retention),
+            ),
             contradictions: Contradictions::default(),
             steps: StepTracker::default(),
             estimate_before_restart: None,
@@ -92,13 +96,13 @@ impl Relation {
         self.claims = Claims { edge, cloud };
     }
 
-    /// Returns the offset at a time of the edge's clock within the window or shortly after it, at which its wall clock
-    /// showed `wall`; `None` if no source bounds it.
+    /// Returns the offset at the time `at` of the edge's clock, which must lie in the window or shortly after it. `wall` is
+    /// the time of the edge's wall clock then. `None` if no source bounds the offset.
     pub fn offset(&self, at: RawTime, wall: WallTime) -> Option<Offset> {
         let sources = self.offset_sources(at, None);
         let combined = sources.combine()?;
         let band = self.windows.current();
-        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.fresh);
+        let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.max_fresh_age);
         Some(Offset {
             at: wall,
             estimate: combined.estimate,
@@ -119,7 +123,7 @@ impl Relation {
 
     /// Returns the number of the current window. A step, which invalidates all earlier exchanges, and a suspected jump
     /// start a new one.
-    pub const fn window(&self) -> u32 {
+    pub const fn window_number(&self) -> u32 {
         self.counts.restarts
     }
 
@@ -129,8 +133,8 @@ impl Relation {
         self.windows.current().proven_skew()
     }
 
-    /// Returns the age of the oldest exchange that bounds the offset at a time: the settings' window, or more where the
-    /// newest eight exchanges span a longer time. `None` without exchanges.
+    /// Returns the age that an exchange can have and still bound the offset at a time: the window of the settings, or the
+    /// age of the oldest of the newest eight exchanges if that is more. `None` without exchanges.
     pub fn window_span(&self, at: RawTime) -> Option<Span> {
         self.windows.current().window_span(at)
     }
@@ -156,7 +160,7 @@ impl Relation {
         self.violated_limit().is_some()
     }
 
-    /// Returns the bytes of memory that the exchanges of the window take.
+    /// Returns the memory of the exchanges, bytes.
     pub fn memory_bytes(&self) -> usize {
         self.windows.memory_bytes()
             + self.contradictions.suspects.memory_bytes()
@@ -169,7 +173,7 @@ impl Relation {
         let counts = &mut self.counts;
         match learned {
             LearnResult::Accepted | LearnResult::Restarted(_) | LearnResult::Jumped(_) => {
-                counts.taken += 1;
+                counts.accepted += 1;
                 self.exchange_times.insert(observation.exchange.returned);
             }
             LearnResult::Refused(Refusal::Impossible) => counts.impossible += 1,
@@ -179,7 +183,7 @@ impl Relation {
         learned
     }
 
-    /// Starts a new window if `epoch` is a new epoch of the edge's clock, which follows a step or a drift beyond the limit.
+    /// Starts a new window if `epoch` is higher than the last known epoch of the edge's clock.
     pub fn restart_after_edge_step(&mut self, epoch: u32) {
         if self.steps.update_edge_epoch(epoch) {
             self.claims.edge = None;
@@ -187,7 +191,8 @@ impl Relation {
         }
     }
 
-    /// Starts a new window if `epoch` is a new epoch of the cloud's clock, which the peer reported.
+    /// Starts a new window if `epoch`, which the peer reported, is higher than the last known epoch of the cloud's
+    /// clock.
     pub fn restart_after_cloud_step(&mut self, epoch: u32) {
         if self.steps.update_cloud_epoch(epoch) {
             self.claims.cloud = None;
@@ -251,7 +256,7 @@ impl Relation {
         at: RawTime,
         contradiction: Contradiction,
     ) -> bool {
-        let Some(window) = self.contradictions.suspects.add(bounds, || self.windows.empty()) else {
+        let Some(window) = self.contradictions.suspects.add(bounds, || self.windows.new_band()) else {
             return false;
         };
         self.steps.stop_excluding();
@@ -261,8 +266,11 @@ impl Relation {
         true
     }
 
-    /// Returns whether two clocks can produce these stamps: the answer follows the message, and the round trip is not
-    /// negative by more than the stamps' uncertainty and the clocks' drift.
+    /// Returns whether two clocks can produce these stamps:
+    /// - each departure and its arrival are in order on each host's clock;
+    /// - the round trip is not negative by more than the stamps' uncertainty and the clocks' drift;
+    /// - the uncertainty is not negative;
+    /// - no stamp and no bound exceeds [`MAX_STAMP`].
     fn is_possible(&self, exchange: &Exchange) -> bool {
         let Exchange { sent, received, replied, returned, uncertainty } = *exchange;
         let max_drift =
@@ -284,18 +292,19 @@ impl Relation {
         self.contradictions.suspects.clear();
         let Some(newest) = self.windows.current().newest() else { return };
         self.estimate_before_restart = Some(self.estimate_at(newest));
-        self.windows.restart(self.windows.empty());
+        self.windows.restart(self.windows.new_band());
         self.exchange_times.clear();
         self.counts.restarts += 1;
     }
 
-    /// Returns the estimate of the offset by the exchanges at a time.
+    /// Returns the estimate of the offset at a time that follows from the exchanges.
     fn estimate_at(&self, at: RawTime) -> Option<Span> {
         self.windows.interval(at).map(|interval| self.windows.estimate(at, interval))
     }
 }
 
-/// Returns whether the cloud's clock advanced like its monotonic clock, where both are known.
+/// Returns whether the cloud's clock advanced like its monotonic clock; `true` if the observation does not contain the
+/// time of the monotonic clock.
 fn is_free_of_cloud_step(ExchangeObservation { exchange, cloud_elapsed, .. }: &ExchangeObservation) -> bool {
     cloud_elapsed.is_none_or(|mono| {
         let limit = MAX_READING_DIFFERENCE

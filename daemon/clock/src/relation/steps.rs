@@ -1,15 +1,15 @@
-//! Tracking of the steps that both hosts report, and exclusion of the exchanges that were in flight during one.
+//! Tracking of the steps that both hosts report, and exclusion of the exchanges that were in flight during a step.
 
 use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
 /// Number of answers in a row with the same lower epoch after which the peer counts as restarted.
-// Fewer are late answers that were overtaken.
+// Fewer such answers are late answers that were overtaken.
 const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
-/// Longest time between the start of an excluded exchange and the return of the one that reported a step of the edge.
+/// Longest time between the start of an excluded exchange and the return of the exchange that reported a step of the edge.
 // It is short, because the stamps themselves may have been set back. Longer exchanges show the step against the
 // monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
-/// Longest time between the start of an excluded exchange and the return of the one that reported a step of the cloud.
+/// Longest time between the start of an excluded exchange and the return of the exchange that reported a step of the cloud.
 const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
 /// The epochs of both hosts, and the exclusion of exchanges that the last step requires.
@@ -75,7 +75,7 @@ impl StepTracker {
             self.barrier = Barrier::Before(returned, MAX_EDGE_REACH);
         }
         let cloud = observation.cloud_epoch.map(|reported| (reported, *self.cloud.get_or_insert(reported)));
-        // Answers can overtake each other, so that a lower epoch is usually a late one.
+        // Answers can overtake each other, so that a lower epoch usually comes with a late answer.
         let is_overtaken = cloud
             .is_some_and(|(reported, previous)| reported < previous && !self.is_restarted_counter(reported));
         let mut has_cloud_step = false;

@@ -14,15 +14,15 @@ pub enum Direction {
     Down,
 }
 
-/// Settings that an estimate rests on in addition to the exchanges.
+/// Settings of a relation: its clocks, the limits of their drift, and the exchanges that count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelationSettings {
     /// Clocks of the two hosts that are related.
     pub clocks: RelatedClocks,
-    /// Largest drift between the two clocks, parts per million. All bounds hold as long as the clocks keep it.
+    /// Largest drift between the two clocks, parts per million. All bounds hold as long as the clocks keep this limit.
     pub max_drift_ppm: f64,
     /// Largest change of the drift, parts per million per second. Used where both clocks run freely: all bounds then
-    /// hold as long as the clocks keep it, too.
+    /// hold as long as the clocks keep this limit, too.
     pub max_drift_change_ppm_per_s: f64,
     /// Largest time between an exchange and a query at which the exchange bounds the offset. The newest eight exchanges
     /// bound it at any distance.
@@ -30,7 +30,7 @@ pub struct RelationSettings {
     /// Time for which exchanges are kept to answer queries about the past. A value below `window` counts as `window`.
     pub retention: Span,
     /// Largest distance in time to the nearest other exchange at which a delay is not `stale`.
-    pub fresh: Span,
+    pub max_fresh_age: Span,
     /// `true` if the claims of both hosts' time daemons narrow the interval. No exchange proves a claim: if a daemon is
     /// wrong about its clock, the interval is wrong, too.
     pub trust_time_daemons: bool,
@@ -44,7 +44,7 @@ impl Default for RelationSettings {
             max_drift_change_ppm_per_s: 1.0,
             window: Span::from_seconds(10),
             retention: Span::from_seconds(10),
-            fresh: Span::from_seconds(10),
+            max_fresh_age: Span::from_seconds(10),
             trust_time_daemons: false,
         }
     }
@@ -68,7 +68,7 @@ pub enum LearnResult {
     /// It was accepted.
     Accepted,
     /// It was accepted as the first of a new window, because a clock was stepped before it. The value is the estimate
-    /// after the step minus the one before it, where both exist.
+    /// after the step minus the estimate before it, if both exist.
     Restarted(Option<Span>),
     /// It was accepted as the first of a new window, because a jump is suspected. The value is the movement of the
     /// offset, which is more than queueing on the network explains. Either the path between the hosts changed, or a
@@ -115,7 +115,8 @@ pub struct Offset {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExchangeCounts {
     /// Accepted exchanges.
-    pub taken: u64,
+    #[serde(rename = "taken")]
+    pub accepted: u64,
     /// Refused because impossible.
     pub impossible: u64,
     /// Refused as outliers.

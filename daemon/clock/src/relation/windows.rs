@@ -32,7 +32,7 @@ struct PastWindow {
     band: Band,
     /// Time until which this window certainly holds.
     until: RawTime,
-    /// Time from which on the next window certainly holds.
+    /// Time after which the next window certainly holds.
     next_from: RawTime,
     /// Time at which the first exchange of the next window was sent.
     next_sent: RawTime,
@@ -67,7 +67,7 @@ impl Windows {
     }
 
     /// Returns a window without exchanges.
-    pub(super) fn empty(&self) -> Band {
+    pub(super) fn new_band(&self) -> Band {
         Band::new(self.drift, self.window, self.retention)
     }
 
@@ -85,8 +85,8 @@ impl Windows {
         }
         let suspected = self.shortest_round_trips.suspected_jump(exchange, self.drift.limit);
         if let Some(SuspectedJump { last_before: (sent, returned), .. }) = suspected {
-            let empty = self.empty();
-            let mut band = std::mem::replace(&mut self.current, empty);
+            let new_band = self.new_band();
+            let mut band = std::mem::replace(&mut self.current, new_band);
             // Exchanges since then may be from after the jump, and too wide to show it.
             band.truncate(returned);
             // The edge's own clock may have jumped back, so that the second exchange has the earlier stamps.
@@ -106,7 +106,7 @@ impl Windows {
         suspected.map(|suspected| suspected.moved)
     }
 
-    /// Replaces all windows by one, after a step of a clock.
+    /// Replaces all windows by `window`, after a step of a clock.
     pub(super) fn restart(&mut self, window: Band) {
         self.current = window;
         // A step makes all earlier bounds invalid, unlike a suspected jump, whose time is known.

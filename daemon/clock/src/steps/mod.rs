@@ -24,7 +24,7 @@ pub struct Readings {
     pub boot: MonoTime,
 }
 
-/// Smallest change between two clocks that is a step.
+/// Largest change between two clocks that does not count as a step.
 // Smaller changes may come from the time that reading takes.
 const MIN_STEP: Span = Span::from_micros(20);
 

@@ -15,11 +15,11 @@ pub(crate) struct PairedReading<T = i64, C = MonoTime> {
 
 /// Longest time between the two reads of an uninterrupted reading.
 const MAX_UNINTERRUPTED_GAP: Span = Span::from_micros(3);
-/// Largest number of readings until one is not interrupted.
+/// Maximum number of readings in search of an uninterrupted one.
 const MAX_READS: u32 = 8;
 
 impl<T, C: Copy + Sub<Output = Span>> PairedReading<T, C> {
-    /// Reads until a reading is not interrupted. If all are interrupted, returns the one with the shortest gap.
+    /// Reads until a reading is not interrupted. If all are interrupted, returns the reading with the shortest gap.
     pub(crate) fn read_uninterrupted(mut read: impl FnMut() -> Self) -> Self {
         let mut best = read();
         for _ in 1..MAX_READS {
@@ -58,7 +58,7 @@ pub(crate) struct StepWatch {
 }
 
 impl StepWatch {
-    /// Largest difference in rate that is no step.
+    /// Largest difference in rate that does not count as a step, parts per million.
     // libfaketime can give the wall clock another rate.
     const RATE_PPM: f64 = 200.0;
 

@@ -19,10 +19,10 @@ pub enum Disturbance {
 ///
 /// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`. The rate itself is no slew: on a machine
 /// whose crystal is off by 60 ppm and whose time daemon compensates for it, the rate is a constant 60 ppm and the wall
-/// clock is excellent. A rate that exceeds that of any crystal (100 ppm) by more than the limit counts as a slew from the
+/// clock is excellent. A rate that exceeds the rate error of any crystal (100 ppm) by more than the limit counts as a slew from the
 /// start.
-// The limit is the one for a pair of hosts. Half of it may be due to the other host, but neither host knows the other's
-// part. Exchanges between the two hosts detect what this check misses.
+// The limit applies to a pair of hosts. Neither host knows how much the other one contributes, so that each may use the
+// whole limit. Exchanges between the two hosts detect what this check misses.
 #[derive(Debug)]
 pub struct ClockWatch {
     max_drift_ppm: f64,
@@ -36,7 +36,7 @@ pub struct ClockWatch {
 }
 
 impl ClockWatch {
-    /// Largest difference in rate that is no step, for clocks with injected drift.
+    /// Largest difference in rate that does not count as a step, for clocks with injected drift; parts per million.
     const RATE_PPM: f64 = 500.0;
     /// Shortest sleep that is reported.
     // The time between the reads of two clocks is shorter.

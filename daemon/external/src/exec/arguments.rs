@@ -78,15 +78,15 @@ thread_local! {
 /// Outside of it each command is serialized as its program and the number of its arguments, whatever its key.
 pub fn with_arguments<T>(write: impl FnOnce() -> T) -> T {
     /// Restores the previous mode, also when `write` panics.
-    struct Restore(bool);
+    struct ShowsArgumentsGuard(bool);
 
-    impl Drop for Restore {
+    impl Drop for ShowsArgumentsGuard {
         fn drop(&mut self) {
             SHOWS_ARGUMENTS.set(self.0);
         }
     }
 
-    let _restore = Restore(SHOWS_ARGUMENTS.replace(true));
+    let _restore = ShowsArgumentsGuard(SHOWS_ARGUMENTS.replace(true));
     write()
 }
 
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn configurations_lose_arguments_and_nothing_else() {
+    fn only_arguments_are_hidden_in_configurations() {
         let plain = "name = \"line\"\n\n[sensor]\nkind = \"synthetic\"\nsize_bytes = 100\n";
         assert_eq!(hide_arguments(plain), plain);
         let text = "name = 'line'\nsensor = { kind = 'exec', command = ['./light', '--token', 'hunter2'], timeout_ms = 5 }\n\
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_lose_their_arguments_whatever_their_key() {
+    fn arguments_are_hidden_under_any_key_of_command() {
         /// Kind of program with other keys.
         #[derive(Serialize)]
         #[serde(tag = "kind", rename_all = "kebab-case")]

@@ -12,10 +12,15 @@ use crate::process::{MAX_TIMEOUT_MS, ProcessError};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FramingError {
     /// The line is not UTF-8.
-    #[error("it wrote {0:?}, which is not UTF-8 text; write all other output to standard error")]
+    #[error(
+        "it wrote {0:?}, which is not UTF-8 text; write only replies to standard output, and everything else to standard error"
+    )]
     NotText(String),
     /// The first word of the line has no meaning for this role.
-    #[error("it wrote {line:?}; a {role} writes one of: {words}. Write all other output to standard error")]
+    #[error(
+        "it wrote {line:?}; a {role} writes one of: {words}. Write only replies to standard output, and everything else to \
+         standard error"
+    )]
     Word {
         /// The line.
         line: String,
@@ -36,7 +41,7 @@ pub enum FramingError {
     #[error("it announced {0} bytes; a sample has at most {MAX_BYTES}")]
     TooLarge(u64),
     /// The payload's length does not match its shape.
-    #[error("it announced {bytes} bytes for a shape of {expected}")]
+    #[error("it announced {bytes} bytes, but its shape and type need {expected}")]
     Shape {
         /// Announced length, bytes.
         bytes: u64,
@@ -51,8 +56,8 @@ pub enum FramingError {
     TooManyParts,
     /// The name is reserved.
     #[error(
-        "it reported {0:?}, which is a reserved name; use another name, or as a model the stages preprocessing, inference, \
-         postprocessing"
+        "it reported {0:?}, which is a reserved name; use another name; a model may report the stages preprocessing, \
+         inference and postprocessing"
     )]
     Name(String),
     /// The program uses an unknown version of the framing.
@@ -94,7 +99,7 @@ pub enum CommandError {
 
 /// Reason that a program did not reply to a request.
 #[derive(Debug, thiserror::Error)]
-pub enum ExchangeError {
+pub enum ProgramCallError {
     /// The command cannot be run.
     #[error(transparent)]
     Command(#[from] CommandError),
@@ -135,7 +140,7 @@ pub enum ExchangeError {
         /// Reason of the last failure.
         last: String,
     },
-    /// The sum of the reported stages is longer than the whole exchange.
+    /// The sum of the reported stages is longer than the whole call.
     #[error(
         "the stages that it reported add up to {stages:?}, but it replied within {whole:?}; report seconds"
     )]

@@ -28,8 +28,8 @@ mod timeline;
 
 pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts, with_arguments};
 pub use command::{CommandLine, ExecConfig};
-pub use error::{CommandError, ExchangeError, FramingError};
-pub use program::{Exchange, Program};
+pub use error::{CommandError, FramingError, ProgramCallError};
+pub use program::{Program, ProgramCall};
 pub use reply::{Reply, ReplyAssembler, ReplyInput, ReplyNotes, ReplyOutcome};
 pub use request::Request;
 pub use timeline::TimedStage;

@@ -5,8 +5,8 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 
 use super::text_line::shorten;
 use super::{
-    ExchangeError, ExecConfig, MAX_LINE_BYTES, Reply, ReplyAssembler, ReplyInput, ReplyNotes, ReplyOutcome,
-    Request, Role, VERSION,
+    ExecConfig, MAX_LINE_BYTES, ProgramCallError, Reply, ReplyAssembler, ReplyInput, ReplyNotes,
+    ReplyOutcome, Request, Role, VERSION,
 };
 use crate::process::{Launch, Process, ProcessError, RestartBackoff, StderrLog};
 
@@ -28,9 +28,9 @@ pub struct Program {
     is_finished: bool,
 }
 
-/// A request and its reply.
+/// A request to the program and its reply.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Exchange {
+pub struct ProgramCall {
     /// Start of the program's restart for this request, if it had failed before.
     pub restarted_at: Option<MonoTime>,
     /// Time at which writing the request began.
@@ -53,7 +53,7 @@ impl Program {
         role: Role,
         name: &str,
         clock: &SharedClock,
-    ) -> Result<Self, ExchangeError> {
+    ) -> Result<Self, ProgramCallError> {
         config.check()?;
         let (program, arguments) = config.program_and_arguments();
         let mut environment = config.env.clone();
@@ -68,7 +68,7 @@ impl Program {
             environment,
             inherited_file: None,
         };
-        let process = Process::start(&launch, clock).map_err(ExchangeError::Start)?;
+        let process = Process::start(&launch, clock).map_err(ProgramCallError::Start)?;
         Ok(Self {
             role,
             launch,
@@ -88,11 +88,11 @@ impl Program {
     ///
     /// # Errors
     /// The reason that this request has no reply. The next request may succeed.
-    pub fn call(&mut self, request: Request<'_>) -> Result<Exchange, ExchangeError> {
+    pub fn call(&mut self, request: Request<'_>) -> Result<ProgramCall, ProgramCallError> {
         if self.is_finished {
             let now = self.clock.mono();
             let notes = ReplyNotes::default();
-            return Ok(Exchange {
+            return Ok(ProgramCall {
                 restarted_at: None,
                 started_at: now,
                 ended_at: now,
@@ -106,7 +106,7 @@ impl Program {
             None => self.restart()?,
         };
         let started_at = self.clock.mono();
-        let replied = run_exchange(&mut process, request, self.role, started_at + self.timeout);
+        let replied = send_and_receive(&mut process, request, self.role, started_at + self.timeout);
         let ended_at = self.clock.mono();
         match replied {
             Ok(Reply { notes, outcome }) => {
@@ -114,14 +114,14 @@ impl Program {
                 self.restart_backoff.record_success();
                 self.is_finished = outcome == ReplyOutcome::End;
                 match outcome {
-                    ReplyOutcome::Error(text) => Err(ExchangeError::Refused(text)),
-                    outcome => Ok(Exchange { restarted_at, started_at, ended_at, notes, outcome }),
+                    ReplyOutcome::Error(text) => Err(ProgramCallError::Refused(text)),
+                    outcome => Ok(ProgramCall { restarted_at, started_at, ended_at, notes, outcome }),
                 }
             }
             Err(error) => {
                 // The program is killed before the delay starts, so that it cannot disturb the next process.
                 let error = match error {
-                    ExchangeError::Process(ProcessError::TimedOut) => ExchangeError::TooSlow {
+                    ProgramCallError::Process(ProcessError::TimedOut) => ProgramCallError::TooSlow {
                         after: self.timeout.to_duration(),
                         stderr_suffix: process.kill().stderr_suffix(),
                     },
@@ -135,18 +135,18 @@ impl Program {
         }
     }
 
-    fn restart(&mut self) -> Result<Process, ExchangeError> {
+    fn restart(&mut self) -> Result<Process, ProgramCallError> {
         if let Some(left) = self.restart_backoff.remaining_delay(self.clock.mono()) {
-            return Err(ExchangeError::RestartDelayed {
+            return Err(ProgramCallError::RestartDelayed {
                 left: left.to_duration(),
                 last: self.last_failure.clone(),
             });
         }
         tracing::info!(name = self.launch.name, "restarting the program");
-        Process::start(&self.launch, &self.clock).map_err(|error| self.failed(ExchangeError::Start(error)))
+        Process::start(&self.launch, &self.clock).map_err(|error| self.failed(ProgramCallError::Start(error)))
     }
 
-    fn failed(&mut self, error: ExchangeError) -> ExchangeError {
+    fn failed(&mut self, error: ProgramCallError) -> ProgramCallError {
         self.restart_backoff.record_failure(self.clock.mono());
         self.last_failure = error.to_string();
         error
@@ -163,15 +163,15 @@ impl Drop for Program {
 }
 
 /// Sends a request and reads the reply.
-fn run_exchange(
+fn send_and_receive(
     process: &mut Process,
     request: Request<'_>,
     role: Role,
     deadline: MonoTime,
-) -> Result<Reply, ExchangeError> {
-    // Output before the request would be taken for its reply, and each later reply for that of the next request.
+) -> Result<Reply, ProgramCallError> {
+    // Output before the request would be taken for its reply, and each reply for the reply to the next request.
     if process.has_more() {
-        return Err(ExchangeError::UnsolicitedOutput(shorten(&process.peek_line())));
+        return Err(ProgramCallError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();

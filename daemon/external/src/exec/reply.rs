@@ -174,7 +174,7 @@ impl ReplyAssembler {
         ReplyInput::Line
     }
 
-    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` stands for a wrong form.
+    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the form is wrong.
     fn announce_part(&mut self, rest: &str, last: bool) -> Result<ReplyInput, Option<FramingError>> {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;

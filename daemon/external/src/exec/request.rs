@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn one_line_and_the_bytes() {
+    fn request_is_one_line_and_its_bytes() {
         let mut sample =
             Sample::from_part(Description::unshaped(MediaType::Text), Bytes::from_static(b"hello"));
         assert_eq!(written(Request::Sample(&sample)), "sample 5 text/plain - -\nhello");

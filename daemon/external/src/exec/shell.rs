@@ -36,7 +36,7 @@ pub(super) fn split(line: &str) -> Vec<String> {
 }
 
 /// Programs (without the version after their names) that run the first file among their arguments, each with the
-/// letters of those options after which the code is on the command line instead.
+/// letters of the options after which the command line contains the code instead of a file.
 const INTERPRETERS: [(&str, &str); 20] = [
     ("sh", "c"),
     ("bash", "c"),

@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span};
 
-use super::{Exchange, ExchangeError};
+use super::{ProgramCall, ProgramCallError};
 
 /// Stages of a model that count towards the sum of the stages.
 const SUMMED_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
@@ -24,7 +24,7 @@ pub struct TimedStage {
     pub to: MonoTime,
 }
 
-impl Exchange {
+impl ProgramCall {
     /// Returns the time from the request to the reply.
     pub fn duration(&self) -> Span {
         self.ended_at - self.started_at
@@ -46,15 +46,15 @@ impl Exchange {
     /// `restart`.
     ///
     /// # Errors
-    /// [`ExchangeError::Stages`] if the stages add up to more than the whole.
-    pub fn stages(&self) -> Result<Vec<TimedStage>, ExchangeError> {
+    /// [`ProgramCallError::Stages`] if the stages add up to more than the whole.
+    pub fn stages(&self) -> Result<Vec<TimedStage>, ProgramCallError> {
         let timed = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
         let is_stage = |name: &String| SUMMED_STAGES.contains(&name.as_str());
         let summed = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
         let reported: Span = summed.map(|(_, span)| *span).sum();
         if reported > self.duration() + ROUNDING_TOLERANCE {
             let (stages, whole) = (reported.to_duration(), self.duration().to_duration());
-            return Err(ExchangeError::Stages { stages, whole });
+            return Err(ProgramCallError::Stages { stages, whole });
         }
         let stages_start = match self.restarted_at {
             Some(from) => from + (self.ended_at - from - reported).max(Span::ZERO),
@@ -88,7 +88,7 @@ mod tests {
     use crate::exec::{ReplyNotes, ReplyOutcome};
 
     /// Returns the stages of a program that reported these durations (milliseconds) and replied after 10 ms.
-    fn stages(reported: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
+    fn stages(reported: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ProgramCallError> {
         after(None, reported)
     }
 
@@ -96,14 +96,15 @@ mod tests {
     fn after(
         restart: Option<i64>,
         reported: &[(&str, i64)],
-    ) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
+    ) -> Result<Vec<(String, i64, i64)>, ProgramCallError> {
         let stages = reported.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
         let (started_at, ended_at) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
         let restarted_at = restart.map(|before| MonoTime::from_nanos(-before * 1_000_000));
         let notes = ReplyNotes { stages, ..ReplyNotes::default() };
-        let exchange = Exchange { restarted_at, started_at, ended_at, notes, outcome: ReplyOutcome::Done };
+        let program_call =
+            ProgramCall { restarted_at, started_at, ended_at, notes, outcome: ReplyOutcome::Done };
         let millis = |at: MonoTime| at.nanos() / 1_000_000;
-        Ok(exchange
+        Ok(program_call
             .stages()?
             .into_iter()
             .map(|stage| (stage.name, millis(stage.from), millis(stage.to)))
@@ -135,6 +136,6 @@ mod tests {
     #[test]
     fn stages_beyond_rounding_tolerance_are_refused() {
         assert_eq!(stages(&[("inference", 11)]).expect("is rounded")[1], ("ipc".to_owned(), 10, 10));
-        assert!(matches!(stages(&[("inference", 80_000)]), Err(ExchangeError::Stages { .. })));
+        assert!(matches!(stages(&[("inference", 80_000)]), Err(ProgramCallError::Stages { .. })));
     }
 }

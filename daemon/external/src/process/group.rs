@@ -50,7 +50,7 @@ impl Group {
         &mut self.leader
     }
 
-    /// Returns the number of the leader, which is also that of the group.
+    /// Returns the process number of the leader, which is also the number of the group.
     pub(super) fn id(&self) -> u32 {
         self.leader.id()
     }

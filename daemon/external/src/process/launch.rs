@@ -14,7 +14,7 @@ use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
 
 use super::StderrLog;
 
-/// Program with its arguments and surroundings; may be started repeatedly.
+/// Program with its arguments, working directory and environment; may be started repeatedly.
 #[derive(Clone, Debug)]
 pub struct Launch {
     /// Owner of the process, for the log: `the sensor of pipeline camera`.
@@ -25,9 +25,9 @@ pub struct Launch {
     pub program: OsString,
     /// Arguments of the program.
     pub arguments: Vec<OsString>,
-    /// Working directory; `None` for that of this program.
+    /// Working directory; `None` for the working directory of this program.
     pub folder: Option<PathBuf>,
-    /// Environment variables added to those of this program.
+    /// Environment variables added to the environment of this program.
     pub environment: BTreeMap<String, String>,
     /// Open file that the process inherits, under the same descriptor number.
     pub inherited_file: Option<Arc<File>>,
@@ -43,7 +43,8 @@ impl Launch {
         }
     }
 
-    /// Returns the command, with three pipes and a signal at the end of this program.
+    /// Returns the command, with pipes for standard input, output and error. The kernel kills the process when this program
+    /// ends.
     pub(super) fn command(&self) -> Command {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).envs(&self.environment);
@@ -55,7 +56,7 @@ impl Launch {
         let inherited_file = self.inherited_file.clone();
         #[expect(
             unsafe_code,
-            reason = "only between fork and exec can a process be told to die with its parent, and what stays open"
+            reason = "the parent-death signal and the inherited descriptor can only be set between fork and exec"
         )]
         // SAFETY: the closure makes three system calls, allocates nothing and takes no lock.
         unsafe {

@@ -17,18 +17,18 @@ const MAX_BYTES: u64 = 32 << 10;
 pub(super) struct LogLimit {
     /// End of the current period; `None` before the first line.
     until: Option<MonoTime>,
-    logged: Volume,
-    omitted: Volume,
+    logged: LogVolume,
+    omitted: LogVolume,
 }
 
 /// Number of lines and of their bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Volume {
+pub(super) struct LogVolume {
     pub(super) lines: u64,
     pub(super) bytes: u64,
 }
 
-impl Volume {
+impl LogVolume {
     fn add(&mut self, line: &str) {
         self.lines += 1;
         self.bytes += line.len() as u64;
@@ -40,7 +40,7 @@ impl LogLimit {
     pub(super) fn admit(&mut self, line: &str, now: MonoTime) -> bool {
         if self.until.is_none_or(|until| until <= now) {
             self.until = Some(now + PERIOD);
-            self.logged = Volume::default();
+            self.logged = LogVolume::default();
         }
         let is_admitted = self.logged.lines < MAX_LINES && self.logged.bytes < MAX_BYTES;
         let volume = if is_admitted { &mut self.logged } else { &mut self.omitted };
@@ -55,12 +55,12 @@ impl LogLimit {
     }
 
     /// Returns the lines that were left out since the last report, if there are any and the period has ended.
-    pub(super) fn report(&mut self, now: MonoTime) -> Option<Volume> {
+    pub(super) fn report(&mut self, now: MonoTime) -> Option<LogVolume> {
         self.until.is_some_and(|until| until <= now).then(|| self.report_rest()).flatten()
     }
 
     /// Returns the lines that were left out since the last report, if there are any.
-    pub(super) fn report_rest(&mut self) -> Option<Volume> {
+    pub(super) fn report_rest(&mut self) -> Option<LogVolume> {
         let omitted = std::mem::take(&mut self.omitted);
         (omitted.lines > 0).then_some(omitted)
     }
@@ -85,7 +85,7 @@ mod tests {
         let logged = (0..1_000).filter(|_| limit.admit("four", at(0))).count() as u64;
         assert_eq!(logged, MAX_LINES);
         assert_eq!((limit.report(at(9)), limit.time_to_report(at(9))), (None, Some(Duration::from_secs(1))));
-        let omitted = Volume { lines: 1_000 - MAX_LINES, bytes: 4 * (1_000 - MAX_LINES) };
+        let omitted = LogVolume { lines: 1_000 - MAX_LINES, bytes: 4 * (1_000 - MAX_LINES) };
         assert_eq!((limit.report(at(10)), limit.report(at(10))), (Some(omitted), None));
         assert!(limit.admit("again", at(10)) && limit.time_to_report(at(10)).is_none());
     }
@@ -95,6 +95,6 @@ mod tests {
         let mut limit = LogLimit::default();
         let line = "x".repeat(4_096);
         assert_eq!((0..100).filter(|_| limit.admit(&line, at(0))).count(), 8);
-        assert_eq!(limit.report_rest(), Some(Volume { lines: 92, bytes: 92 * 4_096 }));
+        assert_eq!(limit.report_rest(), Some(LogVolume { lines: 92, bytes: 92 * 4_096 }));
     }
 }

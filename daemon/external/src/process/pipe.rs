@@ -76,7 +76,7 @@ pub(super) struct Wait<'a> {
 
 impl Wait<'_> {
     /// Waits until one of the pipes is ready; returns which are.
-    fn ready<const N: usize>(&self, pipes: [(&OwnedFd, PollFlags); N]) -> Result<[bool; N], PipeError> {
+    fn until_ready<const N: usize>(&self, pipes: [(&OwnedFd, PollFlags); N]) -> Result<[bool; N], PipeError> {
         let mut watched: Vec<_> = pipes.iter().map(|(fd, what)| PollFd::new(*fd, *what)).collect();
         watched.extend(self.process.map(|process| PollFd::from_borrowed_fd(process, PollFlags::IN)));
         self.poll(&mut watched)?;
@@ -112,7 +112,7 @@ impl Wait<'_> {
     }
 }
 
-/// Writes all parts in order, and reads what the process writes meanwhile.
+/// Writes all parts in order, and at the same time reads what the process writes.
 // Otherwise both sides would wait for each other if the process answers before it has read everything.
 pub(super) fn write(
     fd: &OwnedFd,
@@ -135,13 +135,13 @@ pub(super) fn write(
     Ok(())
 }
 
-/// Waits until the pipe accepts more, and reads what the process writes meanwhile.
+/// Waits until the pipe accepts more bytes, and at the same time reads what the process writes.
 fn wait_to_write(fd: &OwnedFd, answers: &mut Reader, wait: Wait<'_>) -> Result<(), PipeError> {
     let writable = (fd, PollFlags::OUT);
     if answers.is_full() {
-        return wait.ready([writable]).map(drop);
+        return wait.until_ready([writable]).map(drop);
     }
-    let [_, has_answer] = wait.ready([writable, (&answers.fd, PollFlags::IN)])?;
+    let [_, has_answer] = wait.until_ready([writable, (&answers.fd, PollFlags::IN)])?;
     if has_answer { answers.read_more(wait) } else { Ok(()) }
 }
 
@@ -161,11 +161,11 @@ impl Reader {
 
     /// Returns whether the limit of read-ahead is reached.
     fn is_full(&self) -> bool {
-        self.buffered().len() >= MAX_READ_AHEAD_BYTES
+        self.buffered_bytes().len() >= MAX_READ_AHEAD_BYTES
     }
 
     /// Returns the bytes that were read and not returned yet.
-    fn buffered(&self) -> &[u8] {
+    fn buffered_bytes(&self) -> &[u8] {
         &self.buffer[self.consumed..]
     }
 
@@ -173,7 +173,7 @@ impl Reader {
     pub(super) fn has_more(&self) -> bool {
         let no_wait = Timespec { tv_sec: 0, tv_nsec: 0 };
         let mut fds = [PollFd::from_borrowed_fd(self.fd.as_fd(), PollFlags::IN)];
-        let polled = self.buffered().is_empty().then(|| poll(&mut fds, Some(&no_wait)));
+        let polled = self.buffered_bytes().is_empty().then(|| poll(&mut fds, Some(&no_wait)));
         // A closed pipe holds nothing; the next write or read returns the error.
         polled.is_none_or(|polled| polled.is_ok() && fds[0].revents().contains(PollFlags::IN))
     }
@@ -185,7 +185,7 @@ impl Reader {
                 Ok(0) => return Err(PipeError::Closed(Some(Fault::ClosedOutput))),
                 Ok(_) => return Ok(()),
                 Err(Errno::INTR) => {}
-                Err(Errno::AGAIN) => drop(wait.ready([(fd, PollFlags::IN)])?),
+                Err(Errno::AGAIN) => drop(wait.until_ready([(fd, PollFlags::IN)])?),
                 Err(error) => return Err(error.into()),
             }
         }
@@ -208,25 +208,25 @@ impl Reader {
 
     /// Returns what the process has written of its next line, without waiting for more.
     pub(super) fn peek_line(&mut self, wait: Wait<'_>) -> &[u8] {
-        if self.buffered().is_empty() {
+        if self.buffered_bytes().is_empty() {
             // After an error the line is empty; the next read returns the error.
             let _ = self.read_more(wait);
         }
-        self.buffered().split(|byte| *byte == b'\n').next().unwrap_or_default()
+        self.buffered_bytes().split(|byte| *byte == b'\n').next().unwrap_or_default()
     }
 
     /// Reads exactly `length` bytes.
     pub(super) fn read_exact(&mut self, length: usize, wait: Wait<'_>) -> Result<Bytes, PipeError> {
         let mut bytes = Vec::with_capacity(length);
-        let buffered = self.buffered().len().min(length);
-        bytes.extend_from_slice(&self.buffered()[..buffered]);
+        let buffered = self.buffered_bytes().len().min(length);
+        bytes.extend_from_slice(&self.buffered_bytes()[..buffered]);
         self.consumed += buffered;
         while bytes.len() < length {
             // A short remainder is read together with the bytes after it, which saves a system call.
             if length - bytes.len() < READ_CHUNK_BYTES {
                 self.read_more(wait)?;
-                let more = self.buffered().len().min(length - bytes.len());
-                bytes.extend_from_slice(&self.buffered()[..more]);
+                let more = self.buffered_bytes().len().min(length - bytes.len());
+                bytes.extend_from_slice(&self.buffered_bytes()[..more]);
                 self.consumed += more;
             } else {
                 Self::read_into(&self.fd, &mut bytes, wait)?;
@@ -244,13 +244,13 @@ impl Reader {
     ) -> Result<Bytes, PipeError> {
         let mut searched = 0;
         loop {
-            if let Some(at) = self.buffered()[searched..].iter().position(|byte| *byte == end) {
+            if let Some(at) = self.buffered_bytes()[searched..].iter().position(|byte| *byte == end) {
                 let length = searched + at;
-                let bytes = Bytes::copy_from_slice(&self.buffered()[..length]);
+                let bytes = Bytes::copy_from_slice(&self.buffered_bytes()[..length]);
                 self.consumed += length + 1;
                 return if length > max_length { Err(PipeError::TooLong(max_length)) } else { Ok(bytes) };
             }
-            searched = self.buffered().len();
+            searched = self.buffered_bytes().len();
             if searched > max_length {
                 return Err(PipeError::TooLong(max_length));
             }

@@ -2,8 +2,7 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Exponential backoff for restarts: no delay after a process that worked, growing delays while processes die without
-/// having worked.
+/// Exponential backoff for restarts: no delay after a process that worked, growing delays while processes die before they work.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RestartBackoff {
     /// Number of consecutive ends without a successful call in between.
@@ -34,7 +33,7 @@ impl RestartBackoff {
         self.not_before = Some(now + delay);
     }
 
-    /// Returns the time left before the next start; `None` if the process may be started now.
+    /// Returns the remaining time before the next start; `None` if the process may be started now.
     pub fn remaining_delay(&self, now: MonoTime) -> Option<Span> {
         self.not_before.map(|not_before| not_before - now).filter(|left| *left > Span::ZERO)
     }

@@ -148,7 +148,7 @@ impl Process {
         self.process_end()
     }
 
-    /// Converts the error of a pipe to that of the process; waits for the exit status of a process that closed its end.
+    /// Converts the error of a pipe to an error of the process; waits for the exit status of a process that closed its end.
     fn convert_pipe_error(&mut self, error: PipeError) -> ProcessError {
         error.into_process_error().unwrap_or_else(|fault| {
             // A process that ends closes its pipes as well. A closed pipe is a fault only of a process that still
@@ -182,7 +182,7 @@ impl Process {
         self.status.is_some() || wait_until(&self.clock, self.pidfd.as_ref(), deadline).wait_for_exit()
     }
 
-    /// Kills the rest of the process and its group; `fault` is what the process did wrong before.
+    /// Kills the rest of the process and its group; `fault` is the misbehaviour of the process before, if any.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
             let has_ended = self.exits_within(Span::ZERO);

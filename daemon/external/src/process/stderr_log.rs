@@ -13,7 +13,7 @@ use peernet_sample::escaped_line;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::log_limit::{LogLimit, Volume};
+use super::log_limit::{LogLimit, LogVolume};
 
 /// Longest line in the log, bytes; a longer one is split.
 const MAX_LINE_BYTES: usize = 4096;
@@ -47,8 +47,8 @@ impl StderrLog {
         }
     }
 
-    fn log_omission(self, name: &str, omitted: Volume) {
-        let Volume { lines, bytes } = omitted;
+    fn log_omission(self, name: &str, omitted: LogVolume) {
+        let LogVolume { lines, bytes } = omitted;
         let limit = LogLimit::in_words();
         self.log_line(
             name,
@@ -159,7 +159,7 @@ fn keep_line(last: &Mutex<VecDeque<String>>, line: &str) {
     last.push_back(line[..line.floor_char_boundary(MAX_KEPT_LINE_BYTES)].to_owned());
 }
 
-/// Splitter of output into lines. A carriage return ends a line as well: progress bars write nothing else.
+/// Splitter of output into lines. A carriage return ends a line as well: progress bars write only these.
 #[derive(Default)]
 struct LineSplitter(Vec<u8>);
 

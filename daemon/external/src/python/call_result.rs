@@ -14,10 +14,10 @@ pub struct CallResult {
     pub times: CallTimes,
 }
 
-/// Step of the user's own code.
+/// Step of a call that runs in the user's code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Stage {
+pub enum Step {
     /// `sample()` of a sensor.
     Sample,
     /// `preprocess(x)` of a model.
@@ -38,37 +38,37 @@ pub struct CallTimes {
     /// Time at which the result was received.
     pub ended_at: MonoTime,
     /// Steps that were run, in order. A step that raised an exception is the last one.
-    pub stages: Vec<(Stage, MonoTime, MonoTime)>,
+    pub steps: Vec<(Step, MonoTime, MonoTime)>,
 }
 
 impl CallTimes {
     /// Converts the worker's stamps.
     ///
     /// The worker stamps with `time.monotonic_ns()`, which reads the same clock as this process. Under clock fault
-    /// injection the stamps may lie outside of the call; then the steps are placed one after the other from the
-    /// beginning of the call.
-    pub(super) fn new(started_at: MonoTime, ended_at: MonoTime, stamps: &[(Stage, i64, i64)]) -> Self {
+    /// injection the stamps may lie outside of the call; the steps then follow each other from the beginning of the
+    /// call.
+    pub(super) fn new(started_at: MonoTime, ended_at: MonoTime, stamps: &[(Step, i64, i64)]) -> Self {
         let inside = stamps.iter().try_fold(started_at.nanos(), |before, (_, from, to)| {
             (before <= *from && from <= to).then_some(*to)
         });
         let mut next = started_at;
-        let place = |&(stage, from, to): &(Stage, i64, i64)| match inside {
+        let place = |&(step, from, to): &(Step, i64, i64)| match inside {
             Some(last) if last <= ended_at.nanos() => {
-                (stage, MonoTime::from_nanos(from), MonoTime::from_nanos(to))
+                (step, MonoTime::from_nanos(from), MonoTime::from_nanos(to))
             }
             _ => {
                 let from_here = next;
                 next = next + Span::from_nanos(to.saturating_sub(from).max(0));
-                (stage, from_here, next)
+                (step, from_here, next)
             }
         };
-        Self { restarted_at: None, started_at, ended_at, stages: stamps.iter().map(place).collect() }
+        Self { restarted_at: None, started_at, ended_at, steps: stamps.iter().map(place).collect() }
     }
 
-    /// Returns the time that is not spent in the user's code: both transfers and both conversions.
+    /// Returns the time that is not spent in the user's code: transfer and conversion of the arguments and of the result.
     pub fn overhead(&self) -> Span {
-        let own: Span = self.stages.iter().map(|(_, from, to)| *to - *from).sum();
-        (self.ended_at - self.started_at - own).max(Span::ZERO)
+        let in_steps: Span = self.steps.iter().map(|(_, from, to)| *to - *from).sum();
+        (self.ended_at - self.started_at - in_steps).max(Span::ZERO)
     }
 }
 
@@ -81,18 +81,18 @@ mod tests {
     }
 
     #[test]
-    fn stages_stand_where_they_were_stamped() {
-        let stamps = [(Stage::Preprocess, 120, 130), (Stage::Infer, 131, 180)];
+    fn steps_stay_where_they_were_stamped() {
+        let stamps = [(Step::Preprocess, 120, 130), (Step::Infer, 131, 180)];
         let times = CallTimes::new(at(100), at(200), &stamps);
-        assert_eq!(times.stages, [(Stage::Preprocess, at(120), at(130)), (Stage::Infer, at(131), at(180))]);
+        assert_eq!(times.steps, [(Step::Preprocess, at(120), at(130)), (Step::Infer, at(131), at(180))]);
         assert_eq!(times.overhead(), Span::from_nanos(41));
     }
 
     #[test]
     fn stamps_of_another_clock_keep_their_lengths() {
-        let stamps = [(Stage::Preprocess, 9120, 9130), (Stage::Infer, 9131, 9180)];
+        let stamps = [(Step::Preprocess, 9120, 9130), (Step::Infer, 9131, 9180)];
         let times = CallTimes::new(at(100), at(200), &stamps);
-        assert_eq!(times.stages, [(Stage::Preprocess, at(100), at(110)), (Stage::Infer, at(110), at(159))]);
+        assert_eq!(times.steps, [(Step::Preprocess, at(100), at(110)), (Step::Infer, at(110), at(159))]);
         assert_eq!(times.overhead(), Span::from_nanos(41));
         assert_eq!(CallTimes::new(at(0), at(5), &stamps).overhead(), Span::ZERO);
     }

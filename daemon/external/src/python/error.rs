@@ -30,10 +30,12 @@ pub enum PythonError {
     #[error("the environment variable {0:?} has an invalid name or value")]
     Variable(String),
     /// The folder does not exist.
-    #[error("{} is not a folder; set folder to the one that contains the module", .0.display())]
+    #[error("{} is not a folder; set folder to the folder that contains the module", .0.display())]
     Folder(PathBuf),
     /// The interpreter does not exist.
-    #[error("there is no Python at {0}; install python3, or name one with python or PEERNET_PYTHON")]
+    #[error(
+        "there is no Python at {0}; install python3, or name an interpreter with the key python or the variable PEERNET_PYTHON"
+    )]
     NoPython(String),
     /// Python does not find the module.
     #[error(

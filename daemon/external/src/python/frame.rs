@@ -1,6 +1,6 @@
 //! Messages over the pipes.
 //!
-//! A message consists of a mark, the length of the header, the header as JSON, and the bytes of those parts that are
+//! A message consists of [`MESSAGE_PREFIX`], the length of the header, the header as JSON, and the bytes of those parts that are
 //! not in shared memory.
 
 use std::os::fd::RawFd;
@@ -8,12 +8,12 @@ use std::os::fd::RawFd;
 use peernet_sample::{Description, Part};
 use serde::{Deserialize, Serialize};
 
-use super::{Images, ObjectDescription, Role, Stage};
+use super::{Images, ObjectDescription, Role, Step};
 use crate::text::deserialize_printable;
 
-/// First bytes of every message, by which other output on the pipe is noticed.
-pub(super) const MESSAGE_MARK: [u8; 4] = *b"PN1\n";
-/// Number of bytes before the header: the mark and the header's length.
+/// First bytes of every message. A message without them shows that the user's program wrote to the pipe.
+pub(super) const MESSAGE_PREFIX: [u8; 4] = *b"PN1\n";
+/// Number of bytes before the header: [`MESSAGE_PREFIX`] and the header's length.
 pub(super) const PREFIX_BYTES: usize = 8;
 /// Longest header, bytes.
 pub(super) const MAX_HEADER_BYTES: usize = 1 << 20;
@@ -26,8 +26,16 @@ pub const PICKLE: &str = "application/x-python-pickle";
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Request<'a> {
-    /// Creates the object. `window` is the descriptor of the inherited file whose memory is shared.
-    Start { module: &'a str, path: &'a str, role: Role, pickle: bool, images: Images, window: RawFd },
+    /// Creates the object. `shared_memory` is the descriptor of the inherited file whose memory is shared.
+    Start {
+        module: &'a str,
+        path: &'a str,
+        role: Role,
+        pickle: bool,
+        images: Images,
+        #[serde(rename = "window")]
+        shared_memory: RawFd,
+    },
     /// Calls the object with the parts that follow.
     Call { parts: Vec<PartHead> },
 }
@@ -38,21 +46,32 @@ pub(super) enum Request<'a> {
 pub(super) enum Reply {
     /// The object has been created.
     Ready(ObjectDescription),
-    /// The returned value, and the stages with their stamps in nanoseconds.
-    Value { parts: Vec<PartHead>, stages: Vec<(Stage, i64, i64)> },
+    /// The returned value, and the steps with their stamps in nanoseconds.
+    Value {
+        parts: Vec<PartHead>,
+        #[serde(rename = "stages")]
+        steps: Vec<(Step, i64, i64)>,
+    },
     /// The sensor has no more samples.
-    Over { stages: Vec<(Stage, i64, i64)> },
+    #[serde(rename = "over")]
+    EndOfSamples {
+        #[serde(rename = "stages")]
+        steps: Vec<(Step, i64, i64)>,
+    },
     /// The user's code raised an exception.
     Raised {
         #[serde(deserialize_with = "deserialize_printable")]
         text: String,
-        stages: Vec<(Stage, i64, i64)>,
+        #[serde(rename = "stages")]
+        steps: Vec<(Step, i64, i64)>,
     },
     /// The value cannot be transferred.
-    Refused {
+    #[serde(rename = "refused")]
+    UnsupportedValue {
         #[serde(deserialize_with = "deserialize_printable")]
         text: String,
-        stages: Vec<(Stage, i64, i64)>,
+        #[serde(rename = "stages")]
+        steps: Vec<(Step, i64, i64)>,
     },
 }
 
@@ -75,9 +94,9 @@ impl PartHead {
 /// Defect of a message from the worker.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
-    /// The message does not begin with the mark.
-    #[error("it starts with {0:?} instead of the mark")]
-    Mark(String),
+    /// The message does not begin with `PN1`.
+    #[error("it starts with {0:?} instead of PN1; does the program write to the pipe of PEERNet?")]
+    Prefix(String),
     /// The header is longer than allowed.
     #[error("its header has {0} bytes, the limit is {MAX_HEADER_BYTES}")]
     HeaderLength(usize),
@@ -100,22 +119,22 @@ pub enum FrameError {
     },
 }
 
-/// Returns mark, length and header of a request.
+/// Returns the first bytes, the length and the header of a request.
 pub(super) fn encode(request: &Request<'_>) -> Result<Vec<u8>, serde_json::Error> {
     let mut frame = Vec::with_capacity(256);
-    frame.extend_from_slice(&MESSAGE_MARK);
+    frame.extend_from_slice(&MESSAGE_PREFIX);
     frame.extend_from_slice(&[0; 4]);
     serde_json::to_writer(&mut frame, request)?;
     let length = u32::try_from(frame.len() - PREFIX_BYTES).unwrap_or(u32::MAX);
-    frame[MESSAGE_MARK.len()..PREFIX_BYTES].copy_from_slice(&length.to_le_bytes());
+    frame[MESSAGE_PREFIX.len()..PREFIX_BYTES].copy_from_slice(&length.to_le_bytes());
     Ok(frame)
 }
 
 /// Returns the length of the header that follows a prefix.
 pub(super) fn header_length(prefix: &[u8]) -> Result<usize, FrameError> {
-    let Some(length) = prefix.strip_prefix(&MESSAGE_MARK).and_then(|rest| <[u8; 4]>::try_from(rest).ok())
+    let Some(length) = prefix.strip_prefix(&MESSAGE_PREFIX).and_then(|rest| <[u8; 4]>::try_from(rest).ok())
     else {
-        return Err(FrameError::Mark(String::from_utf8_lossy(prefix).into_owned()));
+        return Err(FrameError::Prefix(String::from_utf8_lossy(prefix).into_owned()));
     };
     let length = u32::from_le_bytes(length) as usize;
     if length > MAX_HEADER_BYTES { Err(FrameError::HeaderLength(length)) } else { Ok(length) }

@@ -18,7 +18,7 @@ mod object;
 mod shared_memory;
 mod worker;
 
-pub use call_result::{CallResult, CallTimes, Stage};
+pub use call_result::{CallResult, CallTimes, Step};
 pub use config::{Images, PythonConfig};
 pub use error::PythonError;
 pub use frame::{FrameError, PICKLE};

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::frame::{FrameError, Reply, Request};
 use super::interpreter;
 use super::worker::{Worker, WorkerError};
-use super::{CallResult, CallTimes, PythonConfig, PythonError, Stage};
+use super::{CallResult, CallTimes, PythonConfig, PythonError, Step};
 use crate::digest;
 use crate::process::{Launch, ProcessError, RestartBackoff};
 
@@ -37,7 +37,7 @@ pub struct ObjectDescription {
     /// Description of the object, such as `class camera::Camera`.
     #[serde(rename = "what")]
     pub object: String,
-    /// Users' own files that the object is made of, beginning with that of its module.
+    /// Users' own files that the object is made of; the file of its module is the first.
     files: Vec<PathBuf>,
     /// Names and versions of the libraries that these files import anywhere, and of everything that was imported
     /// during the start; a version may be empty.
@@ -66,7 +66,10 @@ impl ObjectDescription {
             facts.push((format!("{role} libraries"), libraries.join(", ")));
         }
         if self.is_incomplete {
-            facts.push((format!("{role} imports"), "more than is told here".to_owned()));
+            facts.push((
+                format!("{role} imports"),
+                "incomplete: only the first files and libraries are listed".to_owned(),
+            ));
         }
         facts
     }
@@ -130,7 +133,10 @@ impl PythonObject {
     }
 
     /// Calls the object with a value; `sample()` takes none. Blocks until the object has answered, the timeout is
-    /// over, or the process has ended. After a failure the next call restarts the process.
+    /// over, or the process has ended.
+    ///
+    /// If the process died or did not answer, the next call restarts it. After repeated failures the restart is delayed,
+    /// and calls fail until then. An exception of the user's code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
         let called_at = self.clock.mono();
         let restarted = self.worker.is_none().then_some(called_at);
@@ -172,20 +178,20 @@ impl PythonObject {
         started_at: MonoTime,
         ended: MonoTime,
     ) -> CallResult {
-        let call_result = |result, stages: &[(Stage, i64, i64)]| CallResult {
+        let call_result = |result, steps: &[(Step, i64, i64)]| CallResult {
             result,
-            times: CallTimes::new(started_at, ended, stages),
+            times: CallTimes::new(started_at, ended, steps),
         };
         match reply {
-            Reply::Value { parts, stages } => {
+            Reply::Value { parts, steps } => {
                 let parts = parts.into_iter().zip(bytes);
                 let parts =
                     parts.map(|(head, bytes)| Part { description: head.description, bytes }).collect();
-                call_result(Ok(Some(parts)), &stages)
+                call_result(Ok(Some(parts)), &steps)
             }
-            Reply::Over { stages } => call_result(Ok(None), &stages),
-            Reply::Raised { text, stages } => call_result(Err(PythonError::Raised(text)), &stages),
-            Reply::Refused { text, stages } => call_result(Err(PythonError::Value(text)), &stages),
+            Reply::EndOfSamples { steps } => call_result(Ok(None), &steps),
+            Reply::Raised { text, steps } => call_result(Err(PythonError::Raised(text)), &steps),
+            Reply::UnsupportedValue { text, steps } => call_result(Err(PythonError::Value(text)), &steps),
             Reply::Ready(_) => {
                 self.worker = None;
                 call_result(Err(self.invalid_message(FrameError::ReadyTwice)), &[])
@@ -222,14 +228,16 @@ impl PythonObject {
             role: self.role,
             pickle: self.config.pickle,
             images: self.config.images,
-            window: worker.window(),
+            shared_memory: worker.shared_memory(),
         };
         match worker.create_object(&settings, until) {
             Ok((Reply::Ready(description), _)) => {
                 self.description = description;
                 Ok(worker)
             }
-            Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(self.start_error(text)),
+            Ok((Reply::Raised { text, .. } | Reply::UnsupportedValue { text, .. }, _)) => {
+                Err(self.start_error(text))
+            }
             Ok(_) => Err(self.start_error("it answered before a request".to_owned())),
             Err(WorkerError::Process(ProcessError::TimedOut)) => {
                 let (allowed, stderr_suffix) = (allowed.seconds(), worker.kill().stderr_suffix());

@@ -2,8 +2,8 @@
 //!
 //! A pipe copies through the kernel page by page, which takes 22 µs per crossing at 150 kB on the reference machine;
 //! two `memcpy` take 3 µs. Neither side writes while the other one reads: a call is a request followed by a reply,
-//! and each side copies out what it received before it sends its next message. A view instead of the second copy
-//! would change under a user who keeps a value beyond the next call.
+//! and each side copies out what it received before it sends its next message. The second copy is
+//! needed because the next call overwrites the memory, and a user may keep a value longer.
 
 use std::fs::File;
 use std::io;
@@ -37,7 +37,7 @@ impl SharedMemory {
     // If one side shortened the file, the other side would be killed (SIGBUS) while it reads.
     pub(super) fn new() -> io::Result<Self> {
         let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
-        let create = |flags| memfd_create(c"peernet-window", flags);
+        let create = |flags| memfd_create(c"peernet-shared-memory", flags);
         let file = match create(flags | MemfdFlags::NOEXEC_SEAL) {
             // Before Linux 6.3 the flag is not known. Newer systems may require it.
             Err(Errno::INVAL) => create(flags)?,
@@ -137,15 +137,15 @@ mod tests {
 
     #[test]
     fn only_large_parts_get_shared_memory() {
-        let mut window = SharedMemory::new().expect("there is memory");
+        let mut shared_memory = SharedMemory::new().expect("there is memory");
         let parts = [part(5000), part(10), part(3 << 20), part(MIN_SHARED_BYTES)];
-        let positions = window.write_parts(&parts).expect("there is memory");
+        let positions = shared_memory.write_parts(&parts).expect("there is memory");
         assert_eq!(positions[1], None);
         for (part, at) in parts.iter().zip(&positions) {
             let Some(at) = *at else { continue };
             assert_eq!(at % ALIGNMENT as u64, 0);
             assert_eq!(
-                window.read_part(at, part.bytes.len()).expect("it is mapped"),
+                shared_memory.read_part(at, part.bytes.len()).expect("it is mapped"),
                 Some(part.bytes.clone())
             );
         }
@@ -153,12 +153,12 @@ mod tests {
 
     #[test]
     fn positions_outside_memory_are_refused() {
-        let mut window = SharedMemory::new().expect("there is memory");
+        let mut shared_memory = SharedMemory::new().expect("there is memory");
         for (at, length) in
             [(0, INITIAL_BYTES + 1), (INITIAL_BYTES as u64, 1), (u64::MAX, 1), (1, usize::MAX)]
         {
             assert_eq!(
-                window.read_part(at, length).expect("nothing is wrong with it"),
+                shared_memory.read_part(at, length).expect("nothing is wrong with it"),
                 None,
                 "{length} at {at}"
             );
@@ -167,24 +167,24 @@ mod tests {
 
     #[test]
     fn other_side_may_grow_but_not_shrink_memory() {
-        let mut window = SharedMemory::new().expect("there is memory");
-        let theirs = window.file();
+        let mut shared_memory = SharedMemory::new().expect("there is memory");
+        let theirs = shared_memory.file();
         theirs.set_len(0).expect_err("it is sealed");
         theirs.set_len(2 * INITIAL_BYTES as u64).expect("it may grow");
         theirs.write_all_at(b"late", INITIAL_BYTES as u64 + 7).expect("there is room");
-        let taken = window.read_part(INITIAL_BYTES as u64 + 7, 4).expect("it is mapped");
+        let taken = shared_memory.read_part(INITIAL_BYTES as u64 + 7, 4).expect("it is mapped");
         assert_eq!(taken.as_deref(), Some(&b"late"[..]));
         theirs.set_len(16 * INITIAL_BYTES as u64).expect("it may grow");
-        window.write_parts(&[part(3 * INITIAL_BYTES)]).expect("it is there already");
+        shared_memory.write_parts(&[part(3 * INITIAL_BYTES)]).expect("it is there already");
     }
 
     #[test]
     fn excess_memory_is_returned_after_large_call() {
-        let mut window = SharedMemory::new().expect("there is memory");
-        window.write_parts(&[part(2 * MAX_KEPT_BYTES as usize)]).expect("there is memory");
-        let held = || window.file.metadata().expect("it is open").blocks() * 512;
+        let mut shared_memory = SharedMemory::new().expect("there is memory");
+        shared_memory.write_parts(&[part(2 * MAX_KEPT_BYTES as usize)]).expect("there is memory");
+        let held = || shared_memory.file.metadata().expect("it is open").blocks() * 512;
         assert!(held() >= 2 * MAX_KEPT_BYTES);
-        window.release_excess();
+        shared_memory.release_excess();
         assert!(held() <= MAX_KEPT_BYTES);
     }
 }

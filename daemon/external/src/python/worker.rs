@@ -19,7 +19,7 @@ pub(super) type Answer = (Reply, Vec<Bytes>);
 #[derive(Debug)]
 pub(super) struct Worker {
     process: Process,
-    window: SharedMemory,
+    shared_memory: SharedMemory,
 }
 
 /// Failure after which the process cannot be used any more.
@@ -36,14 +36,14 @@ pub(super) enum WorkerError {
 impl Worker {
     /// Starts the process.
     pub(super) fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, WorkerError> {
-        let window = SharedMemory::new().map_err(WorkerError::Memory)?;
-        let launch = Launch { inherited_file: Some(window.file()), ..launch.clone() };
-        Ok(Self { process: Process::start(&launch, clock)?, window })
+        let shared_memory = SharedMemory::new().map_err(WorkerError::Memory)?;
+        let launch = Launch { inherited_file: Some(shared_memory.file()), ..launch.clone() };
+        Ok(Self { process: Process::start(&launch, clock)?, shared_memory })
     }
 
     /// Returns the descriptor number under which the process finds the shared memory.
-    pub(super) fn window(&self) -> RawFd {
-        self.window.file().as_raw_fd()
+    pub(super) fn shared_memory(&self) -> RawFd {
+        self.shared_memory.file().as_raw_fd()
     }
 
     /// Sends the process its source and the settings of the object.
@@ -59,7 +59,7 @@ impl Worker {
 
     /// Calls the object.
     pub(super) fn call(&mut self, parts: &[Part], until: MonoTime) -> Result<Answer, WorkerError> {
-        let positions = self.window.write_parts(parts).map_err(WorkerError::Memory)?;
+        let positions = self.shared_memory.write_parts(parts).map_err(WorkerError::Memory)?;
         let heads = parts.iter().zip(&positions).map(|(part, at)| PartHead::new(part, *at)).collect();
         let head = encode_request(&Request::Call { parts: heads })?;
         let mut chunks: Vec<&[u8]> = vec![&head];
@@ -67,7 +67,7 @@ impl Worker {
         chunks.extend(piped.map(|(part, _)| &part.bytes[..]));
         self.process.write(&chunks, until)?;
         let answer = self.receive_reply(until)?;
-        self.window.release_excess();
+        self.shared_memory.release_excess();
         Ok(answer)
     }
 
@@ -99,7 +99,7 @@ impl Worker {
     fn read_part(&mut self, part: &PartHead, until: MonoTime) -> Result<Bytes, WorkerError> {
         let length = part.length as usize;
         let Some(at) = part.at else { return Ok(self.process.read_exact(length, until)?) };
-        let bytes = self.window.read_part(at, length).map_err(WorkerError::Memory)?;
+        let bytes = self.shared_memory.read_part(at, length).map_err(WorkerError::Memory)?;
         bytes.ok_or_else(|| FrameError::Position { length, at }.into())
     }
 }

@@ -104,7 +104,7 @@ proptest! {
     }
 
     #[test]
-    fn anything_after_a_right_beginning_never_panics(png: bool, rest in proptest::collection::vec(any::<u8>(), 0..300)) {
+    fn bytes_after_valid_start_never_panic(png: bool, rest in proptest::collection::vec(any::<u8>(), 0..300)) {
         let mut bytes = if png { b"\x89PNG\r\n\x1a\n".to_vec() } else { vec![0xff, 0xd8, 0xff] };
         bytes.extend(rest);
         let _ = (probe(&bytes), try_decode(&bytes));

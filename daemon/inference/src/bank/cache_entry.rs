@@ -59,7 +59,7 @@ pub(super) struct FilesStamp(Vec<Option<(u64, SystemTime)>>);
 impl FilesStamp {
     /// Reads the sizes and modification times of a model's files.
     pub(super) fn read(folder: &Path) -> Self {
-        let mut files = onnx::files(folder).unwrap_or_default();
+        let mut files = onnx::model_files(folder).unwrap_or_default();
         files.push(folder.join(onnx::CARD));
         let stamp = |file: &PathBuf| {
             let metadata = file.metadata().ok()?;

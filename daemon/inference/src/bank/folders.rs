@@ -23,7 +23,7 @@ pub struct ModelFolders(Vec<PathBuf>);
 /// A model on disk.
 #[derive(Debug)]
 pub struct ModelOnDisk {
-    /// Name of the model: that of its folder.
+    /// Name of the model: the name of its folder.
     pub name: Slug,
     /// The folder with `model.onnx` and its card `model.toml`.
     pub folder: PathBuf,
@@ -34,7 +34,8 @@ pub struct ModelOnDisk {
 }
 
 impl ModelFolders {
-    /// Returns the folders that the command line searches: `extra`, then those of `PEERNET_MODELS`, [`DEFAULT_MODEL_FOLDER`] and `models`.
+    /// Returns the folders that the command line searches: `extra`, then the folders of `PEERNET_MODELS`,
+    /// [`DEFAULT_MODEL_FOLDER`] and `models`.
     pub fn search(extra: &[PathBuf]) -> Self {
         let variable = std::env::var_os(VARIABLE).unwrap_or_default();
         let named = std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty());
@@ -133,12 +134,12 @@ impl ModelOnDisk {
     /// # Errors
     /// When a file cannot be read.
     pub fn hash(&self) -> Result<String, LoadError> {
-        onnx::hash_network(&self.folder)
+        onnx::hash_model(&self.folder)
     }
 
     /// Returns the size of these files, bytes; `None` if one is missing or `model.onnx` is not a model.
     pub fn size(&self) -> Option<u64> {
-        onnx::files(&self.folder).ok()?.iter().map(|file| Some(file.metadata().ok()?.len())).sum()
+        onnx::model_files(&self.folder).ok()?.iter().map(|file| Some(file.metadata().ok()?.len())).sum()
     }
 }
 

@@ -124,7 +124,7 @@ fn entries_to_unload(
     stamp: &FilesStamp,
     most: usize,
 ) -> Result<Vec<Arc<CacheEntry>>, LoadError> {
-    // The caller holds the lock of the list, so that nobody else can get an entry that only the list references.
+    // The caller holds the lock of the list, so that no other thread can get an entry that only the list references.
     let is_idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
     if let Some(at) = entries.iter().position(|entry| is_entry(entry, name, device)) {
         if entries[at].stamp.as_ref() == Some(stamp) {

@@ -84,8 +84,8 @@ struct EchoWorker {
 }
 
 impl Worker for EchoWorker {
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
-        let _inference = log.time(stage::INFERENCE);
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+        let _inference = recorder.time(stage::INFERENCE);
         Ok(self.answer.as_ref().unwrap_or(sample).clone())
     }
 }

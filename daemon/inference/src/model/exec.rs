@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
-    CommandLine, ExchangeError, FingerprintKey, Program, ReplyOutcome, Request, Role,
+    CommandLine, FingerprintKey, Program, ProgramCallError, ReplyOutcome, Request, Role,
 };
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit};
@@ -53,7 +53,7 @@ impl ModelKind for ExecConfig {
     fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
         // This check does not run the program.
         Self::check(&on_device(self, shared))
-            .map_err(|reason| failed(self, shared, ExchangeError::Command(reason)))
+            .map_err(|reason| failed(self, shared, ProgramCallError::Command(reason)))
     }
 
     /// Starts one process.
@@ -104,7 +104,7 @@ fn start(config: &ExecConfig, shared: &SharedKeys, clock: &SharedClock) -> Resul
         .map_err(|error| failed(config, shared, error))
 }
 
-fn failed(config: &ExecConfig, shared: &SharedKeys, error: ExchangeError) -> LoadError {
+fn failed(config: &ExecConfig, shared: &SharedKeys, error: ProgramCallError) -> LoadError {
     LoadError::Program { model: shared.name.to_string(), command: config.command.to_string(), error }
 }
 
@@ -114,17 +114,17 @@ struct ExecWorker {
 }
 
 impl Worker for ExecWorker {
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
-        let exchange =
+        let program_call =
             self.program.call(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
-        for stage in exchange.stages().map_err(|error| failed(error.to_string()))? {
-            log.record_timer(Name::from(stage.name), stage.from, stage.to);
+        for stage in program_call.stages().map_err(|error| failed(error.to_string()))? {
+            recorder.record_timer(Name::from(stage.name), stage.from, stage.to);
         }
-        for (name, value, unit) in &exchange.notes.values {
-            log.value(Name::from(name.as_str()), *value, Unit::new(unit));
+        for (name, value, unit) in &program_call.notes.values {
+            recorder.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
-        match exchange.outcome {
+        match program_call.outcome {
             ReplyOutcome::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
             other => Err(failed(format!("it replied with {other:?} instead of an answer"))),
         }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use peernet_clock::SharedClock;
 use peernet_external::hide_values;
 pub use peernet_external::python::PythonConfig;
-use peernet_external::python::{PythonError, PythonObject, Role, Stage};
+use peernet_external::python::{PythonError, PythonObject, Role, Step};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
@@ -100,22 +100,22 @@ struct PythonWorker {
 }
 
 impl Worker for PythonWorker {
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
         let called = self.object.call(&sample.parts);
         let started_at = called.times.started_at;
         if let Some(from) = called.times.restarted_at {
-            log.record_timer(stage::RESTART, from, started_at);
+            recorder.record_timer(stage::RESTART, from, started_at);
         }
-        log.record_timer(stage::IPC, started_at, started_at + called.times.overhead());
-        let has_inferred = called.times.stages.iter().any(|(stage, ..)| *stage == Stage::Infer);
-        for (step, from, to) in called.times.stages {
+        recorder.record_timer(stage::IPC, started_at, started_at + called.times.overhead());
+        let has_inferred = called.times.steps.iter().any(|(step, ..)| *step == Step::Infer);
+        for (step, from, to) in called.times.steps {
             let name = match step {
-                Stage::Preprocess => stage::PREPROCESSING,
-                Stage::Infer => stage::INFERENCE,
-                Stage::Postprocess => stage::POSTPROCESSING,
-                Stage::Sample => stage::CAPTURE,
+                Step::Preprocess => stage::PREPROCESSING,
+                Step::Infer => stage::INFERENCE,
+                Step::Postprocess => stage::POSTPROCESSING,
+                Step::Sample => stage::CAPTURE,
             };
-            log.record_timer(name, from, to);
+            recorder.record_timer(name, from, to);
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {

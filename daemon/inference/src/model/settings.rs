@@ -46,7 +46,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_are_recorded_without_places_and_secrets() {
+    fn settings_are_recorded_without_folders_and_secrets() {
         let text = settings("kind = 'sleep'\nname = 's'\ninference_ms = 3\nworkers = 2");
         for part in ["kind = sleep", "inference_ms = 3", "preprocessing_ms = 10", "workers = 2", "queue = 16"]
         {

@@ -101,9 +101,9 @@ struct SleepWorker {
 }
 
 impl Worker for SleepWorker {
-    fn infer(&mut self, _sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(&mut self, _sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
         for (name, duration) in &self.stages {
-            let _stage = log.time(name.clone());
+            let _stage = recorder.time(name.clone());
             std::thread::sleep(*duration);
         }
         Ok(Sample::from_part(Description::bytes(), Bytes::new()))

@@ -13,7 +13,7 @@ use super::ModelKind;
 /// Keys with their values.
 pub type Keys = Map<String, Value>;
 
-/// Keys that several kinds share. A kind lists those that it has ([`ModelKind::shared_keys`]); the others have their
+/// Keys that several kinds share. A kind lists the keys that it has ([`ModelKind::shared_keys`]); the other keys have their
 /// defaults.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SharedKeys {
@@ -21,33 +21,33 @@ pub struct SharedKeys {
     pub name: Slug,
     /// Device on which the model runs. For kind `onnx`: `cpu`, `cuda:0`, `tensorrt:0` or `openvino:CPU`; the whole
     /// model runs there or is refused. Users' code finds it in the variable `PEERNET_DEVICE`. Default: `cpu`.
-    #[serde(default = "cpu")]
+    #[serde(default = "default_device")]
     pub device: String,
     /// Number of worker threads, each of which computes one sample at a time; for users' code, number of processes.
     /// Default: 1.
-    #[serde(default = "one")]
+    #[serde(default = "default_workers")]
     pub workers: NonZeroUsize,
     /// Largest number of samples that wait for a free worker; more are rejected. Default: 16.
-    #[serde(default = "sixteen")]
+    #[serde(default = "default_queue")]
     pub queue: NonZeroUsize,
 }
 
-fn cpu() -> String {
+fn default_device() -> String {
     "cpu".to_owned()
 }
 
-const fn one() -> NonZeroUsize {
+const fn default_workers() -> NonZeroUsize {
     NonZeroUsize::MIN
 }
 
-const fn sixteen() -> NonZeroUsize {
+const fn default_queue() -> NonZeroUsize {
     NonZeroUsize::MIN.saturating_add(15)
 }
 
 impl SharedKeys {
     /// Returns the keys of a model with this name and otherwise the defaults.
     pub fn new(name: Slug) -> Self {
-        Self { name, device: cpu(), workers: one(), queue: sixteen() }
+        Self { name, device: default_device(), workers: default_workers(), queue: default_queue() }
     }
 
     /// Returns the names of all shared keys.

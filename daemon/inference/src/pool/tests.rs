@@ -30,8 +30,8 @@ impl Model for TestModel {
 }
 
 impl Worker for TestModel {
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
-        let _inference = log.time(stage::INFERENCE);
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+        let _inference = recorder.time(stage::INFERENCE);
         (self.0)(sample)
     }
 }
@@ -59,8 +59,8 @@ fn sample(text: &'static str) -> Sample {
 }
 
 fn job(text: &'static str, reply: impl FnOnce(FinishedJob) + Send + 'static) -> Job {
-    let log = Recorder::new(clock(), HostId::random());
-    Job { sample: sample(text), log, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
+    let recorder = Recorder::new(clock(), HostId::random());
+    Job { sample: sample(text), recorder, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
 }
 
 /// Creates a job and the receiver of its result.
@@ -97,7 +97,7 @@ fn wait_for_a_worker_is_recorded() {
     clock.advance(Span::from_millis(7));
     let done = run(&pool, "a");
     assert_eq!(done.result, Ok(sample("a")));
-    let tree = done.log.finish();
+    let tree = done.recorder.finish();
     assert_eq!(tree.find(&["queue"]).expect("is recorded").1.measure.value(), Some(0.007));
     assert!(tree.find(&["inference"]).is_some());
 }
@@ -145,12 +145,12 @@ fn panic_fails_one_sample_and_no_more() {
     let done = run(&pool, "bad");
     let message = "cannot take this".to_owned();
     assert_eq!(done.result, Err(InferenceError::Panicked { model: "told".to_owned(), message }));
-    let tree = done.log.finish();
+    let tree = done.recorder.finish();
     assert!(!tree.find(&["inference"]).expect("was begun").1.measure.is_open());
     let done = run(&pool, "good");
     assert_eq!(done.result, Ok(sample("good")));
-    assert!(done.log.finish().find(&["restart"]).is_some(), "its worker was built anew");
-    assert!(run(&pool, "good").log.finish().find(&["restart"]).is_none());
+    assert!(done.recorder.finish().find(&["restart"]).is_some(), "its worker was built anew");
+    assert!(run(&pool, "good").recorder.finish().find(&["restart"]).is_none());
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn echo_answers_on_thread_of_caller() {
     pool.submit(job("abc", reply)).expect("always has room");
     let (computed_on, done) = receiver.try_recv().expect("was answered already");
     assert_eq!((computed_on, done.result), (caller, Ok(sample("abc"))));
-    assert!(done.log.finish().find(&["queue"]).is_some());
+    assert!(done.recorder.finish().find(&["queue"]).is_some());
 
     let (sender, receiver) = sync_channel(1);
     let again = Arc::clone(&pool);

@@ -55,7 +55,7 @@ fn echo_answers_with_payload_or_configured_size() {
 fn sleep_model_takes_at_least_its_stage_times() {
     let done = run(&loaded(&bank(&[SLEEP]), "nap"), bytes(1));
     assert!(done.result.is_ok());
-    let tree = done.log.finish();
+    let tree = done.recorder.finish();
     for (stage, at_least) in [("preprocessing", 0.001), ("inference", 0.002), ("postprocessing", 0.001)] {
         let taken = tree.find(&[stage]).and_then(|(_, node)| node.measure.value()).expect("is recorded");
         assert!(taken >= at_least, "{stage}: {taken}");
@@ -70,10 +70,10 @@ fn shutdown_does_not_wait_for_long_computation() {
         loaded(&bank, name);
     }
     let long = loaded(&bank, "long");
-    let log = Recorder::new(clock(), HostId::random());
-    let received = log.clock().mono();
+    let recorder = Recorder::new(clock(), HostId::random());
+    let received = recorder.clock().mono();
     let reply = Box::new(|_| ());
-    long.submit(Job { sample: bytes(1), log, received, reply }).expect("the queue has room");
+    long.submit(Job { sample: bytes(1), recorder, received, reply }).expect("the queue has room");
     while long.waiting_samples() > 0 {
         std::thread::yield_now();
     }

@@ -36,10 +36,10 @@ fn silent_program_is_inference_else_remainder_is_ipc() {
     let answer = done.result.expect("answers");
     assert_eq!(answer.parts[0].bytes, "plain on cuda:3 red");
     assert_eq!(answer.parts[0].description.media, MediaType::Text);
-    let tree = done.log.finish();
+    let tree = done.recorder.finish();
     assert!(tree.find(&["inference"]).is_some() && tree.find(&["ipc"]).is_none());
 
-    let tree = run(&pool, text("stages")).log.finish();
+    let tree = run(&pool, text("stages")).recorder.finish();
     let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
     assert_eq!((value("preprocessing"), value("inference")), (Some(0.0), Some(1e-7)));
     assert!(value("ipc").is_some_and(|ipc| ipc > 0.0));
@@ -65,11 +65,11 @@ done
         assert!(run(&pool, text("die")).result.is_err());
         let done = run(&pool, text(sample));
         assert!(done.result.is_ok());
-        let tree = done.log.finish();
+        let tree = done.recorder.finish();
         let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
         assert!(value("restart").is_some_and(|seconds| seconds >= 0.3), "{sample}: {:?}", value("restart"));
         assert_eq!((value("inference"), value("ipc")), (inference, None), "{sample}");
-        assert!(run(&pool, text(sample)).log.finish().find(&["restart"]).is_none());
+        assert!(run(&pool, text(sample)).recorder.finish().find(&["restart"]).is_none());
     }
 }
 

@@ -61,8 +61,8 @@ fn run(pool: &Pool, sample: Sample) -> FinishedJob {
     let (sender, receiver) = sync_channel(1);
     let clock = clock();
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
-    let log = Recorder::new(Arc::clone(&clock), HostId::random());
-    pool.submit(Job { sample, log, received: clock.mono(), reply }).expect("the queue has room");
+    let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
+    pool.submit(Job { sample, recorder, received: clock.mono(), reply }).expect("the queue has room");
     receiver.recv().expect("is answered")
 }
 
@@ -72,12 +72,12 @@ fn run(pool: &Pool, sample: Sample) -> FinishedJob {
 struct Answer {
     label: String,
     score: f64,
-    top: Vec<Ranked>,
+    top: Vec<RankedLabel>,
 }
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Ranked {
+struct RankedLabel {
     label: String,
     score: f64,
 }

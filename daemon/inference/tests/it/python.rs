@@ -40,7 +40,7 @@ fn each_step_is_a_stage_remainder_is_ipc() {
     assert!(name == "Model files" && file.contains("/net.py SHA-256 "), "{:?}", pool.facts());
     let done = run(&pool, text("cat"));
     assert_eq!(done.result.expect("answers").parts[0].bytes, r#"["CAT","cuda:3","red"]"#);
-    let tree = done.log.finish();
+    let tree = done.recorder.finish();
     for stage in ["queue", "preprocessing", "inference", "postprocessing", "ipc"] {
         assert!(tree.find(&[stage]).is_some_and(|(_, node)| node.measure.value().is_some()), "{stage}");
     }
@@ -56,7 +56,7 @@ fn exceptions_and_unsupported_values_fail_one_sample() {
     let message = error.to_string();
     assert!(matches!(error, InferenceError::Failed { .. }), "{message}");
     assert!(message.contains("ValueError: nothing to see") && message.contains("net.py"), "{message}");
-    assert!(done.log.finish().find(&["inference"]).is_none(), "it never began");
+    assert!(done.recorder.finish().find(&["inference"]).is_none(), "it never began");
     let error = run(&pool, text("set")).result.expect_err("a set cannot be transferred");
     assert!(matches!(error, InferenceError::Failed { .. }), "{error}");
     assert!(error.to_string().contains("its answer: a builtins.set cannot be transferred"), "{error}");
@@ -77,7 +77,7 @@ class Net:
     let pool = loaded(&bank, "p");
     let restart = |sample: &'static str| {
         let done = run(&pool, text(sample));
-        let tree = done.log.finish();
+        let tree = done.recorder.finish();
         let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
         (done.result.is_ok(), value("restart"), value("ipc").is_some())
     };

@@ -15,7 +15,7 @@ fn answer_ranks_all_labels_and_stages_are_recorded() {
     assert!(answer.top.windows(2).all(|pair| pair[0].score >= pair[1].score));
     let sum: f64 = answer.top.iter().map(|ranked| ranked.score).sum();
     assert!((sum - 1.0).abs() < 1e-5, "{sum}");
-    let tree = done.log.finish();
+    let tree = done.recorder.finish();
     for stage in ["queue", "preprocessing", "inference", "postprocessing"] {
         let (_, node) = tree.find(&[stage]).expect(stage);
         assert!(node.measure.value().is_some(), "{stage}");
@@ -31,7 +31,7 @@ fn label_outside_model_classes_is_marked() {
         [(None, None), (Some("Hole_Missing"), None), (Some("tench"), Some(1.0)), (Some("3"), Some(1.0))]
     {
         let sample = Sample { label: label.map(str::to_owned), ..jpeg(file.clone()) };
-        let tree = run(&pool, sample).log.finish();
+        let tree = run(&pool, sample).recorder.finish();
         let found = tree.find(&["unknown-label"]).and_then(|(_, node)| node.measure.value());
         assert_eq!(found, expected, "{label:?}");
     }
@@ -77,7 +77,7 @@ fn bad_sample_fails_alone_with_the_reason() {
         assert!(matches!(error, InferenceError::Input { .. }), "{error}");
         let text = error.to_string();
         assert!(text.contains(expected) && text.contains("qc") && text.contains("line-3/part.jpg"), "{text}");
-        assert!(done.log.finish().find(&["inference"]).is_none());
+        assert!(done.recorder.finish().find(&["inference"]).is_none());
     }
     assert!(run(&pool, jpeg(file)).result.is_ok());
 }

@@ -15,8 +15,8 @@ fn answers(more: &str) -> Vec<Answer> {
     for (index, (file, _)) in pictures("pictures").into_iter().enumerate() {
         let sender = sender.clone();
         let reply = Box::new(move |done: FinishedJob| sender.send((index, done.result)).expect("is awaited"));
-        let log = Recorder::new(Arc::clone(&clock), HostId::random());
-        let job = Job { sample: jpeg(file), log, received: clock.mono(), reply };
+        let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
+        let job = Job { sample: jpeg(file), recorder, received: clock.mono(), reply };
         pool.submit(job).expect("the queue has room");
     }
     drop(sender);
@@ -50,8 +50,8 @@ fn pool_serves_until_it_is_shut_down() {
     assert!(run(&pool, jpeg(file.clone())).result.is_ok());
     bank.shutdown();
     let clock = clock();
-    let log = Recorder::new(Arc::clone(&clock), HostId::random());
-    let job = Job { sample: jpeg(file), log, received: clock.mono(), reply: Box::new(|_| {}) };
+    let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
+    let job = Job { sample: jpeg(file), recorder, received: clock.mono(), reply: Box::new(|_| {}) };
     let refused = pool.submit(job).expect_err("is shut down");
     assert_eq!(refused.reason.to_string(), "model qc is shutting down");
 }

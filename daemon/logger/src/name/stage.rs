@@ -86,7 +86,7 @@ standard_names! {
         DOWNLOAD_BYTES = "download-bytes";
         /// Bytes of metadata that the cloud sent.
         DOWNLOAD_LOGGER_BYTES = "download-logger-bytes";
-        /// Payload and metadata divided by `upload`, bits per second, with the bounds that follow from the delay's.
+        /// Payload and metadata divided by `upload`, bits per second, with the bounds that follow from the bounds of the delay.
         UPLOAD_THROUGHPUT = "upload-throughput";
         /// Throughput of the download, computed like `upload-throughput`.
         DOWNLOAD_THROUGHPUT = "download-throughput";
@@ -104,11 +104,11 @@ standard_names! {
 // The wire form contains it as text, like names supplied by users.
 pub const IPC: Name = Name::from_static("ipc");
 /// Overhead of the communication with a sensor's worker process, below `capture`.
-// A name of its own, because summaries are grouped by name.
+// A separate name, because statistics are grouped by name.
 pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
 
 /// Cloud or edge: wait of a sample for the restart of a model's worker whose process died. It is part of `unattributed`.
-// No stage, because the death of the process causes it and not the loop. The wire form contains it as text.
+// It is not a stage, because the death of the process causes it and not the loop. The wire form contains it as text.
 pub const RESTART: Name = Name::from_static("restart");
 /// Wait for a sensor's restarted worker, below `capture` and part of it.
 pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");

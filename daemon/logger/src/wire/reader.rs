@@ -20,11 +20,11 @@ pub(super) struct Reader<'a> {
 }
 
 /// Result of reading a part of the input.
-type Read<T> = Result<T, WireError>;
+type ReadResult<T> = Result<T, WireError>;
 
 impl<'a> Reader<'a> {
     /// Reads the header that trees and tree deltas share.
-    pub(super) fn new(bytes: &'a [u8], fields: u32, what: &'static str) -> Read<Self> {
+    pub(super) fn new(bytes: &'a [u8], fields: u32, what: &'static str) -> ReadResult<Self> {
         if bytes.len() > MAX_BYTES {
             return Err(WireError::TooLong(bytes.len()));
         }
@@ -38,7 +38,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Checks that no bytes follow.
-    pub(super) fn finish(self) -> Read<()> {
+    pub(super) fn finish(self) -> ReadResult<()> {
         if self.rest.is_empty() { Ok(()) } else { Err(WireError::Trailing(self.rest.len())) }
     }
 
@@ -46,23 +46,23 @@ impl<'a> Reader<'a> {
         WireError::Malformed { at: self.length - self.rest.len(), expected }
     }
 
-    fn array(&mut self, expected: &'static str) -> Read<u32> {
+    fn array(&mut self, expected: &'static str) -> ReadResult<u32> {
         let error = self.malformed(expected);
         decode::read_array_len(&mut self.rest).map_err(|_| error)
     }
 
-    fn uint(&mut self, expected: &'static str) -> Read<u64> {
+    fn uint(&mut self, expected: &'static str) -> ReadResult<u64> {
         let error = self.malformed(expected);
         decode::read_int(&mut self.rest).map_err(|_| error)
     }
 
-    pub(super) fn int(&mut self, expected: &'static str) -> Read<i64> {
+    pub(super) fn int(&mut self, expected: &'static str) -> ReadResult<i64> {
         let error = self.malformed(expected);
         decode::read_int(&mut self.rest).map_err(|_| error)
     }
 
     /// Reads a position within a tree.
-    pub(super) fn position(&mut self, expected: &'static str) -> Read<u32> {
+    pub(super) fn position(&mut self, expected: &'static str) -> ReadResult<u32> {
         let number = self.uint(expected)?;
         match u32::try_from(number) {
             Ok(position) if position as usize <= MAX_NODES => Ok(position),
@@ -77,7 +77,7 @@ impl<'a> Reader<'a> {
         self.rest.first().map(|byte| Marker::from_u8(*byte))
     }
 
-    fn optional<T>(&mut self, read: impl FnOnce(&mut Self) -> Read<T>) -> Read<Option<T>> {
+    fn optional<T>(&mut self, read: impl FnOnce(&mut Self) -> ReadResult<T>) -> ReadResult<Option<T>> {
         if self.marker() == Some(Marker::Null) {
             self.rest = &self.rest[1..];
             return Ok(None);
@@ -85,7 +85,7 @@ impl<'a> Reader<'a> {
         read(self).map(Some)
     }
 
-    fn number(&mut self, expected: &'static str) -> Read<f64> {
+    fn number(&mut self, expected: &'static str) -> ReadResult<f64> {
         // Whole numbers are written as integers, which are shorter.
         if self.marker() == Some(Marker::F64) {
             let error = self.malformed(expected);
@@ -94,19 +94,19 @@ impl<'a> Reader<'a> {
         Ok(self.int(expected)? as f64)
     }
 
-    fn span(&mut self, expected: &'static str) -> Read<Span> {
+    fn span(&mut self, expected: &'static str) -> ReadResult<Span> {
         self.int(expected).map(Span::from_nanos)
     }
 
-    fn wall(&mut self, expected: &'static str) -> Read<WallTime> {
+    fn wall(&mut self, expected: &'static str) -> ReadResult<WallTime> {
         self.int(expected).map(WallTime::from_unix_nanos)
     }
 
-    fn raw(&mut self, expected: &'static str) -> Read<RawTime> {
+    fn raw(&mut self, expected: &'static str) -> ReadResult<RawTime> {
         self.int(expected).map(RawTime::from_nanos)
     }
 
-    fn text(&mut self, expected: &'static str) -> Read<&'a str> {
+    fn text(&mut self, expected: &'static str) -> ReadResult<&'a str> {
         let error = self.malformed(expected);
         let length = decode::read_str_len(&mut self.rest).map_err(|_| error)? as usize;
         if length > MAX_NAME_BYTES {
@@ -117,7 +117,7 @@ impl<'a> Reader<'a> {
         std::str::from_utf8(text).map_err(|_| error)
     }
 
-    fn name(&mut self) -> Read<Name> {
+    fn name(&mut self) -> ReadResult<Name> {
         let error = self.malformed("a name");
         match self.marker() {
             Some(Marker::FixPos(_) | Marker::U8) => stage::decode(self.uint("a name")?).ok_or(error),
@@ -125,11 +125,11 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn unit(&mut self) -> Read<Unit> {
+    fn unit(&mut self) -> ReadResult<Unit> {
         self.text("a unit").map(Unit::new)
     }
 
-    pub(super) fn anchor(&mut self) -> Read<Anchor> {
+    pub(super) fn anchor(&mut self) -> ReadResult<Anchor> {
         let error = self.malformed("a host and its wall clock");
         if self.array("an anchor")? != 2 || decode::read_bin_len(&mut self.rest).ok() != Some(16) {
             return Err(error);
@@ -139,7 +139,7 @@ impl<'a> Reader<'a> {
         Ok(Anchor { host: HostId::from_bytes(*host), wall: self.wall("a wall clock")? })
     }
 
-    pub(super) fn anchors(&mut self) -> Read<Vec<Anchor>> {
+    pub(super) fn anchors(&mut self) -> ReadResult<Vec<Anchor>> {
         let count = self.array("the hosts")? as usize;
         if count > MAX_ANCHORS {
             return Err(WireError::Limit { what: "hosts", found: count, limit: MAX_ANCHORS });
@@ -152,7 +152,7 @@ impl<'a> Reader<'a> {
         Ok(anchors)
     }
 
-    pub(super) fn nodes(&mut self) -> Read<Vec<Node>> {
+    pub(super) fn nodes(&mut self) -> ReadResult<Vec<Node>> {
         let count = self.array("the nodes")? as usize;
         if count > MAX_NODES {
             return Err(WireError::Limit { what: "nodes", found: count, limit: MAX_NODES });
@@ -165,7 +165,7 @@ impl<'a> Reader<'a> {
         Ok(nodes)
     }
 
-    fn node(&mut self) -> Read<Node> {
+    fn node(&mut self) -> ReadResult<Node> {
         let error = self.malformed("a node");
         let length = self.array("a node")?;
         let parent = self.optional(|reader| reader.position("a parent"))?.map(NodeId);
@@ -200,13 +200,13 @@ impl<'a> Reader<'a> {
         Ok(Node { parent, name, host, start, measure })
     }
 
-    fn transit(&mut self) -> Read<Transit> {
+    fn transit(&mut self) -> ReadResult<Transit> {
         let sent = self.wall("the time of sending")?;
         let received = self.optional(|reader| reader.wall("the time of receipt"))?;
         Ok(Transit { sent, received, delay: self.optional(Self::delay)?, raw_stamps: None })
     }
 
-    fn delay(&mut self) -> Read<OneWayDelay> {
+    fn delay(&mut self) -> ReadResult<OneWayDelay> {
         let error = self.malformed("a delay");
         if self.array("a delay")? != 6 {
             return Err(error);

@@ -73,13 +73,13 @@ pub(super) fn anchor(out: &mut Vec<u8>, anchor: &Anchor) {
 
 pub(super) fn anchors(out: &mut Vec<u8>, anchors: &[Anchor]) {
     array(out, anchors.len() as u32);
-    anchors.iter().for_each(|one| anchor(out, one));
+    anchors.iter().for_each(|item| anchor(out, item));
 }
 
 pub(super) fn nodes(out: &mut Vec<u8>, nodes: &[Node]) {
     out.reserve(nodes.len() * 24);
     array(out, nodes.len() as u32);
-    nodes.iter().for_each(|one| node(out, one));
+    nodes.iter().for_each(|item| node(out, item));
 }
 
 fn node(out: &mut Vec<u8>, node: &Node) {

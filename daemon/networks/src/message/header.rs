@@ -191,8 +191,8 @@ pub(crate) struct Goodbye {
     pub(crate) session: SessionId,
     #[serde(deserialize_with = "deserialize_text")]
     pub(crate) reason: String,
-    /// Number of iterations that the edge's run was configured to have, if the run is over. A cloud that serves a fixed
-    /// number of requests then does not wait for missing ones. Releases without this field ignore it.
+    /// Number of iterations that the edge's run has in all, if the run is over. A cloud that serves a fixed number of
+    /// requests then does not wait for missing requests. Releases without this field ignore it.
     #[serde(default, rename = "ordered", skip_serializing_if = "Option::is_none")]
     pub(crate) planned_iterations: Option<u64>,
 }

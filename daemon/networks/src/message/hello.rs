@@ -11,12 +11,12 @@ use uuid::Uuid;
 
 use super::clock_socket::{ClockSocketName, deserialize_optional_socket_name};
 use super::probe_key::ProbeKey;
-use super::{deserialize_text, printable};
+use super::{deserialize_text, to_printable};
 
 /// Versions of the session protocol that this release speaks, as an edge and as a cloud.
 ///
 /// A release that changes messages raises the newest version and keeps writing the older forms to peers that chose an
-/// older version. A release that drops the oldest version names the first release that speaks the next one.
+/// older version. A release that drops the oldest version names the first release that speaks the next version.
 ///
 /// | release | versions |
 /// | --- | --- |
@@ -25,7 +25,7 @@ use super::{deserialize_text, printable};
 /// | 0.3.0 | 4 and 5 |
 ///
 /// Version 5 adds stamps of the free-running clocks to departures, replies and clock states, and reports of the cloud's
-/// statistics. Epochs are those of the free-running clock in version 5 and those of the wall clock in version 4.
+/// statistics. Epochs count interruptions of the free-running clock in version 5 and steps of the wall clock in version 4.
 pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 5, Release(0, 1, 0));
 
 /// First version in which messages carry stamps of the free-running clocks.
@@ -36,7 +36,7 @@ pub(crate) const STATISTICS_SINCE: u16 = 5;
 
 /// Largest number of conditions of a host that a peer may send.
 pub const MAX_CONDITIONS: usize = 32;
-/// Largest number of accelerators that are read of a peer's hardware; further ones are ignored.
+/// Largest number of accelerators that are read of a peer's hardware; further accelerators are ignored.
 const MAX_GPUS: usize = 16;
 /// Largest number of characters that are read of each text about a peer's hardware.
 const MAX_TEXT_CHARS: usize = 128;
@@ -185,14 +185,14 @@ pub struct RawClock {
 }
 
 fn deserialize_optional_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<String>, D::Error> {
-    Ok(Option::<String>::deserialize(deserializer)?.map(|text| printable(&text)))
+    Ok(Option::<String>::deserialize(deserializer)?.map(|text| to_printable(&text)))
 }
 
 fn deserialize_text_pairs<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Vec<(String, String)>, D::Error> {
     let pairs: Vec<(String, String)> = Vec::deserialize(deserializer)?;
-    Ok(pairs.into_iter().map(|(name, value)| (printable(&name), printable(&value))).collect())
+    Ok(pairs.into_iter().map(|(name, value)| (to_printable(&name), to_printable(&value))).collect())
 }
 
 /// Deserializes at most [`MAX_CONDITIONS`] conditions and makes their texts printable, because they are shown on
@@ -203,11 +203,11 @@ fn deserialize_conditions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
         return Err(D::Error::custom(format_args!("more than {MAX_CONDITIONS} conditions")));
     }
     let clean = |Condition { host, about, found, grade, advice }| Condition {
-        host: printable(&host),
-        about: printable(&about),
-        found: printable(&found),
+        host: to_printable(&host),
+        about: to_printable(&about),
+        found: to_printable(&found),
         grade,
-        advice: printable(&advice),
+        advice: to_printable(&advice),
     };
     Ok(conditions.into_iter().map(clean).collect())
 }
@@ -216,7 +216,7 @@ fn deserialize_conditions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
 fn deserialize_hardware<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hardware, D::Error> {
     let Hardware { cpu, cores, memory_bytes, gpus, system, architecture } =
         Hardware::deserialize(deserializer)?;
-    let shorten = |text: String| printable(&text.chars().take(MAX_TEXT_CHARS).collect::<String>());
+    let shorten = |text: String| to_printable(&text.chars().take(MAX_TEXT_CHARS).collect::<String>());
     Ok(Hardware {
         cpu: shorten(cpu),
         cores,

@@ -9,7 +9,7 @@
 //! | clock | cloud | session, state of the cloud's clocks | | |
 //! | statistics | cloud | session, statistics of the cloud's end of the connection | | |
 //! | unknown-session | cloud | session, number | | |
-//! | goodbye | either | session, reason; from an edge whose run is over: its configured number of iterations | | |
+//! | goodbye | either | session, reason; from an edge whose run is over: the run's number of iterations | | |
 //!
 //! The tree is encoded first, then the departure is stamped, then the small header is encoded. `upload` and `download`
 //! therefore contain the network and no encoding. The transit node itself is in neither tree; the receiver adds it from
@@ -49,9 +49,9 @@ use serde::{Deserialize, Deserializer};
 
 /// Deserializes a peer's text. Control characters become spaces, because the text is shown on terminals and in logs.
 fn deserialize_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
-    String::deserialize(deserializer).map(|text| printable(&text))
+    String::deserialize(deserializer).map(|text| to_printable(&text))
 }
 
-fn printable(text: &str) -> String {
+fn to_printable(text: &str) -> String {
     printable_line(text).into_owned()
 }

@@ -2,18 +2,18 @@
 
 use std::sync::Weak;
 
-use super::cloud::PortState;
+use super::cloud::ListenerState;
 use crate::PeerClock;
 
 /// Sends clock states and statistics to the sessions of a [`Listener`](crate::Listener). Clones belong to the same
 /// listener and do not keep it open.
 #[derive(Clone, Debug)]
 pub struct Announcer {
-    shared: Weak<PortState>,
+    shared: Weak<ListenerState>,
 }
 
 impl Announcer {
-    pub(crate) const fn new(shared: Weak<PortState>) -> Self {
+    pub(crate) const fn new(shared: Weak<ListenerState>) -> Self {
         Self { shared }
     }
 
@@ -23,7 +23,7 @@ impl Announcer {
     /// Never waits. An edge whose connection takes no more bytes does not get the message.
     pub fn announce(&self, clock: PeerClock) {
         if let Some(shared) = self.shared.upgrade() {
-            shared.announce(clock);
+            shared.send_clock_to_edges(clock);
         }
     }
 

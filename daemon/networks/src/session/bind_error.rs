@@ -13,7 +13,7 @@ pub enum BindError {
     InUse(Address),
     /// The port needs a privilege.
     #[error(
-        "cannot listen on {0}: permission denied; ports below 1024 need a privilege, configure a higher one"
+        "cannot listen on {0}: permission denied; ports below 1024 need a privilege; configure a higher port"
     )]
     Denied(Address),
     /// The address belongs to another machine.

@@ -10,7 +10,7 @@ use crate::transport::Frames;
 /// Counts the bytes of requests from their arrival until their last owner drops them. The last owner is the model, or
 /// the network if it still sends the bytes back.
 ///
-/// Many large requests at once are answered with "overloaded" and do not fill the memory.
+/// If many large requests arrive at once, some are answered with "overloaded", so that they do not fill the memory.
 #[derive(Debug)]
 pub(super) struct RequestBudget {
     max_bytes: u64,

@@ -125,7 +125,7 @@ impl<W> ClientSession<W> {
             }
             Header::Reply(reply) => match self.waiters.remove(&reply.request) {
                 Some(waiter) => CloudMessage::Answer(waiter, reply),
-                // An answer may arrive after its request timed out; it must not be mistaken for an invalid one.
+                // An answer may arrive after its request timed out; it must not be mistaken for an invalid answer.
                 None => CloudMessage::LateAnswer,
             },
             Header::Clock(update) if update.session == self.session => CloudMessage::Clock(update.clock),
@@ -149,7 +149,7 @@ impl<W> ClientSession<W> {
         }
     }
 
-    /// Ends a request that was lost on the way, or whose answer was. Returns its waiter unless the request has ended already.
+    /// Ends a request that was lost on the way, or whose answer was lost. Returns its waiter unless the request has ended already.
     pub(crate) fn lose_request(&mut self, request: u64) -> Option<W> {
         self.waiters.remove(&request)
     }
@@ -290,7 +290,7 @@ mod tests {
         }
 
         #[test]
-        fn session_opens_on_answer_only(header in strategies::header(Vec::new())) {
+        fn session_opens_only_if_accepted_in_known_version(header in strategies::header(Vec::new())) {
             let spoken = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
             let answers = matches!(&header, Header::Accepted(accepted) if spoken.contains(&accepted.protocol));
             prop_assert_eq!(matches!(classify_answer(header), HelloOutcome::Accepted(_)), answers);

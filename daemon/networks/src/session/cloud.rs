@@ -1,25 +1,25 @@
 //! The cloud's driver of the session protocol: all sessions of a port.
 //!
 //! ```text
-//! cloud            the port: binds it, returns arrivals, closes it
-//! cloud/port       state that the listener shares with all answers in progress
-//! cloud/requests   effects of an edge's message
-//! cloud/answers    the wire form of an answer, and the number of answers that are being sent
-//! cloud/output     the sending half of the port, with its counters
+//! cloud                 the port: binds it, returns arrivals, closes it
+//! cloud/listener_state  state that the listener shares with all answers in progress
+//! cloud/requests        effects of an edge's message
+//! cloud/answers         the wire form of an answer, and the number of answers that are being sent
+//! cloud/output          the sending half of the port, with its counters
 //! ```
 
 mod answers;
+mod listener_state;
 mod output;
-mod port;
 mod requests;
 
 use std::collections::VecDeque;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
+pub(crate) use listener_state::ListenerState;
 use peernet_clock::SharedClock;
 use peernet_logger::HostId;
-pub(crate) use port::PortState;
 
 use super::announcer::Announcer;
 use super::bind_error::BindError;
@@ -32,7 +32,7 @@ use crate::{Address, SessionSettings};
 /// A port on which edges open sessions.
 #[derive(Debug)]
 pub struct Listener {
-    shared: Arc<PortState>,
+    shared: Arc<ListenerState>,
     receiver: Box<dyn CloudReceiver>,
     address: Address,
     caveat: Option<String>,
@@ -59,7 +59,7 @@ impl Listener {
     /// the process has for connections of edges.
     ///
     /// # Errors
-    /// Those of [`bind`](Self::bind), for the first address that cannot be bound. The ports bound before it are closed.
+    /// As for [`bind`](Self::bind), for the first address that cannot be bound. The ports bound before it are closed.
     pub async fn bind_all(
         addresses: &[Address],
         settings: &SessionSettings,
@@ -91,7 +91,7 @@ impl Listener {
             BindFailure::NotLocal => BindError::NotLocal(address.clone()),
             BindFailure::Other(reason) => BindError::Other(address.clone(), reason),
         })?;
-        let shared = Arc::new(PortState::new(&settings, bound.sender, clock, host));
+        let shared = Arc::new(ListenerState::new(&settings, bound.sender, clock, host));
         let closed = VecDeque::new();
         let (receiver, address, caveat) = (bound.receiver, bound.address, bound.caveat);
         Ok(Self { shared, receiver, address, caveat, settings, closed })

@@ -111,7 +111,7 @@ impl Session {
         self.inner.shared.terms.clocks()
     }
 
-    /// Returns a reader of the state of the cloud's clocks. The first state is that of the acceptance.
+    /// Returns a reader of the state of the cloud's clocks. The first state comes with the acceptance.
     pub fn peer_clock(&self) -> watch::Receiver<PeerClock> {
         self.inner.shared.peer_clock.subscribe()
     }
@@ -145,13 +145,13 @@ impl Session {
 
     /// Sends a sample and waits for the answer. Any number of requests may be in progress at once.
     ///
-    /// Records in `log`: `send-queue` if the request had to wait because too many were in flight, `encode`, `upload`,
+    /// Records in `recorder`: `send-queue` if the request had to wait because too many were in flight, `encode`, `upload`,
     /// `download`, their sizes, and the nodes of the cloud. `timeout` covers all of it. Dropping the future cancels the
     /// request.
-    pub async fn request(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
+    pub async fn request(&self, recorder: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
         let shared = &*self.inner.shared;
         let mut exchange = Exchange {
-            log,
+            recorder,
             result: Err(RequestError::Timeout(Awaited::Answer)),
             arrived_at: None,
             upload: None,
@@ -160,11 +160,11 @@ impl Session {
         };
         let now = tokio::time::Instant::now();
         let deadline = now.checked_add(timeout).unwrap_or(now + MAX_REQUEST_TIMEOUT);
-        let _slot = match shared.requests.acquire_slot(&mut exchange.log, deadline).await {
+        let _slot = match shared.requests.acquire_slot(&mut exchange.recorder, deadline).await {
             Ok(slot) => slot,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
-        let mut pending = match shared.send(&mut exchange.log, sample, deadline) {
+        let mut pending = match shared.send(&mut exchange.recorder, sample, deadline) {
             Ok(pending) => pending,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
@@ -184,7 +184,7 @@ impl Session {
         }
         // If an answer arrived, `handle_reply` has recorded the sizes after the nodes of the cloud.
         if exchange.arrived_at.is_none() {
-            pending.sizes.record(&mut exchange.log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
+            pending.sizes.record(&mut exchange.recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         }
         exchange
     }
@@ -193,13 +193,13 @@ impl Session {
     fn handle_reply(&self, exchange: &mut Exchange, sent: &PendingRequest<'_>, arrived: ArrivedReply) {
         let shared = &*self.inner.shared;
         let sizes = Sizes::from_frames(&arrived.frames);
-        let log = &mut exchange.log;
+        let recorder = &mut exchange.recorder;
         exchange.arrived_at = Some(arrived.stamp);
         let has_raw_stamps = shared.terms.has_raw_stamps();
-        // First of all additions, because the node ids in the tree delta refer to the tree as it was sent.
-        let absorbed = absorb(log, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
-        sent.sizes.record(log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
-        sizes.record(log, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
+        // The delta is added before all other nodes, because the node ids in the tree delta refer to the tree as it was sent.
+        let absorbed = absorb(recorder, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
+        sent.sizes.record(recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
+        sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
         exchange.result = match absorbed {
             Ok(absorbed) => {
                 exchange.download = absorbed.map(|(down, _)| down);
@@ -224,8 +224,8 @@ impl Session {
         self.inner.stopped.cancelled().await;
     }
 
-    /// [Closes](Self::close) the session at the end of a run that was configured to have `planned_iterations`, so that the
-    /// cloud does not wait for missing ones.
+    /// [Closes](Self::close) the session at the end of a run of `planned_iterations` iterations, so that the cloud does
+    /// not wait for missing requests.
     pub async fn close_after_run(&self, planned_iterations: u64) {
         self.inner.shared.planned_iterations.get_or_init(|| planned_iterations);
         self.close().await;

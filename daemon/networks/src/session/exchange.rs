@@ -12,11 +12,11 @@ use peernet_sample::Sample;
 use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_tree_delta};
 use crate::transport::Frames;
 
-/// Result of a request. The log is returned in every case.
+/// Result of a request. The recorder is returned in every case.
 #[derive(Debug)]
 pub struct Exchange {
     /// Tree of the iteration, with the nodes of the exchange and of the cloud.
-    pub log: Recorder,
+    pub recorder: Recorder,
     /// The answer.
     pub result: Result<Sample, RequestError>,
     /// Time at which the whole answer had arrived; `None` if no answer came.
@@ -28,7 +28,7 @@ pub struct Exchange {
     /// The four stamps of `upload` and `download`, from which the clock relation of the two hosts is estimated.
     ///
     /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since version
-    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), before that of its wall clock. `None` if no model answered. Also
+    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), and of its wall clock in earlier versions. `None` if no model answered. Also
     /// `None` if the clock of either host was interrupted in between, because such stamps bound no offset.
     pub observation: Option<ExchangeObservation>,
 }
@@ -114,10 +114,10 @@ impl Sizes {
     }
 
     /// Adds both sizes as values to the edge's tree. These nodes fit even into a full tree.
-    pub(crate) fn record(self, log: &mut Recorder, payload: Name, logger: Name) {
-        let start = log.offset(log.clock().mono());
+    pub(crate) fn record(self, recorder: &mut Recorder, payload: Name, logger: Name) {
+        let start = recorder.offset(recorder.clock().mono());
         for (name, bytes) in [(payload, self.payload), (logger, self.logger)] {
-            log.tree_mut().add(NodeId::ROOT, name, start, Measure::Value(bytes as f64, Unit::BYTES));
+            recorder.tree_mut().add(NodeId::ROOT, name, start, Measure::Value(bytes as f64, Unit::BYTES));
         }
     }
 }
@@ -152,7 +152,7 @@ pub(crate) enum TreeDeltaError {
 /// # Errors
 /// If the delta does not fit the tree. The tree is then unchanged.
 pub(crate) fn absorb(
-    log: &mut Recorder,
+    recorder: &mut Recorder,
     cloud: HostId,
     has_raw_stamps: bool,
     departed: &DepartedRequest,
@@ -168,7 +168,8 @@ pub(crate) fn absorb(
     if delta.anchor.host != cloud {
         return Err(TreeDeltaError::OtherHost);
     }
-    let host_count = u8::try_from(log.tree().anchors().len()).map_err(|_| TreeDeltaError::TooManyHosts)?;
+    let host_count =
+        u8::try_from(recorder.tree().anchors().len()).map_err(|_| TreeDeltaError::TooManyHosts)?;
     let host = HostIndex(host_count);
     if delta.nodes.iter().any(|node| node.host < host) {
         return Err(TreeDeltaError::EarlierHost);
@@ -190,10 +191,10 @@ pub(crate) fn absorb(
         measure: Measure::Transit(Box::new(transit)),
     });
     let observation = observation(departed, has_raw_stamps, cloud_times, departure, arrived);
-    log.tree_mut().apply_delta(delta)?;
+    recorder.tree_mut().apply_delta(delta)?;
     let up = RawStamps { sent: departed.stamp.raw, received: cloud_times.0 };
-    set_raw_stamps(log.tree_mut(), departed.upload, up);
-    let last = log.tree().nodes().len() - 1;
+    set_raw_stamps(recorder.tree_mut(), departed.upload, up);
+    let last = recorder.tree().nodes().len() - 1;
     let download = u32::try_from(last).map(NodeId).map_err(|_| TreeDeltaError::TooManyNodes)?;
     Ok(Some((download, observation)))
 }

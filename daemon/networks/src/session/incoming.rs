@@ -7,7 +7,7 @@ use peernet_clock::{RawTime, Stamp};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 
-use super::cloud::PortState;
+use super::cloud::ListenerState;
 use crate::message::{SessionAccepted, SessionHello, SessionId};
 
 /// Event of a listener.
@@ -23,7 +23,7 @@ pub enum Incoming {
         session: SessionId,
         /// `true` if the edge said goodbye, `false` if its connection is gone.
         said_goodbye: bool,
-        /// Number of iterations that the edge's run was configured to have, if the session ended with that run.
+        /// Number of iterations of the edge's run, if the session ended with that run.
         planned_iterations: Option<u64>,
     },
     /// A connection is worse than it could be, such as a path that carries only short datagrams.
@@ -51,7 +51,7 @@ pub struct OpenRequest {
     pub session: SessionId,
     /// Address of the other end of the connection, if known.
     pub address: Option<SocketAddr>,
-    shared: Option<Weak<PortState>>,
+    shared: Option<Weak<ListenerState>>,
 }
 
 impl OpenRequest {
@@ -59,7 +59,7 @@ impl OpenRequest {
         hello: SessionHello,
         session: SessionId,
         address: Option<SocketAddr>,
-        shared: Weak<PortState>,
+        shared: Weak<ListenerState>,
     ) -> Self {
         Self { hello, session, address, shared: Some(shared) }
     }
@@ -95,7 +95,7 @@ pub struct IncomingRequest {
     /// Sample to compute on.
     pub sample: Sample,
     /// Tree of the iteration, continued on this host; `upload` ended at `received`.
-    pub log: Recorder,
+    pub recorder: Recorder,
     /// Time at which the whole message had arrived.
     pub received: Stamp,
     /// Sends the answer.
@@ -135,19 +135,19 @@ pub(crate) struct ArrivalStamp {
 #[derive(Debug)]
 pub struct Responder {
     key: RequestKey,
-    shared: Option<Weak<PortState>>,
+    shared: Option<Weak<ListenerState>>,
 }
 
 impl Responder {
-    pub(crate) const fn new(key: RequestKey, shared: Weak<PortState>) -> Self {
+    pub(crate) const fn new(key: RequestKey, shared: Weak<ListenerState>) -> Self {
         Self { key, shared: Some(shared) }
     }
 
     /// Sends the answer with the nodes that this host added to the tree. Never waits. An answer that cannot be handed
     /// to the network is dropped and counted.
-    pub fn send(mut self, log: Recorder, result: Result<Sample, Failure>) {
+    pub fn send(mut self, recorder: Recorder, result: Result<Sample, Failure>) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
-            shared.answer(self.key, Some(log), result);
+            shared.answer(self.key, Some(recorder), result);
         }
     }
 }

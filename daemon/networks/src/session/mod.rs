@@ -1,6 +1,6 @@
 //! Sessions: one protocol logic for all transports.
 //!
-//! `client` and `server` are the state machines of the protocol; they do no I/O and return what is to be done. `edge`
+//! `client` and `server` are the state machines of the protocol; they do no I/O and return the messages to be sent and the events. `edge`
 //! and `cloud` drive them over a transport.
 
 mod announcer;

@@ -53,7 +53,7 @@ pub enum OpenError {
         reason: String,
     },
     /// The cloud speaks no version of the protocol that this program speaks.
-    #[error("{}", incompatible(.address, .mismatch))]
+    #[error("{}", describe_incompatibility(.address, .mismatch))]
     Incompatible {
         /// Address of the cloud.
         address: Address,
@@ -62,12 +62,11 @@ pub enum OpenError {
     },
 }
 
-fn incompatible(address: &Address, mismatch: &VersionMismatch) -> String {
+fn describe_incompatibility(address: &Address, mismatch: &VersionMismatch) -> String {
     mismatch.describe("the session protocol", "this program", &format!("the cloud at {address}"))
 }
 
-/// Returns the advice for a cloud that cannot be reached. It is empty if the reason already contains advice, as that of
-/// a missing ROS master does.
+/// Returns the advice for a cloud that cannot be reached. It is empty if the reason already contains advice, as for a missing ROS master.
 fn advice(reason: &str) -> &'static str {
     if reason.contains("; ") { "" } else { "; is it running, and is the address right?" }
 }

@@ -52,15 +52,15 @@ impl RequestsInFlight {
     /// If the deadline passes, or the session is over.
     pub(super) async fn acquire_slot(
         &self,
-        log: &mut Recorder,
+        recorder: &mut Recorder,
         deadline: tokio::time::Instant,
     ) -> Result<SemaphorePermit<'_>, RequestError> {
         if let Ok(slot) = self.slots.try_acquire() {
             return Ok(slot);
         }
-        let queued = log.start(stage::SEND_QUEUE);
+        let queued = recorder.start(stage::SEND_QUEUE);
         let slot = tokio::time::timeout_at(deadline, self.slots.acquire()).await;
-        log.stop(queued);
+        recorder.stop(queued);
         slot.map_err(|_| RequestError::Timeout(Awaited::Slot))?.map_err(|_| {
             let reason = self.close_reason.borrow().clone().unwrap_or(CloseReason::Local);
             RequestError::Lost(reason.to_string())
@@ -88,7 +88,7 @@ impl RequestsInFlight {
         self.client().receive(header)
     }
 
-    /// Removes a request that was lost on the way, or whose answer was. Returns its waiter if the request was in flight.
+    /// Removes a request that was lost on the way, or whose answer was lost. Returns its waiter if the request was in flight.
     pub(super) fn lose_request(&self, request: u64) -> Option<Waiter> {
         self.client().lose_request(request)
     }
@@ -135,7 +135,7 @@ mod tests {
     use super::*;
     use crate::statistics::TransportStatistics;
 
-    fn log() -> Recorder {
+    fn recorder() -> Recorder {
         let clock = Arc::new(SystemClock::new(ClockIdentity::new("edge", "test")));
         Recorder::new(clock, HostId::random())
     }
@@ -144,9 +144,9 @@ mod tests {
     async fn session_end_fails_all_requests() {
         let (requests, counters) = (RequestsInFlight::new(SessionId::random(), 1), Counters::default());
         let soon = tokio::time::Instant::now() + std::time::Duration::from_secs(60);
-        let slot = requests.acquire_slot(&mut log(), soon).await.expect("one is free");
+        let slot = requests.acquire_slot(&mut recorder(), soon).await.expect("one is free");
         let (_, answer) = requests.start_request().expect("open");
-        let mut queued = log();
+        let mut queued = recorder();
         let (second, ()) = tokio::join!(requests.acquire_slot(&mut queued, soon), async {
             requests.end(&CloseReason::UnknownSession, &counters);
             requests.end(&CloseReason::Local, &counters);

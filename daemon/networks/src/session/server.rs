@@ -52,8 +52,7 @@ pub(crate) enum EdgeMessage {
     Request(Request),
     /// The message only needs this answer.
     Answer(Header),
-    /// The edge ended its session. If it ended its run as well, the number is the number of iterations that the run was
-    /// configured to have.
+    /// The edge ended its session. If it ended its run as well, the number is the number of iterations of the run.
     Closed(SessionId, Option<u64>),
     /// The message is not valid, for this reason.
     Malformed(&'static str),
@@ -160,7 +159,7 @@ impl Server {
     /// Returns the limit that one more session of this peer would exceed, as a text for the refusal. `None` if the session
     /// may be opened.
     ///
-    /// One host may have half of the sessions that other hosts leave free, so that the next host always gets one. Several
+    /// One host may have half of the sessions that other hosts leave free, so that the next host always gets a session. Several
     /// hosts may share an address, which may have three quarters.
     fn check_session_limits(&self, peer: &Peer, host: HostId) -> Option<String> {
         let (open_sessions, max) = (self.sessions.len(), self.max_sessions);
@@ -175,8 +174,8 @@ impl Server {
         let allowed = free.div_ceil(2);
         if host_sessions >= allowed {
             return Some(format!(
-                "this host has {host_sessions} sessions, and {allowed} are allowed: half of those that other hosts leave of \
-                 the cloud's max_sessions, {max}; close some or raise max_sessions there"
+                "this host has {host_sessions} sessions, and {allowed} are allowed: half of the sessions that other \
+                 hosts do not use of the cloud's max_sessions, {max}; close some or raise max_sessions there"
             ));
         }
         // Peers of a network without addresses are only limited by their hosts.
@@ -192,13 +191,13 @@ impl Server {
         let allowed = ((max - (open_sessions - group_sessions)) * 3).div_ceil(4);
         (group_sessions >= allowed).then(|| {
             format!(
-                "this address has {group_sessions} sessions, and {allowed} are allowed: three quarters of those that other \
-                 addresses leave of the cloud's max_sessions, {max}; close some or raise max_sessions there"
+                "this address has {group_sessions} sessions, and {allowed} are allowed: three quarters of the sessions \
+                 that other addresses do not use of the cloud's max_sessions, {max}; close some or raise max_sessions there"
             )
         })
     }
 
-    /// Returns the admission of a connection, derived from its present sessions.
+    /// Returns the admission of a connection, which follows from its present sessions.
     pub(crate) fn admission(&self, connection: ConnectionId) -> Admission {
         let sessions = self.connections.get(&connection).map_or(&[][..], Vec::as_slice);
         let accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.accepted);
@@ -272,8 +271,9 @@ impl Server {
         self.remove_session(session).map(|entry| (entry.peer, Self::refusal(reason)))
     }
 
-    /// Sets the state of the clocks. Returns the messages to the open sessions, with their destinations.
-    pub(crate) fn announce(&mut self, clock: PeerClock) -> Vec<(Peer, Header)> {
+    /// Sets the state of the clocks, which later sessions get when they are accepted. Returns the messages to the open
+    /// sessions, with their destinations.
+    pub(crate) fn update_clock(&mut self, clock: PeerClock) -> Vec<(Peer, Header)> {
         let open = self.sessions.iter().filter(|(_, entry)| entry.accepted);
         let headers = open
             .map(|(session, entry)| {
@@ -309,8 +309,8 @@ impl Server {
         self.sessions.get(&session).map(|entry| Arc::clone(&entry.counters))
     }
 
-    /// Returns the message counters of a connection. Connections normally have one session; if there are several, those
-    /// of the first.
+    /// Returns the message counters of a connection. Connections normally have one session; if there are several,
+    /// returns the counters of the first.
     pub(crate) fn connection_counters(&self, connection: ConnectionId) -> Option<Arc<Counters>> {
         self.session_counters(self.first_session(connection)?)
     }

@@ -52,7 +52,8 @@ pub(super) struct SessionState {
     /// Last report of the cloud about its end of the connection.
     pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     pub(super) remarks: Remarks,
-    /// Number of iterations that the run was configured to have; set when the run is over.
+    /// Number of iterations that the run has in all. Set when the run is over, for the goodbye: a cloud that serves a fixed
+    /// number of requests then does not wait for missing requests.
     pub(super) planned_iterations: OnceLock<u64>,
 }
 
@@ -96,18 +97,18 @@ impl SessionState {
     /// another task would take time.
     pub(super) fn send(
         &self,
-        log: &mut Recorder,
+        recorder: &mut Recorder,
         sample: &Sample,
         deadline: tokio::time::Instant,
     ) -> Result<PendingRequest<'_>, RequestError> {
         let failed =
             |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
-        let encoding = log.start(stage::ENCODE);
-        let encoded = self.encode_frames(log, sample);
+        let encoding = recorder.start(stage::ENCODE);
+        let encoded = self.encode_frames(recorder, sample);
         let (tree, sample_header) = match encoded {
             Ok(encoded) => encoded,
             Err(error) => {
-                log.stop(encoding);
+                recorder.stop(encoding);
                 return Err(failed(error));
             }
         };
@@ -117,15 +118,15 @@ impl SessionState {
         // If both are equal, no step of the clock lies between the two stamps.
         let epoch = self.clock.epoch();
         let stamp = self.clock.stamp();
-        log.stop_at(encoding, stamp.mono);
+        recorder.stop_at(encoding, stamp.mono);
         let (sent_epoch, sent_raw) = if self.terms.has_raw_stamps() {
             (epoch, Some(stamp.raw))
         } else {
             (self.clock.wall_epoch(), None)
         };
-        let start = log.offset(stamp.mono);
+        let start = recorder.offset(stamp.mono);
         let departure = Departure { sent: stamp.wall, start, epoch: sent_epoch, sent_raw };
-        let departed = DepartedRequest { upload: add_upload(log.tree_mut(), departure), stamp, epoch };
+        let departed = DepartedRequest { upload: add_upload(recorder.tree_mut(), departure), stamp, epoch };
         // From here on an early return drops `pending`, which cancels the request.
         let mut pending =
             PendingRequest { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
@@ -156,11 +157,11 @@ impl SessionState {
 
     fn encode_frames(
         &self,
-        log: &Recorder,
+        recorder: &Recorder,
         sample: &Sample,
     ) -> Result<(bytes::Bytes, SampleHeader), UnsendableSample> {
         let header = SampleHeader::from_sample(sample)?;
-        let tree = encode_tree(log.tree())?;
+        let tree = encode_tree(recorder.tree())?;
         // Checked before sending: the cloud closes a connection on which a larger message arrives.
         let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
         let max_bytes = self.terms.max_message_bytes;

@@ -12,7 +12,7 @@ const DEPTH_RANGE: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ros2SessionSettings {
-    /// Reliability of payloads: whether lost ones are sent again. Companion messages are always reliable.
+    /// Reliability of payloads: whether lost payloads are sent again. Companion messages are always reliable.
     pub reliability: Reliability,
     /// Number of payloads that a topic keeps until they are taken.
     pub depth: u32,

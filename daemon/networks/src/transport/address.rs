@@ -17,7 +17,7 @@ use super::NetworkKind;
 ///
 /// The host is a name, an IPv4 address, or an IPv6 address in brackets. `0.0.0.0` and `[::]` listen on all interfaces.
 /// With port 0 the system chooses a port. In networks where a third program lets peers find each other, as in
-/// `ros1://master:11311/name`, host and port are those of that program and the name identifies the listener. In a
+/// `ros1://master:11311/name`, host and port belong to that program and the name identifies the listener. In a
 /// domain, as in `ros2://7/name`, there is no such program.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -151,7 +151,7 @@ pub enum AddressProblem {
     InvalidListenerName(String),
 }
 
-/// Error: a configuration names another network than the one of the address.
+/// Error: a configuration names another network than the address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the network is {named}, but {address} is an address of {}; leave the network out, or write {}", .address.network(), forms_of(&[*.named]))]
 pub struct NetworkMismatch {
@@ -196,7 +196,7 @@ impl Address {
         self.scheme.text
     }
 
-    /// Checks that `named`, a network that was named next to the address, is the one that the scheme selects.
+    /// Checks that the scheme selects `named`, a network that was named next to the address.
     ///
     /// # Errors
     /// If it is another network.
@@ -233,7 +233,7 @@ impl Address {
         self.port
     }
 
-    /// Returns the name of the listener, in networks whose host and port are those of a program that knows the
+    /// Returns the name of the listener, in networks in which host and port belong to another program, which knows the
     /// listener.
     pub fn listener_name(&self) -> Option<&str> {
         self.name.as_deref()

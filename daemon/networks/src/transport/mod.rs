@@ -63,8 +63,8 @@ macro_rules! networks {
                 match self { $(Self::$variant => $name),* }
             }
 
-            /// Returns the schemes of its addresses, such as `tcp` of `tcp://host:port`. The first one is used for an
-            /// address that is made without a scheme.
+            /// Returns the schemes of its addresses, such as `tcp` of `tcp://host:port`. The first scheme is used for
+            /// an address that is made without a scheme.
             pub const fn schemes(self) -> &'static [&'static str] {
                 match self { $(Self::$variant => &[$($scheme),+]),* }
             }
@@ -191,7 +191,7 @@ pub(crate) struct SendOptions {
 /// A message that did not arrive as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageLoss {
-    /// Sender's number for the message; `None` if it has none or it is unknown.
+    /// Sender's number for the message; `None` if the message has no number or the number is unknown.
     pub tag: Option<u64>,
     /// Number of fragments that arrived.
     pub received: u32,
@@ -208,7 +208,7 @@ impl fmt::Display for MessageLoss {
     }
 }
 
-/// What a transport needs to know of the edge that opens a connection.
+/// Properties of the edge that opens a connection, for the transport.
 pub(crate) struct DialContext<'a> {
     pub(crate) hello: &'a SessionHello,
     pub(crate) clock: &'a SharedClock,

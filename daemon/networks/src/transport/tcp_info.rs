@@ -127,8 +127,8 @@ fn find_tcp_info(addresses: &ConnectionAddresses, response: InetResponse) -> Opt
     })
 }
 
-/// Reads the fields by their offsets in `struct tcp_info` of `linux/tcp.h`. Kernels only add fields at the end; those
-/// that an older kernel lacks are unknown.
+/// Reads the fields by their offsets in `struct tcp_info` of `linux/tcp.h`. Kernels only add fields at the end; fields
+/// that an older kernel does not have are unknown.
 fn parse_tcp_info(info: &[u8]) -> TransportStatistics {
     let field = |at: usize| Some(u32::from_ne_bytes(*info.get(at..)?.first_chunk()?));
     let total = |at: usize| field(at).map(u64::from);

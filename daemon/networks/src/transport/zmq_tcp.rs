@@ -1,7 +1,7 @@
 //! `zmq-tcp`: ZMTP 3.1 over TCP, a DEALER on the edge and a ROUTER on the cloud.
 //!
 //! The edge's socket is the library's, in its latency profile; the cloud's is [`zmtp`](super::zmtp). On both ends the
-//! sending task writes to the connection itself. Only what the kernel does not accept at once is left to the
+//! sending task writes to the connection itself. Only the bytes that the kernel does not accept at once are left to the
 //! connection's own task. The library's reconnecting is disabled, because a session ends with its connection.
 
 use std::io;
@@ -111,9 +111,9 @@ pub(crate) async fn dial(
     _context: &DialContext<'_>,
 ) -> Result<EdgeConnection, DialFailure> {
     let options = options(settings).handshake_timeout(settings.open_timeout());
-    let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable)?;
+    let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable_failure)?;
     let mut monitor = socket.monitor();
-    socket.connect(address.to_string()).await.map_err(unreachable)?;
+    socket.connect(address.to_string()).await.map_err(unreachable_failure)?;
     let addresses = loop {
         match monitor.recv().await {
             Ok(MonitorEvent::HandshakeSucceeded { peer, .. }) => break addresses(&peer),
@@ -132,7 +132,7 @@ pub(crate) async fn dial(
         }
     };
     let receiver = DealerReceiver { socket: socket.clone(), monitor, end_reason: None };
-    // `is_cloud` is `false`, because every ROUTER accepts the connection, also that of an aggregator.
+    // `is_cloud` is `false`, because every ROUTER accepts the connection, also the ROUTER of an aggregator.
     let sender = Box::new(DealerSender { socket, addresses });
     Ok(EdgeConnection { sender, receiver: Box::new(receiver), is_cloud: false })
 }
@@ -150,7 +150,7 @@ fn addresses(peer: &PeerInfo) -> Option<ConnectionAddresses> {
     })
 }
 
-fn unreachable(error: Error) -> DialFailure {
+fn unreachable_failure(error: Error) -> DialFailure {
     match error {
         Error::Timeout => DialFailure::TimedOut,
         error => DialFailure::Unreachable(error.to_string()),

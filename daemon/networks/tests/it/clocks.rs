@@ -13,7 +13,7 @@ use peernet_networks::{Awaited, Exchange, PeerClock, RawClock, RequestError};
 use peernet_stream::VersionRange;
 
 use crate::hostile::plain_session;
-use crate::support::{Cloud, TIME_LIMIT, accepted, echo, log, request, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, accepted, echo, recorder, request, sample, settings, within};
 use crate::wire::Header;
 
 /// Only version 4 of the protocol, as in releases before 0.3.0.
@@ -118,7 +118,7 @@ impl Clock for AdjustableClocks {
 
 fn transits(exchange: &Exchange) -> (Transit, Transit) {
     let transit = |node: Option<NodeId>| match &exchange
-        .log
+        .recorder
         .tree()
         .get(node.expect("on its way"))
         .expect("in the tree")
@@ -198,7 +198,7 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
         let incoming = cloud.next_request().await;
         // Not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
         clock.wall.step_unnoticed(Span::from_seconds(3));
-        incoming.reply.send(incoming.log, Ok(incoming.sample));
+        incoming.reply.send(incoming.recorder, Ok(incoming.sample));
         let exchange = within(pending).await.expect("no panic");
         let observation = exchange.observation.expect("answered");
         let there = observation.exchange.replied - observation.exchange.received;
@@ -226,7 +226,7 @@ async fn moved_cloud_clock_yields_no_observation() {
             let pending = request(&session, "moved at the cloud", TIME_LIMIT);
             let incoming = cloud.next_request().await;
             clock.forward(Span::from_seconds(3));
-            incoming.reply.send(incoming.log, Ok(incoming.sample));
+            incoming.reply.send(incoming.recorder, Ok(incoming.sample));
             let exchange = within(pending).await.expect("no panic");
             assert!(exchange.result.is_ok() && exchange.download.is_some());
             assert_eq!(
@@ -254,7 +254,7 @@ async fn interrupted_raw_clock_of_edge_yields_no_observation() {
             let pending = request(&session, "moved at the edge", TIME_LIMIT);
             let incoming = cloud.next_request().await;
             moved.forward(Span::from_seconds(3));
-            incoming.reply.send(incoming.log, Ok(incoming.sample));
+            incoming.reply.send(incoming.recorder, Ok(incoming.sample));
             let exchange = within(pending).await.expect("no panic");
             assert!(exchange.result.is_ok());
             let epoch = exchange.observation.map(|observation| observation.edge_epoch);
@@ -294,7 +294,7 @@ async fn request_without_model_answer_yields_no_observation() {
     let exchange = within(pending).await.expect("no panic");
     assert!(exchange.arrived_at.is_some());
     assert_eq!(exchange.observation, None);
-    let exchange = within(session.request(log(), &sample("x"), Duration::ZERO)).await;
+    let exchange = within(session.request(recorder(), &sample("x"), Duration::ZERO)).await;
     assert_eq!((exchange.result, exchange.observation), (Err(RequestError::Timeout(Awaited::Answer)), None));
 }
 

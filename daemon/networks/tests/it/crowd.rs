@@ -7,7 +7,7 @@ use peernet_networks::{Incoming, RequestError, Session};
 use peernet_sample::{Description, Sample};
 use tokio::task::JoinSet;
 
-use crate::support::{Cloud, TestNetwork, accepted, hello, log, open, settings, within};
+use crate::support::{Cloud, TestNetwork, accepted, hello, open, recorder, settings, within};
 
 const EDGES: usize = 4;
 const TASKS: usize = 6;
@@ -22,7 +22,7 @@ fn payload(seed: usize) -> Bytes {
 async fn send_requests(session: Session, task: usize) -> Result<(), RequestError> {
     for n in 0..REQUESTS {
         let sent = Sample::from_part(Description::bytes(), payload(task * REQUESTS + n));
-        let exchange = session.request(log(), &sent, Duration::from_secs(60)).await;
+        let exchange = session.request(recorder(), &sent, Duration::from_secs(60)).await;
         assert_eq!(exchange.result?, sent);
         assert!(exchange.download.is_some());
     }
@@ -56,10 +56,10 @@ async fn serve_many_edges(network: TestNetwork) {
                     turn += 1;
                     // Answers are sent from the listening task and from other tasks alternately.
                     if turn % 2 == 0 {
-                        request.reply.send(request.log, Ok(request.sample));
+                        request.reply.send(request.recorder, Ok(request.sample));
                     } else {
                         tokio::task::spawn_blocking(move || {
-                            request.reply.send(request.log, Ok(request.sample));
+                            request.reply.send(request.recorder, Ok(request.sample));
                         });
                     }
                 }

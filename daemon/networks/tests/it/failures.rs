@@ -7,8 +7,8 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, accepted, echo, hello, log, open, over_every_network, request, sample,
-    settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, echo, hello, open, over_every_network, recorder, request,
+    sample, settings, within,
 };
 
 over_every_network!(
@@ -33,11 +33,11 @@ async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
     assert_eq!(session.statistics().lost_messages, 5);
 
-    let exchange = within(session.request(log(), &sample("too late"), TIME_LIMIT)).await;
+    let exchange = within(session.request(recorder(), &sample("too late"), TIME_LIMIT)).await;
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     // Answers to a listener that is gone are dropped without an error.
     for request in held {
-        request.reply.send(request.log, Ok(request.sample));
+        request.reply.send(request.recorder, Ok(request.sample));
     }
 }
 

@@ -5,8 +5,8 @@ use std::time::Duration;
 use peernet_networks::{BindError, CloseReason, Listener, NetworkKind, OpenError, SessionSettings};
 
 use crate::support::{
-    Cloud, TestNetwork, accepted, clock, echo, hello, open, over_every_network, over_every_port, settings,
-    unused_address, within,
+    Cloud, TestNetwork, accepted, clock, echo, hello, open, over_every_network,
+    over_every_network_with_ports, settings, unused_address, within,
 };
 
 over_every_network!(
@@ -18,7 +18,7 @@ over_every_network!(
     sessions_beyond_limit_are_refused_until_one_closes
 );
 
-over_every_port!(port_in_use_is_reported_with_advice);
+over_every_network_with_ports!(port_in_use_is_reported_with_advice);
 
 async fn accepted_session_identifies_both_sides(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;

@@ -11,7 +11,7 @@ use tokio::net::TcpStream;
 use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
-use crate::support::{Cloud, TIME_LIMIT, accepted, echo, log, request, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, accepted, echo, recorder, request, sample, settings, within};
 use crate::wire::{self, Header, Id, Outcome, PROTOCOL, PlainSocket};
 
 fn tree() -> Bytes {
@@ -62,7 +62,7 @@ async fn plain_zeromq_socket_is_served_as_edge() {
     plain.send_message(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
     let incoming = cloud.next_request().await;
     assert_eq!(incoming.sample.parts[0].bytes, "payload");
-    incoming.reply.send(incoming.log, Ok(sample("answer")));
+    incoming.reply.send(incoming.recorder, Ok(sample("answer")));
     let (header, rest) = plain.receive_message().await;
     assert!(matches!(header, Header::Reply(s, 7, Some(_), 0, Outcome::Answer(_)) if s == session));
     assert_eq!((rest.len(), &rest[1]), (2, &Bytes::from("answer")));
@@ -301,7 +301,7 @@ async fn invalid_answers_change_no_tree() {
             .await;
         let exchange = within(pending).await.expect("no panic");
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
-        assert_eq!((exchange.download, exchange.log.tree().anchors().len()), (None, 1));
+        assert_eq!((exchange.download, exchange.recorder.tree().anchors().len()), (None, 1));
     }
     assert_eq!(session.statistics().malformed_messages, count);
 
@@ -322,7 +322,7 @@ async fn invalid_answers_change_no_tree() {
     }
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request(log(), &sample("y"), TIME_LIMIT).await }
+        async move { session.request(recorder(), &sample("y"), TIME_LIMIT).await }
     });
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
@@ -344,7 +344,7 @@ async fn version_five_reply_without_raw_stamps_is_invalid() {
     let (session, to, id) = cloud.session_of_version(5).await;
     let pending = tokio::spawn({
         let session = session.clone();
-        async move { session.request(log(), &sample("x"), TIME_LIMIT).await }
+        async move { session.request(recorder(), &sample("x"), TIME_LIMIT).await }
     });
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };

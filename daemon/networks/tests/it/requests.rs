@@ -8,7 +8,7 @@ use peernet_networks::{Awaited, Failure, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, echo, log, over_every_network, request, sample, settings, text,
+    Cloud, TIME_LIMIT, TestNetwork, echo, over_every_network, recorder, request, sample, settings, text,
     unused_address, within,
 };
 
@@ -27,14 +27,14 @@ over_every_network!(
 async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let mut full = log();
+    let mut full = recorder();
     while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
     let pending = tokio::spawn(async move { session.request(full, &sample("hello"), TIME_LIMIT).await });
     let incoming = cloud.next_request().await;
-    incoming.reply.send(incoming.log, Ok(sample("answer")));
+    incoming.reply.send(incoming.recorder, Ok(sample("answer")));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result.as_ref().map(text), Ok("answer"));
-    let tree = exchange.log.tree();
+    let tree = exchange.recorder.tree();
     for name in [stage::UPLOAD, stage::DOWNLOAD, stage::UPLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES] {
         assert!(tree.find(&[name.as_str()]).is_some(), "{name}");
     }
@@ -52,7 +52,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
         source: "part-7.jpg".into(),
         label: Some("good".into()),
     };
-    let mut edge_log = log();
+    let mut edge_log = recorder();
     edge_log.time(stage::SENSING);
     let edge_host = edge_log.tree().anchors()[0].host;
     let pending = tokio::spawn({
@@ -63,18 +63,18 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let mut incoming = cloud.next_request().await;
     assert_eq!(incoming.session, id);
     assert_eq!(incoming.sample, two);
-    let (upload, _) = incoming.log.tree().find(&["upload"]).expect("closed on arrival");
-    incoming.log.record_timer(
+    let (upload, _) = incoming.recorder.tree().find(&["upload"]).expect("closed on arrival");
+    incoming.recorder.record_timer(
         stage::QUEUE,
         incoming.received.mono,
         incoming.received.mono + Span::from_micros(3),
     );
-    incoming.log.time(stage::INFERENCE);
-    incoming.reply.send(incoming.log, Ok(sample("answer")));
+    incoming.recorder.time(stage::INFERENCE);
+    incoming.reply.send(incoming.recorder, Ok(sample("answer")));
 
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result.as_ref().map(text), Ok("answer"));
-    let tree = exchange.log.tree();
+    let tree = exchange.recorder.tree();
     let anchors: Vec<_> = tree.anchors().iter().map(|anchor| anchor.host).collect();
     assert_eq!(anchors, [edge_host, cloud.host]);
     assert_eq!(exchange.upload, Some(upload));
@@ -118,7 +118,7 @@ async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
     // A model's worker is a plain thread.
     let worker = std::thread::spawn(move || {
         for request in incoming.into_iter().rev() {
-            request.reply.send(request.log, Ok(request.sample));
+            request.reply.send(request.recorder, Ok(request.sample));
         }
     });
     for (n, pending) in pending.into_iter().enumerate() {
@@ -135,15 +135,15 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     // A timeout that the clock cannot represent counts as no timeout.
     let pending = request(&session, "broken picture", Duration::MAX);
     let mut incoming = cloud.next_request().await;
-    incoming.log.time(stage::PREPROCESSING);
-    incoming.reply.send(incoming.log, Err(Failure::Failed("not a JPEG".into())));
+    incoming.recorder.time(stage::PREPROCESSING);
+    incoming.reply.send(incoming.recorder, Err(Failure::Failed("not a JPEG".into())));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Failed("not a JPEG".into())));
-    assert!(exchange.download.is_some() && exchange.log.tree().find(&["preprocessing"]).is_some());
+    assert!(exchange.download.is_some() && exchange.recorder.tree().find(&["preprocessing"]).is_some());
 
     let pending = request(&session, "one too many", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    incoming.reply.send(incoming.log, Err(Failure::Overloaded("16 samples wait".into())));
+    incoming.reply.send(incoming.recorder, Err(Failure::Overloaded("16 samples wait".into())));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Overloaded("16 samples wait".into())));
 
@@ -163,11 +163,11 @@ async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Timeout(Awaited::Answer)));
     assert_eq!((exchange.arrived_at, exchange.download), (None, None));
-    let upload = exchange.log.tree().get(exchange.upload.expect("was sent")).expect("in the tree");
+    let upload = exchange.recorder.tree().get(exchange.upload.expect("was sent")).expect("in the tree");
     assert!(upload.measure.is_open());
-    assert!(exchange.log.tree().find(&["upload-bytes"]).is_some());
+    assert!(exchange.recorder.tree().find(&["upload-bytes"]).is_some());
 
-    slow.reply.send(slow.log, Ok(slow.sample));
+    slow.reply.send(slow.recorder, Ok(slow.sample));
     // The next answer arrives after the late one.
     echo(&mut cloud, &session, "next").await;
     assert_eq!(session.statistics().late_messages, 1);
@@ -182,7 +182,7 @@ async fn abandoned_request_frees_its_place(network: TestNetwork) {
     let incoming = cloud.next_request().await;
     pending.abort();
     assert!(within(pending).await.expect_err("aborted").is_cancelled());
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     echo(&mut cloud, &session, "next").await;
     assert_eq!(session.statistics().late_messages, 1);
 }
@@ -194,11 +194,12 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     let (first, second) = (request(&session, "a", TIME_LIMIT), request(&session, "b", TIME_LIMIT));
     for _ in 0..2 {
         let incoming = cloud.next_request().await;
-        incoming.reply.send(incoming.log, Ok(incoming.sample));
+        incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     }
     let (first, second) = (within(first).await.expect("no panic"), within(second).await.expect("no panic"));
     assert!(first.result.is_ok() && second.result.is_ok());
-    let waited = |exchange: &peernet_networks::Exchange| exchange.log.tree().find(&["send-queue"]).is_some();
+    let waited =
+        |exchange: &peernet_networks::Exchange| exchange.recorder.tree().find(&["send-queue"]).is_some();
     assert_eq!([waited(&first), waited(&second)].iter().filter(|waited| **waited).count(), 1);
 
     let held = request(&session, "c", TIME_LIMIT);
@@ -206,7 +207,7 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     let impatient = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
     assert_eq!(impatient.result, Err(RequestError::Timeout(Awaited::Slot)));
     assert_eq!(impatient.upload, None);
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     assert!(within(held).await.expect("no panic").result.is_ok());
 }
 
@@ -215,7 +216,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let mut cloud = Cloud::start_at(&unused_address(network), small.clone()).await;
     let (session, _) = cloud.session(settings()).await;
     let large = Sample::from_part(Description::bytes(), vec![0; 100_001].into());
-    let exchange = within(session.request(log(), &large, TIME_LIMIT)).await;
+    let exchange = within(session.request(recorder(), &large, TIME_LIMIT)).await;
     let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
     assert_eq!(exchange.upload, None);
@@ -225,7 +226,7 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let (session, _) = cloud.session(small).await;
     let pending = request(&session, "zoom in", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    incoming.reply.send(incoming.log, Ok(large));
+    incoming.reply.send(incoming.recorder, Ok(large));
     let exchange = within(pending).await.expect("no panic");
     let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
@@ -239,15 +240,15 @@ async fn samples_beyond_header_limits_fail_alone(network: TestNetwork) {
     let crowded = Sample { parts: vec![part; 65], source: String::new(), label: None };
     let talkative = Sample { source: "x".repeat(70_000), ..sample("x") };
     for bad in [crowded, talkative] {
-        let exchange = within(session.request(log(), &bad, TIME_LIMIT)).await;
+        let exchange = within(session.request(recorder(), &bad, TIME_LIMIT)).await;
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
     }
     let empty = Sample { parts: Vec::new(), source: String::new(), label: None };
     let pending = tokio::spawn({
         let (session, empty) = (session.clone(), empty.clone());
-        async move { session.request(log(), &empty, TIME_LIMIT).await }
+        async move { session.request(recorder(), &empty, TIME_LIMIT).await }
     });
     let incoming = cloud.next_request().await;
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     assert_eq!(within(pending).await.expect("no panic").result, Ok(empty));
 }

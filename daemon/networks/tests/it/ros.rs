@@ -12,7 +12,7 @@ use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 
 use crate::ros_master::RosMaster;
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, open, recorder, settings, within,
 };
 
 /// Returns a node of another program.
@@ -33,11 +33,11 @@ fn request_topic(pipeline: &str) -> String {
 pub(crate) async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sample) -> Sample {
     let pending = tokio::spawn({
         let (session, sample) = (session.clone(), sample.clone());
-        async move { session.request(log(), &sample, TIME_LIMIT).await }
+        async move { session.request(recorder(), &sample, TIME_LIMIT).await }
     });
     let incoming = cloud.next_request().await;
     assert_eq!(incoming.sample, sample);
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     within(pending).await.expect("no panic").result.expect("an answer")
 }
 
@@ -284,7 +284,7 @@ async fn connection_without_session_ends_after_hello_timeout() {
 }
 
 #[tokio::test]
-async fn slow_subscriber_delays_nothing() {
+async fn subscriber_that_does_not_read_loses_no_message() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;

@@ -59,10 +59,10 @@ async fn closing_waits_for_answer_being_sent() {
     let (slow, quick) = (cloud.next_request().await, cloud.next_request().await);
     // The request is answered, but the answer has not been sent yet.
     let held = thread::Builder::new().name(PAUSED_THREAD.to_owned());
-    let held = held.spawn(move || slow.reply.send(slow.log, Ok(slow.sample))).expect("a thread");
+    let held = held.spawn(move || slow.reply.send(slow.recorder, Ok(slow.sample))).expect("a thread");
     within(at_gate).await.expect("it comes to the gate");
     let close = tokio::spawn(cloud.listener.close());
-    quick.reply.send(quick.log, Ok(quick.sample));
+    quick.reply.send(quick.recorder, Ok(quick.sample));
     let early = tokio::time::timeout(Duration::from_millis(100), session.closed()).await;
     assert!(early.is_err(), "goodbye came before the answer: {early:?}");
     leave.send(()).expect("waited for");
@@ -87,7 +87,7 @@ async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
         listener.close().await;
     });
     within(closed).await.expect("the listener closes");
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result.as_ref().map(text), Ok("almost done"));
     assert_eq!(within(session.closed()).await, CloseReason::Goodbye("the cloud shuts down".into()));

@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_networks::outgoing_interface;
 use peernet_stream::ConnectionStatistics;
 
-use crate::support::{Cloud, TIME_LIMIT, log, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, recorder, sample, settings, within};
 
 #[tokio::test]
 async fn both_ends_count_same_bytes_and_messages() {
@@ -13,10 +13,10 @@ async fn both_ends_count_same_bytes_and_messages() {
     for size in [0, 10, 300_000] {
         let pending = tokio::spawn({
             let session = session.clone();
-            async move { session.request(log(), &sample(&"x".repeat(size)), TIME_LIMIT).await }
+            async move { session.request(recorder(), &sample(&"x".repeat(size)), TIME_LIMIT).await }
         });
         let incoming = cloud.next_request().await;
-        incoming.reply.send(incoming.log, Ok(sample("answer")));
+        incoming.reply.send(incoming.recorder, Ok(sample("answer")));
         assert!(within(pending).await.expect("no panic").result.is_ok());
     }
     let (edge, listener) = (session.statistics(), cloud.listener.statistics());

@@ -21,7 +21,7 @@ use crate::ros_master::RosMaster;
 pub(crate) const TIME_LIMIT: Duration = Duration::from_secs(20);
 
 /// Defines tests that call a function with a [`TestNetwork`]: one for each network whose listeners have ports.
-macro_rules! over_every_port {
+macro_rules! over_every_network_with_ports {
     ($($name:ident),*) => {$(
         mod $name {
             #[tokio::test]
@@ -36,7 +36,7 @@ macro_rules! over_every_port {
         }
     )*};
 }
-pub(crate) use over_every_port;
+pub(crate) use over_every_network_with_ports;
 
 /// Defines tests that call a function with a [`TestNetwork`]: one for each network.
 macro_rules! over_every_network {
@@ -270,21 +270,21 @@ async fn open_with_clock(
     within(Session::open(&address, hello, settings(), clock)).await
 }
 
-pub(crate) fn log() -> Recorder {
+pub(crate) fn recorder() -> Recorder {
     Recorder::new(clock(), HostId::random())
 }
 
 /// Starts a request in a separate task.
 pub(crate) fn request(session: &Session, what: &str, timeout: Duration) -> tokio::task::JoinHandle<Exchange> {
     let (session, sample) = (session.clone(), sample(what));
-    tokio::spawn(async move { session.request(log(), &sample, timeout).await })
+    tokio::spawn(async move { session.request(recorder(), &sample, timeout).await })
 }
 
 /// Sends a request and lets the cloud echo it, which shows that the session works.
 pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, what: &str) -> Exchange {
     let pending = request(session, what, TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result.as_ref().map(text), Ok(what));
     exchange

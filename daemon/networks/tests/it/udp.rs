@@ -11,7 +11,7 @@ use tokio::net::UdpSocket;
 use tokio::task::JoinSet;
 
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, accepted, echo, hello, log, open, request, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, echo, hello, open, recorder, request, settings, within,
 };
 use crate::udp_relay::{PathImpairment, UdpRelay};
 
@@ -29,7 +29,7 @@ fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
         while let Some(incoming) = cloud.listener.next().await {
             match incoming {
                 Incoming::Open(open) => assert!(open.accept(accepted(cloud.host))),
-                Incoming::Request(request) => request.reply.send(request.log, Ok(request.sample)),
+                Incoming::Request(request) => request.reply.send(request.recorder, Ok(request.sample)),
                 _ => {}
             }
         }
@@ -46,7 +46,7 @@ async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> 
         tasks.spawn(async move {
             let _permit = permits.acquire().await.expect("open");
             let sent = sample_of(payload(size, n));
-            let exchange = session.request(log(), &sent, TIME_LIMIT).await;
+            let exchange = session.request(recorder(), &sent, TIME_LIMIT).await;
             match exchange.result {
                 Ok(answer) => {
                     assert_eq!(answer, sent);
@@ -167,7 +167,7 @@ async fn interrupted_path_ends_session_and_next_one_works() {
     let pending = request(&session, "again", TIME_LIMIT);
     loop {
         match cloud.next().await {
-            Incoming::Request(request) => break request.reply.send(request.log, Ok(request.sample)),
+            Incoming::Request(request) => break request.reply.send(request.recorder, Ok(request.sample)),
             Incoming::Closed { .. } => {}
             other => panic!("{other:?}"),
         }
@@ -259,7 +259,7 @@ async fn configured_rate_is_kept() {
     let slow = SessionSettings { max_send_bits_per_second: 8_000_000, ..settings() };
     let session = open(&address, hello(), slow).await.expect("accepted");
     let begin = tokio::time::Instant::now();
-    let exchange = within(session.request(log(), &sample_of(payload(300_000, 1)), TIME_LIMIT)).await;
+    let exchange = within(session.request(recorder(), &sample_of(payload(300_000, 1)), TIME_LIMIT)).await;
     assert!(exchange.result.is_ok(), "{:?}", exchange.result);
     let taken = begin.elapsed();
     assert!(taken >= Duration::from_millis(290), "300 kB at 1 MB/s took {taken:?}");

@@ -15,7 +15,7 @@ use crate::ros::{
     exchange, pipeline_of_another_host_is_refused, replace_connections, second_publisher_is_remarked, session,
 };
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
+    Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, open, recorder, settings, within,
 };
 
 /// Returns settings with changed settings for the topics of ROS 2.
@@ -221,7 +221,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
     let host = tokio::spawn(async move {
         while let Some(incoming) = cloud.listener.next().await {
             if let Incoming::Request(request) = incoming {
-                request.reply.send(request.log, Ok(request.sample));
+                request.reply.send(request.recorder, Ok(request.sample));
             }
         }
     });
@@ -229,7 +229,9 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
     for _ in 0..10 {
         let burst = (0..8).map(|_| {
             let session = session.clone();
-            tokio::spawn(async move { session.request(log(), &picture(2_000_000), TIME_LIMIT).await.result })
+            tokio::spawn(
+                async move { session.request(recorder(), &picture(2_000_000), TIME_LIMIT).await.result },
+            )
         });
         for request in burst.collect::<Vec<_>>() {
             match within(request).await.expect("no panic") {
@@ -245,7 +247,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn slow_subscriber_delays_nothing() {
+async fn subscriber_that_does_not_read_loses_no_message() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;

@@ -13,7 +13,7 @@ pub const CODE_BYTES: usize = 16;
 /// Shortest key. Bytes.
 const MIN_KEY_BYTES: usize = 16;
 
-/// Largest key file. Bytes.
+/// Number of bytes that are read from a key file. Bytes after them are ignored.
 const MAX_FILE_BYTES: u64 = 4096;
 
 /// A key that both ends share. Its `Debug` form hides it.

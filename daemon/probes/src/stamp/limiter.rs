@@ -48,9 +48,8 @@ impl TokenBucket {
 /// Limits the replies per second on two levels.
 ///
 /// A source that has a session with this host has its own bucket. Every other source has a bucket as well, and all of
-/// them share one more. Any number of forged source addresses is therefore answered at the rate of the shared bucket
-/// and takes nothing from the sources with a session. The table of the other sources is bounded; it drops the least
-/// recently used ones.
+/// these share one further bucket. Any number of forged source addresses is therefore answered at the rate of the shared bucket
+/// and takes nothing from the sources with a session. The table of the other sources is bounded; it drops the least recently used sources.
 #[derive(Debug)]
 pub struct Limiter {
     peers: HashMap<Source, TokenBucket>,

@@ -19,7 +19,7 @@ impl<K: Eq + Hash, V> RecentMap<K, V> {
         Self { young: HashMap::new(), old: HashMap::new(), generation_size }
     }
 
-    /// Returns the value of the key, and inserts a new one if there is none.
+    /// Returns the value of the key; inserts a new value if the key is missing.
     pub(super) fn entry(&mut self, key: K, new: impl FnOnce() -> V) -> &mut V {
         let old = self.old.remove(&key);
         if self.young.len() >= self.generation_size && !self.young.contains_key(&key) {

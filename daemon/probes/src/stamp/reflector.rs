@@ -35,7 +35,7 @@ pub struct ReflectorState {
 }
 
 /// STAMP sessions of peers and of others. They are separate, so that forged source addresses only make the reflector
-/// forget the latter.
+/// forget sessions of others.
 #[derive(Debug)]
 struct Sessions {
     peers: RecentMap<SessionId, Session>,
@@ -278,7 +278,7 @@ impl ReflectorState {
 /// request has zeros there, or the padding of TWAMP-light, which looks like a reply once in 2²⁹ packets if it is
 /// random.
 ///
-/// A forged source address can direct the answers of one reflector to another one, or to an echo service. The packets
+/// A forged source address can direct the answers of one reflector to another reflector, or to an echo service. The packets
 /// that return are replies by this test, so that a loop ends after one round.
 fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
     Reply::parse(mode, packet).is_some_and(|reply| {
@@ -289,7 +289,7 @@ fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
     })
 }
 
-/// Returns whether the form of a packet is that of an authenticated one with TLVs.
+/// Returns whether a packet has the form of an authenticated packet with TLVs.
 fn has_authentication_code(packet: &[u8]) -> bool {
     let tlvs = packet.get(Mode::Authenticated.base_bytes()..).unwrap_or_default();
     tlv::headers(tlvs).any(|header| header.kind == tlv::HMAC && header.value.len() == CODE_BYTES)

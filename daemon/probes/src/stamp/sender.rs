@@ -15,7 +15,7 @@ use super::timestamp::{ErrorEstimate, Format};
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty::{self, ORDER_TOLERANCE};
 
-/// Largest number of remembered probes, whether answered or not. A further one replaces the oldest.
+/// Largest number of remembered probes, whether answered or not. A further probe replaces the oldest.
 const MAX_PENDING: usize = 1024;
 
 /// Longest plausible time between the program's stamp of a departure and the kernel's.
@@ -29,7 +29,7 @@ pub struct SenderConfig {
     /// The only accepted reflector, by its [`Origin::instance`]; `None` accepts any.
     pub instance: Option<u64>,
     /// `true` if each request carries random octets that its answer must return. Only used with a key.
-    // The octets prove that the TLVs of an answer were written for this request, and not for another one with the same
+    // The octets prove that the TLVs of an answer were written for this request, and not for another request with the same
     // number and key.
     pub with_nonce: bool,
     /// Clocks that are related. Reflectors of other implementations only stamp by the wall clock.
@@ -70,7 +70,7 @@ pub struct Departure {
     nonce: Option<Nonce>,
     /// Difference wall clock minus free-running clock, read before the stamp.
     ahead: Interval,
-    /// Edge's epoch, read before the stamp, so that the stamp belongs to this epoch or a later one.
+    /// Edge's epoch, read before the stamp, so that the stamp belongs to this epoch or a later epoch.
     epoch: u32,
 }
 
@@ -400,7 +400,7 @@ const NO_RAW_STAMPS: &str = "without the stamps of the reflector's free-running 
 /// Checks that a reply returns the stamp and the octets of its request.
 fn check_answer(request: &Departure, reply: &Reply, tlv_values: &TlvValues) -> Result<(), &'static str> {
     if request.timestamp != reply.request.timestamp {
-        return Err("an answer with another stamp than that of its probe");
+        return Err("an answer with another stamp than its probe");
     }
     if request.nonce.is_some_and(|nonce| tlv_values.nonce != Some(nonce)) {
         return Err(WRONG_NONCE);

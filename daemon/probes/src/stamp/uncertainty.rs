@@ -1,6 +1,6 @@
 //! Bounds of the errors of a probe's stamps that could make the bounds of the offset wrong.
 //!
-//! The places where stamps are made put most errors on the safe side. A program's stamp of a departure is read before the
+//! The order of the readings puts most errors on the safe side. A program's stamp of a departure is read before the
 //! system call that sends, the kernel's before the driver gets the packet. The kernel's stamp of an arrival is made
 //! after the driver has delivered the packet, a program's after the system call that received it. A stamp that is early
 //! at a departure or late at an arrival only widens the resulting bounds. What remains is the resolution of clocks and
@@ -20,5 +20,5 @@ pub const PEERNET_ENDS: Span = Span::from_nanos(4);
 pub const OTHER_IMPLEMENTATION: Span = Span::from_nanos(1_000 + PEERNET_ENDS.nanos());
 
 /// Largest violation of the order of events by stamps of one clock. If stamps of the kernel and of the program violate the
-/// order by more, they are of two clocks.
+/// order by more, two clocks made them.
 pub const ORDER_TOLERANCE: Span = Span::from_micros(1);

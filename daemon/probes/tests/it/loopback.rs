@@ -79,7 +79,7 @@ async fn exchanges_on_one_clock_contain_zero_offset() {
 }
 
 #[tokio::test]
-async fn kernel_stamps_are_used_and_refine_replies() {
+async fn kernel_stamps_are_used_and_refine_reply_time() {
     let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let prober = Prober::open(prober_config(running.address), system_clock("edge")).expect("a socket");
     assert_eq!(prober.stamp_source_name(), "kernel, send and receive");

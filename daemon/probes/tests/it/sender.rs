@@ -217,7 +217,7 @@ fn late_replies_are_lost_and_duplicates_count_once() {
     let mut fields = Reply::parse(Mode::Unauthenticated, &forged).expect("a reply");
     fields.request.timestamp += 1;
     fields.write(Mode::Unauthenticated, &mut forged);
-    assert_eq!(pair.receive_reply(&forged), Err("an answer with another stamp than that of its probe"));
+    assert_eq!(pair.receive_reply(&forged), Err("an answer with another stamp than its probe"));
     assert_eq!(pair.receive_reply(&reply), Err(LATE));
     assert_eq!(pair.receive_reply(&reply), Err("an answer to an unknown or forgotten probe"), "late once");
 }
@@ -238,7 +238,7 @@ fn reply_with_wrong_request_fields_is_refused() {
     assert_eq!(forge(|reply| reply.request.sequence += 1), Err("an answer to an unknown or forgotten probe"));
     assert_eq!(
         forge(|reply| reply.request.timestamp ^= 1),
-        Err("an answer with another stamp than that of its probe")
+        Err("an answer with another stamp than its probe")
     );
     assert_eq!(forge(|reply| reply.received = 0), Err("an answer without the reflector's stamps"));
     assert!(forge(|reply| reply.request.ssid = 0).is_ok(), "as reflectors do that know of no identifiers");

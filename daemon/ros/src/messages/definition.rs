@@ -5,7 +5,7 @@ use std::fmt::Write;
 /// Type name, MD5 sum and text of a ROS 1 message type.
 ///
 /// Peers compare the sums. `rosbag record` stores the text, so that others can read the bag without the package. The
-/// sums are constants, which a test computes in the way of genmsg.
+/// sums are constants, which a test computes like genmsg.
 #[derive(Debug)]
 pub struct MessageDefinition {
     /// Package and name, such as `sensor_msgs/Image`.
@@ -19,7 +19,7 @@ pub struct MessageDefinition {
 }
 
 impl MessageDefinition {
-    /// Returns the text followed by those of the dependencies, in the form of connection headers and bags.
+    /// Returns the text followed by the texts of the dependencies, in the form of connection headers and bags.
     pub fn full_text(&self) -> String {
         let mut full = self.text.to_owned();
         for dependency in self.dependencies {

@@ -2,7 +2,7 @@
 //!
 //! A [`Message`] is a plain struct. [`Message::encode`] and [`Message::decode`] convert it to and from the bytes of
 //! either version. The bytes of pictures and point clouds are not copied: a decoded message refers to the received
-//! bytes, and an encoded message refers to those of the struct.
+//! bytes, and an encoded message refers to the bytes of the struct.
 
 mod definition;
 mod field;

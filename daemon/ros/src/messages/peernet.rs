@@ -44,7 +44,7 @@ pub struct MessageInfo {
     pub kind: u8,
     /// Number of the companion on this topic and connection, from 0.
     pub sequence: u64,
-    /// Number of the request; [`NO_REQUEST`](Self::NO_REQUEST) if the message belongs to none.
+    /// Number of the request; [`NO_REQUEST`](Self::NO_REQUEST) if the message belongs to no request.
     pub request: u64,
     /// `true` if frame 2 is the data of the payload message and not a part of [`frames`](Self::frames).
     pub has_payload: bool,
@@ -84,8 +84,8 @@ impl MessageInfo {
     pub const GOODBYE: u8 = 5;
     /// Kind of a confirmation that the sender receives the payload topic (ROS 2 only).
     pub const SUBSCRIBED: u8 = 6;
-    /// Kind of a companion with the first bytes of the frames of the message with the same stamp that follows (ROS 2
-    /// only).
+    /// Kind of a companion with a fragment of the frames of a message. The companion with the remaining bytes follows
+    /// and has the same stamp (ROS 2 only).
     pub const PART: u8 = 7;
     /// Value of [`request`](Self::request) without a request.
     pub const NO_REQUEST: u64 = u64::MAX;

@@ -7,8 +7,8 @@ use thiserror::Error;
 
 use super::WireForm;
 
-/// Smallest sequence of bytes that becomes a separate segment and is not copied. Copying a shorter one is cheaper than
-/// one more entry of a vectored write. Bytes.
+/// Smallest sequence of bytes that becomes a separate segment and is not copied. Copying a shorter sequence is cheaper
+/// than one more entry of a vectored write. Bytes.
 const MIN_SEGMENT_BYTES: usize = 4096;
 
 /// Encapsulation header of little-endian plain CDR, version 1, without options.

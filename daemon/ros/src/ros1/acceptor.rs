@@ -51,7 +51,7 @@ pub(super) async fn accept_connections(node: Arc<NodeState>, listener: TcpListen
         };
         // Closed at once, because a connection that waits for a permit holds a descriptor as well.
         let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
-            acceptor.warn_refused(peer, "too many connections of ROS subscribers");
+            acceptor.warn_not_established(peer, "too many connections of ROS subscribers");
             continue;
         };
         let acceptor = Arc::clone(&acceptor);
@@ -77,24 +77,24 @@ impl Acceptor {
         };
         match handshake {
             Ok(Ok((topic, subscriber, answer))) => topic.run_connection(stream, subscriber, answer).await,
-            Ok(Err(error)) => self.warn_refused(peer, &error.to_string()),
-            Err(_) => self.warn_refused(peer, "the peer sent no connection header in time"),
+            Ok(Err(error)) => self.warn_not_established(peer, &error.to_string()),
+            Err(_) => self.warn_not_established(peer, "the peer sent no connection header in time"),
         }
     }
 
     /// Logs at most once a minute for each address that a connection was closed.
-    fn warn_refused(&self, peer: SocketAddr, reason: &str) {
+    fn warn_not_established(&self, peer: SocketAddr, reason: &str) {
         let now = self.node.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
         let times = throttle.count("refused", Some(peer.ip()), now);
         drop(throttle);
         if let Some(times) = times {
-            tracing::warn!(node = self.node.name.global(), %peer, reason, times, "a ROS subscriber was refused");
+            tracing::warn!(node = self.node.name.global(), %peer, reason, times, "a connection of a ROS subscriber was not established");
         }
     }
 
-    /// Reads the subscriber's header. Returns the topic, the subscriber's name and the answer. In case of an error the
-    /// refusal has been sent.
+    /// Reads the subscriber's header. Returns the topic, the subscriber's name and the answer. If the error is
+    /// [`AcceptError::Handshake`], the refusal has been sent.
     async fn exchange_headers(
         &self,
         stream: &mut TcpStream,

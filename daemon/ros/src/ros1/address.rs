@@ -63,15 +63,16 @@ async fn listen(host: &str) -> Result<TcpListener, NodeError> {
 
 fn port(listener: &TcpListener) -> Result<u16, NodeError> {
     let address = SocketAddr::from(([0; 4], 0));
-    let own = listener.local_addr().map_err(|source| NodeError::Listen { address, source })?;
-    Ok(own.port())
+    let local = listener.local_addr().map_err(|source| NodeError::Listen { address, source })?;
+    Ok(local.port())
 }
 
 /// Returns the host that a node gives to others if no environment variable sets it.
 ///
-/// It is the address from which the master is reached, because a program that reaches the master usually reaches this
-/// address. If the master is on this host, it is the host's name, provided that the name leads to an address that
-/// others can use.
+/// - Usually the address from which the master is reached, because a program that reaches the master usually reaches this
+///   address.
+/// - If the master is on this host or cannot be resolved: the host's name, if none of its addresses is a loopback address.
+/// - Otherwise the loopback address.
 pub(super) async fn advertised_host(master: &RpcUri) -> String {
     let local = address_towards(master).await.unwrap_or_else(|_| Ipv4Addr::LOCALHOST.into());
     if !local.is_loopback() {

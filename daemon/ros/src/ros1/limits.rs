@@ -24,10 +24,10 @@ impl QueueLimits {
     }
 }
 
-/// Largest number of TCPROS connections that others open to a node. Further ones are closed at once.
+/// Largest number of TCPROS connections that others open to a node. Further connections are closed at once.
 pub(super) const MAX_INCOMING_CONNECTIONS: usize = 256;
 
-/// Largest number of publishers of one topic that a subscriber connects to. Further ones are ignored with a warning.
+/// Largest number of publishers of one topic that a subscriber connects to. Further publishers are ignored with a warning.
 pub(super) const MAX_PUBLISHERS: usize = 256;
 
 /// Time limit for connecting and exchanging headers.

@@ -14,13 +14,13 @@ pub enum NameError {
     #[error("a ROS name is empty")]
     Empty,
     /// The name is too long.
-    #[error("a ROS name has {length} bytes; the longest has {MAX_NAME_BYTES}")]
+    #[error("a ROS name, with its namespace, has {length} bytes; the limit is {MAX_NAME_BYTES}")]
     TooLong {
-        /// Length of the name. Bytes.
+        /// Length of the name with its namespace. Bytes.
         length: usize,
     },
-    /// The name begins with something other than a letter, `/` or `~`.
-    #[error("the ROS name {name:?} must begin with a letter, / or ~")]
+    /// The name, or its part after `~`, begins with something other than a letter or `/`.
+    #[error("the ROS name {name:?} must begin with a letter, after / or ~ if it has one")]
     Start {
         /// The name.
         name: String,
@@ -50,7 +50,7 @@ pub struct NodeName {
 }
 
 impl NodeName {
-    /// Creates the name of a node in a namespace, which may lack the first `/`.
+    /// Creates the name of a node in a namespace, whose first `/` may be omitted.
     ///
     /// # Errors
     /// If a name is not allowed in ROS, or the node's name contains a namespace.

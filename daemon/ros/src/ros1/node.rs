@@ -96,7 +96,7 @@ impl Node {
         let publication = Publication { node, topic, kind, is_latching };
         let stop = shared.lifetime.stop().child_token();
         let published = Arc::new(PublishedTopic::new(publication, options.queue, stop));
-        // Before the registration, because the master informs subscribers at once.
+        // The topic is added before the registration, because the master informs subscribers at once.
         shared.topics.add_published(Arc::clone(&published))?;
         let (guard, _) = RegistrationGuard::register(&shared.registrar, registration).await?;
         Ok(Publisher { topic: published, guard })
@@ -120,7 +120,7 @@ impl Node {
         let subscription = Subscription { node: shared.name.to_arc(), topic, kind };
         let (clock, lifetime) = (Arc::clone(&shared.clock), &shared.lifetime);
         let subscribed = Arc::new(SubscribedTopic::new(subscription, options, clock, lifetime));
-        // Before the registration, because the master may report new publishers at once.
+        // The topic is added before the registration, because the master may report new publishers at once.
         shared.topics.add_subscribed(Arc::clone(&subscribed))?;
         let (guard, publishers) = RegistrationGuard::register(&shared.registrar, registration).await?;
         subscribed.add_publishers(&publishers);
@@ -143,7 +143,7 @@ impl Node {
         self.shared.registrar.master().topic_types().await
     }
 
-    /// Returns those of `nodes`, without this one, that are running and publish a topic. The master also lists nodes
+    /// Returns the nodes of `nodes`, without this node, that are running and publish a topic. The master also lists nodes
     /// that ended without unregistering. A node with this node's name counts until this node has registered something.
     ///
     /// # Errors
@@ -152,7 +152,7 @@ impl Node {
         self.running_nodes("getPublications", topic, nodes).await
     }
 
-    /// Returns those of `nodes`, without this one, that are running and subscribe to a topic, as
+    /// Returns the nodes of `nodes`, without this node, that are running and subscribe to a topic, as
     /// [`Node::running_publishers`] does.
     ///
     /// # Errors
@@ -201,7 +201,7 @@ impl Node {
         let lifetime = &self.shared.lifetime;
         lifetime.end("it was shut down".to_owned());
         lifetime.wait_for_tasks().await;
-        // After the tasks, because subscribers may disconnect from a publisher that is no longer registered.
+        // The tasks end first, because subscribers may disconnect from a publisher that is no longer registered.
         self.shared.registrar.unregister_all().await
     }
 }

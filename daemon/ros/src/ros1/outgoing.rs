@@ -33,7 +33,7 @@ pub struct SendCounts {
     pub dropped: u64,
     /// Messages that were waiting in the queue when the connection ended.
     pub lost: u64,
-    /// Messages that wait in the queue, including the one that is partly written.
+    /// Messages that wait in the queue, including the message that is partly written.
     pub waiting: u64,
 }
 
@@ -50,7 +50,7 @@ impl SendCounts {
 
 /// Result of offering a message to a queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Offer {
+pub(super) enum OfferOutcome {
     Accepted,
     Full,
     Closed,
@@ -131,10 +131,10 @@ impl OutgoingConnection {
 
     /// Queues a message, and writes what the kernel accepts at once. A full queue drops and counts the message if
     /// `may_drop` is `true`; otherwise the message is not counted.
-    pub(super) fn offer(&self, message: &EncodedMessage, prefix: [u8; 4], may_drop: bool) -> Offer {
+    pub(super) fn offer(&self, message: &EncodedMessage, prefix: [u8; 4], may_drop: bool) -> OfferOutcome {
         let mut queue = self.queue();
         if queue.is_closed {
-            return Offer::Closed;
+            return OfferOutcome::Closed;
         }
         let message = QueuedMessage { prefix, message: message.clone(), written: 0 };
         if !self.limits.accepts(queue.messages.len(), queue.bytes, message.len()) {
@@ -142,7 +142,7 @@ impl OutgoingConnection {
                 queue.counts.offered += 1;
                 queue.counts.dropped += 1;
             }
-            return Offer::Full;
+            return OfferOutcome::Full;
         }
         queue.counts.offered += 1;
         queue.bytes += message.len();
@@ -154,7 +154,7 @@ impl OutgoingConnection {
                 self.write_needed.notify_one();
             }
         }
-        Offer::Accepted
+        OfferOutcome::Accepted
     }
 
     /// Waits until the queue has accepted a message. Returns whether the connection still exists.
@@ -163,9 +163,9 @@ impl OutgoingConnection {
             // Created before the queue is checked, so that no change in between is missed.
             let space_freed = self.space_freed.notified();
             match self.offer(message, prefix, false) {
-                Offer::Accepted => return true,
-                Offer::Closed => return false,
-                Offer::Full => space_freed.await,
+                OfferOutcome::Accepted => return true,
+                OfferOutcome::Closed => return false,
+                OfferOutcome::Full => space_freed.await,
             }
         }
     }

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::error::NodeError;
 use super::limits::QueueLimits;
-use super::outgoing::{Offer, OutgoingConnection, SendCounts};
+use super::outgoing::{OfferOutcome, OutgoingConnection, SendCounts};
 use super::registration_guard::RegistrationGuard;
 use super::tcpros::{ConnectionHeader, Publication};
 use crate::messages::EncodedMessage;
@@ -80,9 +80,9 @@ impl Publisher {
         let mut published = PublishOutcome::default();
         for connection in connections {
             match connection.offer(&message, prefix, true) {
-                Offer::Accepted => published.subscribers += 1,
-                Offer::Full => published.dropped += 1,
-                Offer::Closed => {}
+                OfferOutcome::Accepted => published.subscribers += 1,
+                OfferOutcome::Full => published.dropped += 1,
+                OfferOutcome::Closed => {}
             }
         }
         Ok(published)
@@ -91,7 +91,7 @@ impl Publisher {
     /// Publishes a message as [`publish`](Self::publish) does. Returns the outcome for the subscriber of one node.
     ///
     /// # Errors
-    /// Those of `publish`.
+    /// As for `publish`.
     pub fn publish_to(&self, node: &str, message: impl Into<EncodedMessage>) -> Result<Delivery, NodeError> {
         let (message, prefix) = self.check_message(message.into())?;
         let mut delivery = Delivery::NotConnected;
@@ -99,9 +99,9 @@ impl Publisher {
             let offer = connection.offer(&message, prefix, true);
             if *connection.subscriber == *node {
                 delivery = match offer {
-                    Offer::Accepted => Delivery::Accepted,
-                    Offer::Full => Delivery::Full,
-                    Offer::Closed => delivery,
+                    OfferOutcome::Accepted => Delivery::Accepted,
+                    OfferOutcome::Full => Delivery::Full,
+                    OfferOutcome::Closed => delivery,
                 };
             }
         }
@@ -109,7 +109,7 @@ impl Publisher {
     }
 
     /// Publishes a message and waits until each subscriber's queue has accepted it. Nothing is dropped while a
-    /// subscriber is connected, and the slowest one determines the rate.
+    /// subscriber is connected, and the slowest subscriber determines the rate.
     ///
     /// # Errors
     /// If the node has ended, or the message has more than 2³² − 1 bytes.
@@ -150,7 +150,7 @@ impl Publisher {
         self.topic.subscribers()
     }
 
-    /// Returns the sums over all subscribers, including those that are gone.
+    /// Returns the sums over all subscribers, including subscribers that have left.
     pub fn counts(&self) -> SendCounts {
         self.topic.counts()
     }

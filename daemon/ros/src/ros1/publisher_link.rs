@@ -69,7 +69,7 @@ struct LinkState {
     is_listed: bool,
     state: PublisherState,
     counts: ReceiveCounts,
-    /// Name of the node, if it is not the only one whose messages are accepted.
+    /// Name of the publisher's node, if only messages of another node are accepted.
     unexpected: Option<Arc<str>>,
 }
 
@@ -126,7 +126,7 @@ impl PublisherLink {
                 error = self.connect_and_read(topic) => error,
                 () = topic.stop.cancelled() => LinkError::Closed,
             };
-            if topic.remove_unlisted(self) {
+            if topic.remove_if_ended(self) {
                 return;
             }
             // A connection worked in between, so the next failure starts with the shortest delay again.
@@ -134,11 +134,11 @@ impl PublisherLink {
                 delay = MIN_RETRY_DELAY;
             }
             let reason = error.to_string();
-            // Logged once for each reason, because the attempts repeat.
+            // Not logged again while the reason stays the same, because the attempts repeat.
             if reason != last_reason {
                 let (topic, publisher) = (&*topic.subscription.topic, &*self.uri);
-                // A publisher that ends closes the connection before the master reports it, and does not publish the
-                // topic any more when it is asked. Neither deserves a warning.
+                // When a publisher ends, it closes the connection before the master reports the end, and then refuses the
+                // topic when it is asked again. Neither deserves a warning.
                 let is_closed = matches!(error, LinkError::Closed);
                 if is_closed || was_closed && matches!(error, LinkError::NoEndpoint { .. }) {
                     tracing::debug!(topic, publisher, "a publisher of a ROS topic closed the connection");
@@ -159,11 +159,11 @@ impl PublisherLink {
             self.set_state(topic, PublisherState::Failed(reason));
             tokio::select! {
                 () = sleep(delay) => delay = (delay * 2).min(MAX_RETRY_DELAY),
-                // A new list of the master may be due to a restart of the publisher, or its end.
+                // The master listed the publishers anew: this one may have restarted or ended, so the retry is not delayed.
                 () = self.listing_changed.notified() => {}
                 () = topic.stop.cancelled() => {}
             }
-            if topic.remove_unlisted(self) {
+            if topic.remove_if_ended(self) {
                 return;
             }
             self.set_state(topic, PublisherState::Connecting);
@@ -206,7 +206,7 @@ impl PublisherLink {
                 read_endpoint(&params).ok_or_else(|| no_endpoint("its answer has no host and port"))
             }
             Some((_, reason, _)) => Err(no_endpoint(&reason)),
-            None => Err(no_endpoint("its answer is not that of a ROS node")),
+            None => Err(no_endpoint("its answer does not have the form of a ROS node's answer")),
         }
     }
 

@@ -75,7 +75,7 @@ impl Registrar {
     /// Removes a topic from the node, and lets it be unregistered in the background.
     pub(super) fn remove(&self, registration: Registration) {
         self.topics.remove(registration.role, &registration.topic);
-        // Even if the registration failed, because the master may know it all the same.
+        // This is done even if the registration failed, because the master may know the topic nevertheless.
         self.registrations().remove(registration);
         self.wake.notify_one();
     }

@@ -26,7 +26,7 @@ pub(super) struct Registration {
     pub(super) kind: Arc<str>,
 }
 
-/// A call of the master that brings its registrations closer to the wanted ones.
+/// A call of the master that brings its registrations closer to the wanted registrations.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum MasterCall {
     Register(Registration),
@@ -102,7 +102,7 @@ impl Registrations {
     /// Returns the call that is due now.
     pub(super) fn next_call(&self) -> Option<MasterCall> {
         let with_status = |wanted| self.entries.iter().find(|(_, status)| **status == wanted);
-        // After it was unreachable, the master may be another one. Therefore it is first asked whether it knows the node.
+        // After the master was unreachable, another master may run. Therefore it is first asked whether it knows the node.
         if self.is_check_due && !self.entries.is_empty() {
             return Some(MasterCall::LookUpNode);
         }

@@ -28,10 +28,10 @@ pub(super) const CALL_TIMEOUT: Duration = Duration::from_secs(3);
 /// Longest accepted answer. The system state of a large robot is some hundred kilobytes. Bytes.
 const MAX_RESPONSE_BYTES: usize = 16 * 1024 * 1024;
 
-/// Longest accepted call. The longest one has the list of a topic's publishers. Bytes.
+/// Longest accepted call. The longest call contains the list of a topic's publishers. Bytes.
 const MAX_CALL_BYTES: usize = 256 * 1024;
 
-/// Largest number of connections to the server. Further ones wait to be accepted.
+/// Largest number of connections to the server. Further connections wait to be accepted.
 const MAX_CONNECTIONS: usize = 64;
 
 /// Longest silence of a connection before and between calls, and time limit for the arrival of a call.
@@ -77,7 +77,7 @@ impl RpcError {
 
 /// Calls a method and returns its result.
 ///
-/// Each call opens a connection. A node makes few calls, and a kept connection would break when the peer ends.
+/// Each call opens a connection. A node makes few calls, and an open connection would break when the peer ends.
 ///
 /// # Errors
 /// If the peer is not reachable, does not answer in time, or answers with a fault.

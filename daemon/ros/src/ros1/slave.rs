@@ -14,7 +14,7 @@ const ERROR: i64 = -1;
 /// Code of an answer to a call that failed.
 const FAILURE: i64 = 0;
 
-/// Reason with which the master asks a node to shut down when another one registers with its name, after `[/NODE]
+/// Reason with which the master asks a node to shut down when another node registers with its name, after `[/NODE]
 /// Reason: `.
 const NAME_TAKEN_REASON: &str = "new node registered with same name";
 
@@ -171,8 +171,7 @@ fn count_value(count: u64) -> Value {
     Value::Int(i64::try_from(count).unwrap_or(i64::MAX))
 }
 
-/// Returns the statistics for `getBusStats`: those of publishers, of subscribers, and of services, which this node does
-/// not have.
+/// Returns the statistics for `getBusStats`: of publishers, of subscribers, and of services, which this node does not have.
 fn bus_statistics(node: &NodeState) -> Value {
     let (published, subscribed) = (node.topics.published(), node.topics.subscribed());
     let publishers = published.iter().map(|topic| {

@@ -12,7 +12,7 @@ use super::memory::MessageMemory;
 use super::subscriber::SubscribedTopic;
 use super::tcpros::{FrameBuffer, FrameError};
 
-/// Sets TCP_NODELAY, so that a small message does not wait for the acknowledgement of the one before. Sets keepalive
+/// Sets TCP_NODELAY, so that a small message does not wait for the acknowledgement of the message before it. Sets keepalive
 /// and a timeout of the kernel, so that a vanished peer is noticed whether or not something is being sent.
 pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;

@@ -25,12 +25,12 @@ pub struct SubscriberOptions {
     pub queue: QueueLimits,
     /// Policy for a message that arrives while the queue is full.
     pub when_full: WhenFull,
-    /// Largest accepted message in bytes. A publisher of a larger one is disconnected.
+    /// Largest accepted message in bytes. A publisher of a larger message is disconnected.
     pub max_message_bytes: usize,
-    /// Name of the only node whose messages are accepted; other publishers are disconnected before they send any. By
+    /// Name of the only node whose messages are accepted; other publishers are disconnected before they send a message. By
     /// default messages of all nodes are accepted.
     pub publisher: Option<Arc<str>>,
-    /// Limit that the subscriber shares with others, on messages from their first bytes until they are dropped. A
+    /// Limit on the memory of messages, from their first bytes until they are dropped; several subscribers may share it. A
     /// publisher whose message exceeds the limit is disconnected. By default there is no such limit.
     pub memory: Option<Arc<dyn MemoryLimit>>,
 }
@@ -70,7 +70,7 @@ pub struct ReceiveCounts {
     /// Bytes of these messages, without the length before each.
     pub bytes: u64,
     /// Messages that were dropped because the subscriber's queue was full. With several publishers and
-    /// [`WhenFull::DropOldest`], a message counts for the publisher of the one that replaced it.
+    /// [`WhenFull::DropOldest`], a message counts for the publisher of the message that replaced it.
     pub dropped: u64,
     /// Connections that were opened.
     pub connections: u64,
@@ -144,13 +144,13 @@ impl Subscriber {
         self.topic.queue.try_pop()
     }
 
-    /// Returns the publishers that the master knows, and those that are still connected. A caller that expects a single
-    /// one can detect others.
+    /// Returns the publishers that the master lists or that are still connected. A caller that expects a single
+    /// publisher can detect others.
     pub fn publishers(&self) -> Vec<PublisherStatus> {
         self.topic.publishers()
     }
 
-    /// Returns the sums over all publishers, including those that are gone.
+    /// Returns the sums over all publishers, including publishers that have left.
     pub fn counts(&self) -> ReceiveCounts {
         self.topic.counts()
     }
@@ -289,7 +289,7 @@ impl SubscribedTopic {
         self.add_links(&mut state, uris);
     }
 
-    /// Adds publishers to the known ones. None is removed, because the answer to a registration may be older than a
+    /// Adds publishers to the known publishers. No publisher is removed, because the answer to a registration may be older than a
     /// list that has arrived since.
     pub(super) fn add_publishers(self: &Arc<Self>, uris: &[String]) {
         self.add_links(&mut self.state(), uris);
@@ -317,8 +317,8 @@ impl SubscribedTopic {
         self.changed.notify_waiters();
     }
 
-    /// Removes a publisher that is not listed. Returns whether it was removed.
-    pub(super) fn remove_unlisted(&self, link: &PublisherLink) -> bool {
+    /// Removes a publisher if the master does not list it any more or the subscriber stops. Returns whether it was removed.
+    pub(super) fn remove_if_ended(&self, link: &PublisherLink) -> bool {
         let mut state = self.state();
         if link.is_listed() && !self.stop.is_cancelled() {
             return false;

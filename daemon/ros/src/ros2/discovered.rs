@@ -40,7 +40,7 @@ impl DiscoveredPublisher {
 /// Returns an address of the host that announces `addresses`, unless it is the host with the addresses `own`.
 ///
 /// A program only announces addresses of the host that it runs on. Another host may announce some addresses that this
-/// host has as well, such as that of a bridge of containers, but never only those.
+/// host has as well, such as the address of a bridge of containers, but never only such addresses.
 #[cfg(any(feature = "ros2", test))]
 pub(super) fn other_host(addresses: &[IpAddr], own: &[IpAddr]) -> Option<IpAddr> {
     let is_of_host =

@@ -250,7 +250,7 @@ impl DiscoveryState {
         let listed =
             |all: &BTreeMap<_, Vec<ListedNode>>| all.values().map(|nodes| size(nodes)).sum::<usize>();
         if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
-            // Lists of participants of which nothing else is known may be forged, so they are dropped first.
+            // Lists of participants that discovery does not know may be forged, so they are dropped first.
             self.nodes.retain(|participant, _| self.participants.contains(participant));
         }
         if listed(&self.nodes) + size(&nodes) > self.bounds.listed {

@@ -15,7 +15,7 @@ pub enum Ros2Error {
     )]
     NotBuilt,
     /// The name is not allowed in ROS 2.
-    #[error("`{name}` is not a valid {kind} name in ROS 2; a valid one is `{example}`")]
+    #[error("`{name}` is not a valid {kind} name in ROS 2; a valid name is `{example}`")]
     InvalidName {
         /// The name.
         name: String,
@@ -82,7 +82,7 @@ pub enum Ros2Error {
     },
     /// The message could not be published in time.
     #[error(
-        "a message to topic {topic} was not published within {waited:?}: {peers} subscriptions do not keep up; lower the rate, or raise net.core.rmem_max on their hosts"
+        "a message to topic {topic} was not published within {waited:?}: not all of its {peers} subscriptions keep up; lower the rate, or raise net.core.rmem_max on their hosts"
     )]
     PublishTimeout {
         /// The topic.
@@ -102,7 +102,7 @@ pub enum Ros2Error {
     },
     /// Some published messages were not acknowledged in time.
     #[error(
-        "subscriptions of topic {topic} did not acknowledge all messages within {waited:?}; the unacknowledged ones are lost"
+        "subscriptions of topic {topic} did not acknowledge all messages within {waited:?}; unacknowledged messages are lost"
     )]
     Unacknowledged {
         /// The topic.

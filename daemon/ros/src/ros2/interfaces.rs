@@ -18,7 +18,7 @@ pub struct UnknownInterface {
 /// Checks that this host has network interfaces with these names or IPv4 addresses.
 ///
 /// # Errors
-/// The first one that does not exist.
+/// The first interface that does not exist.
 pub fn check_interfaces(names: &[String]) -> Result<(), UnknownInterface> {
     // If the system does not list them, joining a domain will report it.
     ipv4_interfaces().map_or(Ok(()), |existing| find_interfaces(names, &existing).map(drop))

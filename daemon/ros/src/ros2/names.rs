@@ -6,7 +6,7 @@ use super::Ros2Error;
 
 /// Returns the absolute name of a topic, such as `/camera/image`.
 ///
-/// A relative name is below the namespace, and one that begins with `~/` is below the node.
+/// A relative name is below the namespace, and a name that begins with `~/` is below the node.
 ///
 /// # Errors
 ///

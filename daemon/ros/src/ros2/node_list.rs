@@ -1,4 +1,4 @@
-//! The node list of ROS 2 (`ros2 node list`, `ros2 node info`): our entry, and those of others.
+//! The node list of ROS 2 (`ros2 node list`, `ros2 node info`): our entry, and the entries of other participants.
 //!
 //! Every participant publishes `rmw_dds_common/msg/ParticipantEntitiesInfo` on the DDS topic `ros_discovery_info`: its
 //! own identifier, then for each node the names and the identifiers of subscriptions and publishers.
@@ -72,7 +72,7 @@ impl ListEntry {
     /// [`NodeListError`].
     pub(crate) fn decode(payload: &Bytes) -> Result<Self, NodeListError> {
         let [short, long] = IDENTIFIER_LENGTHS.map(|length| Self::decode_with_length(payload, length));
-        // A message of one length has bytes left, or too few, if it is read with the other length.
+        // If a message is read with the wrong length, bytes remain or are missing.
         short.or_else(|error| long.map_err(|_| error))
     }
 

@@ -60,7 +60,7 @@ impl EndpointId {
         ParticipantId(own)
     }
 
-    /// Returns the role, which is in the last byte (RTPS 2.5, section 9.3.1.2); `None` if it is neither.
+    /// Returns the role, which is in the last byte (RTPS 2.5, section 9.3.1.2); `None` if the byte stands for neither role.
     pub fn role(self) -> Option<EndpointRole> {
         match self.0[15] & 0x0f {
             0x02 | 0x03 => Some(EndpointRole::Publisher),

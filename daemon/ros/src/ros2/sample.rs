@@ -19,7 +19,7 @@ pub struct ReceivedSample {
     pub writer: EndpointId,
     /// Sequence number of the message at its publisher; the first message has 1.
     pub sequence: i64,
-    /// Number of messages of the same publisher that are missing directly before this one.
+    /// Number of messages of the same publisher that are missing directly before this message.
     pub missing_before: u64,
 }
 
@@ -28,9 +28,9 @@ pub struct ReceivedSample {
 pub struct ReceiveCounts {
     /// Messages that were returned.
     pub received: u64,
-    /// Messages of known publishers that never arrived, or that newer ones replaced before they were read.
+    /// Messages of known publishers that never arrived, or that newer messages replaced before they were read.
     pub lost: u64,
-    /// Messages that arrived after one with a higher sequence number. They do not count as lost.
+    /// Messages that arrived after a message with a higher sequence number. They do not count as lost.
     pub late: u64,
     /// Messages of publishers with another message type, which are dropped.
     pub other_type: u64,

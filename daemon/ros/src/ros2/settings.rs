@@ -143,7 +143,7 @@ impl fmt::Display for SocketBufferWarning {
 mod tests {
     use super::*;
 
-    fn resolved(settings: Ros2Settings, variables: &[(&str, &str)]) -> Result<Ros2Settings, Ros2Error> {
+    fn resolve(settings: Ros2Settings, variables: &[(&str, &str)]) -> Result<Ros2Settings, Ros2Error> {
         settings.with_environment(|name| {
             variables.iter().find(|(other, _)| *other == name).map(|(_, value)| (*value).to_owned())
         })
@@ -151,15 +151,15 @@ mod tests {
 
     #[test]
     fn environment_supplies_missing_settings() {
-        let settings = resolved(Ros2Settings::default(), &[]).expect("valid");
+        let settings = resolve(Ros2Settings::default(), &[]).expect("valid");
         assert_eq!((settings.domain_id, settings.interfaces.len()), (Some(0), 0));
         let all = [("ROS_DOMAIN_ID", "7"), ("ROS_LOCALHOST_ONLY", "1"), ("ROS_DISTRO", "humble")];
-        let settings = resolved(Ros2Settings::default(), &all).expect("valid");
+        let settings = resolve(Ros2Settings::default(), &all).expect("valid");
         assert_eq!((settings.domain_id, settings.identifier_length()), (Some(7), 24));
         assert_eq!(settings.interfaces, ["127.0.0.1"]);
         let given =
             Ros2Settings { domain_id: Some(3), interfaces: vec!["eth0".into()], ..Ros2Settings::default() };
-        let settings = resolved(given, &all).expect("valid");
+        let settings = resolve(given, &all).expect("valid");
         assert_eq!((settings.domain_id, settings.interfaces), (Some(3), vec!["eth0".to_owned()]));
     }
 
@@ -168,10 +168,10 @@ mod tests {
         for variable in
             [("ROS_DOMAIN_ID", "x"), ("ROS_DOMAIN_ID", "233"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]
         {
-            assert!(resolved(Ros2Settings::default(), &[variable]).is_err(), "{variable:?}");
+            assert!(resolve(Ros2Settings::default(), &[variable]).is_err(), "{variable:?}");
         }
         let range = [("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")];
-        let settings = resolved(Ros2Settings::default(), &range).expect("valid");
+        let settings = resolve(Ros2Settings::default(), &range).expect("valid");
         assert_eq!(settings.interfaces, ["127.0.0.1"]);
     }
 }

@@ -1,8 +1,8 @@
 //! Blocking readers and writers of topics of either version of ROS, for callers such as sensors and actuators.
 //!
-//! [`TopicReader`] and [`TopicWriter`] exchange the messages of one topic. Those of a process share one node for each
-//! master or domain, and a thread that serves the sockets of the nodes, so that the threads of samples do no work for
-//! ROS.
+//! [`TopicReader`] and [`TopicWriter`] receive and send the messages of one topic. All readers and writers of a process
+//! share one node for each master or domain. One thread serves the sockets of these nodes, so that the threads of sensors
+//! and actuators do no work for ROS.
 
 mod error;
 mod message_type;

@@ -20,7 +20,7 @@ use crate::ros2::{QosProfile, Reliability, Ros2Node, Ros2Subscription};
 /// Options of a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReaderOptions {
-    /// Largest number of messages that wait to be read. Beyond it the oldest one is dropped and counted, because a
+    /// Largest number of messages that wait to be read. If more arrive, the oldest is dropped and counted, because a
     /// robot needs the newest.
     pub queue: u32,
     /// Reliability in ROS 2. A reliable reader gets no messages of a best-effort publisher.
@@ -38,8 +38,8 @@ pub struct TopicMessage {
     pub bytes: Bytes,
     /// Time at which this host had received the whole message, by its wall clock.
     pub received: WallTime,
-    /// Number of messages between the previously read one and this one that were not read. They were replaced by newer
-    /// ones in the queue or, in ROS 2, lost or in an unsupported encoding.
+    /// Number of messages between the previously read message and this message that were not read. Newer messages
+    /// replaced them in the queue or, in ROS 2, they were lost or had an unsupported encoding.
     pub dropped: u64,
 }
 
@@ -107,7 +107,7 @@ impl TopicReader {
                     return Err(TopicError::NoMessage { topic, time_limit, reason });
                 };
                 let message = message?;
-                // The counts are totals; the message reports the increase since the last one.
+                // The counts are totals; the message reports the increase since the last message.
                 let dropped = subscriber.counts().dropped;
                 Ok(TopicMessage {
                     form: WireForm::Ros1,

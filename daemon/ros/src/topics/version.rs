@@ -53,7 +53,7 @@ pub enum VersionError {
 }
 
 impl RosVersion {
-    /// Returns the version: the configured one, else that of `ROS_VERSION`, else that of the distribution `ROS_DISTRO`.
+    /// Returns the version: the configured version, else `ROS_VERSION`, else the version of the distribution `ROS_DISTRO`.
     /// `variable` looks up an environment variable; an empty value counts as unset.
     ///
     /// # Errors
@@ -111,7 +111,7 @@ impl fmt::Display for RosVersion {
 mod tests {
     use super::*;
 
-    fn resolved(
+    fn resolve(
         configured: Option<RosVersion>,
         variables: &[(&str, &str)],
     ) -> Result<RosVersion, VersionError> {
@@ -123,16 +123,16 @@ mod tests {
     #[test]
     fn configuration_precedes_environment() {
         let both = [("ROS_VERSION", "1"), ("ROS_DISTRO", "jazzy")];
-        assert_eq!(resolved(Some(RosVersion::Ros2), &both), Ok(RosVersion::Ros2));
-        assert_eq!(resolved(None, &both), Ok(RosVersion::Ros1));
-        assert_eq!(resolved(None, &both[1..]), Ok(RosVersion::Ros2));
-        assert_eq!(resolved(None, &[("ROS_VERSION", ""), ("ROS_DISTRO", "noetic")]), Ok(RosVersion::Ros1));
+        assert_eq!(resolve(Some(RosVersion::Ros2), &both), Ok(RosVersion::Ros2));
+        assert_eq!(resolve(None, &both), Ok(RosVersion::Ros1));
+        assert_eq!(resolve(None, &both[1..]), Ok(RosVersion::Ros2));
+        assert_eq!(resolve(None, &[("ROS_VERSION", ""), ("ROS_DISTRO", "noetic")]), Ok(RosVersion::Ros1));
     }
 
     #[test]
     fn unknown_version_error_names_the_key() {
-        assert!(resolved(None, &[]).unwrap_err().to_string().contains("set ros_version = 1 or 2"));
-        let error = resolved(None, &[("ROS_VERSION", "3")]).unwrap_err();
+        assert!(resolve(None, &[]).unwrap_err().to_string().contains("set ros_version = 1 or 2"));
+        let error = resolve(None, &[("ROS_VERSION", "3")]).unwrap_err();
         assert_eq!(error, VersionError::Variable { value: "3".into() });
         assert_eq!(RosVersion::try_from(3), Err(VersionError::Unknown(3)));
     }

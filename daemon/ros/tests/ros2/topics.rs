@@ -218,7 +218,7 @@ async fn payload_without_encapsulation_header_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn unknown_interface_is_named_with_those_that_exist() {
+async fn unknown_interface_error_lists_existing_interfaces() {
     let settings = Ros2Settings { interfaces: vec!["eth99".into()], ..settings() };
     let error = Ros2Node::new(settings).await.err().expect("no such interface").to_string();
     assert!(error.contains("\"eth99\"") && error.contains("127.0.0.1"), "{error}");

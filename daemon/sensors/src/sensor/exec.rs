@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, SharedClock};
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
-    CommandLine, ExchangeError, FingerprintKey, Program, ReplyNotes, ReplyOutcome, Request, Role,
+    CommandLine, FingerprintKey, Program, ProgramCallError, ReplyNotes, ReplyOutcome, Request, Role,
 };
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
@@ -58,39 +58,39 @@ impl SensorConfig {
 }
 
 impl Exec {
-    fn failed(&self, error: ExchangeError) -> SensorError {
+    fn failed(&self, error: ProgramCallError) -> SensorError {
         SensorError::Program { command: self.command.clone(), error }
     }
 
     /// Records the stages, values and dropped samples that the program reported with its sample.
-    fn record_notes(&mut self, notes: &ReplyNotes, log: &mut Recorder, started_at: MonoTime) {
+    fn record_notes(&mut self, notes: &ReplyNotes, recorder: &mut Recorder, started_at: MonoTime) {
         for (name, span) in &notes.stages {
-            log.record_timer(Name::from(name.as_str()), started_at, started_at + *span);
+            recorder.record_timer(Name::from(name.as_str()), started_at, started_at + *span);
         }
         for (name, value, unit) in &notes.values {
-            log.value(Name::from(name.as_str()), *value, Unit::new(unit));
+            recorder.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         if let Some(sequence) = notes.sequence {
             // Samples that the program captured and did not pass on leave gaps in its numbers. A smaller number than
             // expected means that the program was restarted; then the number of missed samples is unknown.
             let next = self.last_sequence.and_then(|last| last.checked_add(1));
             let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
-            log.value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
+            recorder.value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
             self.last_sequence = Some(sequence);
         }
     }
 }
 
 impl Sensor for Exec {
-    fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
-        let exchange = self.program.call(Request::Next).map_err(|error| self.failed(error))?;
-        let restart = exchange.restart_interval();
-        let ReplyOutcome::Parts(parts) = exchange.outcome else { return Ok(None) };
+    fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+        let program_call = self.program.call(Request::Next).map_err(|error| self.failed(error))?;
+        let restart = program_call.restart_interval();
+        let ReplyOutcome::Parts(parts) = program_call.outcome else { return Ok(None) };
         if let Some((from, to)) = restart {
-            log.record_timer(stage::CAPTURE_RESTART, from, to);
+            recorder.record_timer(stage::CAPTURE_RESTART, from, to);
         }
-        self.record_notes(&exchange.notes, log, exchange.started_at);
-        let ReplyNotes { source, label, .. } = exchange.notes;
+        self.record_notes(&program_call.notes, recorder, program_call.started_at);
+        let ReplyNotes { source, label, .. } = program_call.notes;
         Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))
     }
 

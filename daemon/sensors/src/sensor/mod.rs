@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Sensor, SensorError};
 
-/// Number of samples that were lost since the previous one, because the pipeline was busy or the transport lost them.
+/// Number of samples that were lost since the previous sample, because the pipeline was busy or the transport lost them.
 const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 
 /// Kind of sensor, implemented by its configuration.

@@ -41,14 +41,14 @@ impl SensorConfig {
 }
 
 impl Sensor for Python {
-    fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+    fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let called = self.object.call(&[]);
         let started_at = called.times.started_at;
         if let Some(from) = called.times.restarted_at {
-            log.record_timer(stage::CAPTURE_RESTART, from, started_at);
+            recorder.record_timer(stage::CAPTURE_RESTART, from, started_at);
         }
-        // Summaries group nodes by name, so that this stage must not have the name of the model's `ipc`.
-        log.record_timer(stage::CAPTURE_IPC, started_at, started_at + called.times.overhead());
+        // Statistics group nodes by name, so that this stage must not have the name of the model's `ipc`.
+        recorder.record_timer(stage::CAPTURE_IPC, started_at, started_at + called.times.overhead());
         let Some(parts) = called.result? else { return Ok(None) };
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))
     }

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
-/// Longest text, bytes (64 MiB). The limit is lower than that of `synthetic`, because each text is generated for its
+/// Longest text, bytes (64 MiB). The limit is lower than the limit of `synthetic`, because each text is generated for its
 /// sample.
 const MAX_LENGTH: usize = 64 << 20;
 

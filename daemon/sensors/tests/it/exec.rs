@@ -18,16 +18,16 @@ fn samples_labels_and_drops_come_from_the_program() {
     // A command may contain secrets, so that facts name the program only.
     assert!(sensor.facts().iter().all(|(_, fact)| !fact.contains("for n in")), "{:?}", sensor.facts());
     for (number, dropped) in [(5, 0.0), (6, 0.0), (9, 2.0), (1, 0.0)] {
-        let mut log = recorder();
-        let sample = sensor.sample(&mut log).expect("gives one").expect("goes on");
+        let mut recorder = recorder();
+        let sample = sensor.sample(&mut recorder).expect("gives one").expect("goes on");
         assert_eq!((sample.source, sample.label), (format!("n{number}"), Some(format!("cat {number}"))));
         assert_eq!(sample.parts[0].bytes, format!("{number:02}"));
-        let value = |name| log.tree().find(&[name]).and_then(|(_, node)| node.measure.value());
+        let value = |name| recorder.tree().find(&[name]).and_then(|(_, node)| node.measure.value());
         assert_eq!((value("dropped-samples"), value("gain")), (Some(dropped), Some(2.0)));
         assert_eq!(value("capture-restart"), None);
     }
-    let mut log = recorder();
-    assert!(sensor.sample(&mut log).expect("says so").is_none(), "there are no more");
+    let mut recorder = recorder();
+    assert!(sensor.sample(&mut recorder).expect("says so").is_none(), "there are no more");
 }
 
 #[test]
@@ -37,11 +37,11 @@ fn failure_names_program_and_next_sample_retries() {
     let script =
         format!("if [ -e {0} ]; then read -r x; echo answer 0; cat; fi; touch {0}; exit 7", mark.display());
     let mut sensor = config(&script).open(&real_clock()).expect("sh is there");
-    let mut log = recorder();
-    let error = sensor.sample(&mut log).expect_err("it ends").to_string();
+    let mut recorder = recorder();
+    let error = sensor.sample(&mut recorder).expect_err("it ends").to_string();
     assert!(error.contains("exit status 7") && error.contains("the program sh:"), "{error}");
-    assert!(sensor.sample(&mut log).expect("the second one stays").is_some());
-    assert!(log.tree().find(&["capture-restart"]).is_some(), "which had to come up");
+    assert!(sensor.sample(&mut recorder).expect("the second one stays").is_some());
+    assert!(recorder.tree().find(&["capture-restart"]).is_some(), "which had to come up");
 }
 
 #[test]

@@ -31,10 +31,10 @@ fn samples_come_from_the_object_until_it_stops() {
     assert!(sensor.blocks() && sensor.facts()[0].1.starts_with("the Python class own::Own"));
     let (name, file) = &sensor.facts()[2];
     assert!(name == "Sensor files" && file.contains("/own.py SHA-256 "), "{file}");
-    let mut log = recorder();
-    let sample = sensor.sample(&mut log).expect("gives one").expect("goes on");
+    let mut first_recorder = recorder();
+    let sample = sensor.sample(&mut first_recorder).expect("gives one").expect("goes on");
     assert_eq!((&sample.parts[0].bytes[..], sample.source.as_str()), (&b"one"[..], "own::Own"));
-    assert!(log.tree().find(&["capture-ipc"]).is_some());
+    assert!(first_recorder.tree().find(&["capture-ipc"]).is_some());
     let error = sensor.sample(&mut recorder()).expect_err("raises").to_string();
     assert!(error.contains("no signal") && error.contains("own.py"), "{error}");
     assert!(sensor.sample(&mut recorder()).expect("says so").is_none(), "there are no more");
@@ -58,9 +58,9 @@ class Own:
     let mut sensor = config.open(&real_clock()).expect("is there");
     // Each process gives two samples and dies.
     for (restarted, gives) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {
-        let mut log = recorder();
-        assert_eq!(sensor.sample(&mut log).is_ok(), gives);
-        let waited = log.tree().find(&["capture-restart"]).and_then(|(_, node)| node.measure.value());
+        let mut recorder = recorder();
+        assert_eq!(sensor.sample(&mut recorder).is_ok(), gives);
+        let waited = recorder.tree().find(&["capture-restart"]).and_then(|(_, node)| node.measure.value());
         assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
     }
 }

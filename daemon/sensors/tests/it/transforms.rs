@@ -15,8 +15,8 @@ fn photograph(width: u32, height: u32) -> Sample {
 }
 
 fn apply(sample: Sample, transforms: &[TransformConfig]) -> Result<Sample, SensorError> {
-    let mut log = recorder();
-    transforms.iter().try_fold(sample, |sample, transform| transform.build()?.apply(sample, &mut log))
+    let mut recorder = recorder();
+    transforms.iter().try_fold(sample, |sample, transform| transform.build()?.apply(sample, &mut recorder))
 }
 
 fn header(sample: &Sample) -> Header {

@@ -2,7 +2,7 @@
 //! microsecond, because no clock of another host is known more precisely.
 
 use super::milliseconds::default_decimals;
-use super::{EXACT, SPACE, between, decimals, fixed, measured, milliseconds, signed};
+use super::{EXACT, SPACE, decimals, fixed, join_ends, measured, milliseconds, signed};
 
 /// Number of decimals for a resolution of a microsecond.
 const MAX_DECIMALS: usize = 3;
@@ -40,7 +40,7 @@ pub fn ends_ms(lo: f64, hi: f64) -> [String; 2] {
 /// Formats an interval, with more digits if it is narrow: `5.66 – 6.93`, `0.394 – 0.405`, `−1.54 to −1.35`. Equal
 /// ends give one number.
 pub fn interval_ms(lo: f64, hi: f64) -> String {
-    if lo == hi { milliseconds(lo) } else { between(ends_ms(lo, hi)) }
+    if lo == hi { milliseconds(lo) } else { join_ends(ends_ms(lo, hi)) }
 }
 
 /// Formats a value within an interval, with the digits that its width supports: `0.043`, `6.3`.

@@ -1,7 +1,7 @@
 //! Estimates from samples with their intervals, in ms.
 
 use super::milliseconds::default_decimals;
-use super::{between, decimals, fixed, has_digit, plus};
+use super::{decimals, fixed, has_nonzero_digit, join_ends, with_plus_sign};
 
 /// Largest number of decimals of an estimate: a picosecond.
 const MAX_DECIMALS: usize = 9;
@@ -34,7 +34,7 @@ impl Estimate {
         self.decimals
     }
 
-    /// Returns the estimate with this number of decimals, such as that of its column.
+    /// Returns the estimate with this number of decimals, for example the number in its column.
     #[must_use]
     pub fn with_decimals(self, decimals: usize) -> Self {
         Self { decimals, ..self }
@@ -47,17 +47,17 @@ impl Estimate {
 
     /// Formats the value with its sign.
     pub fn signed(&self) -> String {
-        plus(self.value())
+        with_plus_sign(self.value())
     }
 
     /// Formats both ends: `0.0179 – 0.0187`, `−1.54 to −1.35`.
     pub fn between(&self) -> String {
-        between(self.ends())
+        join_ends(self.ends())
     }
 
     /// Formats both ends with their signs: `−0.65 to +0.63`.
     pub fn shift(&self) -> String {
-        self.ends().map(plus).join(" to ")
+        self.ends().map(with_plus_sign).join(" to ")
     }
 
     fn ends(&self) -> [String; 2] {
@@ -70,7 +70,7 @@ impl Estimate {
         let excludes_zero = self.interval.0 > 0.0 || self.interval.1 < 0.0;
         let first = if excludes_zero && value != 0.0 { -value.abs().log10().floor() } else { 0.0 };
         let text = fixed(value, self.decimals);
-        if first > 0.0 && !has_digit(&text) { fixed(value, first as usize) } else { text }
+        if first > 0.0 && !has_nonzero_digit(&text) { fixed(value, first as usize) } else { text }
     }
 }
 
@@ -118,7 +118,7 @@ mod tests {
             let (lo, hi) = if is_negative { (-hi, -lo) } else { (lo, hi) };
             let found = estimate(f64::midpoint(lo, hi), lo, hi);
             let [from, to] = found.ends();
-            prop_assert!(has_digit(&from) && has_digit(&to) && has_digit(&found.value()), "{found:?}");
+            prop_assert!(has_nonzero_digit(&from) && has_nonzero_digit(&to) && has_nonzero_digit(&found.value()), "{found:?}");
             prop_assert!(from != to || hi - lo < 1e-8, "{from} {to}");
         }
     }

@@ -1,6 +1,6 @@
 //! Formatting of durations, in ms where they are compared.
 
-use super::{Quantity, between, decimals, figure, fixed, measured, signed};
+use super::{Quantity, decimals, figure, fixed, join_ends, measured, signed};
 
 /// Largest number of decimals of a value in ms: a nanosecond.
 const MAX_DECIMALS: usize = 6;
@@ -27,13 +27,13 @@ pub fn milliseconds(seconds: f64) -> String {
     fixed(seconds * 1e3, default_decimals(seconds * 1e3))
 }
 
-/// Formats a duration for a sentence or as a figure: in ms, from 1,000 ms on in s.
+/// Formats a duration with its unit: in ms, or in s if it is 1,000 ms or more.
 pub fn duration(seconds: f64) -> Quantity {
     if seconds.abs() < 0.999_5 { short_duration(seconds) } else { Quantity::new(figure(seconds), "s") }
 }
 
-/// Formats a duration as a figure that is always in ms. It has three significant digits where two decimals would
-/// leave one: `0.0183 ms`.
+/// Formats a duration in ms with its unit. A short duration has three significant digits, because two decimals would
+/// show only one: `0.0183 ms`.
 pub fn short_duration(seconds: f64) -> Quantity {
     let ms = seconds * 1e3;
     let text = if ms.abs() < SHORT_DURATION_MS { milliseconds(seconds) } else { figure(ms) };
@@ -85,7 +85,7 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
         return milliseconds(lo);
     }
     let decimals = decimals((hi - lo) / 2.0 * 1e3, 2).min(TENTH_OF_MICROSECOND);
-    between([lo, hi].map(|end| fixed(end * 1e3, decimals)))
+    join_ends([lo, hi].map(|end| fixed(end * 1e3, decimals)))
 }
 
 /// Returns the number of decimals of a column in ms whose values have a known error: two, or three if the half width

@@ -28,31 +28,31 @@ pub use quantity::{
 pub const NONE: &str = "—";
 /// Narrow no-break space between a number and its unit on a page.
 pub const SPACE: &str = "\u{202f}";
-/// Text instead of a bound of zero.
+/// Text for an uncertainty of exactly zero.
 pub const EXACT: &str = "exact";
 
 const MINUS: &str = "\u{2212}";
 
-/// Magnitude from which on a number is written with its power of ten.
-// Nobody reads that many digits.
+/// Numbers of this magnitude or more are written with their power of ten.
+// So many digits are hard to read.
 const EXPONENT_FROM: f64 = 1e12;
-/// Magnitude below which a number is written with its power of ten, if it has enough decimals to differ from zero.
+/// Numbers below this magnitude are written with their power of ten if [`MAX_DECIMALS`] decimals were requested.
 const EXPONENT_BELOW: f64 = 1e-12;
-/// Largest number of decimals that is meaningful.
-const MAX_DIGITS: usize = 17;
+/// Largest number of decimals; more are cut off.
+const MAX_DECIMALS: usize = 17;
 
 /// Formats a number with a fixed number of decimals: with a true minus sign, commas between thousands, and no signed
 /// zero.
 ///
-/// From 10¹² on, and below 10⁻¹² if there are enough decimals, it has four significant digits and the power of ten:
-/// `−1.234e300`. A number that is not finite gives [`NONE`].
+/// Numbers of 10¹² or more have four significant digits and the power of ten: `−1.234e300`. So do numbers below 10⁻¹² if
+/// 17 or more decimals are requested. A number that is not finite gives [`NONE`].
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return NONE.to_owned();
     }
-    let decimals = decimals.min(MAX_DIGITS);
+    let decimals = decimals.min(MAX_DECIMALS);
     let size = value.abs();
-    let is_tiny = value != 0.0 && size < EXPONENT_BELOW && decimals == MAX_DIGITS;
+    let is_tiny = value != 0.0 && size < EXPONENT_BELOW && decimals == MAX_DECIMALS;
     if size >= EXPONENT_FROM || is_tiny {
         let sign = if value < 0.0 { MINUS } else { "" };
         return format!("{sign}{size:.3e}");
@@ -60,7 +60,7 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     let digits = format!("{size:.decimals$}");
     let (whole, fraction) = digits.split_once('.').unwrap_or((&digits, ""));
     // A number that is rounded to zero has no sign.
-    let sign = if value < 0.0 && has_digit(&digits) { MINUS } else { "" };
+    let sign = if value < 0.0 && has_nonzero_digit(&digits) { MINUS } else { "" };
     let point = if fraction.is_empty() { "" } else { "." };
     format!("{sign}{}{point}{fraction}", group(whole))
 }
@@ -103,8 +103,7 @@ pub fn significant(value: f64) -> String {
     fixed(value, decimals(value, 3))
 }
 
-/// Formats a number for a sentence or as a figure: three significant digits, but at most two decimals: `0.62`,
-/// `6.31`, `16.1`, `141`.
+/// Formats a number with three significant digits, but at most two decimals: `0.62`, `6.31`, `16.1`, `141`.
 pub fn figure(value: f64) -> String {
     fixed(value, decimals(value, 3).min(2))
 }
@@ -123,21 +122,21 @@ pub fn measured(value: f64, decimals: usize) -> String {
 
 /// Formats a number with its sign, unless it is shown as zero.
 fn signed(value: f64, decimals: usize) -> String {
-    plus(fixed(value, decimals))
+    with_plus_sign(fixed(value, decimals))
 }
 
-fn plus(text: String) -> String {
-    if !text.starts_with(MINUS) && has_digit(&text) { format!("+{text}") } else { text }
+fn with_plus_sign(text: String) -> String {
+    if !text.starts_with(MINUS) && has_nonzero_digit(&text) { format!("+{text}") } else { text }
 }
 
-/// Returns whether a number is shown as other than zero.
-fn has_digit(text: &str) -> bool {
+/// Returns whether a formatted number has a digit other than zero.
+fn has_nonzero_digit(text: &str) -> bool {
     text.bytes().any(|digit| (b'1'..=b'9').contains(&digit))
 }
 
 /// Joins both ends of an interval by a dash, or by a word, because a dash before a minus sign is hard to read. Equal
 /// ends give one number.
-fn between([lo, hi]: [String; 2]) -> String {
+fn join_ends([lo, hi]: [String; 2]) -> String {
     match (lo == hi, lo.starts_with(MINUS) || hi.starts_with(MINUS)) {
         (true, _) => lo,
         (false, true) => format!("{lo} to {hi}"),

@@ -80,7 +80,7 @@ pub fn throughput_between((lo, hi): (f64, Option<f64>)) -> String {
         return throughput(lo);
     }
     let decimals = decimals((hi - lo) / 2.0 / 8e6, 2).min(MAX_DECIMALS);
-    super::between([lo, hi].map(|end| fixed(end / 8e6, decimals)))
+    super::join_ends([lo, hi].map(|end| fixed(end / 8e6, decimals)))
 }
 
 /// Formats a size in decimal units, in the largest unit that leaves at least 1: `412 B`, `151 kB`, `1.2 MB`. Zeros at

@@ -107,20 +107,25 @@ fn deviation_limits_digits_of_value() {
 }
 
 #[test]
-fn digits_follow_bound_and_negative_ends_use_to() {
+fn interval_with_negative_end_is_joined_by_to() {
+    assert_eq!(interval_ms(-1.201_538, -1.201_350), "\u{2212}1,201.538 to \u{2212}1,201.350");
+    assert_eq!(shift_ms(-0.000_006, 0.000_004), "\u{2212}0.006 to +0.004");
+    // The lower end is rounded to zero.
+    assert_eq!(interval_ms(-0.000_2, 0.25), "0 – 250");
+}
+
+#[test]
+fn digits_are_limited_by_interval_width() {
     assert_eq!(offset_ms(0.250, 0.125), "+250");
     assert_eq!(interval_ms(0.250, 0.290), "250 – 290");
-    assert_eq!(interval_ms(-1.201_538, -1.201_350), "\u{2212}1,201.538 to \u{2212}1,201.350");
-    assert_eq!(interval_ms(-0.000_2, 0.25), "0 – 250");
     assert_eq!(within_ms(0.000_043_2, (0.000_039, 0.000_048)), "0.043");
     assert_eq!(within_ms(0.000_061_2, (0.000_061_2, 0.000_061_2)), "0.0612");
     assert_eq!(within_ms(0.041_2, (0.021, 0.061)), "41");
-    assert_eq!(shift_ms(-0.000_006, 0.000_004), "\u{2212}0.006 to +0.004");
     assert_eq!(ends_ms(0.000_039, 0.000_048), ["0.039", "0.048"]);
 }
 
 #[test]
-fn shares_rates_and_sizes() {
+fn shares_rates_and_sizes_are_formatted_with_three_digits() {
     assert_eq!(
         ["0", "<0.01", "0.02", "1.3", "14"],
         [0.0, 1e-6, 0.000_2, 0.013, 0.14].map(percent).each_ref().map(String::as_str)
@@ -141,7 +146,7 @@ fn shares_rates_and_sizes() {
 }
 
 #[test]
-fn lengths_in_words() {
+fn durations_are_formatted_in_two_units() {
     assert_eq!(length(0.42), "0.4\u{202f}s");
     assert_eq!(length(35.2), "35\u{202f}s");
     assert_eq!(length(252.0), "4\u{202f}min 12\u{202f}s");
@@ -173,7 +178,7 @@ proptest! {
 }
 
 #[test]
-fn estimates_claim_no_more_than_they_know() {
+fn estimated_durations_are_rounded_to_coarse_units() {
     for (seconds, text) in
         [(3.0, "10 s"), (51.0, "1 min"), (277.0, "5 min"), (3_541.0, "1 h"), (11_520.0, "3 h 20 min")]
     {

@@ -53,14 +53,14 @@ impl Bins {
     /// Adds a count for a key outside of the stored range.
     #[cold]
     fn add_uncovered(&mut self, key: i32, count: u64) {
-        self.cover(key, key);
+        self.extend_range(key, key);
         let index = (key.max(self.first) - self.first) as usize;
         self.counts[index] += count;
     }
 
     pub(super) fn merge(&mut self, other: &Self) {
-        let Some(highest) = other.highest() else { return };
-        self.cover(other.first, highest);
+        let Some(highest) = other.highest_key() else { return };
+        self.extend_range(other.first, highest);
         let below = usize::try_from(self.first - other.first).unwrap_or(0).min(other.counts.len());
         let (collapsed, rest) = other.counts.split_at(below);
         self.counts[0] += collapsed.iter().sum::<u64>();
@@ -81,13 +81,13 @@ impl Bins {
         keyed.filter(|(_, count)| *count > 0)
     }
 
-    fn highest(&self) -> Option<i32> {
+    fn highest_key(&self) -> Option<i32> {
         Some(self.first + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
     }
 
     /// Extends the stored range to the keys `low..=high`, as far down as [`MAX_BINS_PER_SIGN`] bins reach from the highest key.
-    fn cover(&mut self, low: i32, high: i32) {
-        let (lowest, highest) = match self.highest() {
+    fn extend_range(&mut self, low: i32, high: i32) {
+        let (lowest, highest) = match self.highest_key() {
             None => (low, high),
             Some(highest) => (self.first.min(low), highest.max(high)),
         };

@@ -41,7 +41,7 @@ proptest! {
     }
 
     #[test]
-    fn merging_is_recording_everything(a in numbers(), b in numbers()) {
+    fn merged_sketches_equal_sketch_of_all_numbers(a in numbers(), b in numbers()) {
         let mut merged = of(&a);
         merged.merge(&of(&b));
         let mut other_way = of(&b);
@@ -51,7 +51,7 @@ proptest! {
     }
 
     #[test]
-    fn merging_sketches_that_collapsed_is_recording_everything(
+    fn merged_collapsed_sketches_equal_sketch_of_all_numbers(
         a in prop::collection::vec(-9.0..300.0_f64, 0..40), b in prop::collection::vec(-9.0..300.0_f64, 0..40),
     ) {
         let raise = |exponents: &[f64]| exponents.iter().map(|e| 10_f64.powf(*e)).collect::<Vec<_>>();

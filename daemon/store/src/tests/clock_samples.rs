@@ -267,7 +267,7 @@ async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
         (exchange.sent, exchange.replied, exchange.uncertainty) =
             (RawTime::from_wall(extreme), RawTime::from_wall(extreme), Span::from_nanos(i64::MIN));
     }
-    wild.exchanges.taken = u64::MAX;
+    wild.exchanges.accepted = u64::MAX;
     let samples = [
         of(1, |it| {
             it.max_drift_ppm = f64::NAN;

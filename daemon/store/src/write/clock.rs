@@ -196,7 +196,7 @@ fn values(
     delay(sample.up, &mut to)?;
     delay(sample.down, &mut to)?;
     let counts = &sample.exchanges;
-    for count in [counts.taken, counts.impossible, counts.outliers, counts.stepped] {
+    for count in [counts.accepted, counts.impossible, counts.outliers, counts.stepped] {
         to.add(column(count))?;
     }
     to.add(counts.restarts)?;

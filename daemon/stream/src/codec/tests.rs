@@ -56,7 +56,7 @@ fn clock() -> ClockSample {
             age: Some(Span::from_millis(80)),
         }),
         probes: ProbeCounts { sent: 10, answered: 9, lost: 1, refused: 0 },
-        exchanges: ExchangeCounts { taken: 9, impossible: 1, outliers: 2, stepped: 3, restarts: 4 },
+        exchanges: ExchangeCounts { accepted: 9, impossible: 1, outliers: 2, stepped: 3, restarts: 4 },
         round_trip: Some(RoundTrip { min: Span::from_micros(2), median: Span::from_micros(3) }),
         up: Some(delays),
         down: Some(DelaySecond { median: None, ..delays }),

@@ -109,9 +109,9 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
 fn logits(pool: &Pool, sample: Sample) -> Vec<f64> {
     let (sender, receiver) = sync_channel(1);
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
-    let log = Recorder::new(clock(), HostId::random());
-    let received = log.clock().mono();
-    pool.submit(Job { sample, log, received, reply }).expect("the queue has room");
+    let recorder = Recorder::new(clock(), HostId::random());
+    let received = recorder.clock().mono();
+    pool.submit(Job { sample, recorder, received, reply }).expect("the queue has room");
     let answer = receiver.recv().expect("is answered").result.unwrap_or_else(|error| panic!("{error}"));
     let answer: Value = serde_json::from_slice(&answer.parts[0].bytes).expect("is JSON");
     let mut numbers = vec![f64::NAN; 1000];

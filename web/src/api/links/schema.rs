@@ -85,7 +85,7 @@ pub(crate) struct Exchanges {
 
 impl From<ExchangeCounts> for Exchanges {
     fn from(counts: ExchangeCounts) -> Self {
-        let ExchangeCounts { taken, impossible, outliers, stepped, restarts } = counts;
+        let ExchangeCounts { accepted: taken, impossible, outliers, stepped, restarts } = counts;
         Self { taken, impossible, outliers, stepped, restarts }
     }
 }

@@ -136,7 +136,7 @@ pub(super) fn sample(
         probes: ProbeCounts { sent, answered: sent - lost, lost, refused: 0 },
         exchanges: match line.clocks {
             Clocks::Unrelated => ExchangeCounts::default(),
-            _ => ExchangeCounts { taken: 61_207, impossible: 2, outliers: 5, stepped: 3, restarts: 1 },
+            _ => ExchangeCounts { accepted: 61_207, impossible: 2, outliers: 5, stepped: 3, restarts: 1 },
         },
         round_trip: trip,
         up: Some(delays(line, "upload", numbers)),

@@ -100,7 +100,7 @@ fn nonempty_second_is_reported_once_when_over() {
     assert_eq!(sample.basis.and_then(|basis| basis.probes_authenticated), Some(true));
     assert_eq!(sample.round_trip.map(|trip| trip.min), Some(Span::from_millis(2)));
     assert_eq!((sample.up.map(|up| up.count), sample.down.map(|down| down.count)), (Some(3), Some(3)));
-    assert_eq!(sample.exchanges.taken, 4);
+    assert_eq!(sample.exchanges.accepted, 4);
     assert!(sample.upper.is_some() && sample.lower.is_some());
     let offset = sample.offset.as_ref().expect("known");
     let truth = Span::from_seconds(5);

@@ -103,7 +103,7 @@ async fn probes_at_another_process_are_refused_and_reported() {
     let is_open = |basis: EstimateBasis| basis.probes_authenticated == Some(false);
     edge.until(|live| live.links.iter().any(|link| link.now.basis.is_some_and(is_open))).await;
     let now = &live.links[0].now;
-    assert_eq!((now.probes.answered, now.exchanges.taken, &now.offset), (0, 0, &None), "and not believed");
+    assert_eq!((now.probes.answered, now.exchanges.accepted, &now.offset), (0, 0, &None), "and not believed");
 
     edge.stop().await.expect("stops well");
     cloud.abort();

@@ -19,11 +19,11 @@ proptest! {
             prop_assert_eq!((judged.up.value, judged.down.value), (None, None));
         }
         prop_assert_eq!(all_intervals(&relation), before);
-        prop_assert_eq!(relation.window(), 0);
+        prop_assert_eq!(relation.window_number(), 0);
     }
 
     #[test]
-    fn no_stamps_can_panic(
+    fn arbitrary_stamps_never_panic(
             stamps: [i64; 4],
             apart: [u32; 6],
             uncertainty: i64,
@@ -73,7 +73,7 @@ proptest! {
         }
         prop_assert_eq!(all_intervals(&honest), all_intervals(&lied_to));
         prop_assert_eq!(lied_to.counts().outliers, lies);
-        prop_assert_eq!(lied_to.window(), 0);
+        prop_assert_eq!(lied_to.window_number(), 0);
     }
 }
 
@@ -137,7 +137,7 @@ fn consistently_wrong_stamps_contradict_time_daemons_only() {
         relation.learn(&trip.observation());
     }
     let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
-    assert_eq!((offset.verdict, relation.window()), (Verdict::Ok, 1));
+    assert_eq!((offset.verdict, relation.window_number()), (Verdict::Ok, 1));
     assert!((offset.estimate - Span::from_millis(40)).abs() < Span::from_millis(1));
 
     let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
@@ -151,7 +151,7 @@ fn consistently_wrong_stamps_contradict_time_daemons_only() {
 }
 
 #[test]
-fn excess_drift_is_doubted_soon() {
+fn drift_beyond_limit_withdraws_all_delays() {
     let host_clocks = HostClocks {
         edge: SimulatedClock::drifting(Span::ZERO, 0.0),
         cloud: SimulatedClock::drifting(Span::ZERO, 400.0),
@@ -173,7 +173,7 @@ fn excess_drift_is_doubted_soon() {
 }
 
 #[test]
-fn rare_unannounced_steps_cast_no_doubt() {
+fn rare_unannounced_steps_violate_no_limit() {
     let cloud = SimulatedClock::drifting(Span::ZERO, 10.0)
         .stepped(Span::from_seconds(20), Span::from_millis(50))
         .stepped(Span::from_seconds(100), Span::from_millis(-70));
@@ -183,7 +183,7 @@ fn rare_unannounced_steps_cast_no_doubt() {
         relation.judge(&trip.observation());
         assert!(!relation.violates_limit());
     }
-    assert_eq!(relation.window(), 2);
+    assert_eq!(relation.window_number(), 2);
 }
 
 #[test]

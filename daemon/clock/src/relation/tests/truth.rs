@@ -118,7 +118,7 @@ fn intervals_of_ten_thousand_iterations_contain_truth() {
 }
 
 #[test]
-fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
+fn exchange_with_long_service_at_drift_limit_is_accepted() {
     let host_clocks = HostClocks {
         edge: SimulatedClock::drifting(Span::ZERO, 0.0),
         cloud: SimulatedClock::drifting(Span::ZERO, 50.0),

@@ -134,7 +134,7 @@ fn offset_states_age_and_number_of_exchanges() {
     let offset = relation.offset(at(12), WallTime::default()).expect("the clocks are related");
     assert_eq!((offset.source, offset.verdict), (DelaySource::InBand, Verdict::Ok));
     assert_eq!(offset.sources, [(DelaySource::InBand, offset.bounds)]);
-    assert_eq!(offset.exchanges, relation.counts().taken);
+    assert_eq!(offset.exchanges, relation.counts().accepted);
     let age = offset.age.expect("the clocks are related");
     assert!(Span::from_seconds(2) <= age && age < Span::from_seconds(3), "{age}");
     assert!((offset.skew_ppm.expect("ten seconds") - 10.0).abs() < 5.0);

@@ -117,7 +117,7 @@ fn excess_drift_on_short_path_is_noticed_within_window() {
     }
 }
 
-/// A jump such as that of a migrated virtual machine. It is smaller than the round trip, so that no exchange
+/// A jump as after the migration of a virtual machine. It is smaller than the round trip, so that no exchange
 /// contradicts the others.
 #[test]
 fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
@@ -286,7 +286,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let mut relation = Relation::new(settings);
     let trips = path(20.0, 20.0, 1.0).trips(&host_clocks, (0.0, 60.0), 10.0, &mut RandomSource::new(5));
     trips.iter().for_each(|trip| _ = relation.learn(&trip.observation()));
-    assert_eq!(relation.window(), 1);
+    assert_eq!(relation.window_number(), 1);
     let mut hulls = 0;
     for trip in trips.iter().filter(|trip| (5e9..55e9).contains(&trip.ended)) {
         let exchange = &trip.exchange;

@@ -34,10 +34,10 @@ const ECHO: &str = "while read -r word bytes media shape source; do \
 fn shell_echoes_samples() {
     let mut program = start(Role::Model, ECHO, PATIENT);
     for _ in 0..3 {
-        let exchange = program.call(Request::Sample(&echo())).expect("replies");
-        assert_eq!(exchange.outcome, ReplyOutcome::Parts(echo().parts));
-        assert_eq!(exchange.notes.stages[0].0, "inference");
-        assert!(exchange.ended_at > exchange.started_at);
+        let program_call = program.call(Request::Sample(&echo())).expect("replies");
+        assert_eq!(program_call.outcome, ReplyOutcome::Parts(echo().parts));
+        assert_eq!(program_call.notes.stages[0].0, "inference");
+        assert!(program_call.ended_at > program_call.started_at);
     }
 }
 
@@ -195,7 +195,7 @@ fn control_characters_of_program_are_replaced_or_escaped() {
 }
 
 #[test]
-fn garbage_is_quoted_and_ends_it() {
+fn error_quotes_output_outside_of_framing() {
     let mut program = start(Role::Model, "read -r line; echo Loading model...; cat", PATIENT);
     let error = program.call(Request::Sample(&echo())).expect_err("garbage").to_string();
     assert!(error.contains("Loading model...") && error.contains("standard error"), "{error}");
@@ -211,7 +211,7 @@ fn extra_reply_does_not_shift_later_ones() {
         start(Role::Sensor, "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done", PATIENT);
     assert!(program.call(Request::Next).is_ok());
     let error = program.call(Request::Next).expect_err("one too many");
-    assert!(matches!(error, ExchangeError::UnsolicitedOutput(_)), "{error}");
+    assert!(matches!(error, ProgramCallError::UnsolicitedOutput(_)), "{error}");
 }
 
 #[test]
@@ -225,10 +225,11 @@ fn huge_length_is_refused_before_allocation() {
 fn hanging_program_is_killed_and_restarts_are_delayed() {
     let mut program = start(Role::Sensor, "sleep 600", 50);
     let error = program.call(Request::Next).expect_err("it hangs");
-    assert!(matches!(error, ExchangeError::TooSlow { .. }), "{error}");
+    assert!(matches!(error, ProgramCallError::TooSlow { .. }), "{error}");
     let mut errors = (0..6).map(|_| program.call(Request::Next).expect_err("it hangs"));
-    let pausing =
-        errors.find(|error| matches!(error, ExchangeError::RestartDelayed { .. })).expect("it is left alone");
+    let pausing = errors
+        .find(|error| matches!(error, ProgramCallError::RestartDelayed { .. }))
+        .expect("it is left alone");
     assert!(pausing.to_string().contains("no complete reply within 50ms"), "{pausing}");
 }
 

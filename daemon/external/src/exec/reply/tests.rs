@@ -59,7 +59,7 @@ fn answer_is_one_line_and_its_bytes() {
 }
 
 #[test]
-fn parts_and_shapes() {
+fn reply_has_parts_with_their_shapes() {
     let written = "part 3 image/x-rgb8 1x1x3:u8\nrgbanswer 8 application/x-tensor 2:f32\n12345678";
     let ReplyOutcome::Parts(parts) = reply(Role::Sensor, written).outcome else { panic!("is an answer") };
     assert_eq!(parts.len(), 2);
@@ -70,7 +70,7 @@ fn parts_and_shapes() {
 }
 
 #[test]
-fn notes_come_before_the_reply() {
+fn notes_before_the_reply_are_returned() {
     let written = "version 1\nsequence 7\nlabel golden retriever\nsource a b.jpg\nstage warm-up 0.25\nvalue exposure 1e-3 s\nanswer 0\n";
     let notes = reply(Role::Sensor, written).notes;
     let expected = ReplyNotes {

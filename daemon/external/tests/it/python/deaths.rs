@@ -147,7 +147,7 @@ class Own:
 }
 
 #[test]
-fn memory_that_is_not_there_fails_one_call() {
+fn failed_allocation_fails_one_call() {
     let source = "
 import resource
 class Own:

@@ -2,7 +2,7 @@
 
 use std::num::NonZeroU64;
 
-use peernet_external::python::{PythonError, Stage};
+use peernet_external::python::{PythonError, Step};
 
 use super::{Module, bytes, failure, value};
 
@@ -39,7 +39,7 @@ fn module() -> Module {
 fn exception_fails_one_call_with_user_traceback() {
     let mut model = module().model();
     let called = model.call(&[bytes(b"raise")]);
-    assert_eq!(called.times.stages.iter().map(|stage| stage.0).collect::<Vec<_>>(), [Stage::Infer]);
+    assert_eq!(called.times.steps.iter().map(|step| step.0).collect::<Vec<_>>(), [Step::Infer]);
     let message = called.result.expect_err("it raised").to_string();
     assert!(message.starts_with("ValueError: wrong: b'raise'\nTraceback"), "{message}");
     assert!(message.contains("own.py\", line") && message.contains("in deeper"), "{message}");

@@ -76,7 +76,7 @@ fn carry(sensor: &mut PythonObject, model: &mut PythonObject) -> Result<String, 
 }
 
 #[test]
-fn bytes_text_numbers_and_containers() {
+fn bytes_text_numbers_and_containers_are_transferred() {
     carried(
         &[
             ("b''", "bytes b''"),
@@ -125,7 +125,7 @@ fn bytes_text_numbers_and_containers() {
 }
 
 #[test]
-fn arrays_and_numpys_scalars() {
+fn arrays_and_numpy_scalars_are_transferred() {
     let mut table: Vec<(String, String)> = Vec::new();
     for own in ["?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8", "c8", "c16"] {
         for order in ["<", ">"] {
@@ -182,7 +182,7 @@ fn arrays_and_numpys_scalars() {
 }
 
 #[test]
-fn pictures_of_every_mode() {
+fn pictures_of_every_mode_are_transferred() {
     carried(
         &[
             ("PIL.Image.new('1', (2, 1), 1)", "L (2, 1) ffff"),

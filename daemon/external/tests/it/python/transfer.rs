@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use peernet_external::python::{CallTimes, Stage};
+use peernet_external::python::{CallTimes, Step};
 use peernet_sample::{Description, ElementType, MediaType, Part};
 
 use super::{Module, bytes, value};
@@ -69,16 +69,16 @@ class Own:
 
 #[test]
 fn stages_lie_within_call_and_remainder_is_overhead() {
-    let CallTimes { started_at, ended_at, stages, restarted_at } =
+    let CallTimes { started_at, ended_at, steps, restarted_at } =
         Module::new(ECHO, "own::Own").model().call(&[bytes(b"x")]).times;
     assert_eq!(
-        stages.iter().map(|one| one.0).collect::<Vec<_>>(),
-        [Stage::Preprocess, Stage::Infer, Stage::Postprocess]
+        steps.iter().map(|step| step.0).collect::<Vec<_>>(),
+        [Step::Preprocess, Step::Infer, Step::Postprocess]
     );
     assert_eq!(restarted_at, None);
     let moments: Vec<_> = [started_at]
         .into_iter()
-        .chain(stages.iter().flat_map(|one| [one.1, one.2]))
+        .chain(steps.iter().flat_map(|step| [step.1, step.2]))
         .chain([ended_at])
         .collect();
     assert!(moments.is_sorted(), "the clock of the worker is ours: {moments:?}");
@@ -103,7 +103,7 @@ class Named:
     for (object, seconds) in [("own::One", 0.1), ("own::Two", 0.2), ("own::Named", 0.2)] {
         let called = Module::new(source, object).sensor().call(&[]);
         called.result.expect("pictures cross");
-        let (_, from, to) = called.times.stages[0];
+        let (_, from, to) = called.times.steps[0];
         assert!((to - from).seconds() >= seconds, "{object}: {:?}", to - from);
     }
 }

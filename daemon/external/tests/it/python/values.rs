@@ -181,5 +181,5 @@ class Model:
     let mut cautious = module("own::Model", false).model();
     let refused = failure(&mut cautious, &parts);
     assert!(refused.contains("not unpickled") && refused.contains("pickle = true"), "{refused}");
-    assert_eq!(cautious.call(&parts).times.stages.len(), 0, "the model did not see it");
+    assert_eq!(cautious.call(&parts).times.steps.len(), 0, "the model did not see it");
 }

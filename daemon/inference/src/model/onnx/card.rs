@@ -51,7 +51,7 @@ pub(super) struct Input {
     pub(super) name: String,
     dtype: DataType,
     pub(super) layout: Layout,
-    /// Four lengths in the order of the layout; the first one, the batch, is 1.
+    /// Four lengths in the order of the layout; the first, the batch, is 1.
     #[serde(deserialize_with = "lengths")]
     pub(super) shape: [usize; 4],
     pub(super) colour: Colour,
@@ -111,16 +111,16 @@ pub(super) enum Resize {
         #[serde(default)]
         filter: Filter,
         /// `true` to average over all source pixels when the picture becomes smaller.
-        #[serde(default = "yes")]
+        #[serde(default = "default_true")]
         antialias: bool,
     },
-    /// Resizes the shorter side to this length, and the other one in proportion, rounded down. Pixels.
+    /// Resizes the shorter side to this length, and the other side in proportion, rounded down. Pixels.
     Shortest {
         size: u32,
         #[serde(default)]
         filter: Filter,
         /// `true` to average over all source pixels when the picture becomes smaller.
-        #[serde(default = "yes")]
+        #[serde(default = "default_true")]
         antialias: bool,
     },
 }
@@ -200,7 +200,7 @@ pub(super) enum CardError {
     Numbers { key: &'static str, count: usize, channels: usize },
     /// A number cannot be used in the computation.
     #[error(
-        "preprocessing.scale, mean and std are finite numbers; write the ones with which the model was trained"
+        "preprocessing.scale, mean and std are finite numbers; write the values with which the model was trained"
     )]
     NotFinite,
     /// A standard deviation is not positive.
@@ -211,7 +211,7 @@ pub(super) enum CardError {
     /// The size after preprocessing depends on the picture.
     #[error("preprocessing.resize to the shortest side needs a crop after it")]
     NoCrop,
-    /// The size after preprocessing differs from that of the input; each is width and height, pixels.
+    /// The size after preprocessing differs from the size of the input; each is width and height, pixels.
     #[error("preprocessing makes {} × {} pixels, input.shape requires {} × {}", .made.0, .made.1, .wanted.0, .wanted.1)]
     Size { made: (u32, u32), wanted: (usize, usize) },
     /// There is no class to answer with.
@@ -294,7 +294,7 @@ impl Card {
 
 impl Output {
     /// Returns the number of classes in an answer.
-    pub(super) fn listed(&self) -> usize {
+    pub(super) fn listed_classes(&self) -> usize {
         self.top_k.unwrap_or(LISTED).min(self.labels.len())
     }
 
@@ -302,7 +302,7 @@ impl Output {
         if self.labels.is_empty() || self.top_k == Some(0) {
             return Err(CardError::NoLabels);
         }
-        // Labels are compared without regard to case and spaces; two that differ in those alone are told apart by nobody.
+        // Labels are compared without regard to case and spaces, so that two labels must not differ in these alone.
         let mut seen = HashSet::new();
         if let Some(label) = self.labels.iter().find(|label| !seen.insert(normalized_label(label))) {
             return Err(CardError::DuplicateLabel(label.clone()));
@@ -327,7 +327,7 @@ fn lengths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[usize; 4], D::
             .filter(|length| *length > 0)
             .ok_or_else(|| {
                 D::Error::custom(format_args!(
-                    "a length is {value}; write the one with which the model is run, and 1 for the batch"
+                    "a length is {value}; write the length with which the model is run, and 1 for the batch"
                 ))
             })?;
     }
@@ -363,7 +363,7 @@ impl fmt::Display for Layout {
     }
 }
 
-const fn yes() -> bool {
+const fn default_true() -> bool {
     true
 }
 
@@ -400,7 +400,7 @@ labels = ["a", "b"]
     #[test]
     fn card_is_read_with_its_defaults() {
         let card = changed("", "").expect("is right");
-        assert_eq!(card.output.listed(), 2, "all, because there are fewer than five");
+        assert_eq!(card.output.listed_classes(), 2, "all, because there are fewer than five");
         assert_eq!(
             card.preprocessing.resize,
             Some(Resize::Exact { width: 2, height: 1, filter: Filter::Bilinear, antialias: true })
@@ -430,7 +430,7 @@ labels = ["a", "b"]
             ("labels = [\"a\", \"b\"]", "labels = []", "at least one label"),
             ("labels = [\"a\", \"b\"]", "labels = [\"a\", \"b\", \"a\"]", "has \"a\" twice"),
             ("labels = [", "top_k = 3\nlabels = [", "write top_k = 2"),
-            ("shape = [1, 1, 1, 2]", "shape = [-1, 1, 1, 2]", "a length is -1; write the one"),
+            ("shape = [1, 1, 1, 2]", "shape = [-1, 1, 1, 2]", "a length is -1; write the length"),
             ("shape = [1, 1, 1, 2]", "shape = [\"batch\", 1, 1, 2]", "1 for the batch"),
             ("task = \"classification\"", "task = \"detection\"", "classification"),
             ("dtype = \"float32\"", "dtype = \"float16\"", "float32"),

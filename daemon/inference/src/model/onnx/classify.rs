@@ -10,11 +10,11 @@ struct Answer<'a> {
     label: &'a str,
     score: f32,
     /// The classes with the highest scores, best first.
-    top: Vec<Ranked<'a>>,
+    top: Vec<RankedLabel<'a>>,
 }
 
 #[derive(Debug, PartialEq, Serialize)]
-struct Ranked<'a> {
+struct RankedLabel<'a> {
     label: &'a str,
     score: f32,
 }
@@ -43,11 +43,11 @@ pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Ve
         return Err(OutputError::NotFinite(*number));
     }
     activate(output.activation, numbers);
-    let ranked = |(label, score): (&'a String, &f32)| Ranked { label, score: *score };
+    let ranked = |(label, score): (&'a String, &f32)| RankedLabel { label, score: *score };
     let mut top: Vec<_> = output.labels.iter().zip(numbers.iter()).map(ranked).collect();
     // A stable sort: classes with equal scores stay in the order of the labels.
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
-    top.truncate(output.listed());
+    top.truncate(output.listed_classes());
     let best = top.first().ok_or(OutputError::NoClasses)?;
     let answer = Answer { label: best.label, score: best.score, top };
     Ok(serde_json::to_vec(&answer)?)

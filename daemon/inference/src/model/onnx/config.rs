@@ -20,14 +20,14 @@ pub struct OnnxConfig {
     /// Folder with `model.onnx` and its card `model.toml`.
     pub path: PathBuf,
     /// Threads of each worker within one operator of the model, including the worker's own thread.
-    #[serde(default = "one")]
+    #[serde(default = "one_thread")]
     pub intra_threads: NonZeroUsize,
     /// Threads of each worker across independent operators; above 1 these run in parallel.
-    #[serde(default = "one")]
+    #[serde(default = "one_thread")]
     pub inter_threads: NonZeroUsize,
 }
 
-const fn one() -> NonZeroUsize {
+const fn one_thread() -> NonZeroUsize {
     NonZeroUsize::MIN
 }
 

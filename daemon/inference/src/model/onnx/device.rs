@@ -84,7 +84,7 @@ impl Device {
     }
 }
 
-/// Returns the execution providers of the loaded library, of those that a device can name.
+/// Returns the execution providers of the loaded library that a device can name.
 fn providers() -> Vec<&'static str> {
     let known = [
         (ep::CPU::NAME, ep::CPU::is_available()),

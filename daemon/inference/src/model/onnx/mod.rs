@@ -9,7 +9,7 @@ mod classify;
 mod config;
 mod device;
 mod library;
-mod network_file;
+mod model_files;
 mod preprocess;
 mod regular_file;
 mod search;
@@ -19,9 +19,9 @@ mod summary;
 mod worker;
 
 pub use config::{OnnxConfig, OnnxRuntimeConfig};
-pub(crate) use network_file::files;
+pub(crate) use model_files::model_files;
 pub use summary::CardSummary;
-pub(crate) use summary::{hash_card, hash_network, summarise};
+pub(crate) use summary::{hash_card, hash_model, summarise};
 
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -96,7 +96,7 @@ impl Onnx {
     /// Loads the part of the model that all workers share.
     fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
-        let (hash, card_hash) = (hash_network(&config.path)?, hash_card(&config.path)?);
+        let (hash, card_hash) = (hash_model(&config.path)?, hash_card(&config.path)?);
         let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
         Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared })
     }
@@ -108,7 +108,7 @@ impl Onnx {
     ) -> Result<(Plan, Arc<Runtime>), LoadError> {
         let device: Device = shared.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
-        files(&config.path)?;
+        model_files(&config.path)?;
         let file = config.path.join(MODEL);
         let runtime = Runtime::get(runtime)?;
         device.check(&shared.name, runtime.library())?;

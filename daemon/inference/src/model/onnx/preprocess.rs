@@ -13,7 +13,7 @@ pub(super) enum InputError {
     /// The sample has no part.
     #[error("it has no payload")]
     NoPayload,
-    /// The first part is not a picture, or one that cannot be decoded, resized or cropped.
+    /// The first part is not a picture, or it cannot be decoded, resized or cropped.
     #[error(transparent)]
     Picture(#[from] ImageError),
     /// The picture has another size than the input, and the card does not resize.
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn layouts_and_orders_of_channels() {
+    fn pixels_follow_layout_and_colour_of_card() {
         let colour = |layout: &str, shape: &str, order: &str| {
             let card = SMALL
                 .replace("layout = \"nchw\"", &format!("layout = \"{layout}\""))

@@ -41,10 +41,10 @@ impl SearchSettings {
         }
     }
 
-    /// Returns the first file in the order of the search, and the places that were searched before it. The last step,
+    /// Returns the first file in the order of the search, and the paths that were searched before it. The last step,
     /// the system's library path, is left to the loader.
     ///
-    /// A library that is named explicitly is used or is an error: it is never replaced by another one.
+    /// If a library is named explicitly, it is used or gives an error: it is never replaced by another library.
     pub(super) fn search(&self) -> Result<(Option<Candidate>, Vec<String>), LibraryError> {
         let mut searched = Vec::new();
         let variable = self.variable.as_ref().map(PathBuf::from);
@@ -90,7 +90,7 @@ impl SearchSettings {
     }
 }
 
-/// Returns the library at a path: the file itself, or the one in the folder.
+/// Returns the library at a path: the file itself, or the file in the folder.
 fn library_at(path: &Path) -> Option<PathBuf> {
     let resolved = |path: &Path| path.canonicalize().ok().filter(|path| path.is_file());
     resolved(path).or_else(|| NAMES.iter().find_map(|name| resolved(&path.join(name))))

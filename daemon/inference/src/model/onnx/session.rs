@@ -12,7 +12,7 @@ use super::library::Runtime;
 use super::shared_model::SharedModel;
 use crate::LoadError;
 
-/// Opens a session and checks that the model is the one that the card describes.
+/// Opens a session and checks that the model matches its card.
 pub(super) fn open(
     plan: &Plan,
     runtime: &Runtime,
@@ -28,7 +28,7 @@ pub(super) fn open(
         check(plan, "output", session.outputs(), &output.name, &[classes]).map_err(|_| error)
     })?;
     if let [_, more, ..] = session.inputs() {
-        return Err(mismatch(
+        return Err(mismatch_error(
             plan,
             format!("it has a second input, {:?}; models with one input are supported", more.name()),
         ));
@@ -90,7 +90,7 @@ fn reason(text: &str) -> String {
 fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize]) -> Result<(), LoadError> {
     let Some(outlet) = outlets.iter().find(|outlet| outlet.name() == name) else {
         let names: Vec<_> = outlets.iter().map(|outlet| format!("{:?}", outlet.name())).collect();
-        return Err(mismatch(
+        return Err(mismatch_error(
             plan,
             format!("its card names the {what} {name:?}, but it has {}", names.join(", ")),
         ));
@@ -106,10 +106,13 @@ fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize
     {
         return Ok(());
     }
-    Err(mismatch(plan, format!("its {what} {name:?} is {dtype}, its card says float32 of shape {shape:?}")))
+    Err(mismatch_error(
+        plan,
+        format!("its {what} {name:?} is {dtype}, its card says float32 of shape {shape:?}"),
+    ))
 }
 
-fn mismatch(plan: &Plan, reason: String) -> LoadError {
+fn mismatch_error(plan: &Plan, reason: String) -> LoadError {
     LoadError::File { file: plan.file.clone(), reason }
 }
 

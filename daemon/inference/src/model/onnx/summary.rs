@@ -9,14 +9,14 @@ use peernet_imaging::Orientation;
 use serde::Serialize;
 
 use super::card::{Activation, Card, CentreCrop, Resize, Rounding};
-use super::network_file::files;
+use super::model_files::model_files;
 use super::{CARD, MODEL, regular_file};
 use crate::LoadError;
 
 /// Card of a model as text.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CardSummary {
-    /// Name of the model, which may differ from that of its folder.
+    /// Name of the model, which may differ from the name of its folder.
     pub name: String,
     /// Version; may be empty.
     pub version: String,
@@ -39,23 +39,23 @@ pub struct CardSummary {
 /// Returns the card of the model in a folder.
 ///
 /// # Errors
-/// If the card is invalid, or if a file of the network is missing or not an ONNX model.
+/// If the card is invalid, or if an ONNX file is missing or invalid.
 pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
     let card = Card::read(&folder.join(CARD))?;
-    for file in files(folder)? {
+    for file in model_files(folder)? {
         open(&file)?;
     }
     Ok(card.summary())
 }
 
-/// Returns the SHA-256 of the network in a model's folder, in hexadecimal: that of `model.onnx`, or of its bytes and those of its
-/// data files, one file after the other in the order of their names.
+/// Returns the SHA-256 of the ONNX files in a model's folder, in hexadecimal: of `model.onnx` followed by its data
+/// files in the order of their names.
 ///
 /// # Errors
 /// If a file is missing or cannot be read, or if `model.onnx` is not an ONNX model.
-pub(crate) fn hash_network(folder: &Path) -> Result<String, LoadError> {
+pub(crate) fn hash_model(folder: &Path) -> Result<String, LoadError> {
     let mut contents: Box<dyn Read> = Box::new(io::empty());
-    for file in files(folder)? {
+    for file in model_files(folder)? {
         contents = Box::new(contents.chain(open(&file)?));
     }
     let error = |error: io::Error| LoadError::File { file: folder.join(MODEL), reason: error.to_string() };
@@ -103,7 +103,11 @@ impl Card {
             description: self.description.clone(),
             input: format!("{} float32 {}", shape.join(" × "), input.layout),
             preprocessing: steps,
-            output: format!("{} classes, {scores}, best {} listed", output.labels.len(), output.listed()),
+            output: format!(
+                "{} classes, {scores}, best {} listed",
+                output.labels.len(),
+                output.listed_classes()
+            ),
             labels: output.labels.clone(),
             provenance: self.provenance.iter().map(|(key, value)| (key.clone(), plain_text(value))).collect(),
         }
@@ -173,7 +177,7 @@ mod tests {
         std::fs::write(folder.path().join(CARD), SMALL).expect("written");
         let model = folder.path().join(MODEL);
         mknodat(CWD, &model, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
-        for error in [summarise(folder.path()).map(drop), hash_network(folder.path()).map(drop)] {
+        for error in [summarise(folder.path()).map(drop), hash_model(folder.path()).map(drop)] {
             let error = error.expect_err("refused").to_string();
             assert!(error.contains("model.onnx") && error.contains("not a regular file"), "{error}");
         }
@@ -183,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn hash_is_that_of_sha256sum() {
+    fn card_hash_equals_output_of_sha256sum() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(CARD), "abc").expect("written");
         // Example in FIPS 180-4.
@@ -197,11 +201,11 @@ mod tests {
         // A graph with a tensor whose entry `location` is `w`.
         let model = b"\x3a\x11\x2a\x0f\x6a\x0d\x0a\x08location\x12\x01w";
         std::fs::write(folder.path().join(MODEL), model).expect("written");
-        let missing = hash_network(folder.path()).expect_err("no file w").to_string();
+        let missing = hash_model(folder.path()).expect_err("no file w").to_string();
         assert!(missing.contains("/w"), "{missing}");
         let hash = |weights: &str| {
             std::fs::write(folder.path().join("w"), weights).expect("written");
-            hash_network(folder.path()).expect("is read")
+            hash_model(folder.path()).expect("is read")
         };
         assert_eq!(hash("1"), sha256([&model[..], &b"1"[..]].concat().as_slice()).expect("is read"));
         assert_ne!(hash("1"), hash("0"));

@@ -73,9 +73,9 @@ fn compute(card: &Card, session: &mut Session, tensor: &[f32], numbers: &mut Vec
 }
 
 impl Worker for OnnxWorker {
-    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
         {
-            let _stage = log.time(stage::PREPROCESSING);
+            let _stage = recorder.time(stage::PREPROCESSING);
             self.preprocessor.preprocess(sample).map_err(|error| InferenceError::Input {
                 model: self.plan.name.to_string(),
                 sample: sample.source.clone(),
@@ -84,16 +84,16 @@ impl Worker for OnnxWorker {
         }
         let failed = |plan: &Plan, reason| InferenceError::Failed { model: plan.name.to_string(), reason };
         {
-            let _stage = log.time(stage::INFERENCE);
+            let _stage = recorder.time(stage::INFERENCE);
             self.run().map_err(|error| failed(&self.plan, error.to_string()))?;
         }
         let json = {
-            let _stage = log.time(stage::POSTPROCESSING);
+            let _stage = recorder.time(stage::POSTPROCESSING);
             classify(&self.plan.card.output, &mut self.numbers)
                 .map_err(|error| failed(&self.plan, error.to_string()))?
         };
         if sample.label.as_ref().is_some_and(|label| !self.plan.classes.contains(&normalized_label(label))) {
-            log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+            recorder.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         }
         Ok(Sample::from_part(Description::unshaped(MediaType::Json), Bytes::from(json)))
     }

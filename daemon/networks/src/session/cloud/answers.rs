@@ -39,7 +39,7 @@ impl AnswersBeingSent {
     }
 }
 
-/// Encodes an answer with the nodes that `log` recorded here. The departure is stamped last.
+/// Encodes an answer with the nodes that `recorder` recorded here. The departure is stamped last.
 ///
 /// # Errors
 /// If the header cannot be encoded.
@@ -47,11 +47,11 @@ pub(super) fn encode_answer(
     clock: &dyn Clock,
     route: &Route,
     key: RequestKey,
-    log: Option<Recorder>,
+    recorder: Option<Recorder>,
     result: Result<Sample, Failure>,
 ) -> Result<Frames, HeaderError> {
     let (outcome, payload) = encode_outcome(result, route.max_message_bytes);
-    let (delta, clock_zero) = encode_log_delta(log);
+    let (delta, clock_zero) = encode_log_delta(recorder);
     let raw = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
     let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
@@ -92,10 +92,10 @@ fn encode_outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (O
 }
 
 /// Returns the wire form of the tree delta, and the offset of the monotonic clock's zero from this host's anchor.
-fn encode_log_delta(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
-    let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
-    let clock_zero = log.offset(MonoTime::default());
-    let delta = log.into_tree_delta().and_then(|delta| match encode_tree_delta(&delta) {
+fn encode_log_delta(recorder: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
+    let Some(recorder) = recorder else { return (None, peernet_clock::Span::ZERO) };
+    let clock_zero = recorder.offset(MonoTime::default());
+    let delta = recorder.into_tree_delta().and_then(|delta| match encode_tree_delta(&delta) {
         Ok(wire) => Some(wire),
         Err(error) => {
             tracing::warn!(%error, "cannot encode the tree delta of an answer; the answer is sent without the nodes of this host");

@@ -7,12 +7,12 @@ use crate::transport::{CloudSender, ConnectionId, Frames, Peer, SendOptions};
 
 /// Sends to the edges of a port, and counts what was sent and received on all connections together.
 #[derive(Debug)]
-pub(crate) struct PortOutput {
+pub(crate) struct ListenerOutput {
     sender: Box<dyn CloudSender>,
     pub(super) counters: Counters,
 }
 
-impl PortOutput {
+impl ListenerOutput {
     pub(super) fn new(sender: Box<dyn CloudSender>) -> Self {
         Self { sender, counters: Counters::default() }
     }
@@ -26,7 +26,7 @@ impl PortOutput {
         }
     }
 
-    /// Returns the statistics of a session, with those that its transport has of the connection.
+    /// Returns the statistics of a session, with the statistics of the connection from its transport.
     pub(super) fn statistics(
         &self,
         connection: ConnectionId,

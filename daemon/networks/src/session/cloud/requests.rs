@@ -6,7 +6,7 @@ use bytes::Bytes;
 use peernet_clock::Stamp;
 use peernet_logger::{Recorder, TreeError};
 
-use super::PortState;
+use super::ListenerState;
 use crate::message::{
     Departure, Header, HeaderError, MAX_FRAMES, Request, TreeFrameError, add_upload, decode_tree,
 };
@@ -19,7 +19,7 @@ use crate::transport::{Frames, Peer};
 
 /// Handles a message that arrived. Returns the event for the listener's user, if there is one.
 pub(super) fn handle_message(
-    shared: &Arc<PortState>,
+    shared: &Arc<ListenerState>,
     peer: &Peer,
     frames: Frames,
     received: (Stamp, ArrivalStamp),
@@ -73,7 +73,7 @@ pub(super) fn handle_message(
 /// Handles a request that arrived. Counts its bytes in the budget and continues its tree. If either fails, answers with
 /// the reason and returns `None`.
 fn incoming_request(
-    shared: &Arc<PortState>,
+    shared: &Arc<ListenerState>,
     peer: &Peer,
     request: Request,
     frames: Frames,
@@ -87,13 +87,13 @@ fn incoming_request(
             return None;
         }
     };
-    let log = resume_tree(shared, frames.get(1), request.departure, received);
+    let recorder = resume_tree(shared, frames.get(1), request.departure, received);
     let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(InvalidRequest::from);
-    match (log, sample) {
-        (Ok(log), Ok(sample)) => {
+    match (recorder, sample) {
+        (Ok(recorder), Ok(sample)) => {
             let reply = Responder::new(key, Arc::downgrade(shared));
             let session = key.session;
-            Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
+            Some(Incoming::Request(IncomingRequest { session, sample, recorder, received, reply }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
             shared.report_malformed(peer, &problem.to_string());
@@ -106,7 +106,7 @@ fn incoming_request(
 
 /// Continues an edge's tree here: adds `upload` to it and closes that node at `received`.
 fn resume_tree(
-    shared: &PortState,
+    shared: &ListenerState,
     tree: Option<&Bytes>,
     departure: Departure,
     received: Stamp,

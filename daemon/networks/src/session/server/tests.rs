@@ -97,7 +97,7 @@ fn a_refused_session_is_unknown() {
 }
 
 #[test]
-fn a_goodbye_frees_the_place() {
+fn session_can_be_opened_after_goodbye_of_another() {
     let mut server = server();
     let sessions: Vec<_> = (0..3).map(|connection| open_session(&mut server, connection)).collect();
     assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::Answer(Header::Refused(_))));
@@ -178,7 +178,7 @@ fn announcement_reaches_open_and_later_sessions() {
     let (open, asking) = (open_session(&mut server, 1), open_session(&mut server, 2));
     server.accept(open, accepted()).expect("the edge is there");
     let clock = PeerClock { epoch: 3, ..PeerClock::default() };
-    let headers = server.announce(clock.clone());
+    let headers = server.update_clock(clock.clone());
     assert!(matches!(
         &headers[..],
         [(to, Header::Clock(update))] if to.connection.0 == 1 && update.session == open && update.clock == clock

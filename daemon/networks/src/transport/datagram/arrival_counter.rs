@@ -1,6 +1,6 @@
-//! Counts the datagrams of one direction of a connection: arrived, duplicated, reordered and lost ones.
+//! Counts the datagrams of one direction of a connection: how many arrived, were duplicated, were reordered and were lost.
 //!
-//! Every datagram with data has a number, the next one of its connection and direction. A retransmission gets a new
+//! Every datagram with data has a number, the next number of its connection and direction. A retransmission gets a new
 //! number (as packet numbers in RFC 9000, section 12.3). A missing number counts as lost only after a delay, so that a
 //! late datagram does not decrease a total.
 
@@ -302,7 +302,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn totals_add_up(
+        fn counted_datagrams_and_losses_add_up(
             loss in 0_u64..50, doubled in 0_u64..30, late in 0_usize..40, count in 1_u32..9_000, seed: u64,
         ) {
             let mut random = seed | 1;

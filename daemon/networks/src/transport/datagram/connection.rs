@@ -1,7 +1,8 @@
 //! A virtual connection, without I/O: both halves, heartbeats and the goodbye.
 //!
 //! An end sends a ping if nothing arrived for the heartbeat interval. It pings sooner while messages that it sent are not
-//! settled, because the answer says which of them never arrived. If nothing arrives for the heartbeat timeout, the
+//! settled (delivered or counted as lost), because the answer says which of them never arrived. If nothing arrives for
+//! the heartbeat timeout, the
 //! connection ends. A connection is closed by a goodbye that is repeated until it is confirmed.
 
 mod control_queue;
@@ -299,7 +300,7 @@ impl Connection {
         }
         if self.timer.expires_at() <= now {
             let seconds = self.timer.timeout().seconds();
-            self.end(format!("nothing was heard of the peer for {seconds} s"));
+            self.end(format!("nothing was received from the peer for {seconds} s"));
             return;
         }
         if self.ping_at() <= now {

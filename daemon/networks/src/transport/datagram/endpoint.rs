@@ -166,7 +166,7 @@ impl Endpoint {
         let connect = || {
             let writer = PacketWriter::new(Role::Cloud, id, self.prefix);
             let terms = Terms { datagram, ..terms };
-            Connection::new(writer, terms, self.limits.connection, self.budgets.unadmitted(), now)
+            Connection::new(writer, terms, self.limits.connection, self.budgets.unadmitted_limits(), now)
         };
         let datagram = match self.table.get_mut(id) {
             // An edge that gets no answer to a large datagram repeats the request with a smaller one.
@@ -188,7 +188,7 @@ impl Endpoint {
         self.schedule(id, now);
     }
 
-    /// Returns whether one more connection may be opened. Closes a connection to make room if necessary.
+    /// Returns whether one more connection may be opened. If a limit is reached, closes a connection without a session.
     fn make_room(&mut self, group: AddressGroup) -> bool {
         match self.table.capacity(group, self.limits.max_connections) {
             Capacity::Free => true,
@@ -315,7 +315,7 @@ impl Endpoint {
 
     /// Notes that the connection has no session any more.
     pub(crate) fn demote(&mut self, id: ConnectionId, now: MonoTime) {
-        let (limits, budget) = self.budgets.unadmitted();
+        let (limits, budget) = self.budgets.unadmitted_limits();
         if let Some(entry) = self.table.get_mut(id.0) {
             entry.admission = Admission::Unadmitted { since: now };
             entry.connection.set_reassembly(limits, budget);

@@ -10,7 +10,7 @@ pub(crate) enum FalseClaim {
     /// The packet reports more fragments than the message has.
     #[error("a packet reports more fragments than the message has")]
     Fragments,
-    /// The packet has a message number far above those that are known to have been sent.
+    /// The packet has a message number far above all numbers that are known to have been sent.
     #[error("a packet has a message number that is too far ahead")]
     TooFarAhead,
     /// The packet reports totals above what was sent.

@@ -27,19 +27,22 @@ struct Port {
 
 /// Runs a script of steps against a port.
 ///
-/// Each step is a byte for its kind, a byte for the number of its bytes, and these bytes. Steps bring arbitrary bytes,
-/// fragments and packets of an open connection with arbitrary fields, and let time pass.
+/// Each step is a byte for its kind, a byte for the number of its bytes, and these bytes. The steps deliver arbitrary
+/// bytes, fragments, and packets of an open connection with arbitrary fields; send messages; and advance the time.
 ///
 /// # Panics
-/// If a promise is broken: an unverified address gets more bytes than came from it, messages take more memory than they
-/// may, or more datagrams count as lost than were sent.
+/// If an invariant is violated:
+/// - an unverified address gets more bytes than came from it,
+/// - a connection moves to an unverified address,
+/// - messages take more memory than the limit, or
+/// - more datagrams count as lost or as reordered than were sent.
 pub fn any_datagrams(script: &[u8]) {
     let Some(mut port) = Port::open() else { panic!("the handshake opens a connection") };
     let mut rest = script;
-    while let [what, length, after @ ..] = rest {
+    while let [step_kind, length, after @ ..] = rest {
         let (bytes, later) = after.split_at(usize::from(*length).min(after.len()));
         rest = later;
-        port.step(*what, bytes);
+        port.step(*step_kind, bytes);
     }
 }
 
@@ -87,14 +90,14 @@ impl Port {
     fn send_packet(&mut self, from: SocketAddr, packet: &Packet<'_>) -> Vec<u8> {
         let mut body = Vec::new();
         packet.write(Role::Edge, &mut body);
-        self.bring(from, &body)
+        self.deliver(from, &body)
     }
 
-    /// Brings a body. Returns all that is sent back to its source.
-    fn bring(&mut self, from: SocketAddr, body: &[u8]) -> Vec<u8> {
+    /// Delivers a datagram with this body. Returns all bytes that are sent back to its source.
+    fn deliver(&mut self, from: SocketAddr, body: &[u8]) -> Vec<u8> {
         self.endpoint.receive(from, None, body, self.now);
         let (mut back, mut out) = (Vec::new(), Vec::new());
-        // Ends, because the control packets of a connection are bounded and its messages stop at the window.
+        // The loop ends, because the control packets of a connection are bounded and its messages stop at the window.
         while let Some((route, _)) = self.endpoint.fill(&mut out, 4, self.now) {
             if route.to == from {
                 back.extend_from_slice(&out);
@@ -110,8 +113,8 @@ impl Port {
         back
     }
 
-    fn step(&mut self, what: u8, bytes: &[u8]) {
-        let from = if what & 0x80 == 0 { self.known } else { self.stranger };
+    fn step(&mut self, step_kind: u8, bytes: &[u8]) {
+        let from = if step_kind & 0x80 == 0 { self.known } else { self.stranger };
         let number = |at: usize| u64::from(bytes.get(at).copied().unwrap_or_default());
         let connection = self.connection;
         let fragment = Fragment {
@@ -124,16 +127,22 @@ impl Port {
             lifetime_ms: number(6) as u16,
             bytes: bytes.get(7..).unwrap_or_default(),
         };
-        let (sequence, far) = (number(0), number(1) << (number(2) % 64));
-        let arrivals = ArrivalTotals { lost: number(3), duplicated: far, reordered: number(4) };
-        let heartbeat = |next, settled| Heartbeat { time: far, next, settled, number: far as u32, arrivals };
-        let packet = match what & 0x0f {
+        let (sequence, large_number) = (number(0), number(1) << (number(2) % 64));
+        let arrivals = ArrivalTotals { lost: number(3), duplicated: large_number, reordered: number(4) };
+        let heartbeat = |next, settled| Heartbeat {
+            time: large_number,
+            next,
+            settled,
+            number: large_number as u32,
+            arrivals,
+        };
+        let packet = match step_kind & 0x0f {
             0 => {
                 self.check(from, bytes);
                 return;
             }
             1 => {
-                self.now = self.now + Span::from_millis(far as i64 & 0xffff);
+                self.now = self.now + Span::from_millis(large_number as i64 & 0xffff);
                 self.endpoint.tick(self.now);
                 return;
             }
@@ -144,19 +153,24 @@ impl Port {
                 drop(sent);
                 return;
             }
-            3 => Packet::Progress { connection, sequence: far, end: sequence as u32 },
-            4 => Packet::Lost { connection, sequence, received: far as u32, total: far as u32 },
-            5 => Packet::LostAck { connection, sequence, tag: far, total: far as u32 },
-            6 => Packet::Ping { connection, heartbeat: heartbeat(far, sequence) },
-            7 => Packet::Pong { connection, heartbeat: heartbeat(sequence, far) },
-            8 => Packet::Bye { connection, next: far },
-            9 => Packet::PathResponse { connection, token: far },
-            10 => Packet::Hello { version: 1, nonce: far, reply_port: 0 },
-            11 => Packet::Data { connection: far, number: 0, fragment },
+            3 => Packet::Progress { connection, sequence: large_number, end: sequence as u32 },
+            4 => Packet::Lost {
+                connection,
+                sequence,
+                received: large_number as u32,
+                total: large_number as u32,
+            },
+            5 => Packet::LostAck { connection, sequence, tag: large_number, total: large_number as u32 },
+            6 => Packet::Ping { connection, heartbeat: heartbeat(large_number, sequence) },
+            7 => Packet::Pong { connection, heartbeat: heartbeat(sequence, large_number) },
+            8 => Packet::Bye { connection, next: large_number },
+            9 => Packet::PathResponse { connection, token: large_number },
+            10 => Packet::Hello { version: 1, nonce: large_number, reply_port: 0 },
+            11 => Packet::Data { connection: large_number, number: 0, fragment },
             12 => Packet::Data {
                 connection,
-                number: far as u32,
-                fragment: Fragment { sequence: far, ..fragment },
+                number: large_number as u32,
+                fragment: Fragment { sequence: large_number, ..fragment },
             },
             _ => Packet::Data { connection, number: sequence as u32, fragment },
         };
@@ -165,9 +179,9 @@ impl Port {
         self.check(from, &body);
     }
 
-    /// Brings a body and checks that a stranger gets no more bytes back.
+    /// Delivers a datagram with this body and checks that a stranger gets no more bytes back than it sent.
     fn check(&mut self, from: SocketAddr, body: &[u8]) {
-        let back = self.bring(from, body);
+        let back = self.deliver(from, body);
         if from == self.stranger {
             assert!(back.len() <= PREFIX.len() + body.len(), "{} bytes for {}", back.len(), body.len());
         }

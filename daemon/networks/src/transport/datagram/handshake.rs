@@ -24,7 +24,7 @@ const COOKIE_LIFETIME: Span = Span::from_seconds(10);
 /// Time until the first repetition of a packet without an answer. It doubles up to eight times this value.
 const RETRY_INTERVAL: Span = Span::from_millis(100);
 
-/// Largest number of unanswered requests with large datagrams. A small one is tried afterwards.
+/// Largest number of unanswered requests with large datagrams. A small datagram is tried afterwards.
 const MAX_LARGE_ATTEMPTS: u32 = 3;
 
 /// Largest number of unanswered requests with small datagrams and the same cookie. They take five seconds, less than a
@@ -169,10 +169,10 @@ impl DialState {
         }
     }
 
-    /// Continues with shorter datagrams, because the path does not carry those of the current length.
+    /// Continues with shorter datagrams, because the path does not carry datagrams of the current length.
     ///
     /// # Errors
-    /// If there are no shorter ones to try.
+    /// If no shorter length remains to be tried.
     pub(crate) fn shorten(&mut self, now: MonoTime) -> Result<(), PathTooSmall> {
         let bytes = self.terms.datagram;
         if bytes <= SAFE_DATAGRAM_BYTES {
@@ -183,8 +183,8 @@ impl DialState {
         Ok(())
     }
 
-    /// Returns the remark that the path carries only shorter datagrams, with advice. `None` if it carries the
-    /// configured ones.
+    /// Returns the remark that the path carries only shorter datagrams, with advice. `None` if it carries datagrams of
+    /// the configured length.
     pub(crate) fn remark(&self) -> Option<String> {
         let bytes = self.too_long?;
         Some(format!(

@@ -51,7 +51,7 @@ pub(crate) enum ReassemblyOutcome {
     Duplicate,
     /// The fragment contradicts earlier fragments of its message.
     Inconsistent,
-    /// The message is too far above those that are known to have been sent.
+    /// The message's number is too far above all numbers that are known to have been sent.
     TooFarAhead,
 }
 
@@ -73,8 +73,8 @@ pub(crate) struct Reassembly {
     limits: ReassemblyLimits,
     budget: Arc<MemoryBudget>,
     floor: u64,
-    /// Messages below this number are known to have been sent completely, because their sender sends one after the
-    /// other. Only these count as lost if no fragment of them arrives.
+    /// Messages below this number are known to have been sent completely, because their sender sends one message after the
+    /// other. Only these messages count as lost if no fragment of them arrives.
     sent_below: u64,
     /// States of the numbers from the floor on. The first number is not settled.
     slots: VecDeque<Slot>,

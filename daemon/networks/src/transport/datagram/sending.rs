@@ -1,4 +1,5 @@
-//! The sending half of a virtual connection: messages that wait, and messages that were sent and are not settled.
+//! The sending half of a virtual connection: messages that wait, and messages that were sent and are not settled (delivered
+//! or counted as lost).
 
 mod long_losses;
 mod outstanding;
@@ -46,7 +47,7 @@ pub(crate) struct SendingHalf {
     long_losses: LongLossDetector,
     /// Time at which a part of a message was last sent.
     sent_at: MonoTime,
-    /// Number of datagrams that were sent, which is also the number of the next one.
+    /// Number of datagrams that were sent, which is also the number of the next datagram.
     datagrams: u64,
     /// Number of datagrams of messages that were retransmitted.
     retransmitted: u64,
@@ -113,7 +114,7 @@ impl SendingHalf {
         self.send_position().0
     }
 
-    /// Returns the number of datagrams that were sent, which is also the number of the next one.
+    /// Returns the number of datagrams that were sent, which is also the number of the next datagram.
     pub(crate) const fn datagrams(&self) -> u64 {
         self.datagrams
     }

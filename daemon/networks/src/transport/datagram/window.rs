@@ -1,12 +1,12 @@
 //! Flow control of one direction: the other end's socket buffer, recent arrivals, and a configured rate.
 //!
 //! The other end reports how many bytes may be in flight to it and how far it has received. Within that limit the window
-//! grows with the bytes that arrive and is halved when a message is lost, like that of TCP (RFC 5681). The rate thus
+//! grows with the bytes that arrive and is halved when a message is lost, like the window of TCP (RFC 5681). The rate thus
 //! follows the slowest link of the path.
 //!
-//! After a loss the window grows with time and not with the bytes that arrive, like that of CUBIC (RFC 9438). The reason
+//! After a loss the window grows with time and not with the bytes that arrive, like the window of CUBIC (RFC 9438). The reason
 //! is that every loss costs a whole message: a size that was too large is tried again after seconds and not within the
-//! next message. With a receiver whose buffer is too small, such as that of libzmq, a message is lost every few seconds
+//! next message. With a receiver whose buffer is too small, such as the buffer of libzmq, a message is lost every few seconds
 //! instead of nearly every message.
 
 mod congestion;
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn window_grows_with_what_arrives_up_to_what_fits() {
+    fn window_grows_with_arrived_bytes_up_to_receivers_window() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         let sent = fill(&mut window, at(0));
         assert_eq!(sent, INITIAL_WINDOW.div_ceil(1_000));

@@ -12,10 +12,10 @@ use tokio::time::{Instant, sleep};
 
 use super::connection::Connection;
 use super::connection_clock::ConnectionClock;
+use super::fragments;
 use super::frames::{self, PAYLOAD_FRAME};
 use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
 use super::limits::{connection_limits, queue_limits};
-use super::parts;
 use super::payload::PayloadType;
 use super::payload_topic::{MASTER_RETRY_INTERVAL, Payload, PayloadTopic, describe_open_failure};
 use crate::SessionSettings;
@@ -160,10 +160,11 @@ impl Channel {
         if !frames::pack(&mut info, message, has_payload) {
             return Err(gone("a frame has 4 GiB or more".into()));
         }
-        // Each part takes the number of the message, which gets the next one: numbers are in the order of sending.
+        // Each fragment takes the number of the message, and the message gets the next number: numbers are in the order of
+        // sending.
         let mut companions = Vec::new();
-        for frames in parts::split_frames(&mut info.frames, self.node.max_companion_bytes()) {
-            companions.push(MessageInfo { frames, ..state.new_part(&mut info) });
+        for frames in fragments::split_into_fragments(&mut info.frames, self.node.max_companion_bytes()) {
+            companions.push(MessageInfo { frames, ..state.new_fragment(&mut info) });
         }
         companions.push(info);
         let encoded = companions.iter().map(|companion| companion.encode(self.node.form()));
@@ -229,7 +230,7 @@ impl Channel {
         Some(ConnectionAddresses { local: peer.local, remote: peer.remote })
     }
 
-    /// Returns the statistics of the transport. The round trip is that of the connection with the peer's companions.
+    /// Returns the statistics of the transport. The round trip is measured on the connection with the peer's companions.
     pub(super) fn statistics(&self) -> TransportStatistics {
         let round_trip = self.addresses().and_then(|addresses| tcp_statistics(&addresses).round_trip);
         let lost = Some(self.lock().missing_companions());

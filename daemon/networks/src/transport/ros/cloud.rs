@@ -39,7 +39,7 @@ const MAX_QUEUED_ARRIVALS: usize = 64;
 /// Largest request for a connection. Bytes.
 const MAX_HELLO_BYTES: usize = 4 * 1024;
 
-/// Largest number of queued requests. Further ones are dropped, because edges repeat theirs.
+/// Largest number of queued requests. Further requests are dropped, because edges repeat them.
 const MAX_QUEUED_HELLOS: usize = 64;
 
 /// Number of topics of a connection. Each is a TCP connection.

@@ -32,9 +32,9 @@ pub(super) struct ConnectionLimits {
     pub(super) max_message_bytes: u64,
     /// `true` if this end must confirm that it receives the payload topic, because the other end cannot know it.
     pub(super) confirms_payloads: bool,
-    /// Largest number of messages of which only one half has arrived.
+    /// Largest number of messages of which only the companion or only the payload has arrived.
     pub(super) max_incomplete: usize,
-    /// Time limit for the other half of a message.
+    /// Time limit for the payload after its companion, or for the companion after its payload.
     pub(super) pairing_timeout: Span,
     pub(super) heartbeat_interval: Span,
     pub(super) heartbeat_timeout: Span,
@@ -69,7 +69,7 @@ enum Phase {
 pub(super) struct PeerState {
     /// Largest payload message that it can receive, if limited. Bytes.
     pub(super) receive_buffer_bytes: Option<u32>,
-    /// `true` if payloads of this connection arrive there, so that they need not be sent in their companions as well.
+    /// `true` if payloads of this connection arrive there. They are then not sent in their companions.
     pub(super) is_subscribed: bool,
     /// `true` if it has said goodbye.
     pub(super) has_left: bool,
@@ -118,9 +118,9 @@ impl Connection {
         self.outgoing.new_companion(kind, wall)
     }
 
-    /// Returns a companion for the first bytes of a message, and gives the message the next number.
-    pub(super) fn new_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
-        self.outgoing.new_part(message)
+    /// Returns a companion for a fragment of a message, and gives the message the next number.
+    pub(super) fn new_fragment(&mut self, message: &mut MessageInfo) -> MessageInfo {
+        self.outgoing.new_fragment(message)
     }
 
     /// Handles a companion of this connection.
@@ -142,7 +142,7 @@ impl Connection {
             }
             MessageInfo::HEARTBEAT => {}
             MessageInfo::SUBSCRIBED => self.peer.is_subscribed = true,
-            MessageInfo::PART => self.assembly.receive_part(&info, now),
+            MessageInfo::PART => self.assembly.receive_fragment(&info, now),
             MessageInfo::LOST => {
                 // The peer received the companion, which names the request, and not the payload.
                 let loss = MessageLoss { tag: request_number(&info), received: 1, total: 2 };

@@ -11,7 +11,7 @@ use super::interface::SessionNode;
 use crate::SessionSettings;
 use crate::transport::memory::{MemoryBudget, Reservation};
 
-/// Time limit for the other half of a message. Both halves may be in transfer on a slow link.
+/// Time limit for the payload of a companion, or the companion of a payload. Both may be in transfer on a slow link.
 const PAIRING_TIMEOUT: Span = Span::from_seconds(30);
 
 /// Largest number of bytes of queued messages on a topic. A single longer message is accepted.

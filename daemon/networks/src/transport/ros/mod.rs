@@ -4,8 +4,8 @@
 //! `PIPELINE/request_info` and `PIPELINE/response_info`. A message on them is a *companion* and carries all frames but
 //! one. The first part of a sample is the *payload*. It is sent on `PIPELINE/request` or `PIPELINE/response` as a
 //! message of a standard type, which ROS tools can display, once the other end has subscribed to that topic. Control
-//! messages have no payload, and a part whose type does not fit the topic is sent in the companion. The type of a
-//! payload topic is that of the first payload; the topic is opened in the background and nothing waits for it.
+//! messages have no payload, and a part whose type does not fit the topic is sent in the companion. The first
+//! payload determines the type of a payload topic; the topic is opened in the background and nothing waits for it.
 //!
 //! [`connection`] and [`pairing`] have the protocol without I/O. [`channel`] and [`connection_task`] are one end of a
 //! connection, which [`edge`] and [`cloud`] open. They use nodes, publishers and subscribers through [`interface`],
@@ -30,12 +30,12 @@ mod connection;
 mod connection_clock;
 mod connection_task;
 mod edge;
+mod fragments;
 mod frames;
 mod interface;
 mod limits;
 mod names;
 mod pairing;
-mod parts;
 mod payload;
 mod payload_topic;
 mod ros1;

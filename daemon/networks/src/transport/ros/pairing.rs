@@ -1,7 +1,7 @@
 //! Joins each payload with its companion, without I/O.
 //!
-//! Payloads and companions are on separate topics, each of which is in order. A half waits for its partner on the other
-//! topic. If a later message arrives there first, the partner is certainly lost. If no later message arrives, a deadline
+//! Payloads and companions are on separate topics, each of which is in order. Each of them waits for its partner on the
+//! other topic. If a later message arrives there first, the partner is certainly lost. If no later message arrives, a deadline
 //! ends the wait.
 
 use std::collections::BTreeMap;
@@ -23,14 +23,14 @@ pub(super) struct Pairing {
 
 #[derive(Debug)]
 struct PendingHalf {
-    half: Half,
+    half: MessageHalf,
     deadline: MonoTime,
     reserved: Reservation,
 }
 
 /// One half of a message.
 #[derive(Debug)]
-pub(super) enum Half {
+pub(super) enum MessageHalf {
     Info(Box<MessageInfo>),
     Payload(Bytes),
 }
@@ -43,7 +43,7 @@ pub(super) struct Pair {
     pub(super) reserved: [Reservation; 2],
 }
 
-impl Half {
+impl MessageHalf {
     fn is_info(&self) -> bool {
         matches!(self, Self::Info(_))
     }
@@ -72,7 +72,7 @@ impl Pairing {
     pub(super) fn add(
         &mut self,
         stamp: i64,
-        half: Half,
+        half: MessageHalf,
         reserved: Reservation,
         now: MonoTime,
         lost: &mut Vec<MessageLoss>,
@@ -82,8 +82,8 @@ impl Pairing {
             Some(other) if other.half.is_info() != half.is_info() => {
                 let reserved = [other.reserved, reserved];
                 match (other.half, half) {
-                    (Half::Info(info), Half::Payload(payload))
-                    | (Half::Payload(payload), Half::Info(info)) => {
+                    (MessageHalf::Info(info), MessageHalf::Payload(payload))
+                    | (MessageHalf::Payload(payload), MessageHalf::Info(info)) => {
                         return Some(Pair { info, payload, reserved });
                     }
                     _ => return None,
@@ -161,7 +161,7 @@ mod tests {
             Self { pairing, budget: MemoryBudget::new(100), lost: Vec::new() }
         }
 
-        fn add(&mut self, stamp: i64, half: Half) -> Option<Pair> {
+        fn add(&mut self, stamp: i64, half: MessageHalf) -> Option<Pair> {
             let mut reserved = Reservation::empty(&self.budget);
             reserved.resize(&self.budget, 10).expect("there is room");
             self.pairing.add(stamp, half, reserved, MonoTime::default(), &mut self.lost)
@@ -169,11 +169,11 @@ mod tests {
 
         fn info(&mut self, stamp: i64) -> Option<Pair> {
             let request = u64::try_from(stamp).expect("positive");
-            self.add(stamp, Half::Info(Box::new(MessageInfo { request, ..MessageInfo::default() })))
+            self.add(stamp, MessageHalf::Info(Box::new(MessageInfo { request, ..MessageInfo::default() })))
         }
 
         fn payload(&mut self, stamp: i64) -> Option<Pair> {
-            self.add(stamp, Half::Payload(Bytes::from_static(b"x")))
+            self.add(stamp, MessageHalf::Payload(Bytes::from_static(b"x")))
         }
     }
 

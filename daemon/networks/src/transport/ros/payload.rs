@@ -19,7 +19,7 @@ pub(super) enum PayloadType {
 /// Error: a payload message cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PayloadError {
-    #[error("its type {0} is not one that carries payloads of sessions")]
+    #[error("its type {0} cannot carry payloads of sessions")]
     OtherType(String),
     #[error(transparent)]
     Decode(#[from] DecodeError),
@@ -90,7 +90,8 @@ pub(super) fn encode(
     }
 }
 
-/// Decodes a payload message of a type. Returns the connection, the stamp of its companion, and the payload.
+/// Decodes a payload message of a type. Returns the connection, the stamp of its companion message (`mod.rs`), and the
+/// payload.
 pub(super) fn decode(
     form: WireForm,
     type_name: &str,

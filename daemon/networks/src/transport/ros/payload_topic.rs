@@ -162,15 +162,15 @@ impl PayloadTopic {
 
 /// Returns the smaller size of both ends' socket buffers in bytes; `None` if payloads of any length arrive.
 fn max_payload_bytes(node: &dyn SessionNode, peer: PeerState) -> Option<usize> {
-    let own = node.receive_buffer_bytes()?;
-    Some(peer.receive_buffer_bytes.map_or(own, |theirs| own.min(theirs as usize)))
+    let own_bytes = node.receive_buffer_bytes()?;
+    Some(peer.receive_buffer_bytes.map_or(own_bytes, |peer_bytes| own_bytes.min(peer_bytes as usize)))
 }
 
 /// Returns the remark about a payload that is too long for the socket buffers.
 fn describe_long_payload(bytes: usize, max_bytes: usize, topic: &str) -> String {
     format!(
         "a payload of {bytes} bytes is longer than the {max_bytes} bytes of the socket buffers of both hosts: such payloads are sent \
-         in parts and not on topic {topic}, where other programs would see them; raise socket_buffer_bytes of the session, and \
+         in fragments and not on topic {topic}, where other programs would see them; raise socket_buffer_bytes of the session, and \
          net.core.rmem_max, on both hosts"
     )
 }

@@ -48,7 +48,7 @@ impl Ros1Node {
         let mut clouds = self.node.running_subscribers(&sessions, &clouds).await?;
         let Some(cloud) = clouds.pop() else {
             return Err(NodeFailure(format!(
-                "the ROS master at {} knows no cloud with the name {}: nobody subscribes to {sessions}; start the cloud with \
+                "the ROS master at {} knows no cloud with the name {}: no node subscribes to {sessions}; start the cloud with \
                  this master and name",
                 self.master, topics.cloud
             )));

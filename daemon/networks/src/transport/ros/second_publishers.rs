@@ -15,8 +15,8 @@ const NAME_DISCOVERY_TIMEOUT: Duration = Duration::from_secs(2);
 /// Largest number of second publishers that are remarked on.
 const MAX_SECOND_PUBLISHERS: usize = 16;
 
-/// Nodes other than the peer that publish on a topic of the connection. There is one remark about each of them, with its
-/// name if that is known.
+/// Nodes other than the peer that publish on a topic of the connection. One remark is made about each node, with its
+/// name if the name is known.
 #[derive(Debug, Default)]
 pub(super) struct SecondPublishers {
     reported: BTreeSet<Arc<str>>,
@@ -92,7 +92,7 @@ mod tests {
         for id in ["named", "unnamed"] {
             assert_eq!(others.check(&id.into(), TOPIC, ("peer", &node), begin), None);
         }
-        node.set_name("named", "/viewer");
+        node.set_readable_name("named", "/viewer");
         let remarks = others.check_unnamed(("peer", &node), begin);
         assert!(matches!(&remarks[..], [remark] if remark.contains("messages of named")), "{remarks:?}");
         let remarks = others.check_unnamed(("peer", &node), begin + NAME_DISCOVERY_TIMEOUT);
@@ -108,9 +108,9 @@ mod tests {
     #[test]
     fn earlier_connection_of_pipeline_is_not_remarked() {
         let (mut node, mut others) = (TestNode::default(), SecondPublishers::default());
-        node.set_name("peer", "/peernet_jetson_line_1a2b3c4d");
-        node.set_name("earlier", "/peernet_jetson_line_00000000");
-        node.set_name("other", "/peernet_orin_line_00000000");
+        node.set_readable_name("peer", "/peernet_jetson_line_1a2b3c4d");
+        node.set_readable_name("earlier", "/peernet_jetson_line_00000000");
+        node.set_readable_name("other", "/peernet_orin_line_00000000");
         let mut check = |id: &str| others.check(&id.into(), TOPIC, ("peer", &node), Instant::now());
         assert_eq!(check("earlier"), None);
         assert!(check("other").is_some());
@@ -120,7 +120,7 @@ mod tests {
     fn number_of_remarks_is_bounded() {
         let (mut node, mut others) = (TestNode::default(), SecondPublishers::default());
         let ids: Vec<String> = (0..=MAX_SECOND_PUBLISHERS).map(|number| format!("n{number}")).collect();
-        ids.iter().for_each(|id| node.set_name(id, "/viewer"));
+        ids.iter().for_each(|id| node.set_readable_name(id, "/viewer"));
         let check = |id: &String| others.check(&id.as_str().into(), TOPIC, ("peer", &node), Instant::now());
         assert_eq!(ids.iter().filter_map(check).count(), MAX_SECOND_PUBLISHERS);
     }

@@ -9,8 +9,8 @@ use peernet_ros::topics::{RosVersion, VersionError};
 use super::names::to_ros_name;
 use crate::transport::ListenerLookupError;
 
-/// Returns the address of the cloud with this name. The version is `version` or that of the environment. In ROS 1 the
-/// master is that of `ROS_MASTER_URI`, in ROS 2 the domain is that of `ROS_DOMAIN_ID`.
+/// Returns the address of the cloud with this name. The version is `version`, or the version in the environment. In ROS 1
+/// `ROS_MASTER_URI` names the master, in ROS 2 `ROS_DOMAIN_ID` the domain.
 pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, ListenerLookupError> {
     find_with(name, version, |name| std::env::var(name).ok())
 }
@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn version_and_place_come_from_configuration_and_environment() {
+    fn version_and_address_come_from_configuration_and_environment() {
         let (noetic, jazzy) = (("ROS_DISTRO", "noetic"), ("ROS_DISTRO", "jazzy"));
         let ros1 = Ok("ros1://localhost:11311/jetson_orin".to_owned());
         for (version, variables) in [(Some(1), &[jazzy][..]), (None, &[noetic]), (None, &[])] {

@@ -40,12 +40,12 @@ pub(crate) async fn dial(
     _context: &DialContext<'_>,
 ) -> Result<EdgeConnection, DialFailure> {
     let resolved = tokio::net::lookup_host(address.authority()).await;
-    let resolved = resolved.map_err(|error| unreachable(&error))?.next();
+    let resolved = resolved.map_err(|error| unreachable_failure(&error))?.next();
     let peer = resolved.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
     let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_bytes(settings));
-    let socket = socket.map_err(|error| unreachable(&error))?;
+    let socket = socket.map_err(|error| unreachable_failure(&error))?;
     // A closed port of the cloud then ends the connection at once and not by silence.
-    socket.report_errors().map_err(|error| unreachable(&error))?;
+    socket.report_errors().map_err(|error| unreachable_failure(&error))?;
     let start = Instant::now();
     let (id, terms, remark) = open(&socket, peer, local_terms(settings, &socket), start).await?;
     let largest = u64::from(reassembly_limits(settings).max_message_bytes);
@@ -66,7 +66,7 @@ pub(crate) async fn dial(
     Ok(EdgeConnection { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }), is_cloud: true })
 }
 
-fn unreachable(error: &io::Error) -> DialFailure {
+fn unreachable_failure(error: &io::Error) -> DialFailure {
     DialFailure::Unreachable(error.to_string().to_lowercase())
 }
 
@@ -97,12 +97,12 @@ async fn open(
                 Err(error) if error.raw_os_error() == Some(Errno::EMSGSIZE as i32) => {
                     dialling.shorten(now).map_err(too_small)?;
                 }
-                Err(error) => return Err(unreachable(&error)),
+                Err(error) => return Err(unreachable_failure(&error)),
             }
         }
         let next = start + Duration::from_nanos(u64::try_from(dialling.next_timer().nanos()).unwrap_or(0));
         tokio::select! {
-            result = socket.readable() => result.map_err(|error| unreachable(&error))?,
+            result = socket.readable() => result.map_err(|error| unreachable_failure(&error))?,
             () = sleep_until(next) => continue,
         }
         let mut answer = None;
@@ -117,7 +117,7 @@ async fn open(
         match received {
             Ok(()) => {}
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-            Err(error) => return Err(unreachable(&error)),
+            Err(error) => return Err(unreachable_failure(&error)),
         }
         match answer {
             Some(HandshakeOutcome::Opened { connection, terms }) => {
@@ -144,8 +144,8 @@ struct EdgeEnd {
     invalid_packets: VecDeque<String>,
     /// Token that proves that a sender who repeats it receives what is sent to its address.
     token: u64,
-    /// Check of another address that claims to be the cloud's: the address, the time when it was noticed, and whether the
-    /// token still has to be sent to it.
+    /// Check of another address whose sender claims to be the cloud: the address, the time of its first packet, and
+    /// whether the token still has to be sent to it.
     path_check: Option<(SocketAddr, MonoTime, bool)>,
 }
 
@@ -187,7 +187,7 @@ impl Machine for EdgeEnd {
     }
 
     fn handle_port_unreachable(&mut self) {
-        self.connection.end("nobody listens at the peer's port any more");
+        self.connection.end("no program listens at the peer's port any more");
     }
 
     fn tick(&mut self, now: MonoTime) {

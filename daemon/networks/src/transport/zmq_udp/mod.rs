@@ -56,7 +56,7 @@ fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
     ConnectionLimits {
         heartbeat_interval: Span::from(settings.heartbeat_interval()),
         heartbeat_timeout: Span::from(settings.heartbeat_timeout()),
-        // Places for every request in flight, and for the few messages that open and close a session.
+        // Room for every request in flight, and for the few messages that open and close a session.
         queue: QueueLimits {
             messages: settings.max_in_flight as usize + 16,
             bytes: u64::from(largest_message(settings)),

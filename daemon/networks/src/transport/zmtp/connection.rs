@@ -172,7 +172,7 @@ impl ZmtpConnection {
         }
     }
 
-    /// Writes queued bytes until the kernel accepts no more. Returns whether nothing is left.
+    /// Writes queued bytes until the kernel accepts no more. Returns whether the queue is empty.
     ///
     /// # Errors
     /// If the connection is broken.

@@ -193,7 +193,7 @@ impl Driver {
         let connection = Arc::clone(&self.connection);
         let mut codec = connection.codec();
         for Piece { bytes, message } in self.input.pieces.drain(..) {
-            codec.zmtp.handle_input(bytes).map_err(|error| violation(&error, self.is_ready))?;
+            codec.zmtp.handle_input(bytes).map_err(|error| classify_violation(&error, self.is_ready))?;
             while let Some(event) = codec.zmtp.poll_event() {
                 if let Event::HandshakeSucceeded { peer_properties, .. } = event {
                     if peer_properties.identity.as_ref().is_some_and(|identity| !identity.is_empty()) {
@@ -284,7 +284,7 @@ fn shut_down_writing(reader: &OwnedReadHalf) {
     let _closed = socket2::SockRef::from(reader.as_ref()).shutdown(std::net::Shutdown::Write);
 }
 
-fn violation(error: &omq_proto::Error, is_ready: bool) -> Violation {
+fn classify_violation(error: &omq_proto::Error, is_ready: bool) -> Violation {
     let reason = match error {
         _ if !is_ready => Rejection::Handshake,
         omq_proto::Error::MessageTooLarge { .. } => Rejection::TooLarge,

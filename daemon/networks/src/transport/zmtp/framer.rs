@@ -297,7 +297,7 @@ const fn header_length(flags: u8) -> usize {
     if flags & LONG == 0 { 2 } else { 9 }
 }
 
-/// Grows the buffer of a frame to `capacity` bytes and reserves their memory, in addition to that of the message's
+/// Grows the buffer of a frame to `capacity` bytes and reserves their memory, in addition to the memory of the message's
 /// complete frames.
 fn grow(
     buffer: &mut Vec<u8>,

@@ -1,4 +1,4 @@
-//! A listening port: accepts connections within limits, and returns what they send.
+//! A listening port: accepts connections within limits, and returns the messages that arrive on them.
 
 use std::io;
 use std::net::SocketAddr;
@@ -31,7 +31,7 @@ const MAX_CLOSING_SOCKETS: usize = 16;
 /// Number of connections that the kernel may complete before they are accepted.
 const BACKLOG: i32 = 1_024;
 
-/// Time until the next attempt after an accept failed for lack of descriptors or memory.
+/// Time until the next attempt after an accept failed because descriptors or memory were exhausted.
 const ACCEPT_RETRY_INTERVAL: Duration = Duration::from_millis(100);
 
 /// The receiving end of a listening port. Dropping it closes the port and all connections.
@@ -263,7 +263,7 @@ fn is_aborted_by_peer(error: &io::Error) -> bool {
 }
 
 fn set_socket_options(stream: &TcpStream, limits: &ListenerLimits) -> io::Result<()> {
-    // A small message must not wait for the acknowledgement of the one before.
+    // A small message must not wait for the acknowledgement of the message before it.
     stream.set_nodelay(true)?;
     SockRef::from(stream).set_tcp_user_timeout(Some(limits.heartbeat_timeout))
 }

@@ -104,7 +104,7 @@ impl RejectionCounts {
             from,
             reason = reason.name(),
             connections = since_last,
-            "closed a connection at {}: {detail}; further ones with the same reason are counted and logged once a minute",
+            "closed a connection at {}: {detail}; further connections with the same reason are counted and logged once a minute",
             self.port
         );
     }

@@ -1,4 +1,4 @@
-//! The open connections of a listener, and the decision which one makes room for another.
+//! The open connections of a listener, and the choice of the connection that is closed for a new one.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -48,7 +48,7 @@ impl ConnectionTable {
         self.entries().open.values().cloned().collect()
     }
 
-    /// Adds a new connection. If a limit is reached, a connection that is not admitted makes room: the oldest of the
+    /// Adds a new connection. If a limit is reached, a connection that is not admitted is closed for it: the oldest of the
     /// same address, or else of the address with the most connections that are not admitted.
     ///
     /// # Errors
@@ -119,7 +119,7 @@ impl ConnectionTable {
     }
 }
 
-/// A connection that was added, and those that made room for it.
+/// A connection that was added, and the connections that were closed for it.
 #[derive(Debug)]
 pub(super) struct InsertedConnection {
     pub(super) connection: Arc<ZmtpConnection>,

@@ -1,4 +1,4 @@
-//! Tests of MD5 sums, which are computed from the definitions' texts in the way of genmsg.
+//! Tests of MD5 sums, which are computed from the definitions' texts like in genmsg.
 
 use md5::{Digest, Md5};
 

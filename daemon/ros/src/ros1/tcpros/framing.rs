@@ -22,14 +22,14 @@ const MAX_GROWTH: usize = 16;
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// The frame is longer than allowed.
-    #[error("the peer announces a frame of {length} bytes; the longest allowed has {max}")]
+    #[error("the peer announces a frame of {length} bytes; the limit is {max}")]
     TooLong {
         /// Announced length. Bytes.
         length: usize,
         /// Longest allowed length. Bytes.
         max: usize,
     },
-    /// The frame and those that arrive at the same time exceed the shared limit.
+    /// The frame and other frames that arrive at the same time exceed the shared limit.
     #[error("no memory for a frame of {length} bytes: all frames that arrive at the same time share a limit")]
     NoMemory {
         /// Announced length. Bytes.
@@ -82,7 +82,7 @@ impl FrameBuffer {
         }
         let mut room = self.bytes.capacity() - arrived;
         if frame > READ_BYTES {
-            // At most twice what has arrived, so that a claimed length takes no memory from others.
+            // At most twice the bytes that have arrived, so that a claimed length takes no memory from others.
             let allowed = frame.min((2 * arrived).max(READ_BYTES));
             if !self.memory.grow(allowed, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });

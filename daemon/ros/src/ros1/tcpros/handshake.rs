@@ -108,7 +108,7 @@ pub struct Publication {
 }
 
 impl Publication {
-    /// Returns the header that answers a subscriber's, and the subscriber's name.
+    /// Returns the header that answers the subscriber's header, and the subscriber's name.
     ///
     /// # Errors
     /// If the subscriber requests another topic or type. The caller must send it [`ConnectionHeader::error`] with the text of

@@ -26,7 +26,7 @@ pub enum HeaderError {
     #[error("a field of the connection header is not UTF-8")]
     NotUtf8,
     /// A required field is missing.
-    #[error("the connection header lacks the field {name}")]
+    #[error("the connection header does not contain the field {name}")]
     Missing {
         /// Name of the field.
         name: &'static str,
@@ -64,7 +64,7 @@ impl ConnectionHeader {
         self.get(name).ok_or(HeaderError::Missing { name })
     }
 
-    /// Reads the fields of a frame. Of two fields with the same name the last one is used.
+    /// Reads the fields of a frame. Of two fields with the same name the last is used.
     ///
     /// # Errors
     /// If the bytes are not a header.

@@ -107,7 +107,7 @@ fn too_long_frame_is_refused() {
 }
 
 #[test]
-fn frames_share_memory_by_what_has_arrived() {
+fn frames_reserve_memory_for_arrived_bytes_only() {
     let limit = TestLimit::new(1_000_000);
     let new = || {
         let mut buffer = FrameBuffer::new(0);

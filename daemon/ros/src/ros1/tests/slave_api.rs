@@ -19,7 +19,7 @@ async fn value(node: &Node, method: &str) -> Value {
 }
 
 #[tokio::test]
-async fn tools_get_answers() {
+async fn slave_api_answers_queries_of_tools() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::from_message::<StringMessage>();
@@ -106,7 +106,7 @@ async fn node_with_unique_name_ignores_shutdown_call() {
 }
 
 #[tokio::test]
-async fn running_nodes_are_those_with_the_topic() {
+async fn node_without_the_topic_does_not_count_as_running() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::from_message::<StringMessage>();

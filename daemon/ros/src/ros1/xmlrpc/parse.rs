@@ -90,15 +90,15 @@ pub fn parse_response(xml: &[u8]) -> Result<Response, ParseError> {
             parser.close()?;
             Response::Success(value)
         }
-        Token::Open(name) if name == "fault" => fault(parser.wrapped_value()?)?,
-        found => return Err(found.unexpected("params or fault")),
+        Token::Open(name) if name == "fault" => parse_fault(parser.wrapped_value()?)?,
+        found => return Err(found.unexpected_error("params or fault")),
     };
     parser.close()?;
     parser.end()?;
     Ok(response)
 }
 
-fn fault(value: Value) -> Result<Response, ParseError> {
+fn parse_fault(value: Value) -> Result<Response, ParseError> {
     let (mut code, mut text) = (None, None);
     if let Value::Struct(members) = value {
         for (name, member) in members {
@@ -127,7 +127,7 @@ enum Token {
 }
 
 impl Token {
-    fn unexpected(&self, expected: &'static str) -> ParseError {
+    fn unexpected_error(&self, expected: &'static str) -> ParseError {
         let found = match self {
             Self::Open(name) => format!("<{name}>"),
             Self::Close => "the end of an element".to_owned(),
@@ -180,7 +180,7 @@ impl<'a> Parser<'a> {
     }
 
     fn open(&mut self, expected: &'static str) -> Result<(), ParseError> {
-        if self.open_or_close(expected)? { Ok(()) } else { Err(Token::Close.unexpected(expected)) }
+        if self.open_or_close(expected)? { Ok(()) } else { Err(Token::Close.unexpected_error(expected)) }
     }
 
     /// Returns `true` if the expected element begins, `false` if the element around it has ended.
@@ -188,14 +188,14 @@ impl<'a> Parser<'a> {
         match self.next_markup()? {
             Token::Open(name) if name == expected => Ok(true),
             Token::Close => Ok(false),
-            found => Err(found.unexpected(expected)),
+            found => Err(found.unexpected_error(expected)),
         }
     }
 
     fn close(&mut self) -> Result<(), ParseError> {
         match self.next_markup()? {
             Token::Close => Ok(()),
-            found => Err(found.unexpected("the end of an element")),
+            found => Err(found.unexpected_error("the end of an element")),
         }
     }
 
@@ -205,7 +205,7 @@ impl<'a> Parser<'a> {
             match self.next_markup()? {
                 Token::Close => {}
                 Token::End => return Ok(()),
-                found => return Err(found.unexpected("the end")),
+                found => return Err(found.unexpected_error("the end")),
             }
         }
     }
@@ -216,7 +216,7 @@ impl<'a> Parser<'a> {
             match self.next()? {
                 Token::Text(text) => whole.push_str(&text),
                 Token::Close => return Ok(whole),
-                found => return Err(found.unexpected("text")),
+                found => return Err(found.unexpected_error("text")),
             }
         }
     }
@@ -250,7 +250,7 @@ impl<'a> Parser<'a> {
                     self.close()?;
                     break value;
                 }
-                found => return Err(found.unexpected("the end of the value")),
+                found => return Err(found.unexpected_error("the end of the value")),
             }
         };
         self.depth -= 1;
@@ -271,7 +271,7 @@ impl<'a> Parser<'a> {
             "string" | "dateTime.iso8601" | "base64" => self.text_until_close().map(Value::Text),
             "array" => self.array(),
             "struct" => self.structure(),
-            other => Err(Token::Open(other.to_owned()).unexpected("a type of XML-RPC")),
+            other => Err(Token::Open(other.to_owned()).unexpected_error("a type of XML-RPC")),
         }
     }
 

@@ -1,4 +1,4 @@
-//! Conversions between our types and those of `rustdds`.
+//! Conversions between our types and the types of `rustdds`.
 
 use peernet_clock::WallTime;
 use rustdds::policy::{self, History, ResourceLimits};
@@ -33,7 +33,7 @@ pub(super) fn qos_policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies 
         Durability::Volatile => policy::Durability::Volatile,
         Durability::TransientLocal => policy::Durability::TransientLocal,
     };
-    // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged ones. At 1 MB each, this is far
+    // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged messages. At 1 MB each, this is far
     // more memory than the depth suggests.
     let sample_limit = match role {
         EndpointRole::Publisher => depth.max(MIN_UNACKNOWLEDGED),
@@ -84,8 +84,8 @@ pub(super) fn incompatibility(offered: &QosPolicies, requested: &QosPolicies) ->
     }
 }
 
-/// Converts a time to its RTPS form: seconds and binary fractions of a second since 1970. A time outside 1970 to 2106
-/// becomes the nearest one inside.
+/// Converts a time to its RTPS form: seconds and binary fractions of a second since 1970. A time before 1970 or after
+/// 2106 becomes the nearest representable time.
 pub(super) fn timestamp(time: WallTime) -> Timestamp {
     let nanos = time.unix_nanos().max(0);
     // The two highest values of the seconds are reserved.

@@ -25,8 +25,7 @@ impl Endpoint {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if there is none within `time_limit`, [`Ros2Error::ShutDown`] if the node is shut down
-    /// meanwhile.
+    /// [`Ros2Error::NoPeer`] if no peer is found within `time_limit`, [`Ros2Error::ShutDown`] if the node is shut down before.
     pub(super) async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         let mut peers = self.peers.clone();
         let matched = peers.wait_for(|peers| !peers.matched.is_empty());

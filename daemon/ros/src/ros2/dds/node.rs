@@ -133,8 +133,7 @@ impl Ros2Node {
         &self.socket_buffer_warnings
     }
 
-    /// Returns the size of a receive buffer of this host's sockets. A message that is longer is lost in part at
-    /// subscriptions with such sockets.
+    /// Returns the size of a receive buffer of this host's sockets. Subscriptions with such sockets lose a part of each longer message.
     pub fn receive_buffer_bytes(&self) -> usize {
         let granted = self.socket_buffer_warnings.iter().find(|warning| warning.limits_receive_buffer());
         granted.map_or(self.settings.socket_buffer_bytes, |warning| warning.granted)
@@ -300,7 +299,7 @@ impl NodeState {
         if self.closed.is_cancelled() {
             return;
         }
-        // Locked before the endpoints are read, so that a newer list is never followed by an older one.
+        // Locked before the endpoints are read, so that a newer list is never followed by an older list.
         let mut list = self.node_list.lock().unwrap_or_else(PoisonError::into_inner);
         list.entry.endpoints = self.discovery().local_endpoints();
         let Some(message) = RawMessage::from_payload(list.entry.to_payload()) else { return };
@@ -386,7 +385,7 @@ async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
         let entry = entry.map_err(|error| error.to_string()).and_then(|message| {
             let writer = endpoint_id(message.writer_guid()).participant();
             match ListEntry::decode(&message.into_value().0) {
-                // A participant may only list its own nodes; otherwise it could rename those of others.
+                // A participant may only list its own nodes; otherwise it could rename other participants' nodes.
                 Ok(entry) if entry.participant == writer => Ok(entry),
                 Ok(_) => Err(format!("participant {writer} lists nodes of another participant")),
                 Err(error) => Err(format!("the entry of participant {writer} cannot be read: {error}")),
@@ -446,7 +445,7 @@ fn discovery_event(event: DomainParticipantStatusEvent) -> Option<DiscoveryEvent
                 refusal: incompatibility(&offered_qos, &requested_qos),
             }
         }
-        // The other events are summaries of these, or concern security, which is off.
+        // The other events are summaries of these events, or concern security, which is off.
         _ => return None,
     })
 }

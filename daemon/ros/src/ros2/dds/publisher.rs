@@ -29,7 +29,7 @@ pub struct Ros2Publisher {
 }
 
 impl Ros2Publisher {
-    /// Largest number of unacknowledged bytes, unless half of the receive buffer is less; a single message may be
+    /// Largest number of unacknowledged bytes, unless half of the receive buffer is less. A single message may be
     /// larger. Bytes that do not fit into the receive buffer of a peer are lost, and repairing several large messages
     /// between `rustdds` and Fast DDS fails. Cyclone DDS requests a receive buffer of this size.
     pub(super) const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;
@@ -53,7 +53,7 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if there is none within `time_limit`, with what was tried.
+    /// [`Ros2Error::NoPeer`] if no subscription is found within `time_limit`; it says what was tried.
     pub async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         self.endpoint.wait_for_peer(time_limit).await
     }
@@ -61,13 +61,16 @@ impl Ros2Publisher {
     /// Publishes a message and returns its sequence number. The payload begins with the encapsulation header (`00 01 00
     /// 00`) and is sent without being copied.
     ///
-    /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is larger) or 1 MiB
-    /// are unacknowledged. Subscriptions receive `source_time` as the time of publishing.
+    /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is larger) are
+    /// unacknowledged, or more bytes than 1 MiB or half of the receive buffer, whichever is less. Subscriptions receive
+    /// `source_time` as the time of publishing.
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NotCdr`] if the payload lacks the header, [`Ros2Error::PublishTimeout`] if there is no room within
-    /// [`max_blocking_ms`](QosProfile::max_blocking_ms), [`Ros2Error::ShutDown`] after the node was shut down.
+    /// - [`Ros2Error::NotCdr`] if the payload does not begin with the header.
+    /// - [`Ros2Error::PublishTimeout`] if the limits are still exceeded after
+    ///   [`max_blocking_ms`](QosProfile::max_blocking_ms).
+    /// - [`Ros2Error::ShutDown`] after the node was shut down.
     pub async fn publish(&self, payload: Bytes, source_time: WallTime) -> Result<i64, Ros2Error> {
         let topic = || self.endpoint.topic.clone();
         let message =
@@ -91,11 +94,11 @@ impl Ros2Publisher {
         }
     }
 
-    /// Publishes a message as [`publish`](Self::publish) does, but never waits. Returns `None` if there is no room.
+    /// Publishes a message as [`publish`](Self::publish) does, but never waits. Returns `None` if it would wait.
     ///
     /// # Errors
     ///
-    /// Those of `publish`, except the time limit.
+    /// As for `publish`, without `PublishTimeout`.
     pub fn try_publish(&self, payload: Bytes, source_time: WallTime) -> Result<Option<i64>, Ros2Error> {
         let topic = || self.endpoint.topic.clone();
         if self.endpoint.node.closed.is_cancelled() {
@@ -113,8 +116,8 @@ impl Ros2Publisher {
         }
     }
 
-    /// Counts all messages so far as acknowledged, so that a slow subscription does not stop later messages. Messages
-    /// that it lacks are still kept for it.
+    /// Counts all messages so far as acknowledged, so that a slow subscription does not stop later messages. The
+    /// messages that it has not received are still kept for it.
     pub fn forget_unacknowledged(&self) {
         self.unacknowledged_bytes.store(0, Ordering::Relaxed);
     }
@@ -142,7 +145,7 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::Unacknowledged`] if they do not within `time_limit`.
+    /// [`Ros2Error::Unacknowledged`] if not all messages are acknowledged within `time_limit`.
     pub async fn wait_for_acknowledgment(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         let acknowledged = tokio::time::timeout(time_limit, self.writer.async_wait_for_acknowledgments());
         match self.endpoint.node.closed.run_until_cancelled(acknowledged).await {

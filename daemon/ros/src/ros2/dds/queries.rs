@@ -20,7 +20,7 @@ impl Ros2Node {
         let Some(entities) = &self.entities else { return Vec::new() };
         let topic = dds_topic(topic);
         let own = own_addresses().unwrap_or_else(|error| {
-            tracing::warn!(%error, "cannot list the addresses of this host; its publishers count as those of another host");
+            tracing::warn!(%error, "cannot list the addresses of this host; its publishers count as publishers of another host");
             Vec::new()
         });
         let found = entities.participant.discovered_writers().into_iter();

@@ -20,7 +20,7 @@ impl RawMessage {
     /// Length of the encapsulation header: two bytes for the representation, two for its options.
     pub(super) const HEADER_BYTES: usize = 4;
 
-    /// Wraps a payload; `None` if its header is not that of little-endian CDR.
+    /// Wraps a payload; `None` if it does not have the header of little-endian CDR.
     pub(super) fn from_payload(payload: Bytes) -> Option<Self> {
         payload.starts_with(&[0, 1, 0, 0]).then_some(Self(payload))
     }

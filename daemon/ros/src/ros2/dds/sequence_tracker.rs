@@ -11,13 +11,12 @@ pub(super) struct SequenceTracker {
 }
 
 impl SequenceTracker {
-    /// Largest number of publishers that are remembered. Each host on the network can create new ones.
+    /// Largest number of publishers that are remembered. Each host on the network can create new publishers.
     const MAX_WRITERS: usize = 1_024;
 
     /// Records a message. Returns how many messages are missing directly before it.
     ///
-    /// No message is missing before the first one of a publisher, because a volatile subscription does not get earlier
-    /// ones.
+    /// No message is missing before the first message of a publisher, because a volatile subscription does not get earlier messages.
     pub(super) fn record(&mut self, writer: EndpointId, sequence: i64, counts: &mut ReceiveCounts) -> u64 {
         let Some(highest) = self.highest.get_mut(&writer) else {
             if self.highest.len() >= Self::MAX_WRITERS {
@@ -27,7 +26,7 @@ impl SequenceTracker {
             return 0;
         };
         if sequence <= *highest {
-            // It was counted as lost when a later one arrived.
+            // It was counted as lost when a later message arrived.
             counts.late += 1;
             counts.lost = counts.lost.saturating_sub(1);
             return 0;

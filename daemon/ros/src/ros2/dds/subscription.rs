@@ -49,7 +49,7 @@ impl Ros2Subscription {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if there is none within `time_limit`, with what was tried.
+    /// [`Ros2Error::NoPeer`] if no publisher is found within `time_limit`; it says what was tried.
     pub async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         self.endpoint.wait_for_peer(time_limit).await
     }
@@ -57,7 +57,7 @@ impl Ros2Subscription {
     /// Waits for the next message. Its payload was copied once, out of the cache of `rustdds`.
     ///
     /// Cancel safe: dropping the future loses no message. Messages should be taken as they arrive, because `rustdds`
-    /// drops those of a publisher that leaves, and more than [`depth`](crate::ros2::QosProfile::depth) unread ones.
+    /// drops messages of a publisher that leaves, and unread messages beyond [`depth`](crate::ros2::QosProfile::depth).
     ///
     /// # Errors
     ///

@@ -7,12 +7,12 @@ use std::path::Path;
 
 use peernet_external::sha256;
 
-/// Largest data set whose contents are hashed, bytes. Hashing 256 MiB takes a second at most; a larger one would delay the run.
+/// Largest data set whose contents are hashed, bytes. Hashing 256 MiB takes a second at most; a larger data set would delay the run.
 const MAX_HASHED_BYTES: u64 = 256 << 20;
 
 /// Describes files with their names in the data set: number, bytes and hash.
 ///
-/// The hash is that of the list that `sha256sum` prints of the files, in the order of their names as bytes; of a data set
+/// The hash is computed over the list that `sha256sum` prints of the files, in the order of their names as bytes; of a data set
 /// of more than [`MAX_HASHED_BYTES`] bytes, of the list of sizes and names (`stat -c '%s  %n'`).
 pub(super) fn describe_files<'a>(files: impl Iterator<Item = (&'a OsStr, &'a Path)>) -> String {
     let mut files: Vec<_> = files.collect();
@@ -32,7 +32,7 @@ fn hash_files(files: &[(&OsStr, &Path)], largest: u64) -> io::Result<(u64, Strin
     let bytes = sizes.iter().sum();
     let (is_small, mut list) = (bytes <= largest, Vec::new());
     for ((name, file), size) in files.iter().zip(sizes) {
-        // No more than the size is read, so that a file that grows meanwhile does not delay the run.
+        // No more than the size is read, so that a file that grows at the same time does not delay the run.
         let hash_or_size = if is_small { sha256(File::open(file)?.take(size))? } else { size.to_string() };
         list.extend([hash_or_size.as_bytes(), b"  ", name.as_encoded_bytes(), b"\n"].concat());
     }
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn hash_equals_that_of_sha256sum() {
+    fn data_set_hash_equals_output_of_sha256sum() {
         let files = [("a b.jpg", "one"), ("c.png", "three")];
         // printf one > 'a b.jpg'; printf three > c.png; sha256sum * | sha256sum
         let expected_hash = "80a1a4de32989a8bc607fd2b8ec1b0b01bb8b8e6c1c719e5ddcda90111e72296";

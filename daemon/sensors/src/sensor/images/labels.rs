@@ -21,7 +21,7 @@ struct Row {
     label: String,
 }
 
-/// Reads the labels of `folder`, from the `given` file or from the one in the folder, and returns them with the path
+/// Reads the labels of `folder`, from the `given` file or from the file in the folder, and returns them with the path
 /// of that file. Returns `None` if no file is given and the folder has none. A row without a label is ignored.
 ///
 /// # Errors

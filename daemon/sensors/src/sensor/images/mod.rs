@@ -38,9 +38,9 @@ pub struct ImagesConfig {
     #[serde(default = "default_seed")]
     pub seed: u64,
     /// `true` to begin again after the last picture, if shuffled in a new order. Default: `true`.
-    #[serde(default = "yes")]
+    #[serde(default = "default_true")]
     pub repeat: bool,
-    /// File of labels, at any place: comma-separated, with the columns `file` (path below `path`) and `label`. It may
+    /// File of labels, in any folder: comma-separated, with the columns `file` (path below `path`) and `label`. It may
     /// list files that are not in the folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<PathBuf>,
@@ -57,14 +57,14 @@ pub enum Order {
     Shuffled,
 }
 
-const fn yes() -> bool {
+const fn default_true() -> bool {
     true
 }
 
 impl ImagesConfig {
     /// Returns the configuration of pictures with all defaults.
     fn new(path: PathBuf) -> Self {
-        Self { path, order: Order::default(), seed: default_seed(), repeat: yes(), labels: None }
+        Self { path, order: Order::default(), seed: default_seed(), repeat: default_true(), labels: None }
     }
 }
 

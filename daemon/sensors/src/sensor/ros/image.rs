@@ -29,7 +29,7 @@ pub(super) struct Rows {
     pub(super) height: u32,
     /// Number of bytes of a row without padding.
     pub(super) row_bytes: u64,
-    /// Number of bytes from the start of a row to the start of the next one.
+    /// Number of bytes from the start of a row to the start of the next row.
     pub(super) step: u32,
 }
 

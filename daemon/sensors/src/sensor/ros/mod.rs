@@ -21,12 +21,12 @@ use super::{DROPPED_SAMPLES, SensorKind};
 use crate::{Sensor, SensorError};
 
 /// Transit from `header.stamp` of the message to its arrival at this host, with both stamps. It has no clock
-/// relation, because ROS does not tell whose clock a stamp is of.
+/// relation, because ROS does not say which clock made a stamp.
 const CAPTURE_DELAY: Name = Name::from_static("capture-delay");
 
 /// Configuration of the sensor: `{ kind = "ros", … }`. Each sample is a message of the topic.
 ///
-/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as for every ROS node.
+/// Environment variables select the master of ROS 1 and the domain of ROS 2, as for every ROS node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RosSensorConfig {
@@ -35,7 +35,7 @@ pub struct RosSensorConfig {
     /// Type of the messages. ROS 2 needs it; without it ROS 1 accepts the published type.
     #[serde(default, rename = "type", skip_serializing_if = "Option::is_none")]
     pub message_type: Option<MessageType>,
-    /// ROS version, 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
+    /// ROS version, 1 or 2. Default: the value of `ROS_VERSION`, else the version of `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
     /// Largest number of messages that wait while the pipeline is busy, 1 to 8192. If more arrive, the oldest is
@@ -141,33 +141,33 @@ impl Ros {
         read
     }
 
-    /// Records capture time and arrival, and the delay between them if both stamps are of one clock.
-    fn record_stamp(&self, stamp: WallTime, received: WallTime, log: &mut Recorder) {
+    /// Records capture time and arrival, and the delay between them if one clock made both stamps.
+    fn record_stamp(&self, stamp: WallTime, received: WallTime, recorder: &mut Recorder) {
         let raw = received - stamp;
         let delay = match self.config.stamp_clock {
             StampClock::Host => OneWayDelay::same_clock(raw),
             StampClock::Unknown => OneWayDelay::unsynchronised(raw),
         };
-        let sent = Stamp { wall: stamp, mono: log.clock().mono(), ..Stamp::default() };
-        let node = log.start_transit(CAPTURE_DELAY, sent);
-        log.end_transit(node, received);
-        if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(node) {
+        let sent = Stamp { wall: stamp, mono: recorder.clock().mono(), ..Stamp::default() };
+        let node = recorder.start_transit(CAPTURE_DELAY, sent);
+        recorder.end_transit(node, received);
+        if let Some(Measure::Transit(transit)) = recorder.tree_mut().measure_mut(node) {
             transit.delay = Some(delay);
         }
     }
 }
 
 impl Sensor for Ros {
-    fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+    fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let message = self.read()?;
-        log.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
+        recorder.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),
             of: message.type_name.to_string(),
             reason: error.to_string(),
         })?;
         if let Some(stamp) = payload.stamp {
-            self.record_stamp(stamp, message.received, log);
+            self.record_stamp(stamp, message.received, recorder);
         }
         Ok(Some(Sample { parts: payload.parts, source: self.config.topic.clone(), label: None }))
     }

@@ -14,7 +14,8 @@ use super::image::{self, PictureError};
 #[derive(Debug)]
 pub(super) struct Payload {
     pub(super) parts: Vec<Part>,
-    /// The stamp `header.stamp`; `None` if the type has no header or the publisher set no time.
+    /// The stamp `header.stamp`. `None` if the type is not decoded here, the type has no header, or the publisher set no
+    /// time.
     pub(super) stamp: Option<WallTime>,
 }
 
@@ -31,27 +32,30 @@ impl Payload {
     /// Reads a message by the type that its publisher names. A message of an unknown type becomes its serialised
     /// bytes.
     pub(super) fn decode(message: &TopicMessage) -> Result<Self, PayloadError> {
-        let of = &*message.type_name;
-        if of == Image::DEFINITION.name {
+        let type_name = &*message.type_name;
+        if type_name == Image::DEFINITION.name {
             let image: Image = read(message)?;
             let stamp = stamp(image.header.stamp);
             return Ok(Self { parts: vec![image::part(image)?], stamp });
         }
-        if of == CompressedImage::DEFINITION.name {
+        if type_name == CompressedImage::DEFINITION.name {
             let image: CompressedImage = read(message)?;
-            let part = Part { description: Description::unshaped(file(&image.format)), bytes: image.data };
+            let part = Part {
+                description: Description::unshaped(media_type_of_format(&image.format)),
+                bytes: image.data,
+            };
             return Ok(Self { parts: vec![part], stamp: stamp(image.header.stamp) });
         }
-        if of == PointCloud2::DEFINITION.name {
+        if type_name == PointCloud2::DEFINITION.name {
             let cloud: PointCloud2 = read(message)?;
             let stamp = stamp(cloud.header.stamp);
             return Ok(Self { parts: point_cloud_parts(&cloud)?, stamp });
         }
-        if of == Imu::DEFINITION.name {
+        if type_name == Imu::DEFINITION.name {
             let imu: Imu = read(message)?;
             return Ok(Self { parts: vec![imu_part(&imu)], stamp: stamp(imu.header.stamp) });
         }
-        if of == StringMessage::DEFINITION.name {
+        if type_name == StringMessage::DEFINITION.name {
             let text: StringMessage = read(message)?;
             let description = Description::unshaped(MediaType::Text);
             return Ok(Self { parts: vec![Part { description, bytes: text.data.into() }], stamp: None });
@@ -72,7 +76,7 @@ fn stamp(time: Time) -> Option<WallTime> {
 
 /// Returns the media type for `format`, which is `jpeg` or `png`, or the text that image_transport writes:
 /// `rgb8; jpeg compressed bgr8`.
-fn file(format: &str) -> MediaType {
+fn media_type_of_format(format: &str) -> MediaType {
     let format = format.to_ascii_lowercase();
     if format.contains("jpeg") || format.contains("jpg") {
         MediaType::Jpeg
@@ -103,8 +107,8 @@ fn point_cloud_parts(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
 
 fn field(field: &PointField) -> serde_json::Value {
     const TYPES: [&str; 8] = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"];
-    let of = usize::from(field.datatype).checked_sub(1).and_then(|at| TYPES.get(at)).copied();
-    json!({ "name": field.name, "offset": field.offset, "type": of, "count": field.count })
+    let type_name = usize::from(field.datatype).checked_sub(1).and_then(|at| TYPES.get(at)).copied();
+    json!({ "name": field.name, "offset": field.offset, "type": type_name, "count": field.count })
 }
 
 /// Returns all 37 numbers in the order of the message: orientation (x, y, z, w) and its covariance, angular velocity
@@ -145,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn each_type_becomes_parts_in_both_wire_forms() {
+    fn image_text_and_imu_are_decoded_in_both_wire_forms() {
         for form in [WireForm::Ros1, WireForm::Cdr] {
             let file = CompressedImage {
                 header: header(),

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use crate::transport::Arrival;
 use crate::transport::memory::Reservation;
 
-/// Number of queued arrivals from which on losses and invalid data are dropped. It is reached if the layer above does not
+/// If this number of arrivals is queued, further losses and invalid data are dropped. It is reached if the layer above does not
 /// receive the arrivals.
 const MAX_ARRIVALS: usize = 1_024;
 

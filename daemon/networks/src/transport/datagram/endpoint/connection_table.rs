@@ -1,4 +1,4 @@
-//! The connections of a port, by number and by opener, and the decision which one makes room for another.
+//! The connections of a port, by number and by opener, and the choice of the connection that is closed for a new one.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -10,7 +10,7 @@ use crate::transport::AddressGroup;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Capacity {
     Free,
-    /// One more may be opened after this connection, which has no session, is closed.
+    /// A further connection may be opened after this connection, which has no session, is closed.
     FreeAfterClosing(u64),
     Full,
 }

@@ -43,7 +43,7 @@ impl ReassemblyBudgets {
     }
 
     /// Returns the limits and the budget of a connection without a session.
-    pub(super) fn unadmitted(&self) -> (ReassemblyLimits, Arc<MemoryBudget>) {
+    pub(super) fn unadmitted_limits(&self) -> (ReassemblyLimits, Arc<MemoryBudget>) {
         let limits = ReassemblyLimits {
             max_message_bytes: MAX_UNADMITTED_BYTES.min(self.limits.max_message_bytes),
             max_unfinished_messages: MAX_UNADMITTED_MESSAGES,

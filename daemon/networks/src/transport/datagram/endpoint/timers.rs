@@ -13,7 +13,7 @@ pub(crate) struct Timers {
 }
 
 impl Timers {
-    /// Sets the time of a connection unless it has an earlier one. A timer call that is too early has no effect.
+    /// Sets the time of a connection unless it has an earlier time. A timer call that is too early has no effect.
     pub(crate) fn schedule(&mut self, connection: u64, at: MonoTime) {
         match self.by_connection.get(&connection) {
             Some(earlier) if *earlier <= at => {}

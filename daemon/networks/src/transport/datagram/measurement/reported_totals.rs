@@ -8,7 +8,7 @@ const MAX_COPIES: u64 = 16;
 
 /// Totals of this end's datagrams, as the other end reports them.
 ///
-/// No total decreases, and each is at most the lower one of two successive reports. A total that was altered or forged
+/// No total decreases, and each is at most the lower of two successive reports. A total that was altered or forged
 /// in one packet is therefore not kept.
 #[derive(Debug, Default)]
 pub(super) struct ReportedTotals {
@@ -50,7 +50,7 @@ mod tests {
     }
 
     #[test]
-    fn totals_follow_what_is_reported_twice() {
+    fn totals_are_lower_of_two_reports_and_never_fall() {
         let mut reported = ReportedTotals::default();
         assert_eq!(reported.receive(totals(1, 2, 3), 10), Ok(()));
         assert_eq!(reported.totals(), None);

@@ -7,10 +7,10 @@ use peernet_clock::{MonoTime, Span};
 use crate::statistics::TransportRoundTrip;
 
 /// Length of a period of the minimum.
-// The reported minimum is that of the current and the previous period, because a path may change.
+// The reported minimum covers the current and the previous period, because a path may change.
 const MINIMUM_PERIOD: Span = Span::from_seconds(150);
 
-/// Largest number of unanswered heartbeats that are stored: those of a second at the highest rate.
+/// Largest number of unanswered heartbeats that are stored: as many as are sent per second at the highest rate.
 const MAX_UNANSWERED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).

@@ -42,7 +42,7 @@ impl<'a> Reader<'a> {
         Ok(Heartbeat { time, next, settled, number, arrivals })
     }
 
-    fn rest(&mut self) -> &'a [u8] {
+    fn read_rest(&mut self) -> &'a [u8] {
         std::mem::take(&mut self.0)
     }
 
@@ -141,7 +141,7 @@ fn fragment<'a>(reader: &mut Reader<'a>) -> Result<Fragment<'a>, InvalidPacket> 
     let (sequence, tag) = (reader.u64()?, reader.u64()?);
     let (offset, total, checksum) = (reader.u32()?, reader.u32()?, reader.u32()?);
     let (stride, lifetime_ms) = (reader.u16()?, reader.u16()?);
-    let bytes = reader.rest();
+    let bytes = reader.read_rest();
     let is_aligned = stride > 0 && offset % u32::from(stride) == 0;
     // The highest number is refused, because there is no number after it.
     if !is_aligned || offset >= total || sequence == u64::MAX {

@@ -61,7 +61,7 @@ impl OutstandingMessages {
         self.messages.get_mut(at)
     }
 
-    /// Removes the messages below a number. Returns those that arrived.
+    /// Removes the messages below a number. Returns the messages that arrived.
     pub(super) fn settle(&mut self, below: u64) -> impl Iterator<Item = OutstandingMessage> + '_ {
         let count = below.saturating_sub(self.first).min(self.messages.len() as u64);
         self.first += count;

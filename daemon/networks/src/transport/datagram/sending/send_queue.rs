@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_follow_what_is_queued_taken_and_expired() {
+    fn queued_bytes_change_with_queued_taken_and_expired_messages() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut queue = SendQueue::new(QueueLimits { messages: 3, bytes: 1_000 });
         assert!(queue.accepts(5_000), "a single message is always taken");

@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, Span};
 /// Time without progress of the other end after which all sent bytes are treated as arrived or lost.
 pub(super) const FLIGHT_TIMEOUT: Span = Span::from_millis(200);
 
-/// Counts the bytes of datagrams that were sent, and of those that have arrived according to the other end's reports.
+/// Counts the bytes of datagrams that were sent, and of datagrams that have arrived according to the other end's reports.
 #[derive(Debug)]
 pub(super) struct BytesInFlight {
     sent: u64,
@@ -63,7 +63,7 @@ impl BytesInFlight {
         self.datagrams.push_back(DatagramInFlight { end, sent: self.sent });
     }
 
-    /// Handles a report of progress. Returns the number of bytes that arrived since the last one.
+    /// Handles a report of progress. Returns the number of bytes that arrived since the last report.
     pub(super) fn record_progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let before = self.arrived;
         // Reports are cumulative: progress up to `end` includes all datagrams sent before.

@@ -63,7 +63,7 @@ impl ConnectionTable {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds the connection that an edge asks for, if it may have one. `abort` ends it.
+    /// Adds the connection that an edge requests, if the limits allow it. `abort` ends it.
     pub(super) fn open(
         &self,
         hello: &SessionHello,
@@ -136,7 +136,7 @@ impl ConnectionTable {
         self.table().connections.values().find(|connection| connection.id == id).cloned()
     }
 
-    /// Removes a connection that has ended, unless another one has its topics already.
+    /// Removes a connection that has ended, unless another connection has its topics already.
     pub(super) fn remove(&self, pipeline: &str, connection: &Arc<CloudConnection>) {
         let mut table = self.table();
         if table.connections.get(pipeline).is_some_and(|current| Arc::ptr_eq(current, connection)) {
@@ -201,7 +201,7 @@ impl CloudConnection {
         self.abort.clone()
     }
 
-    /// Closes the topics, because the pipeline's next connection publishes the same ones.
+    /// Closes the topics, because the pipeline's next connection publishes the same topics.
     pub(super) fn end(&self) {
         self.lock_channel().take();
         self.ended.cancel();

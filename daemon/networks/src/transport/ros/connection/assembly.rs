@@ -10,9 +10,9 @@ use super::ConnectionLimits;
 use super::events::{Event, EventQueue};
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
+use crate::transport::ros::fragments::FrameFragments;
 use crate::transport::ros::frames;
-use crate::transport::ros::pairing::{Half, Pairing, request_number};
-use crate::transport::ros::parts::PartialFrames;
+use crate::transport::ros::pairing::{MessageHalf, Pairing, request_number};
 
 /// Messages that have arrived in part. Their memory is reserved, and each waits for a limited time.
 #[derive(Debug)]
@@ -21,12 +21,12 @@ pub(super) struct MessageAssembly {
     max_message_bytes: u64,
     /// `true` if a payload may arrive although its companion had all frames.
     may_get_payload_twice: bool,
-    /// Time limit for the next part of a message.
-    part_timeout: Span,
+    /// Time limit for the next fragment of a message.
+    fragment_timeout: Span,
     budget: Arc<MemoryBudget>,
     pairing: Pairing,
-    /// First bytes of a message whose companion has not arrived.
-    parts: Option<PartialFrames>,
+    /// Fragments of a message whose last companion has not arrived.
+    fragments: Option<FrameFragments>,
     /// Stamp of the last companion with all frames of its message.
     last_whole_stamp: i64,
     /// Messages about the session itself that wait for earlier payloads which they overtook.
@@ -38,10 +38,10 @@ impl MessageAssembly {
         Self {
             max_message_bytes: limits.max_message_bytes,
             may_get_payload_twice: limits.confirms_payloads,
-            part_timeout: limits.pairing_timeout,
+            fragment_timeout: limits.pairing_timeout,
             budget,
             pairing: Pairing::new(limits.max_incomplete, limits.pairing_timeout),
-            parts: None,
+            fragments: None,
             last_whole_stamp: i64::MIN,
             overtaking_messages: Vec::new(),
         }
@@ -52,18 +52,19 @@ impl MessageAssembly {
         self.budget = budget;
     }
 
-    /// Handles the first bytes of a message.
-    pub(super) fn receive_part(&mut self, part: &MessageInfo, now: MonoTime) {
-        let parts = self.parts.take();
-        self.parts = PartialFrames::with_part(parts, (part, now), &self.budget, self.max_message_bytes);
+    /// Handles a fragment of a message.
+    pub(super) fn receive_fragment(&mut self, fragment: &MessageInfo, now: MonoTime) {
+        let earlier = self.fragments.take();
+        self.fragments =
+            FrameFragments::with_fragment(earlier, (fragment, now), &self.budget, self.max_message_bytes);
     }
 
     /// Handles the companion of a message.
     pub(super) fn receive_data(&mut self, mut info: MessageInfo, now: MonoTime, events: &mut EventQueue) {
-        // Parts of another message are dropped, because that message was given up. The memory of the whole message is
+        // Fragments of another message are dropped, because that message was given up. The memory of the whole message is
         // reserved below.
-        if let Some(parts) = self.parts.take().filter(|parts| parts.belong_to(&info)) {
-            info.frames = parts.join(&info.frames);
+        if let Some(fragments) = self.fragments.take().filter(|fragments| fragments.belong_to(&info)) {
+            info.frames = fragments.join(&info.frames);
         }
         if let Err(problem) = frames::check_lengths(&info, self.max_message_bytes) {
             events.push(Event::InvalidData(problem.to_string()));
@@ -75,10 +76,10 @@ impl MessageAssembly {
         };
         let stamp = info.header.stamp.as_nanos();
         if info.has_payload {
-            self.receive_half(stamp, Half::Info(Box::new(info)), reserved, now, events);
+            self.receive_half(stamp, MessageHalf::Info(Box::new(info)), reserved, now, events);
             return;
         }
-        // The payload may arrive as well, until the other end knows that payloads do.
+        // Until the other end knows that payloads arrive on their topic, it sends each payload there and in the companion.
         self.last_whole_stamp = stamp.max(self.last_whole_stamp);
         self.pairing.drop_payload(stamp);
         let mut lost = Vec::new();
@@ -116,13 +117,13 @@ impl MessageAssembly {
         // If memory is short, the companion reports the loss, because it has the number of the request and is still to
         // come.
         let Some(reserved) = self.reserve(payload.len()) else { return };
-        self.receive_half(stamp, Half::Payload(payload), reserved, now, events);
+        self.receive_half(stamp, MessageHalf::Payload(payload), reserved, now, events);
     }
 
     fn receive_half(
         &mut self,
         stamp: i64,
-        half: Half,
+        half: MessageHalf,
         reserved: Reservation,
         now: MonoTime,
         events: &mut EventQueue,
@@ -139,9 +140,9 @@ impl MessageAssembly {
     pub(super) fn expire(&mut self, now: MonoTime, events: &mut EventQueue) {
         let mut lost = Vec::new();
         self.pairing.expire(now, &mut lost);
-        // The companion of expired parts was lost. The gap in the numbers of companions counts it already.
-        let timeout = self.part_timeout;
-        self.parts = self.parts.take().filter(|parts| !parts.is_overdue(now, timeout));
+        // The last companion of expired fragments was lost. The gap in the numbers of companions counts it already.
+        let timeout = self.fragment_timeout;
+        self.fragments = self.fragments.take().filter(|fragments| !fragments.is_overdue(now, timeout));
         events.push_incomplete(lost);
     }
 
@@ -157,7 +158,7 @@ impl MessageAssembly {
         true
     }
 
-    /// Returns the time at which the next half of a message has waited too long.
+    /// Returns the time at which the next companion or payload has waited too long for its partner.
     pub(super) fn next_timer(&self) -> Option<MonoTime> {
         self.pairing.next_timer()
     }

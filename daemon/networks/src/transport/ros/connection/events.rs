@@ -38,7 +38,7 @@ impl EventQueue {
         self.events.push_back(event);
     }
 
-    /// Adds messages of the peer that did not arrive as a whole. The peer is notified of those that belong to a
+    /// Adds messages of the peer that did not arrive as a whole. The peer is notified of messages that belong to a
     /// request.
     pub(super) fn push_incomplete(&mut self, losses: Vec<MessageLoss>) {
         for loss in losses {

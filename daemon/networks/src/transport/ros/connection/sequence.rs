@@ -36,8 +36,8 @@ impl OutgoingSequence {
         MessageInfo { header, kind, sequence, request: MessageInfo::NO_REQUEST, ..MessageInfo::default() }
     }
 
-    /// Returns a companion for the first bytes of a message, and gives the message the next number.
-    pub(super) fn new_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
+    /// Returns a companion for a fragment of a message, and gives the message the next number.
+    pub(super) fn new_fragment(&mut self, message: &mut MessageInfo) -> MessageInfo {
         let sequence = std::mem::replace(&mut message.sequence, self.next_number());
         MessageInfo {
             header: message.header.clone(),
@@ -64,8 +64,8 @@ pub(super) struct IncomingSequence {
 }
 
 impl IncomingSequence {
-    /// Counts the companions that are missing before the one that arrived. A number that is lower than expected counts
-    /// none.
+    /// Counts the companions that are missing before the companion that arrived. If its number is lower than expected,
+    /// counts none.
     pub(super) fn receive(&mut self, number: u64) {
         let next_expected = self.next_expected.unwrap_or(number);
         self.missing += number.saturating_sub(next_expected);
@@ -92,13 +92,14 @@ mod tests {
     }
 
     #[test]
-    fn parts_are_numbered_before_their_message() {
+    fn fragments_are_numbered_before_their_message() {
         let mut sequence = OutgoingSequence::new("ab".into());
         let mut message = MessageInfo { request: 7, ..sequence.new_companion(MessageInfo::DATA, 5) };
-        let parts = [sequence.new_part(&mut message), sequence.new_part(&mut message)];
-        assert_eq!((parts[0].sequence, parts[1].sequence, message.sequence), (0, 1, 2));
-        let is_of_message = |part: &MessageInfo| part.header == message.header && part.request == 7;
-        assert!(parts.iter().all(is_of_message));
+        let fragments = [sequence.new_fragment(&mut message), sequence.new_fragment(&mut message)];
+        assert_eq!((fragments[0].sequence, fragments[1].sequence, message.sequence), (0, 1, 2));
+        let is_of_message =
+            |fragment: &MessageInfo| fragment.header == message.header && fragment.request == 7;
+        assert!(fragments.iter().all(is_of_message));
         assert_eq!(sequence.new_companion(MessageInfo::HEARTBEAT, 5).sequence, 3);
     }
 

@@ -144,16 +144,18 @@ fn payload_that_travels_twice_is_taken_once_and_confirmed() {
 }
 
 #[test]
-fn parts_are_assembled_and_unfinished_messages_dropped() {
+fn fragments_are_assembled_and_unfinished_messages_dropped() {
     let (mut near, mut far) = (end(), end());
     for is_whole in [false, true] {
         let (mut info, payload) = message(&mut near, 7, 10);
         let stamp = info.header.stamp.as_nanos();
-        let pieces = crate::transport::ros::parts::split_frames(&mut info.frames, 4);
-        let parts: Vec<MessageInfo> =
-            pieces.into_iter().map(|frames| MessageInfo { frames, ..near.new_part(&mut info) }).collect();
-        assert_eq!(parts.len(), 2);
-        parts.into_iter().for_each(|part| far.receive_info(part, at(0)));
+        let fragments = crate::transport::ros::fragments::split_into_fragments(&mut info.frames, 4);
+        let companions: Vec<MessageInfo> = fragments
+            .into_iter()
+            .map(|frames| MessageInfo { frames, ..near.new_fragment(&mut info) })
+            .collect();
+        assert_eq!(companions.len(), 2);
+        companions.into_iter().for_each(|companion| far.receive_info(companion, at(0)));
         if is_whole {
             far.receive_info(info, at(0));
             far.receive_payload(stamp, payload, at(0));

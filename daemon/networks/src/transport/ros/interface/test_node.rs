@@ -15,12 +15,12 @@ use super::{EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubsc
 /// Largest payload that fits into the node's sockets. Bytes.
 pub(in crate::transport::ros) const RECEIVE_BUFFER_BYTES: usize = 10;
 
-/// A node without topics, which counts the messages of its publishers.
+/// A node that is also its only publisher. It counts the published messages and sends none.
 #[derive(Clone, Debug, Default)]
 pub(in crate::transport::ros) struct TestNode {
     published: Arc<AtomicUsize>,
-    /// Names of other nodes.
-    names: BTreeMap<String, String>,
+    /// Readable names of other nodes, by identifier.
+    readable_names: BTreeMap<String, String>,
 }
 
 impl TestNode {
@@ -29,9 +29,9 @@ impl TestNode {
         self.published.load(Ordering::Relaxed)
     }
 
-    /// Sets the name of another node.
-    pub(in crate::transport::ros) fn set_name(&mut self, node: &str, name: &str) {
-        self.names.insert(node.to_owned(), name.to_owned());
+    /// Sets the readable name of another node.
+    pub(in crate::transport::ros) fn set_readable_name(&mut self, node_id: &str, name: &str) {
+        self.readable_names.insert(node_id.to_owned(), name.to_owned());
     }
 }
 
@@ -41,7 +41,7 @@ impl SessionPublisher for TestNode {
     }
 
     fn publish(&self, _message: EncodedMessage) -> Result<(), NodeFailure> {
-        Err(NodeFailure("payloads are for one node".to_owned()))
+        Err(NodeFailure("payloads must be published with publish_to".to_owned()))
     }
 
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
@@ -64,7 +64,7 @@ impl SessionNode for TestNode {
     }
 
     fn names(&self, node: &str) -> Vec<String> {
-        self.names.get(node).cloned().into_iter().collect()
+        self.readable_names.get(node).cloned().into_iter().collect()
     }
 
     fn describe(&self, node: &str) -> String {

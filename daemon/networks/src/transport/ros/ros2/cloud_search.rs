@@ -33,7 +33,7 @@ pub(super) async fn find_cloud(
     let found = wait_for_discovery(&node, time_limit, || clouds().len() == 1).await;
     if found.is_err() && clouds().is_empty() {
         return Err(NodeFailure(format!(
-            "{} has no cloud with the name {}: nobody subscribes to {sessions} within {} s; {}",
+            "{} has no cloud with the name {}: no node subscribes to {sessions} within {} s; {}",
             node.describe_domain(),
             topics.cloud,
             time_limit.as_secs_f64(),
@@ -47,7 +47,7 @@ pub(super) async fn find_cloud(
     match clouds.first() {
         Some(cloud) if clouds.len() == 1 => Ok(cloud.to_string().into()),
         _ => Err(NodeFailure(format!(
-            "{} clouds serve the name {} in {}; stop all but one, or give each a name of its own",
+            "{} clouds serve the name {} in {}; stop all but one, or give each a different name",
             clouds.len(),
             topics.cloud,
             node.describe_domain(),
@@ -90,7 +90,7 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
 pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> Result<(), NodeFailure> {
     let node = participant.node()?;
     let sessions = sessions_topic(cloud);
-    // Waits for the whole time even if a cloud is visible, because that one may just be ending.
+    // Waits for the whole time even if a cloud is visible, because that cloud may just be ending.
     sleep(OTHER_CLOUD_SEARCH_TIME).await;
     match visible_clouds(&node, &sessions).is_empty() {
         true => Ok(()),

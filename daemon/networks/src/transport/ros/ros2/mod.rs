@@ -11,7 +11,7 @@
 //!   10 MB and more do not arrive within 5 s. Each end therefore states the size of its socket buffers in hello and
 //!   welcome. A larger payload is sent as companions of 64 KiB ([`PART`](peernet_ros::messages::MessageInfo::PART)), of
 //!   which at most 1 MiB is unacknowledged. Other programs do not see it as a picture, but it arrives as fast. Otherwise
-//!   the slow retransmission of one large message would delay all later ones.
+//!   the slow retransmission of one large message would delay all later messages.
 //! - An end that closes a connection waits for the other end's goodbye before it leaves, because `rustdds` drops unread
 //!   messages of a publisher that has left.
 

@@ -4,7 +4,7 @@
 //! number of unacknowledged bytes is therefore limited. Further messages wait in a queue for a task.
 //!
 //! A reliable subscription that does not keep up must not stop the others. `rustdds` stores up to 1,024 messages that
-//! such a subscription has not acknowledged, and then refuses further ones. If other programs subscribe as well, the task
+//! such a subscription has not acknowledged, and then refuses further messages. If other programs subscribe as well, the task
 //! waits at most 50 ms for acknowledgments. The topic ends if a message waits for 5 s, or if 256 MiB are unacknowledged;
 //! the edge then opens another session. Messages that only a viewer misses do not matter to the session. A viewer with
 //! *keep last*, the default in ROS 2, acknowledges what arrives, whether or not its program reads it.
@@ -29,7 +29,7 @@ use crate::transport::ros::interface::{NodeFailure, SessionPublisher};
 /// Time limit for acknowledgments while other programs, which may be slow, subscribe as well.
 const SHARED_TOPIC_TIMEOUT: Duration = Duration::from_millis(50);
 
-/// Longest time for which a message may wait because earlier ones are not acknowledged.
+/// Longest time for which a message may wait because earlier messages are not acknowledged.
 const MAX_UNACKNOWLEDGED_TIME: Duration = Duration::from_secs(5);
 
 /// Largest number of bytes that are stored for subscriptions that do not acknowledge them.

@@ -18,7 +18,7 @@ pub(super) fn describe(node: &Ros2Node, participant: &str) -> String {
     }
 }
 
-/// Returns the name and the addresses of a participant. Its host is the one that it announces; the ports are
+/// Returns the name and the addresses of a participant. Its host is the host that it announces; the ports are
 /// meaningless.
 pub(super) fn remote_node(node: &Ros2Node, id: ParticipantId) -> RemoteNode {
     let loopback = IpAddr::V4(Ipv4Addr::LOCALHOST);

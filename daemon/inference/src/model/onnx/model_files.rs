@@ -35,7 +35,7 @@ enum Message {
 
 impl Message {
     /// Returns the message in a field, if it leads to a tensor.
-    fn field(self, number: u64) -> Option<Self> {
+    fn in_field(self, number: u64) -> Option<Self> {
         Some(match (self, number) {
             (Self::Model, 7) | (Self::Attribute, 6 | 11) => Self::Graph,
             (Self::Model, 25) => Self::Function,
@@ -51,7 +51,7 @@ impl Message {
 
 /// Reason that a file is not a usable model.
 #[derive(Debug, thiserror::Error)]
-enum NetworkError {
+enum ModelFileError {
     #[error(transparent)]
     Io(#[from] io::Error),
     #[error("it is not an ONNX model, or incomplete: {0}")]
@@ -62,11 +62,11 @@ enum NetworkError {
     Outside(String),
 }
 
-/// Returns the files in a model's folder that contain the network: `model.onnx`, then the files of its weights in the order of their names.
+/// Returns the ONNX files in a model's folder: `model.onnx`, then the files of its weights in the order of their names.
 ///
 /// # Errors
 /// If `model.onnx` is missing or not an ONNX model, or names a file outside the folder.
-pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>, LoadError> {
+pub(crate) fn model_files(folder: &Path) -> Result<Vec<PathBuf>, LoadError> {
     let file = folder.join(MODEL);
     match data_files(&file) {
         Ok(names) => Ok([file].into_iter().chain(names.iter().map(|name| folder.join(name))).collect()),
@@ -74,39 +74,39 @@ pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>, LoadError> {
     }
 }
 
-fn data_files(file: &Path) -> Result<BTreeSet<PathBuf>, NetworkError> {
+fn data_files(file: &Path) -> Result<BTreeSet<PathBuf>, ModelFileError> {
     let file = regular_file::open(file)?;
     let length = file.metadata()?.len();
-    let mut walk = Walk { file: BufReader::new(file), at: 0, graphs: 0, names: BTreeSet::new() };
-    walk.message(Message::Model, length, 0)?;
-    if walk.graphs == 0 {
-        return Err(NetworkError::Form("it contains no graph"));
+    let mut reader = ModelReader { file: BufReader::new(file), at: 0, graphs: 0, names: BTreeSet::new() };
+    reader.read_message(Message::Model, length, 0)?;
+    if reader.graphs == 0 {
+        return Err(ModelFileError::Form("it contains no graph"));
     }
-    Ok(walk.names)
+    Ok(reader.names)
 }
 
-/// Position in the file, and what was found before it.
-struct Walk {
+/// Reader of `model.onnx`, with the number of graphs and the names of data files that it has found so far.
+struct ModelReader {
     file: BufReader<File>,
     at: u64,
     graphs: u64,
     names: BTreeSet<PathBuf>,
 }
 
-impl Walk {
+impl ModelReader {
     /// Reads the fields of a message that ends at `end`.
-    fn message(&mut self, message: Message, end: u64, depth: u32) -> Result<(), NetworkError> {
+    fn read_message(&mut self, message: Message, end: u64, depth: u32) -> Result<(), ModelFileError> {
         if depth > MAX_DEPTH {
-            return Err(NetworkError::Form("messages are nested too deeply"));
+            return Err(ModelFileError::Form("messages are nested too deeply"));
         }
         self.graphs += u64::from(message == Message::Graph);
         if message == Message::Entry {
-            return self.entry(end);
+            return self.read_entry(end);
         }
         while self.at < end {
-            let (number, field_end) = self.field(end)?;
-            match message.field(number) {
-                Some(inner) => self.message(inner, field_end, depth + 1)?,
+            let (number, field_end) = self.read_field(end)?;
+            match message.in_field(number) {
+                Some(inner) => self.read_message(inner, field_end, depth + 1)?,
                 None => self.skip_to(field_end)?,
             }
         }
@@ -114,13 +114,13 @@ impl Walk {
     }
 
     /// Reads an entry of `external_data`; keeps the value of the key `location`.
-    fn entry(&mut self, end: u64) -> Result<(), NetworkError> {
+    fn read_entry(&mut self, end: u64) -> Result<(), ModelFileError> {
         let (mut key, mut value) = (String::new(), String::new());
         while self.at < end {
-            let (number, field_end) = self.field(end)?;
+            let (number, field_end) = self.read_field(end)?;
             match number {
-                1 => key = self.text(field_end)?,
-                2 => value = self.text(field_end)?,
+                1 => key = self.read_text(field_end)?,
+                2 => value = self.read_text(field_end)?,
                 _ => self.skip_to(field_end)?,
             }
         }
@@ -131,41 +131,41 @@ impl Walk {
         let is_inside =
             !value.is_empty() && path.components().all(|part| matches!(part, Component::Normal(_)));
         if !is_inside {
-            return Err(NetworkError::Outside(value));
+            return Err(ModelFileError::Outside(value));
         }
         self.names.insert(path);
         Ok(())
     }
 
-    /// Reads the tag of a field, and the length where it has one. Returns the number of the field and the position of its end.
-    fn field(&mut self, end: u64) -> Result<(u64, u64), NetworkError> {
-        let tag = self.varint()?;
+    /// Reads the tag of a field, and its length if it has one. Returns the number of the field and the position of its end.
+    fn read_field(&mut self, end: u64) -> Result<(u64, u64), ModelFileError> {
+        let tag = self.read_varint()?;
         let field_end = match tag & 7 {
             0 => {
-                self.varint()?;
+                self.read_varint()?;
                 Some(self.at)
             }
             1 => self.at.checked_add(8),
             2 => {
-                let length = self.varint()?;
+                let length = self.read_varint()?;
                 self.at.checked_add(length)
             }
             5 => self.at.checked_add(4),
-            _ => return Err(NetworkError::Form("it has a field of an unknown type")),
+            _ => return Err(ModelFileError::Form("it has a field of an unknown type")),
         };
         match field_end {
             Some(field_end) if field_end <= end && self.at <= end => Ok((tag >> 3, field_end)),
-            _ => Err(NetworkError::Form("a field is longer than its message")),
+            _ => Err(ModelFileError::Form("a field is longer than its message")),
         }
     }
 
-    fn varint(&mut self) -> Result<u64, NetworkError> {
+    fn read_varint(&mut self) -> Result<u64, ModelFileError> {
         let mut number = 0_u64;
         for shift in (0..64).step_by(7) {
             let mut byte = [0];
             self.file.read_exact(&mut byte).map_err(|error| match error.kind() {
-                io::ErrorKind::UnexpectedEof => NetworkError::Form("it ends within a field"),
-                _ => NetworkError::Io(error),
+                io::ErrorKind::UnexpectedEof => ModelFileError::Form("it ends within a field"),
+                _ => ModelFileError::Io(error),
             })?;
             self.at += 1;
             number |= u64::from(byte[0] & 0x7f) << shift;
@@ -173,23 +173,23 @@ impl Walk {
                 return Ok(number);
             }
         }
-        Err(NetworkError::Form("it has a number of more than 64 bits"))
+        Err(ModelFileError::Form("it has a number of more than 64 bits"))
     }
 
-    fn text(&mut self, end: u64) -> Result<String, NetworkError> {
+    fn read_text(&mut self, end: u64) -> Result<String, ModelFileError> {
         let length = end - self.at;
         if length > MAX_PATH {
-            return Err(NetworkError::Form("the name of a data file is too long"));
+            return Err(ModelFileError::Form("the name of a data file is too long"));
         }
         let mut bytes = Vec::new();
         self.file.by_ref().take(length).read_to_end(&mut bytes)?;
         self.at = end;
-        String::from_utf8(bytes).map_err(|_| NetworkError::Form("the name of a data file is not text"))
+        String::from_utf8(bytes).map_err(|_| ModelFileError::Form("the name of a data file is not text"))
     }
 
-    fn skip_to(&mut self, end: u64) -> Result<(), NetworkError> {
+    fn skip_to(&mut self, end: u64) -> Result<(), ModelFileError> {
         let length = i64::try_from(end - self.at)
-            .map_err(|_| NetworkError::Form("a field is longer than a file can be"))?;
+            .map_err(|_| ModelFileError::Form("a field is longer than a file can be"))?;
         self.file.seek_relative(length)?;
         self.at = end;
         Ok(())
@@ -217,7 +217,7 @@ mod tests {
     fn found(bytes: &[u8]) -> Result<Vec<String>, String> {
         let folder = tempfile::tempdir().expect("writable");
         std::fs::write(folder.path().join(MODEL), bytes).expect("written");
-        let files = files(folder.path()).map_err(|error| error.to_string())?;
+        let files = model_files(folder.path()).map_err(|error| error.to_string())?;
         let name = |file: &PathBuf| file.strip_prefix(folder.path()).expect("within").display().to_string();
         Ok(files.iter().map(name).collect())
     }

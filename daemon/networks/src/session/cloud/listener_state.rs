@@ -7,7 +7,7 @@ use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 
 use super::answers::{AnswersBeingSent, encode_answer};
-use super::output::PortOutput;
+use super::output::ListenerOutput;
 use crate::SessionSettings;
 use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsReport};
 use crate::session::budget::RequestBudget;
@@ -18,17 +18,17 @@ use crate::transport::{CloudSender, ConnectionId, Peer};
 /// State that a listener shares with all answers in progress. Answers hold it weakly, so that the connections are
 /// closed when the listener is dropped.
 #[derive(Debug)]
-pub(crate) struct PortState {
+pub(crate) struct ListenerState {
     server: Mutex<Server>,
     pub(super) budget: Arc<RequestBudget>,
-    pub(super) output: PortOutput,
+    pub(super) output: ListenerOutput,
     pub(super) clock: SharedClock,
     pub(super) host: HostId,
     log_throttle: Mutex<LogThrottle>,
     answers: AnswersBeingSent,
 }
 
-impl PortState {
+impl ListenerState {
     pub(super) fn new(
         settings: &SessionSettings,
         sender: Box<dyn CloudSender>,
@@ -38,7 +38,7 @@ impl PortState {
         Self {
             server: Mutex::new(Server::new(settings)),
             budget: RequestBudget::new(settings.max_in_flight_bytes),
-            output: PortOutput::new(sender),
+            output: ListenerOutput::new(sender),
             clock,
             host,
             log_throttle: Mutex::default(),
@@ -51,7 +51,7 @@ impl PortState {
         self.server.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells the transport what the connection may send from now on.
+    /// Tells the transport what the edge may send on the connection from now on.
     pub(super) fn update_admission(&self, connection: ConnectionId) {
         let admission = self.server().admission(connection);
         self.output.set_admission(connection, admission);
@@ -59,7 +59,7 @@ impl PortState {
 
     pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
         let Some((peer, header)) = self.server().accept(session, accepted) else { return false };
-        // Before the acceptance is sent, because the edge's first request may be large.
+        // This happens before the acceptance is sent, because the edge's first request may be large.
         self.update_admission(peer.connection);
         self.send_message(&peer, &header)
     }
@@ -72,8 +72,9 @@ impl PortState {
         }
     }
 
-    pub(crate) fn announce(&self, clock: PeerClock) {
-        let headers = self.server().announce(clock);
+    /// Sends the state of this host's clocks to all edges with an open session, and keeps it for later sessions.
+    pub(crate) fn send_clock_to_edges(&self, clock: PeerClock) {
+        let headers = self.server().update_clock(clock);
         for (peer, header) in headers {
             self.send_message(&peer, &header);
         }
@@ -88,14 +89,19 @@ impl PortState {
         }
     }
 
-    /// Sends an answer with the nodes that `log` recorded here. `log` is `None` if no model computed the answer; the
+    /// Sends an answer with the nodes that `recorder` recorded here. `recorder` is `None` if no model computed the answer; the
     /// reply then has neither tree delta nor departure.
-    pub(crate) fn answer(&self, key: RequestKey, log: Option<Recorder>, result: Result<Sample, Failure>) {
-        // Counted before the request leaves the requests in flight. `wait_until_idle` thus sees one of the two at any
-        // time; otherwise the port could close between them and send the goodbye before the answer.
+    pub(crate) fn answer(
+        &self,
+        key: RequestKey,
+        recorder: Option<Recorder>,
+        result: Result<Sample, Failure>,
+    ) {
+        // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees one of them.
+        // Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
             let route = self.server().finish_request(key.session, key.request);
-            let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, log, result));
+            let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, recorder, result));
             if !sent {
                 self.output.counters.count_lost(1);
                 if let Some(route) = &route {
@@ -109,10 +115,10 @@ impl PortState {
         &self,
         route: &Route,
         key: RequestKey,
-        log: Option<Recorder>,
+        recorder: Option<Recorder>,
         result: Result<Sample, Failure>,
     ) -> bool {
-        match encode_answer(&*self.clock, route, key, log, result) {
+        match encode_answer(&*self.clock, route, key, recorder, result) {
             Ok(frames) => self.output.send(&route.peer, frames, Some(key.request), Some(&route.counters)),
             Err(error) => {
                 tracing::warn!(%error, "cannot encode an answer; it is dropped");
