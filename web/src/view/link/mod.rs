@@ -231,7 +231,7 @@ impl<'a> Subject<'a> {
     /// Returns whether any exchange ever finished, even before a step of a clock.
     pub(crate) fn was_related(&self) -> bool {
         self.live.is_none_or(|link| {
-            link.live.now.exchanges.taken > 0 || link.history.iter().any(|point| point.offset.is_some())
+            link.live.now.exchanges.accepted > 0 || link.history.iter().any(|point| point.offset.is_some())
         })
     }
 

@@ -159,7 +159,7 @@ pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
     let Some(link) = subject.live else { return Vec::new() };
     let counts = link.live.now.exchanges;
     vec![
-        ("Used", format!("{} exchanges", count(counts.taken))),
+        ("Used", format!("{} exchanges", count(counts.accepted))),
         ("Impossible", format!("{}, refused: no two clocks can show them", count(counts.impossible))),
         ("Outliers", format!("{}, refused: they contradict all others", count(counts.outliers))),
         ("Stepped", format!("{}, refused: a clock was stepped meanwhile", count(counts.stepped))),
