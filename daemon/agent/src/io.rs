@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn running_tasks_end_with_threads_without_waiting() {
+    async fn dropping_io_threads_cancels_running_tasks() {
         let io = IoThreads::start(NonZeroUsize::MIN).expect("there are threads");
         let socket = io.with_context(UdpSocket::bind("127.0.0.1:0")).await.expect("there is a port");
         let waiting = io.handle().spawn(async move {

@@ -13,7 +13,7 @@ use peernet_stream::{
 };
 use serde::Serialize;
 
-use peernet_store::{Bound, ClockPoint, Figures, Stored};
+use peernet_store::{Bound, ClockPoint, Figures, StoredCounts};
 
 /// Snapshot of all agents.
 #[derive(Clone, Debug, Serialize)]
@@ -43,7 +43,7 @@ pub struct LiveState {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Totals {
     /// Counts of the database.
-    pub stored: Stored,
+    pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
     pub arrivals: Arrivals,
     /// Frames that belong to no known host.
@@ -143,7 +143,7 @@ pub struct HostSnapshot {
     /// Counts of its events, as reported by the host.
     pub accounting: Accounting,
     /// Counts of its events in the database.
-    pub stored: Stored,
+    pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
     pub arrivals: Arrivals,
     /// Time of its newest stored event on its clock; `None` if nothing was stored since the aggregator's start.

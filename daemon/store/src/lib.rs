@@ -46,7 +46,7 @@ pub use error::{OpenError, StoreError};
 pub use figures::{Bound, Figures, MIN_P95_SAMPLES, MIN_P99_SAMPLES, rank};
 pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
-pub use stored::{ClockPoint, Stored};
+pub use stored::{ClockPoint, StoredCounts};
 pub use types::{
     AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,

@@ -19,7 +19,7 @@ use super::write::{
 use crate::database_error::DatabaseError;
 use crate::error::OpenError;
 use crate::retention_config::RetentionConfig;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// Number of newest runs that are read at the opening: agents may still be executing them.
 const RUNS: u32 = 1_000;
@@ -46,7 +46,7 @@ pub struct StoredState {
     /// Open runs of which only iterations are stored.
     pub unnamed_runs: Vec<(HostId, RunId)>,
     /// Counts of each host's stored data.
-    pub hosts: Vec<(HostId, Stored)>,
+    pub hosts: Vec<(HostId, StoredCounts)>,
     /// All stored hosts in the order of their first contact, with their secrets.
     pub host_secrets: Vec<(HostId, Option<HostSecret>)>,
 }

@@ -31,7 +31,7 @@ pub struct ClockPoint {
 
 /// Counts of the stored data of one host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Stored {
+pub struct StoredCounts {
     /// Events of all kinds.
     pub events: u64,
     /// Nodes of iterations.

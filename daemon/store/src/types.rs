@@ -22,7 +22,7 @@ use peernet_stream::{
 use serde::Serialize;
 
 use crate::figures::Figures;
-use crate::stored::{ClockPoint, Stored};
+use crate::stored::{ClockPoint, StoredCounts};
 
 /// Selection of the runs to list, newest first.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -393,7 +393,7 @@ pub struct HostRow {
     /// Time of its last hello or stored event, on the aggregator's wall clock.
     pub last_seen: WallTime,
     /// Counts of its stored data.
-    pub stored: Stored,
+    pub stored: StoredCounts,
 }
 
 /// Key of a link: two hosts that use several networks have one link over each.

@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 use peernet_aggregator::{Arrivals, HostSnapshot};
 use peernet_clock::Span;
 use peernet_statistics::number::{NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
-use peernet_store::Stored;
+use peernet_store::StoredCounts;
 use peernet_stream::Accounting;
 
 use super::chip::{Chip, Tone};
@@ -176,7 +176,7 @@ pub(crate) fn worst(host: &HostSnapshot) -> Option<Remark> {
 
 /// Returns the aggregator's account, as pairs.
 pub(crate) fn stored(
-    stored: &Stored,
+    stored: &StoredCounts,
     arrivals: Option<&Arrivals>,
     newest: Option<peernet_clock::WallTime>,
     zone: Zone,

@@ -149,7 +149,7 @@ impl Hosts {
             Some(before) if before.introduction.stream == newcomer.introduction.stream => {
                 let (new, old) = (&mut newcomer.introduction, before.introduction);
                 new.replaced = new.replaced.or(old.replaced);
-                new.lacking = new.lacking.or(old.lacking);
+                new.missing_previous = new.missing_previous.or(old.missing_previous);
                 newcomer.missing = newcomer.missing.or(before.missing);
             }
             Some(before) => gone = Some(before),
@@ -208,7 +208,7 @@ mod tests {
             previous: None,
             first: 1,
             replaced: None,
-            lacking: None,
+            missing_previous: None,
             secret: Some(HostSecret::random()),
         }
     }

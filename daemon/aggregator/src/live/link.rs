@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{HostId, Slug};
 use peernet_stream::{ClockSample, LinkLive};
 
-use super::bounds;
+use super::limits;
 use crate::live_state::LinkSnapshot;
 use peernet_store::ClockPoint;
 
@@ -38,7 +38,7 @@ impl Link {
     /// Applies a report, within the limits. A second that is known already is replaced, because each report of a second
     /// covers it from its start.
     pub(super) fn update(&mut self, mut live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
-        bounds::link(&mut live, left_out);
+        limits::limit_link(&mut live, left_out);
         // `newest` is the incomplete second. Later seconds were reported before the edge's clock was set back.
         let newest = (sent + MAX_REPORT_SKEW).unix_seconds();
         drop(self.history.split_off(&newest.saturating_add(1)));

@@ -19,7 +19,7 @@ pub enum RebuildError {
     #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
     Missing(PathBuf),
     /// Another process has locked the database, most likely the aggregator.
-    #[error("cannot rebuild roll-ups while another process may store: {0}")]
+    #[error("cannot rebuild roll-ups while another process may write to the database: {0}")]
     Lock(#[from] LockError),
     /// The database cannot be opened or brought up to date.
     #[error(transparent)]
@@ -42,8 +42,8 @@ pub enum RebuildError {
     },
 }
 
-/// Makes the roll-ups of one run, or of all, from the nodes that still exist. `progress` is called after every few thousand
-/// summaries.
+/// Makes the roll-ups of one run, or of all runs, from the nodes that still exist. `progress` is called after every few
+/// thousand rows of roll-ups.
 ///
 /// # Errors
 /// When the aggregator runs, or the database cannot be read or written. Finished runs stay finished.

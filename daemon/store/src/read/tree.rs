@@ -65,7 +65,7 @@ struct TreeHosts {
 }
 
 /// A tree with the names of its anchors' hosts.
-pub(super) type Stored = (Tree, Vec<Option<Slug>>);
+pub(super) type StoredTree = (Tree, Vec<Option<Slug>>);
 
 /// Returns trees of iterations as they were sent, with the names of their hosts.
 ///
@@ -74,7 +74,7 @@ pub(super) async fn trees(
     readers: &Readers,
     run: i64,
     iterations: &[(i64, WallTime)],
-) -> Result<Vec<Option<Stored>>, StoreError> {
+) -> Result<Vec<Option<StoredTree>>, StoreError> {
     let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
     let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
     let ends: TreeHosts =
@@ -125,7 +125,7 @@ fn tree(
     others: &[AnchorRow],
     nodes: &[NodeRow],
     transits: &[TransitRow],
-) -> Result<Stored, StoreError> {
+) -> Result<StoredTree, StoreError> {
     let mut anchors = vec![Anchor { host: parse(WHAT, &ends.uuid)?, wall: started }];
     let mut hosts = vec![name(WHAT, ends.name.as_deref())?];
     for (at, other) in others.iter().enumerate() {

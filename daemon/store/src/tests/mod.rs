@@ -156,7 +156,7 @@ fn hello(host: HostDescription, process: u64) -> Work {
         previous: None,
         first: 1,
         replaced: None,
-        lacking: None,
+        missing_previous: None,
         secret: None,
     }))
 }

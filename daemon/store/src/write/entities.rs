@@ -10,7 +10,7 @@ use serde::Serialize;
 use sqlx::SqliteConnection;
 
 use super::{Refusal, RunName};
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// Maximum number of runs in memory; beyond it, all are forgotten and read again when needed.
 const MAX_CACHED_RUNS: usize = 10_000;
@@ -369,7 +369,7 @@ pub(crate) async fn read_unnamed_runs(
 pub(crate) async fn read_host_counts(
     connection: &mut SqliteConnection,
     limit: u32,
-) -> Result<Vec<(HostId, Stored)>, sqlx::Error> {
+) -> Result<Vec<(HostId, StoredCounts)>, sqlx::Error> {
     let rows: Vec<(String, i64, i64, i64, i64, i64)> = sqlx::query_as(
         "SELECT uuid, events, nodes, gaps, missing, quarantined FROM host ORDER BY last_seen_ns DESC LIMIT ?",
     )
@@ -378,7 +378,7 @@ pub(crate) async fn read_host_counts(
     .await?;
     rows.into_iter()
         .map(|(uuid, events, nodes, gaps, missing, quarantined)| {
-            Ok((id(&uuid)?, Stored::from_columns((events, nodes, gaps, missing, quarantined))))
+            Ok((id(&uuid)?, StoredCounts::from_columns((events, nodes, gaps, missing, quarantined))))
         })
         .collect()
 }

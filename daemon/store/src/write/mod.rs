@@ -51,7 +51,7 @@ use crate::integrity::Integrity;
 use crate::raw_transaction;
 use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// Carries the whole log over into the file and empties it, unless a reader is active.
 const CHECKPOINT_AND_TRUNCATE: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
@@ -62,7 +62,7 @@ pub struct Committed {
     /// New marks: all batches of a stream up to the mark's number are stored.
     pub marks: HashMap<StreamId, Mark>,
     /// Totals of each host concerned, and the time of its newest event on the host's clock.
-    pub hosts: HashMap<HostId, (Stored, Option<WallTime>)>,
+    pub hosts: HashMap<HostId, (StoredCounts, Option<WallTime>)>,
     /// Numbers of runs that were created or read since the last commit.
     pub runs: Vec<(HostId, RunId, i64)>,
     /// Runs that were created without their beginning.

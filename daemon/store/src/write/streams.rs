@@ -11,7 +11,7 @@ use super::entities::id;
 use super::{Introduction, Refusal, records};
 use crate::column::{column, count};
 use crate::insert::Insert;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// The database's knowledge of streams.
 #[derive(Clone, Debug, Default)]
@@ -112,14 +112,14 @@ impl AdvancedStreams {
         host: i64,
         introduction: &Introduction,
         now: WallTime,
-    ) -> Result<Stored, Refusal> {
+    ) -> Result<StoredCounts, Refusal> {
         let known = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
             .bind(now.unix_nanos())
             .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
         if known.rows_affected() > 0 {
-            return Ok(Stored::default());
+            return Ok(StoredCounts::default());
         }
         sqlx::query(
             "INSERT INTO stream (uuid, host, stored, previous, first_seen_ns, last_seen_ns) \
@@ -138,15 +138,15 @@ impl AdvancedStreams {
             );
             (reason, None)
         });
-        let lacking = introduction.lacking.map(|MissingPreviousBatches { stream, from, through, events }| {
+        let missing_previous = introduction.missing_previous.map(|MissingPreviousBatches { stream, from, through, events }| {
             let reason = format!(
                 "batches {from} to {through} of stream {stream} are not in this database: they were stored in a newer \
                  database, of which this one is an older copy"
             );
             (reason, events)
         });
-        let mut added = Stored::default();
-        for (reason, events) in replaced.into_iter().chain(lacking) {
+        let mut added = StoredCounts::default();
+        for (reason, events) in replaced.into_iter().chain(missing_previous) {
             added.add(&records::insert_unattributed_gap(&mut *connection, host, &reason, events, now).await?);
         }
         Ok(added)

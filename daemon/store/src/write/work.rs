@@ -41,11 +41,11 @@ pub struct Introduction {
     pub previous: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
-    /// The host's stream before, if this one does not continue it: its spool was deleted or replaced.
+    /// The host's previous stream, if this stream does not continue it: the spool was deleted or replaced.
     pub replaced: Option<StreamId>,
-    /// Batches that this database lacks of the continued stream.
-    pub lacking: Option<MissingPreviousBatches>,
-    /// The secret that it proved to have; stored unless there is one.
+    /// Batches of the continued stream that are missing in this database.
+    pub missing_previous: Option<MissingPreviousBatches>,
+    /// The secret that the host proved to have. It is stored if the host has no stored secret.
     pub secret: Option<HostSecret>,
 }
 

@@ -115,7 +115,7 @@ impl Sending {
     }
 
     fn ack_deadline(&self) -> Option<MonoTime> {
-        self.session.ack_deadline(self.spooler.backlog.oldest(), self.lane.progress())
+        self.session.ack_deadline(self.spooler.backlog.oldest(), self.lane.last_arrival_at())
     }
 
     /// Schedules a hello: now, or after a pause if the last ones led to no progress.

@@ -179,8 +179,8 @@ impl DurableLane {
     }
 
     /// Returns the time at which bytes of the lane last arrived.
-    pub(super) const fn progress(&self) -> MonoTime {
-        self.flow.progress()
+    pub(super) const fn last_arrival_at(&self) -> MonoTime {
+        self.flow.last_arrival_at()
     }
 
     /// Returns whether the live lane may hand over an update.

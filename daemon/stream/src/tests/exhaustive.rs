@@ -162,14 +162,14 @@ fn simulation(batches: usize) -> Simulation {
 }
 
 #[test]
-fn one_batch_from_the_first_hello_with_two_faults() {
+fn one_batch_is_stored_once_despite_any_two_faults() {
     let (states, transitions, rests) = explore(simulation(1), 2);
     println!("{states} states, {transitions} transitions, {rests} brought to rest");
     assert!(states > 20_000, "{states} states");
 }
 
 #[test]
-fn two_batches_in_every_order_without_a_fault() {
+fn two_batches_are_stored_once_in_any_order() {
     let (states, transitions, rests) = explore(simulation(2), 0);
     println!("{states} states, {transitions} transitions, {rests} brought to rest");
     assert!(states > 100, "{states} states");

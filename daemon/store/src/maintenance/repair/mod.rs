@@ -43,7 +43,7 @@ pub enum RepairError {
     #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
     Missing(PathBuf),
     /// Another process has locked the database, most likely the aggregator.
-    #[error("cannot repair while another process may store: {0}")]
+    #[error("cannot repair the database while another process may write to it: {0}")]
     Lock(#[from] LockError),
     /// The log of another database lies beside the file.
     #[error(transparent)]

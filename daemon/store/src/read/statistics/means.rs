@@ -4,7 +4,7 @@ use peernet_logger::Name;
 
 use super::super::{sql, wall};
 use super::WHAT;
-use super::series::{NameIds, Stored};
+use super::series::{NameIds, StoredWidths};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{MeanBucket, StageMeans};
@@ -18,7 +18,7 @@ pub(crate) async fn stage_means(
     stages: &[Name],
     max_buckets: usize,
 ) -> Result<Vec<StageMeans>, StoreError> {
-    let (width_s, stored_s) = Stored::read(readers, run).await?.choose(max_buckets);
+    let (width_s, stored_s) = StoredWidths::read(readers, run).await?.choose(max_buckets);
     let known = NameIds::read(readers, stages).await?;
     let rows: Vec<Row> = sqlx::query_as(sql::SUMS_OVER_TIME)
         .bind(run)

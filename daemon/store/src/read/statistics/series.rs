@@ -25,7 +25,7 @@ pub(crate) async fn series(
     stages: &[Name],
     max_points: usize,
 ) -> Result<Series, StoreError> {
-    let stored = Stored::read(readers, run).await?;
+    let stored = StoredWidths::read(readers, run).await?;
     let (width_s, stored_s) = stored.choose(max_points);
     let bucket_s = u32::try_from(width_s).unwrap_or(u32::MAX);
     let stages = points(readers, run, stages, (width_s, stored_s)).await?;
@@ -43,9 +43,9 @@ struct Width {
 }
 
 /// Stored widths of a run.
-pub(super) struct Stored([Width; WIDTHS_S.len()]);
+pub(super) struct StoredWidths([Width; WIDTHS_S.len()]);
 
-impl Stored {
+impl StoredWidths {
     pub(super) async fn read(readers: &Readers, run: i64) -> Result<Self, StoreError> {
         let trimmed: Vec<(i64, i64)> = sqlx::query_as(sql::TRIMMED)
             .bind(run)
@@ -115,7 +115,7 @@ pub(crate) async fn stage_buckets(
     stages: &[Name],
     max_buckets: usize,
 ) -> Result<Vec<StageBuckets>, StoreError> {
-    let widths = Stored::read(readers, run).await?.choose(max_buckets);
+    let widths = StoredWidths::read(readers, run).await?.choose(max_buckets);
     let lines = lines(readers, run, stages, widths).await?;
     let courses = lines.into_iter().map(|line| StageBuckets {
         buckets: line.points.into_iter().map(|(_, summary)| summary).collect(),
@@ -227,8 +227,8 @@ mod tests {
     const WEEK_S: i64 = 7 * DAY_S;
 
     /// Makes a run from the start of an hour, of which only these widths were deleted.
-    fn stored(length_s: i64, deleted: &[i64]) -> Stored {
-        Stored(WIDTHS_S.map(|width_s| Width {
+    fn stored(length_s: i64, deleted: &[i64]) -> StoredWidths {
+        StoredWidths(WIDTHS_S.map(|width_s| Width {
             width_s,
             extent: Some((0, bucket(length_s - 1, width_s))),
             whole: !deleted.contains(&width_s),
@@ -262,6 +262,9 @@ mod tests {
         assert_eq!(stored(7_200, &[1, 10, 60]).choose(240), (3_600, 3_600));
         // Hours are deleted last: what is left of them is shown.
         assert_eq!(stored(WEEK_S, &[1, 10, 60, 3_600]).choose(240), (3_600, 3_600));
-        assert_eq!(Stored(stored(0, &[]).0.map(|width| Width { extent: None, ..width })).choose(240), (1, 1));
+        assert_eq!(
+            StoredWidths(stored(0, &[]).0.map(|width| Width { extent: None, ..width })).choose(240),
+            (1, 1)
+        );
     }
 }

@@ -22,7 +22,7 @@ pub(super) use self::rows::{AnchorRow, IterationRow, NodeRow, TransitRow};
 use self::summaries::Summaries;
 pub(super) use self::summaries::SummaryPart;
 use crate::extent::Extent;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 pub(super) use self::iteration::position;
 
@@ -51,7 +51,7 @@ pub struct PreparedBatch {
     /// Counts of verdicts: run, name, verdict, count.
     pub(super) verdicts: Vec<(u32, u32, u8, u64)>,
     /// Additions to the counters of its host.
-    pub(super) added: Stored,
+    pub(super) added: StoredCounts,
     /// Time of its newest event on its host's clock.
     pub(super) newest: Option<WallTime>,
 }
@@ -90,8 +90,8 @@ pub(crate) enum BatchError {
     #[error("iteration number {0} is too large")]
     IterationNumber(u64),
     /// The tree of an iteration is empty.
-    #[error("iteration {0} has no host")]
-    NoHost(i64),
+    #[error("the tree of iteration {0} is empty")]
+    EmptyTree(i64),
     /// An event is about a measurement of another host.
     #[error("an event was measured on another host, {0}")]
     OtherHost(HostId),
@@ -146,7 +146,7 @@ impl PreparedBatch {
             transits: Vec::new(),
             summaries: Vec::new(),
             verdicts: Vec::new(),
-            added: Stored { events: u64::from(head.events), ..Stored::default() },
+            added: StoredCounts { events: u64::from(head.events), ..StoredCounts::default() },
             newest: None,
         }
     }

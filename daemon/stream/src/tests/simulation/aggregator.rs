@@ -156,10 +156,10 @@ impl Aggregator {
             seniority: None,
         };
         match self.receiving.handle_hello(hello, known, now) {
-            HelloResult::Welcome { reply, missing, replaced, lacking, .. } => {
+            HelloResult::Welcome { reply, missing, replaced, missing_previous, .. } => {
                 self.route = Some(connection);
                 self.missing += u32::from(missing.is_some());
-                self.queue.push(Work::Hello(hello.stream, replaced, lacking));
+                self.queue.push(Work::Hello(hello.stream, replaced, missing_previous));
                 self.queue.extend(missing.map(Work::MissingBatches));
                 self.last = Some(hello.stream);
                 self.seen.insert(hello.stream);
@@ -227,11 +227,11 @@ impl Database {
     /// Applies a work. Returns the stored entry and its stream.
     fn apply(&mut self, work: Work) -> Option<(StreamId, Entry)> {
         let (stream, mark, entry) = match work {
-            Work::Hello(stream, replaced, lacking) => {
+            Work::Hello(stream, replaced, missing_previous) => {
                 self.last = Some(stream);
                 if self.seen.insert(stream) {
                     self.replaced.extend(replaced);
-                    if let Some(MissingPreviousBatches { stream, from, through, events }) = lacking {
+                    if let Some(MissingPreviousBatches { stream, from, through, events }) = missing_previous {
                         let gap = Entry::Gap { from, through, events };
                         self.entries.entry(stream).or_default().push(gap);
                     }

@@ -8,7 +8,7 @@ use sqlx::ConnectOptions;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
 
 use super::*;
-use crate::outbox::spool::quarantine::{mark_broken, quarantine_reason, with_suffix};
+use crate::outbox::spool::quarantine::{flag_as_damaged, quarantine_reason, with_suffix};
 
 #[tokio::test]
 async fn invalid_database_is_quarantined_and_replaced() {
@@ -174,7 +174,7 @@ async fn damaged_page_loses_only_its_batches() {
 #[tokio::test]
 async fn mark_without_spool_allows_new_spool() {
     let place = Place::new();
-    mark_broken(&place.path(), "a page was broken");
+    flag_as_damaged(&place.path(), "a page was broken");
     let (_, state) = place.sound().await;
     assert_eq!(state.newest, (0, Chain::START));
     assert_eq!(quarantine_reason(&place.path()), None);

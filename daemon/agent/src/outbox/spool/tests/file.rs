@@ -82,7 +82,7 @@ async fn batches_stored_without_spool_leave_no_hole() {
 }
 
 #[tokio::test]
-async fn renewed_spool_keeps_its_batches_in_another_stream() {
+async fn renewed_spool_keeps_its_batches_under_new_stream_id() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     let written = batches(Chain::START, 1..=3, 10);
