@@ -25,8 +25,8 @@ const FRAME_HEADER: usize = 24;
 /// The log at the path belongs to another file, which was at the database's path before.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "the write-ahead log {} belongs to another database, which was at this path before; move the log beside that \
-     database, or delete the log if nobody needs what it contains", .0.display()
+    "the write-ahead log {} belongs to another database, which was at this path before; move it beside that \
+     database, or delete it if nobody needs what it contains", .0.display()
 )]
 pub struct ForeignLog(pub(crate) PathBuf);
 

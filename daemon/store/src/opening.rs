@@ -60,7 +60,7 @@ pub enum ReopenError {
     /// The file at the path is empty.
     #[error("the database file {} is empty; put the right file there, or restart the aggregator to create a new database in it", .0.display())]
     Empty(PathBuf),
-    /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
+    /// The log at the path belongs to another database, which was at this path before. SQLite would apply it to the new file.
     #[error(transparent)]
     ForeignLog(ForeignLog),
     /// Another process holds the lock, or the file cannot be opened for writing.

@@ -197,12 +197,12 @@ pub struct IterationFilter {
     /// Maximum number of iterations, 1 to 1,000.
     pub limit: u32,
     /// `true` for iterations without an answer only: failed, lost, timeout.
-    pub unsuccessful: bool,
+    pub without_answer: bool,
 }
 
 impl Default for IterationFilter {
     fn default() -> Self {
-        Self { after: 0, limit: 100, unsuccessful: false }
+        Self { after: 0, limit: 100, without_answer: false }
     }
 }
 
@@ -232,10 +232,11 @@ pub struct IterationRow {
     pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; several nodes of one stage are added up.
     pub stages: Vec<(Name, f64)>,
-    /// Seconds of the total beyond its stages, as the agent measured them; `None` where it could not tell.
+    /// Seconds of the total outside of all stages, as the agent measured them; `None` if the agent did not
+    /// record them.
     pub unattributed: Option<f64>,
-    /// Seconds of `upload` and `download` together where they are not known separately: the total less the other stages and
-    /// `unattributed`. `None` where each is known, or nothing was sent.
+    /// Seconds of `upload` and `download` together if they are not known separately: the total less the other stages and
+    /// `unattributed`. `None` if both are known, or if nothing was sent.
     pub both_ways: Option<f64>,
     /// The judged one-way delays, in the order of the tree.
     pub delays: Vec<DelayRow>,
@@ -250,7 +251,7 @@ pub struct DelayRow {
     pub value: Option<f64>,
     /// Bounds that contain the truth; `None` when nothing is known.
     pub bounds: Option<(f64, f64)>,
-    /// The receiver's stamp less the sender's; may be negative.
+    /// The receiver's stamp less the sender's, both on wall clocks; may be negative.
     pub raw: f64,
     /// Source of the correction.
     pub source: DelaySource,

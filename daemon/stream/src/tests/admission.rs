@@ -182,7 +182,7 @@ fn batches_lacking_in_older_database_are_reported_once() {
     for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
         assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(0).mono)), lacks);
-        assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(1).mono)), None, "said");
+        assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(1).mono)), None, "reported already");
         end.handle_goodbye(id);
         let was_used = StreamRecord { was_used: true, ..before };
         assert_eq!(missing_previous(end.handle_hello(&renewed, was_used, at(2).mono)), None, "recorded");
