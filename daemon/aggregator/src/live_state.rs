@@ -35,7 +35,7 @@ pub struct LiveState {
     /// Number of hosts with stored events that are not in `hosts`, because they were silent for long or since the
     /// aggregator's start.
     pub absent: usize,
-    /// Totals of all hosts, including those that are not in `hosts`.
+    /// Totals of all hosts, including hosts that are not in `hosts`.
     pub totals: Totals,
 }
 
@@ -119,7 +119,7 @@ pub struct HostSnapshot {
     /// Description that the host sent in its hello.
     pub description: HostDescription,
     /// `true` if the host sent a message in the last three seconds. After a restart of the agent it is `false` until
-    /// the first update, because the other values are those of the previous process.
+    /// the first update, because the other values belong to the previous process.
     pub connected: bool,
     /// `true` if the host said goodbye with nothing left in its spool: it stopped in order.
     #[serde(rename = "left")]
@@ -190,7 +190,7 @@ pub struct PipelineSnapshot {
     pub total_p95: PercentileSeries,
 }
 
-/// The 95th percentile of the total latency over time. Each value is that of all iterations of its bucket, whose
+/// The 95th percentile of the total latency over time. Each value is the percentile of all iterations of its bucket, whose
 /// sketches are merged.
 ///
 /// The bucket's length is the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 s with enough iterations at the

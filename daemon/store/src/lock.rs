@@ -31,7 +31,7 @@ pub enum LockError {
 ///
 /// There is one lock for a file, whatever name leads to it (link, hard link, another mount).
 //
-// It is a lock of flock(2), because SQLite uses those of fcntl(2). The two are independent: when SQLite closes another
+// It is a lock of flock(2), because SQLite uses locks of fcntl(2). The two kinds are independent: when SQLite closes another
 // descriptor of the file, this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that
 // SQLite holds with fcntl in this process. So it is closed after SQLite's last connection.
 #[derive(Debug)]

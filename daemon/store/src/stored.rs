@@ -1,4 +1,4 @@
-//! Types of the store that the live state contains as well.
+//! Types of the store that the live state also contains.
 
 use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};

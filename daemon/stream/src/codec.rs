@@ -177,7 +177,7 @@ pub fn decode_batch_head(frame: &[u8]) -> Option<BatchHead> {
 /// Returns the wire form of a batch's events from its frame, decompressed and checked against the batch's chain.
 ///
 /// # Errors
-/// If the frame is not that of a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain.
+/// If the frame does not contain a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain.
 pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
     let Some(Head { form, batch, length }) = read_head(&frame) else {
         return Err(CodecError::Malformed("not a batch".into()));

@@ -143,7 +143,7 @@ impl CountedEvents {
             left -= count;
             gaps.push(gap(pipeline.clone(), Some(*run), count, *last));
         }
-        // Events without a run, and those of runs that are not counted separately.
+        // Events without a run, and events of runs that are not counted separately.
         gaps.push(gap(None, None, left, self.last));
         gaps.retain(|gap| gap.count > 0);
         gaps

@@ -9,7 +9,7 @@ use crate::counts::{CountedEvents, SentUnspooled, SettledEvents};
 use crate::totals::Totals;
 use crate::{Gap, MAX_IN_FLIGHT_BATCHES};
 
-/// Number of batches for which [`SentUnspooled`] must be kept: those that may be in flight, and the last acknowledged
+/// Number of batches for which [`SentUnspooled`] must be kept: the batches that may be in flight, and the last acknowledged
 /// one.
 pub const MAX_SENT_UNSPOOLED: usize = MAX_IN_FLIGHT_BATCHES + 1;
 

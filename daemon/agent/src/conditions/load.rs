@@ -10,13 +10,13 @@ use super::{Finding, InspectionSettings};
 
 /// Pause between two counts of the threads.
 const COUNT_INTERVAL: Duration = Duration::from_millis(8);
-/// Number of other runnable threads per processor from which on the grade is doubtful: the run is disturbed at times.
+/// Lowest doubtful number of other runnable threads per processor: the run is disturbed at times.
 const COMPETING_DOUBTFUL: f64 = 0.25;
-/// Number of other runnable threads per processor from which on the grade is bad: the run shares every processor.
+/// Lowest bad number of other runnable threads per processor: the run shares every processor.
 const COMPETING_BAD: f64 = 1.0;
-/// Share of steal time since the start of the host from which on the grade is doubtful.
+/// Lowest doubtful share of steal time since the start of the host.
 const STEAL_DOUBTFUL: f64 = 0.01;
-/// Share of steal time since the start of the host from which on the grade is bad.
+/// Lowest bad share of steal time since the start of the host.
 const STEAL_BAD: f64 = 0.05;
 
 /// Grades the number of runnable threads of other processes: the mean of a few counts (proc_loadavg(5)).

@@ -87,7 +87,7 @@ fn processor_flag(proc: &Path) -> Option<bool> {
     Some(flags.split_ascii_whitespace().any(|flag| flag == "hypervisor"))
 }
 
-/// Returns whether a board's device tree is that of a virtual machine; `None` if there is no tree.
+/// Returns whether a device tree belongs to a virtual machine; `None` if there is no device tree.
 fn device_tree_is_virtual(tree: &Path) -> Option<bool> {
     let model = text(&tree.join("model"))?;
     let is_virtual = model.starts_with("linux,dummy-virt")

@@ -5,7 +5,7 @@ use peernet_stream::Grade;
 use super::files::{keyed, text};
 use super::{Finding, InspectionSettings};
 
-/// Share of the memory's size from which on the swap in use is doubtful. A small share is normal, because unused pages
+/// Lowest doubtful amount of swap in use, as a share of the memory's size. A small share is normal, because unused pages
 /// are swapped out.
 const DOUBTFUL_SHARE: f64 = 0.05;
 

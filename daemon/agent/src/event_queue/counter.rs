@@ -12,7 +12,7 @@
 //! The file contains the identity of its spool, and the counting process holds a lock on it. So a copy of the spool does
 //! not use the file, and a file whose spool was deleted can be removed.
 //!
-//! Batches that were sent while the spool could not be written are recorded as well. Only the aggregator knows which of
+//! Batches that were sent while the spool could not be written are also recorded. Only the aggregator knows which of
 //! them it stored, so the next process queries it before it reports a loss (`peernet_stream`, `unresolved.rs`).
 
 mod abandoned;

@@ -111,7 +111,7 @@ impl HostClockMonitor {
         self.wall_epoch = self.clock.wall_epoch();
     }
 
-    /// Describes a disturbance; `None` for a slew soon after the last one that was described.
+    /// Describes a disturbance; `None` for a slew soon after the last described slew.
     fn describe(&mut self, disturbance: Disturbance, now: MonoTime) -> Option<String> {
         match disturbance {
             Disturbance::Step(by) => {

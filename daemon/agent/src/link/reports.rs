@@ -13,7 +13,7 @@ const SESSION_END: Span = Span::from_seconds(1);
 /// Decides which restarts of the relation, violated assumptions and lost proofs of a common clock are reported.
 #[derive(Debug, Default)]
 pub(super) struct ClockReports {
-    /// Whether the clock of the edge, and that of the cloud, was stepped since the last restart.
+    /// Whether the edge's clock was stepped since the last restart, and whether the cloud's clock was.
     stepped: (bool, bool),
     /// `true` if the last restart was reported as a violated assumption.
     is_in_doubt: bool,

@@ -194,7 +194,7 @@ impl Placement {
         }
     }
 
-    /// Inspects this host, and returns its conditions and those that the peer reported when the session opened.
+    /// Inspects this host. Returns its conditions and the peer's conditions, which the peer reported when the session opened.
     ///
     /// `is_continuation` is `true` while the pipeline measures: the competing threads are then counted only once, so
     /// that the inspection does not sleep.
@@ -241,7 +241,7 @@ impl Placement {
     }
 }
 
-/// Inspects this host, including its network if there is a peer, and returns its conditions and those of the peer.
+/// Inspects this host, including its network if there is a peer. Returns its conditions and the peer's conditions.
 pub(super) async fn conditions(
     peer: Option<&[Condition]>,
     context: &PipelineContext,

@@ -38,7 +38,7 @@ pub(super) async fn bind_all(
         wanted.push(at);
     }
     let mut by_reach = wanted.clone();
-    // Addresses of all interfaces come first, because their reflectors answer for each single address as well.
+    // Addresses of all interfaces come first, because their reflectors also answer for each single address.
     by_reach.sort_by_key(|at| !at.ip().is_unspecified());
     let mut reflectors: Vec<Reflector> = Vec::new();
     for at in by_reach {
@@ -92,7 +92,7 @@ fn bind(
 
 async fn resolve(listen: &Address, port: u16) -> io::Result<SocketAddr> {
     if listen.listener_name().is_some() {
-        // The host and port of such an address are those of a name service; peers connect on any interface.
+        // Such an address names a name service; peers connect on any interface.
         return Ok(SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), port));
     }
     let host = listen.host();

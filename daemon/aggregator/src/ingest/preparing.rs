@@ -35,7 +35,7 @@ pub(crate) struct PreparedSender {
     max_nodes: u32,
 }
 
-/// Creates the channel of prepared work with capacity for `max_nodes` nodes. A single larger item is accepted as well.
+/// Creates the channel of prepared work with capacity for `max_nodes` nodes. A single larger item is also accepted.
 pub(crate) fn channel(max_nodes: usize) -> (PreparedSender, mpsc::Receiver<PreparedWork>) {
     let (sender, receiver) = mpsc::channel(MAX_PREPARED_ITEMS);
     let max_nodes = u32::try_from(max_nodes).unwrap_or(u32::MAX);

@@ -22,7 +22,7 @@ pub(super) struct EventAccount {
 }
 
 impl EventAccount {
-    /// Replaces the host's counts by those of an update that was sent at `sent` on the host's clock.
+    /// Replaces the host's counts by the counts of an update that was sent at `sent` on the host's clock.
     pub(super) fn update(&mut self, accounting: Accounting, sent: WallTime, now: MonoTime) {
         self.accounting = accounting;
         limits::limit_accounting(&mut self.accounting);

@@ -10,7 +10,7 @@ use peernet_stream::{
 
 use peernet_store::plausible;
 
-/// Maximum length of a list, except that of the models: network names, pipelines and connections of a link,
+/// Maximum length of a list, except the list of models: network names, pipelines and connections of a link,
 /// accelerators, steps of an injected clock fault.
 const MAX_LIST_ITEMS: usize = 32;
 /// Maximum number of models of a host.
@@ -37,7 +37,7 @@ pub(super) fn limit_link(live: &mut LinkLive, left_out: &mut u64) {
     let offset = now.offset.as_ref().and_then(plausible::offset);
     let (up, down) = (now.up.map(plausible::delays), now.down.map(plausible::delays));
     let basis = now.basis.map(plausible::basis);
-    // NaN is unequal to itself, so a comparison by value counts a removed NaN as well.
+    // NaN is unequal to itself, so the comparison also counts a removed NaN.
     *left_out += u64::from((&offset, up, down, basis) != (&now.offset, now.up, now.down, now.basis));
     (now.offset, now.up, now.down, now.basis) = (offset, up, down, basis);
 }

@@ -169,7 +169,7 @@ impl LiveTracker {
         }
     }
 
-    /// Replaces the counts and run numbers of the previous database by those of the reopened one.
+    /// Replaces the counts and run numbers of the previous database by the values of the reopened database.
     fn restart(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, StoredCounts)>) {
         self.numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
         for host in self.hosts.values_mut() {

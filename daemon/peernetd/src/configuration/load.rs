@@ -170,7 +170,7 @@ fn unreadable(path: &Path, error: &io::Error) -> Problem {
 /// Returns the problem of a key that could not be read.
 fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     let Mistake { key, error } = mistake;
-    // Within tables that are distinguished by their `kind` the span is that of the first table; the line of the key
+    // Within tables that are distinguished by their `kind` the span covers the first table; the line of the key
     // is more precise.
     let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
     let mut text = describe_error(&error);
@@ -182,7 +182,7 @@ fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     Problem { file: path.to_owned(), line, key, text }
 }
 
-/// Returns the problems of the readable part of a file, except for those that depend on the unreadable part.
+/// Returns the problems of the readable part of a file, except for problems that depend on the unreadable part.
 fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     let file = std::mem::take(&mut remainder.file);
     let roles = roles(&file, &remainder.incomplete).into_iter();

@@ -27,7 +27,7 @@ pub(super) struct Mistake {
 /// The file without the keys that have mistakes, and without the tables that cannot be read without these keys.
 pub(super) struct Remainder<T> {
     pub(super) file: T,
-    /// Names of all tables with mistakes, including those that were removed.
+    /// Names of all tables with mistakes, including removed tables.
     pub(super) incomplete: BTreeSet<String>,
     /// Paths of the removed keys.
     removed: Vec<String>,
@@ -166,7 +166,7 @@ impl<'a> Part<'a> {
             };
             let steps = steps(error.path());
             let missing = missing_key(error.inner().message());
-            // A missing key that was removed here is not a mistake of the user: its table is removed as well.
+            // A missing key that was removed here is not a mistake of the user: its table is removed, too.
             if missing.is_some_and(|name| removed.contains(&below(&steps, name))) {
                 if remove(document.get_mut(), &steps, &mut removed) {
                     continue;
@@ -187,7 +187,7 @@ impl<'a> Part<'a> {
         None
     }
 
-    /// Adds the valid rest of this part to that of the file. An element of an array is appended, and its index in the file
+    /// Adds the valid rest of this part to the valid rest of the file. An element of an array is appended, and its index in the file
     /// is recorded.
     fn append_to(
         &self,

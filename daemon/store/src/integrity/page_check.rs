@@ -112,7 +112,7 @@ impl PageCheck {
         Ok(malformed)
     }
 
-    /// Removes the pages with the rest of long records from those that may be malformed. A broken chain ends at a page that is
+    /// Removes the pages with the rest of long records from the pages that may be malformed. A broken chain ends at a page that is
     /// malformed or missing, which is not reported here.
     fn follow_overflows(&mut self, log: Option<&LogPages>) -> io::Result<()> {
         let mut seen_in_log = HashSet::new();
@@ -124,7 +124,7 @@ impl PageCheck {
         Ok(())
     }
 
-    /// Returns whether the main file has all pages of the log, except for those that may be malformed. A log that was
+    /// Returns whether the main file has all pages of the log, except for pages that may be malformed. A log that was
     /// checkpointed stays until the next commit, and readers no longer use it.
     fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
         // A file that was cut off lacks all pages from there on.

@@ -26,7 +26,7 @@ pub(crate) struct PageFile {
     pub(crate) pages: u32,
 }
 
-/// Kind of a b-tree page; the numbers are those of the file format.
+/// Kind of a b-tree page; the file format defines the numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PageKind {
     IndexInterior = 2,

@@ -36,7 +36,7 @@ pub(crate) struct IntegrityCheck {
     stop: CancellationToken,
     /// Dropping it aborts the task, which then releases the file.
     task: AbortOnDropHandle<()>,
-    /// Reads in progress on other threads, which hold the file as well.
+    /// Reads in progress on other threads, which also hold the file open.
     reads: TaskTracker,
 }
 

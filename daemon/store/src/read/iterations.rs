@@ -193,7 +193,8 @@ async fn complete_rows(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let mut by_iteration: HashMap<i64, (Vec<NodeSeconds>, Vec<DelayRow>)> = HashMap::with_capacity(rows.len());
+    let mut by_iteration: HashMap<i64, (Vec<NodeSeconds>, Vec<DelayRow>)> =
+        HashMap::with_capacity(rows.len());
     for duration in durations {
         by_iteration.entry(duration.iteration).or_default().0.push(duration);
     }

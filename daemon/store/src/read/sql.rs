@@ -182,7 +182,7 @@ statements! {
     /// As `NODES`.
     TRANSITS = "SELECT iteration, node, sent_ns, received_ns, raw_ns, source, verdict, sent_raw_ns, received_raw_ns FROM transit \
                 WHERE run = ?1 AND iteration IN (SELECT value FROM json_each(?2)) ORDER BY iteration, node";
-    /// The host that senses, and the name of the one that serves it: ?1 run.
+    /// The edge, and the name of the cloud: ?1 run.
     ENDS = "SELECT host.uuid, host.name, run.peer FROM run JOIN pipeline ON pipeline.id = run.pipeline \
             JOIN host ON host.id = pipeline.host WHERE run.number = ?1";
     /// As `NODES`.

@@ -56,7 +56,7 @@ struct AnchorRow {
     wall_ns: i64,
 }
 
-/// The host that senses, and the name of the one that serves it: the tree's second host.
+/// The edge, and the name of the cloud, which is the tree's second host.
 #[derive(FromRow)]
 struct TreeHosts {
     uuid: String,
@@ -69,7 +69,7 @@ pub(super) type StoredTree = (Tree, Vec<Option<Slug>>);
 
 /// Returns trees of iterations as they were sent, with the names of their hosts.
 ///
-/// `iterations` holds number and start of each one, in ascending order. The result is `None` for one that was deleted meanwhile.
+/// `iterations` has number and start of each iteration, in ascending order. The result is `None` for an iteration that was deleted meanwhile.
 pub(super) async fn trees(
     readers: &Readers,
     run: i64,

@@ -186,7 +186,7 @@ impl Arrival {
         Ok(DeletedRows { complete: true, ..deleted })
     }
 
-    /// Returns the parts of its extent that arrived later as well.
+    /// Returns the parts of its extent for which data also arrived later.
     async fn later(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
         let rows: Vec<(i64, i64)> = sqlx::query_as(LATER)
             .bind(self.kind.number())

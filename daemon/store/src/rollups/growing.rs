@@ -18,7 +18,7 @@ const OVERHEAD: usize = 512;
 struct Width {
     /// All rows of each bucket, by series. A bucket in this map is complete.
     buckets: BTreeMap<i64, Vec<(Series, PackedSummary)>>,
-    /// Second from which on the database has no bucket that is not in `buckets`.
+    /// All of the database's buckets that start at this second or later are in `buckets`.
     known_from: i64,
 }
 

@@ -79,7 +79,7 @@ async fn experiments_are_listed_with_their_runs() {
 #[tokio::test]
 async fn same_runs_count_in_store_and_in_files() {
     let mut test_store = TestStore::new().await;
-    // The same repeat twice, one that was stopped and begun again, one that failed, one that goes on.
+    // The same repeat twice; a repeat that was stopped and started again, one that failed, and one in progress.
     let plan = [
         ("1 kB", Some("finished")),
         ("2 kB", Some("stopped")),

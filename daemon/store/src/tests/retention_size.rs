@@ -119,7 +119,7 @@ async fn course(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64>, i64)>
 #[tokio::test]
 async fn overlapping_runs_are_trimmed_in_turns() {
     let mut test_store = TestStore::new().await;
-    // One that continues, two that ended meanwhile, and one that began late.
+    // One run that continues, two runs that ended meanwhile, and one run that began late.
     let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
     side_by_side(&mut test_store, &runs, 20).await;
     let mut connection = test_store.other().await;

@@ -1,4 +1,4 @@
-//! Statistics of several runs taken together are those of all their iterations.
+//! Statistics of several runs together equal the statistics of all their iterations.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -62,7 +62,7 @@ async fn merged_quantiles_are_within_one_percent() {
     let kept = together.kept.known("range").expect("kept");
     assert_eq!((kept.count(), kept.moments.max), (390, all[389]));
 
-    // Bounds of delays are merged as well.
+    // Bounds of delays are also merged.
     let bound = together.kept.bound(&stage::UPLOAD).expect("judged");
     let each: Vec<_> = statistics.iter().filter_map(|run| run.kept.bound(&stage::UPLOAD)).collect();
     assert_eq!(bound.verdicts[0].1, each.iter().map(|bound| bound.verdicts[0].1).sum::<u64>());

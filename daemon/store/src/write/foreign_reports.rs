@@ -16,7 +16,7 @@ use super::entities::{Entities, Reporter};
 /// Maximum number of runs that are remembered as reported; beyond it, all are forgotten and reported again.
 const MAX_REMEMBERED_REPORTS: usize = 10_000;
 
-/// Reports that a transaction found, and those that earlier ones recorded as incidents.
+/// Reports that a transaction found, and reports that earlier transactions recorded as incidents.
 #[derive(Debug, Default)]
 pub(super) struct ForeignReports {
     /// By the row of the host: its id, one of the runs, and their number.
@@ -26,7 +26,7 @@ pub(super) struct ForeignReports {
 }
 
 impl ForeignReports {
-    /// Finds runs of other hosts among those that a batch names.
+    /// Finds runs of other hosts among the runs that a batch names.
     pub(super) async fn check(
         &mut self,
         connection: &mut SqliteConnection,

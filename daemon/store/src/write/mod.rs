@@ -350,7 +350,7 @@ impl Writer {
         result
     }
 
-    /// Rolls back an unfinished transaction and reads the names again, because those that it added are gone.
+    /// Rolls back an unfinished transaction and reads the names again, because the names that it added do not exist any more.
     async fn roll_back(&mut self) -> Result<(), sqlx::Error> {
         raw_transaction::roll_back(&mut self.connection).await?;
         self.staging.names = Names::load(&mut self.connection).await?;

@@ -264,7 +264,7 @@ proptest! {
         let _ = (decode_events(&body, 2), decode_events(&body[..cut.index(at_body + 1)], 2));
     }
 
-    /// Checks that every changed bit is detected: the head is that of another batch, or the events are not read.
+    /// Checks that every changed bit is detected: the head belongs to another batch, or the events are not read.
     #[test]
     fn no_bit_changes_unnoticed(bit: prop::sample::Index, compress: bool) {
         let (frame, head, _) = frame_of(2, compress);

@@ -142,7 +142,7 @@ impl Progress {
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
-        // The chain identifies every batch before it as well.
+        // The chain also identifies every batch before it.
         self.confirmed = self.confirmed.max(number);
         self.drop_settled();
         match number <= self.stored.number {

@@ -102,7 +102,7 @@ fn a_goodbye_frees_name_and_host_id_at_once() {
 fn second_process_of_host_is_refused_while_first_lives() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
-    // A cloned machine has the same stream as well.
+    // A cloned machine also has the same stream.
     let copy = hello(id, "edge", 2, stream, 1);
     assert_eq!(end.handle_live(id, at(200).mono), None);
     assert_eq!(end.handle_hello(&copy, known(None), at(300).mono), HelloResult::Wait);
@@ -182,7 +182,11 @@ fn batches_lacking_in_older_database_are_reported_once() {
     for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
         assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(0).mono)), lacks);
-        assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(1).mono)), None, "reported already");
+        assert_eq!(
+            missing_previous(end.handle_hello(&renewed, before, at(1).mono)),
+            None,
+            "reported already"
+        );
         end.handle_goodbye(id);
         let was_used = StreamRecord { was_used: true, ..before };
         assert_eq!(missing_previous(end.handle_hello(&renewed, was_used, at(2).mono)), None, "recorded");

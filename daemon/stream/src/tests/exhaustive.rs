@@ -8,7 +8,7 @@
 //! its actions; the connection is reopened; time passes until the next deadline. States that were reached before are
 //! not explored again: messages in flight count as a set, and a state is identified by a hash of 64 bits.
 //!
-//! Checks: in each state those of [`Simulation::check`]; at each deletion in the spool that all deleted batches are stored;
+//! Checks: in each state the checks of [`Simulation::check`]; at each deletion in the spool that all deleted batches are stored;
 //! at each commit that it continues its stream; and from each state without a move but faults, that both ends settle in
 //! bounded time with each spooled event in the database exactly once and in order.
 

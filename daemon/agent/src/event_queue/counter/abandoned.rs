@@ -36,7 +36,7 @@ pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
     }
 }
 
-/// Returns whether a name is that of a file of counts.
+/// Returns whether a file with this name has counts.
 fn is_count_file_name(name: &str) -> bool {
     let id = name.strip_prefix("peernet-").and_then(|name| name.strip_suffix(".count"));
     id.is_some_and(|id| Uuid::try_parse(id).is_ok()) && Path::new(name).file_name().is_some()

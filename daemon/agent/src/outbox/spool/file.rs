@@ -298,7 +298,7 @@ impl SpoolFile {
         synced.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
     }
 
-    /// Commits a transaction that succeeded, and rolls back one that failed.
+    /// Commits the transaction if it succeeded, and rolls it back if it failed.
     async fn end_transaction(
         &mut self,
         action: &'static str,

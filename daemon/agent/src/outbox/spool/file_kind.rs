@@ -47,7 +47,7 @@ impl FileKind {
         if !head.iter().zip(MAGIC).all(|(found, expected)| found == expected) {
             return Self::Other;
         }
-        // A header that is cut off is that of an SQLite file.
+        // A truncated header counts as the header of an SQLite file.
         let Some((id, cells)) = head.get(ID_AT..ID_AT + 4).zip(head.get(CELLS_AT..HEAD)) else {
             return Self::Spool;
         };

@@ -1,4 +1,4 @@
-//! Tests of spools that are gone, broken, or those of another host.
+//! Tests of spools that are missing, are damaged, or belong to another host.
 
 use peernet_agent::StartError;
 use peernet_stream::IncidentKind;

@@ -95,7 +95,7 @@ impl SpoolReport {
     }
 }
 
-/// Returns the findings about lost events: those that were dropped for lack of space, and those that were lost with a
+/// Returns the findings about lost events: events that were dropped for lack of space, and events that were lost with a
 /// killed agent.
 fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
     let finding = |events: i64, how: &str, advice: &str| {

@@ -148,7 +148,7 @@ impl Report {
         })
     }
 
-    /// Reads the sizes of the file, its log and its disk, and reports those that are a problem.
+    /// Reads the sizes of the file, its log and its disk, and reports problematic sizes.
     async fn check_sizes(&mut self, connection: &mut SqliteConnection, database: &Path) {
         let answer = sqlx::query_scalar(
             "SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size",
@@ -248,7 +248,7 @@ impl Report {
         }
     }
 
-    /// Compares the schema's version with that of this program. Returns whether they are equal.
+    /// Compares the schema's version with this program's version of the schema. Returns whether they are equal.
     async fn has_current_schema(&mut self, connection: &mut SqliteConnection) -> bool {
         let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
         let answer = sqlx::query_as("SELECT max(version), min(success) FROM _sqlx_migrations");

@@ -92,7 +92,7 @@ pub enum RepairError {
         /// SQLite's error.
         source: DatabaseError,
     },
-    /// The new file is damaged as well.
+    /// The new file is damaged, too.
     #[error("the new file {} is damaged as well: {what}; the disk or the memory of this machine is probably failing", path.display())]
     Failing {
         /// The new file.

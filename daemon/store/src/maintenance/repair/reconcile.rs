@@ -48,7 +48,7 @@ struct IncompleteRun {
     nodes_from: i64,
     counted: i64,
     stored: i64,
-    /// Number of missing iterations between the first one that retention left and the last one.
+    /// Number of missing iterations between the first iteration that retention left and the last iteration.
     missing_numbers: i64,
     /// Number of events in the gaps that the run already has.
     known: i64,

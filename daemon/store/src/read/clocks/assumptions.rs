@@ -70,7 +70,7 @@ impl AssumedWindows {
     /// Returns the assumptions for a message between the edge and a cloud that was sent or received at a time of the edge's wall clock,
     /// or `None` if no window has samples of it.
     ///
-    /// If the edge's clock was set back, several windows may have that time; the one that arrived last counts.
+    /// If the edge's clock was set back, several windows may have that time; the window that arrived last counts.
     pub(in crate::read) fn at(
         &self,
         cloud: i64,

@@ -1,6 +1,6 @@
 //! Relations between the clocks of a run's edge and of each cloud, from stored samples.
 //!
-//! A window relates one pair of clocks: the times of free-running clocks and those of wall clocks are looked up separately.
+//! A window relates one pair of clocks: the times of free-running clocks and of wall clocks are looked up separately.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -53,7 +53,7 @@ struct Window {
 }
 
 impl Window {
-    /// Returns whether the difference of the edge's two clocks is that of the window. After another start of the machine it differs,
+    /// Returns whether the difference of the edge's two clocks is the same as in the window. After another start of the machine it differs,
     /// although the raw clock shows the same times again.
     fn matches_clocks(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());

@@ -152,7 +152,7 @@ pub(crate) async fn rejudge_delays(
     }
 }
 
-/// Judges a delay again. The stamps of an observed system are those of two receivers, whose difference may be negative.
+/// Judges a delay again. Both stamps of an observed system come from receivers, so their difference may be negative.
 async fn rejudge(
     clouds: &mut Clouds<'_>,
     row: &Row,
@@ -205,7 +205,7 @@ fn combine(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
 
 impl Row {
     /// Returns the stamps by which the delay is judged, and their clocks: the free-running ones if both ends stamped by them, otherwise
-    /// the wall clocks. A cloud without raw stamps gave those of its wall clock instead.
+    /// the wall clocks. A cloud without raw stamps gave stamps of its wall clock instead.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
         let by_wall = RawStamps { sent: RawTime::from_wall(sent), received: RawTime::from_wall(received) };
         let Some((sent, received)) = self.sent_raw_ns.zip(self.received_raw_ns) else {

@@ -52,7 +52,7 @@ pub(super) struct RollingWindow {
     /// The link and its window.
     key: (i64, i64),
     clocks: RelatedClocks,
-    /// Made with the first sample, whose drift limit is that of all.
+    /// Made with the first sample, whose drift limit all samples have.
     relation: Option<Relation>,
     /// Rows that were read but not learnt yet.
     ahead: VecDeque<Row>,

@@ -71,12 +71,12 @@ pub(super) struct RunPart {
     pub(super) id: RunId,
     pub(super) outcomes: OutcomeCounts,
     pub(super) warm_up: u64,
-    /// Starts that were skipped before its iterations, except those of the warm-up.
+    /// Starts that were skipped before its iterations, without the iterations of the warm-up.
     pub(super) skipped_starts: u64,
     /// Start of the last iteration.
     pub(super) last: WallTime,
     pub(super) numbers: Extent,
-    /// Range of seconds in which they began.
+    /// Range of the seconds in which the iterations started.
     pub(super) seconds: Extent,
 }
 

@@ -208,7 +208,7 @@ impl Backlog {
             bytes += usage.bytes;
             // Batches in flight stay in memory, because they may have to be sent again at once.
             let is_wanted = self.ready.has_capacity(usage.bytes) || batch.number <= self.sent.newest();
-            // Ready batches are contiguous; a batch after one that is in the file only is read from there later.
+            // Ready batches are contiguous: if the previous batch is only in the file, this one is read from the file later.
             if batch.number == self.first_unloaded() && is_wanted {
                 self.ready.push(batch);
             }

@@ -30,7 +30,7 @@ const RATE_LIFETIME: Span = Span::from_seconds(5);
 /// Number of late echoes in a row after which the link counts as slow. A single one may be due to a lost packet.
 const LATE_ECHOES_OF_SLOW_LINK: u32 = 2;
 
-/// Allowance from which on the link no longer counts as slow.
+/// Lowest allowance of a link that no longer counts as slow.
 const FAST_LINK_BYTES: u64 = 64 << 10;
 
 /// Number of bytes that may be in flight.

@@ -92,7 +92,7 @@ impl Losses {
         due.map(|loss| loss.take_gap(now))
     }
 
-    /// Returns the next gap of the losses that end now: those of a run, or all. Records it as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all if it is `None`. Records the gap as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         let ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
         self.entries.iter_mut().find(ended).map(|loss| loss.take_gap(now))

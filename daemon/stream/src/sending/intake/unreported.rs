@@ -9,7 +9,7 @@ use super::losses::Losses;
 use crate::unresolved::ResolvedBatches;
 use crate::{Gap, UnresolvedBatches};
 
-/// Losses to be reported, those of earlier processes first.
+/// Losses to be reported; losses of earlier processes come first.
 #[derive(Clone, Debug)]
 pub(super) struct UnreportedLosses {
     losses: Losses,
@@ -78,7 +78,7 @@ impl UnreportedLosses {
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_due(now))
     }
 
-    /// Returns the next gap of the losses that end now: those of a run, or all. Records it as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all if it is `None`. Records the gap as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         // The spool stores only the number of reported events, so the order is fixed: losses of earlier processes first.
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_ended(run, now))

@@ -60,7 +60,7 @@ fn the_file_is_read_while_batches_are_under_way() {
     let mut waited = 0;
     while !agent.sending.is_idle() {
         let Some(last) = agent.numbers().last().copied() else { panic!("nothing is sent") };
-        // The answers of the disk come one round later than those of the aggregator.
+        // The answers of the disk come one round later than the answers of the aggregator.
         let (stream, now) = (agent.stream(), agent.now());
         agent.sending.on_message(&ToAgent::Ack { stream, through: last, window: 3 }, now);
         let mut jobs = Vec::new();

@@ -270,7 +270,7 @@ impl Simulation {
         self.expected_content.copied = true;
     }
 
-    /// Kills the agent and starts that of the next machine, which has a copy of an older spool.
+    /// Kills the agent and starts the next machine's agent, which has a copy of an older spool.
     pub(super) fn go_to_the_next(&mut self, done: usize) {
         self.start_agent((self.site + 1) % self.sites.len(), done);
     }
@@ -278,7 +278,7 @@ impl Simulation {
     /// Stops the agent and deletes its spool.
     pub(super) fn delete_spool(&mut self) {
         self.jobs.clear();
-        // Late hellos of a dead process would count its stream as another one that was left.
+        // A late hello of a dead process would count its stream as another abandoned stream.
         self.up.retain(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let file = SpoolFile::new(StreamId::random());
         let old = std::mem::replace(&mut self.sites[self.site], file);

@@ -82,7 +82,7 @@ fn totals(produced: u64) -> Totals {
     Totals { produced, dropped: 2, gaps: 1, reported_drops: 2, ..Totals::default() }
 }
 
-/// Returns the names of the files in a folder, without those that SQLite and the agent keep beside an open spool.
+/// Returns the names of the files in a folder, without the files that SQLite and the agent keep beside an open spool.
 fn names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).expect("can be listed");
     let name = |entry: std::io::Result<std::fs::DirEntry>| {
