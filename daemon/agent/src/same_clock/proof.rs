@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn answer_without_question_or_twice_is_foreign() {
+    fn unsolicited_or_repeated_answer_is_foreign() {
         let mut proof = proof_with_open_query();
         assert!(matches!(proof.handle_answer(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
         assert!(

@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn room_is_reserved_by_bytes_and_released() {
+    fn capacity_is_reserved_by_bytes_and_released() {
         let (queue, mut waiting) = queue();
         let fits = queue.capacity_for(1 << 20);
         assert_eq!(fits, CAPACITY_BYTES / BYTES_PER_PERMIT / 1_025);

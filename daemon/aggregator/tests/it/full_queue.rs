@@ -21,7 +21,7 @@ fn large(scripted_agent: &mut ScriptedAgent) -> Vec<u8> {
 }
 
 #[tokio::test]
-async fn deferred_batches_are_requested_when_room_is_free() {
+async fn deferred_batches_are_requested_when_queue_has_capacity() {
     let mut testbed = Testbed::new().await;
     let mut agents = Vec::new();
     for name in ["one", "two", "late"] {

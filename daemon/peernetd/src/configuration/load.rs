@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_of_several_tables_are_told_at_once() {
+    fn mistakes_of_several_tables_are_reported_together() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let text = said(&format!(
             "[log]\nlevel = 'loud=very'\n[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n\
@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn mistake_hides_no_problem_of_what_can_be_read() {
+    fn mistake_hides_no_problem_in_readable_tables() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let sensor = "sensor = { kind = 'synthetic', size_bytes = 10 }";
         let text = said(&format!(

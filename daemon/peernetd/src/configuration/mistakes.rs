@@ -337,7 +337,7 @@ mod tests {
 
     #[test]
     fn all_errors_of_all_tables_are_found_once() {
-        let (told, rest) = found(
+        let (reported, rest) = found(
             "third = 1\n[first]\nnumbr = 1\nnumber = 'x'\nlist = [1, 'y', 2]\n[second]\na = 1\n\
              [[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n\
              [[element]]\nkind = { kind = 'one', size = 1, sise = 1 }\nnumber = -1\n\
@@ -355,9 +355,9 @@ mod tests {
             ("element[2].kind", "unknown variant `two`"),
         ] {
             let is_there = |mistake: &&String| mistake.starts_with(expected) && mistake.contains(text);
-            assert_eq!(told.iter().filter(is_there).count(), 1, "{expected}{text} in {told:#?}");
+            assert_eq!(reported.iter().filter(is_there).count(), 1, "{expected}{text} in {reported:#?}");
         }
-        assert_eq!(told.len(), 9, "{told:#?}");
+        assert_eq!(reported.len(), 9, "{reported:#?}");
         let rest = rest.expect("the rest can be read");
         assert_eq!(rest.incomplete, ["element", "first", "third"].map(str::to_owned).into());
         assert_eq!((rest.file.second.len(), rest.file.first.number, rest.file.element.len()), (1, 0, 1));
@@ -387,15 +387,15 @@ mod tests {
     }
 
     #[test]
-    fn list_of_too_many_mistakes_says_that_it_is_not_whole() {
+    fn list_of_too_many_mistakes_states_that_it_is_incomplete() {
         let keys: String = (0..200).map(|key| format!("k{key} = 1\n")).collect();
-        let (told, _) = found(&format!("[first]\n{keys}"));
-        assert_eq!(told.len(), MAX_MISTAKES);
-        assert!(told[MAX_MISTAKES - 1].contains("more mistakes"), "{told:#?}");
+        let (reported, _) = found(&format!("[first]\n{keys}"));
+        assert_eq!(reported.len(), MAX_MISTAKES);
+        assert!(reported[MAX_MISTAKES - 1].contains("more mistakes"), "{reported:#?}");
     }
 
     #[test]
-    fn single_mistake_is_told_as_it_is_found_first() {
+    fn single_mistake_is_reported_as_first_found() {
         for text in [
             "[first]\nnumbr = 1\n",
             "[first]\nnumber = 256\n",

@@ -21,7 +21,7 @@ mod migrating;
 mod ownership;
 mod pairs;
 mod plans;
-mod questions;
+mod queries;
 mod rebuilding;
 mod recomputing;
 mod recomputing_by_raw;

@@ -212,8 +212,8 @@ async fn deletions_are_one_incident_with_counts() {
     let gone = before - test_store.count(seconds).await;
     let iterations = 288 - test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await;
     assert!(gone > 0 && iterations > 0, "{gone} {iterations}");
-    let told = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
-    let [incident] = &told[..] else { panic!("one for all of it: {told:?}") };
+    let incidents = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
+    let [incident] = &incidents[..] else { panic!("one for all of it: {incidents:?}") };
     assert_eq!((incident.kind.as_str(), incident.host), ("retention", None));
     assert_eq!(
         incident.text,

@@ -38,12 +38,12 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
         1
     );
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-    let told = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
+    let incidents = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     let iterations_gone = first - 1;
     let expected = format!(
         "deleted {iterations_gone} iterations with their trees of 1 run (size_limit_bytes = {limit})"
     );
-    assert_eq!(told.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(), [expected.as_str()]);
+    assert_eq!(incidents.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(), [expected.as_str()]);
 
     // No size is small enough: everything that may be deleted is deleted, and then it stops.
     let mut retention = limited(1);

@@ -186,11 +186,11 @@ const LARGE: [&str; 12] = [
 async fn rollup_and_retention_queries_use_keys() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
-    let questions = crate::rollups::QUERIES
+    let queries = crate::rollups::QUERIES
         .into_iter()
         .chain(crate::rebuild::QUERIES)
         .chain(crate::retention::statements());
-    for (name, statement) in questions {
+    for (name, statement) in queries {
         let explain = format!("EXPLAIN QUERY PLAN {statement}");
         let steps: Vec<(i64, i64, i64, String)> = sqlx::query_as(sqlx::AssertSqlSafe(explain))
             .fetch_all(&mut connection)

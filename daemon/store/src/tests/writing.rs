@@ -302,7 +302,7 @@ async fn replaced_spool_leaves_one_gap() {
 }
 
 #[tokio::test]
-async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
+async fn missing_batches_of_previous_stream_are_one_gap() {
     let mut test_store = TestStore::new().await;
     let (old, new) = (test_store.stream, StreamId::random());
     let work = test_store.batch(vec![generate::run_started(RunId::random(), "line", generate::at(1.0))]);

@@ -22,7 +22,7 @@ use peernet_logger::{HostId, Slug};
 
 /// Maximum number of streams of one host with batches that are accepted and not stored: the current stream and the host's
 /// earlier streams.
-const MAX_UNSETTLED_STREAMS: usize = 8;
+const MAX_UNSTORED_STREAMS: usize = 8;
 
 /// Configuration of the receiving end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -255,8 +255,8 @@ impl Receiving {
         }
         // Batches from an earlier process of the host are stored first, so that the welcome's statement about them
         // stays true.
-        let unsettled = |progress: &Progress| progress.has_unsettled_from_other_process(hello.process);
-        if self.has_too_many_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
+        let has_unstored = |progress: &Progress| progress.has_unstored_from_other_process(hello.process);
+        if self.has_too_many_unstored(host, stream) || self.streams.get(&stream).is_some_and(has_unstored) {
             return HelloResult::Wait;
         }
         // A stream is new only once, so that its gap is recorded once however often the agent reconnects.
@@ -291,7 +291,7 @@ impl Receiving {
         self.deferred.remove(stream);
         self.parts.forget(host);
         if let Some(replaced_session) = replaced_session {
-            self.forget_if_settled(replaced_session.stream);
+            self.forget_if_stored(replaced_session.stream);
         }
         let aggregator = self.config.aggregator.clone();
         let (chain, process) = (last.map(|last| last.chain), last.and_then(|last| last.process));
@@ -302,10 +302,10 @@ impl Receiving {
 
     /// Returns whether the host must wait for the writer, because its stream or its earlier streams have too many
     /// batches that are not stored.
-    fn has_too_many_unsettled(&self, host: HostId, stream: StreamId) -> bool {
+    fn has_too_many_unstored(&self, host: HostId, stream: StreamId) -> bool {
         let full = self.streams.get(&stream).is_some_and(Progress::is_full);
         let others = self.streams.iter().filter(|(id, progress)| progress.host == host && **id != stream);
-        full || others.count() >= MAX_UNSETTLED_STREAMS
+        full || others.count() >= MAX_UNSTORED_STREAMS
     }
 
     /// Decides about a batch. `intact` tells whether its bytes match its hash ([`super::codec::decode_batch_body`]). An intact
@@ -378,7 +378,7 @@ impl Receiving {
         self.parts.forget(host);
         if let Some(session) = self.hosts.remove(&host) {
             self.deferred.remove(session.stream);
-            self.forget_if_settled(session.stream);
+            self.forget_if_stored(session.stream);
         }
     }
 
@@ -390,9 +390,9 @@ impl Receiving {
     /// batches.
     pub fn handle_stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
-        let reply = self.streams.get_mut(&stream)?.settle(stream, mark, window);
+        let reply = self.streams.get_mut(&stream)?.record_stored(stream, mark, window);
         let listener = self.current_sender(stream);
-        self.forget_if_settled(stream);
+        self.forget_if_stored(stream);
         listener.zip(reply)
     }
 
@@ -402,7 +402,7 @@ impl Receiving {
     pub fn handle_failed_store(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
         let request = self.streams.get_mut(&stream)?.fail(stream);
         let listener = self.current_sender(stream);
-        self.forget_if_settled(stream);
+        self.forget_if_stored(stream);
         listener.map(|host| (host, request))
     }
 
@@ -435,10 +435,10 @@ impl Receiving {
     }
 
     /// Removes a stream from memory if no host sends it and all its accepted batches are stored. Its mark is on disk.
-    fn forget_if_settled(&mut self, stream: StreamId) {
+    fn forget_if_stored(&mut self, stream: StreamId) {
         if self.current_sender(stream).is_none() {
             self.deferred.remove(stream);
-            if self.streams.get(&stream).is_some_and(Progress::is_settled) {
+            if self.streams.get(&stream).is_some_and(Progress::is_all_stored) {
                 self.streams.remove(&stream);
             }
         }

@@ -85,7 +85,7 @@ impl Progress {
             self.apply_mark(mark);
         }
         // Nothing of the stream is stored or waits, so the agent's present statement replaces an earlier one.
-        if self.mark.is_none() && self.is_settled() {
+        if self.mark.is_none() && self.is_all_stored() {
             *self = Self::new(hello, None);
         }
         if !same {
@@ -112,7 +112,7 @@ impl Progress {
     /// Decides about a batch of the stream from the connected agent.
     pub(super) fn handle_batch(&mut self, head: &BatchHead, intact: bool, window: u32) -> Arrival {
         let number = head.number;
-        if number <= self.settled() {
+        if number <= self.acknowledged_through() {
             Arrival::Duplicate(self.acknowledgement(head.stream, window))
         } else if number <= self.accepted.number {
             self.handle_repeated(head, window)
@@ -144,7 +144,7 @@ impl Progress {
         }
         // The chain also identifies every batch before it.
         self.confirmed = self.confirmed.max(number);
-        self.drop_settled();
+        self.drop_acknowledged();
         match number <= self.stored.number {
             true => Arrival::Duplicate(self.acknowledgement(head.stream, window)),
             false => Arrival::Pending,
@@ -181,14 +181,14 @@ impl Progress {
         self.confirmed = number;
         self.pending.push_back((number, chain));
         (self.requested, self.damaged) = (None, None);
-        self.drop_settled();
+        self.drop_acknowledged();
     }
 
     /// Records that the mark is on disk. Returns the acknowledgement for the connected agent, if it advances.
-    pub(super) fn settle(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
-        let before = self.settled();
+    pub(super) fn record_stored(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
+        let before = self.acknowledged_through();
         self.apply_mark(mark);
-        (self.settled() > before).then(|| self.acknowledgement(stream, window))
+        (self.acknowledged_through() > before).then(|| self.acknowledgement(stream, window))
     }
 
     /// Applies a mark of the database.
@@ -205,7 +205,7 @@ impl Progress {
             }
             self.accepted = self.stored;
         }
-        self.drop_settled();
+        self.drop_acknowledged();
     }
 
     /// Records that storing failed. Returns the request to send the batches again.
@@ -234,13 +234,13 @@ impl Progress {
     }
 
     /// Returns whether no batch waits to be stored.
-    pub(super) const fn is_settled(&self) -> bool {
+    pub(super) const fn is_all_stored(&self) -> bool {
         self.accepted.number == self.stored.number
     }
 
     /// Returns whether a batch from another process waits to be stored.
-    pub(super) const fn has_unsettled_from_other_process(&self, process: u64) -> bool {
-        !self.is_settled() && self.process != process
+    pub(super) const fn has_unstored_from_other_process(&self, process: u64) -> bool {
+        !self.is_all_stored() && self.process != process
     }
 
     /// Returns whether the largest number of batches waits to be stored or confirmed.
@@ -253,18 +253,18 @@ impl Progress {
     }
 
     /// Returns the last batch that is stored and that the agent is known to hold.
-    fn settled(&self) -> u64 {
+    fn acknowledged_through(&self) -> u64 {
         self.stored.number.min(self.confirmed)
     }
 
-    fn drop_settled(&mut self) {
-        let settled = self.settled();
-        while self.pending.front().is_some_and(|(number, _)| *number <= settled) {
+    fn drop_acknowledged(&mut self) {
+        let acknowledged_through = self.acknowledged_through();
+        while self.pending.front().is_some_and(|(number, _)| *number <= acknowledged_through) {
             self.pending.pop_front();
         }
     }
 
     fn acknowledgement(&self, stream: StreamId, window: u32) -> ToAgent {
-        ToAgent::Ack { stream, through: self.settled(), window }
+        ToAgent::Ack { stream, through: self.acknowledged_through(), window }
     }
 }

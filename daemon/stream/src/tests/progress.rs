@@ -72,7 +72,7 @@ fn batches_are_accepted_in_order_and_acknowledged_when_stored() {
 }
 
 #[test]
-fn hole_is_requested_once() {
+fn missing_batches_are_requested_once() {
     let mut end = End::with(0);
     let (first, second) = (end.resend(1), end.resend(2));
     assert_eq!(end.batch(2), Arrival::Rejected(Some(first)));

@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_are_told_apart_until_there_are_too_many_and_none_goes_uncounted() {
+    fn losses_are_separated_by_run_up_to_limit_and_all_counted() {
         let mut losses = Losses::default();
         for n in 0..200 {
             losses.add(None, Some(RunId::random()), at(n), 2, "full".into());

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use bytes::Bytes;
 
 use super::super::*;
-use super::{SECRET, names, told};
+use super::{SECRET, missing_reported, names};
 
 /// Work for the writer.
 #[derive(Clone, Debug)]
@@ -24,7 +24,7 @@ enum Work {
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Entry {
     /// A batch and its events.
-    Batch { number: u64, names: Vec<u64>, told: u64 },
+    Batch { number: u64, names: Vec<u64>, missing_reported: u64 },
     /// A batch that was quarantined.
     Damaged { number: u64, chain: Chain },
     /// Batches that neither end had, and their number of events.
@@ -245,8 +245,9 @@ impl Database {
                     assert_eq!(head.before, before.chain, "stored behind another batch than its own");
                 }
                 assert_eq!(head.chain, head.before.next(head.events, &body));
-                let (names, told) = (names(head.events, &body), told(head.events, &body));
-                let entry = Entry::Batch { number: head.number, names, told };
+                let (names, missing_reported) =
+                    (names(head.events, &body), missing_reported(head.events, &body));
+                let entry = Entry::Batch { number: head.number, names, missing_reported };
                 (head.stream, Mark::from(head), entry)
             }
             Work::Damaged(head) => {

@@ -6,7 +6,7 @@ use bytes::Bytes;
 
 use super::super::*;
 use super::aggregator::{Aggregator, Database, Entry};
-use super::{SpoolFile, names, told};
+use super::{SpoolFile, missing_reported, names};
 
 #[derive(Clone, Debug, Default)]
 pub(in super::super) struct ExpectedContent {
@@ -44,7 +44,11 @@ impl ExpectedContent {
         let Some(head) = codec::decode_batch_head(frame) else { return };
         let body = codec::decode_batch_body(frame.clone()).expect("a batch is intact when it is sent");
         self.sizes.insert((head.stream, head.number), head.events.into());
-        if self.contents.insert(head.chain, (names(head.events, &body), told(head.events, &body))).is_none() {
+        if self
+            .contents
+            .insert(head.chain, (names(head.events, &body), missing_reported(head.events, &body)))
+            .is_none()
+        {
             self.bodies.push((head.events, body));
         }
     }
@@ -123,8 +127,10 @@ impl ExpectedContent {
         for entry in entries {
             stored += self.events(entry).len() as u64;
             missing += match entry {
-                Entry::Batch { told, .. } => *told,
-                Entry::Damaged { chain, .. } => self.contents.get(chain).map_or(0, |(_, told)| *told),
+                Entry::Batch { missing_reported, .. } => *missing_reported,
+                Entry::Damaged { chain, .. } => {
+                    self.contents.get(chain).map_or(0, |(_, missing_reported)| *missing_reported)
+                }
                 Entry::Gap { .. } => 0,
             };
         }

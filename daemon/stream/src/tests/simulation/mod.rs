@@ -222,11 +222,11 @@ impl Simulation {
         *frame = Bytes::from(damaged);
     }
 
-    /// Commits `count` works. Unless `told`, the aggregator is killed between commit and acknowledgement.
-    pub(super) fn commit(&mut self, count: usize, told: bool) {
+    /// Commits `count` works. Unless `is_acknowledged`, the aggregator is killed between commit and acknowledgement.
+    pub(super) fn commit(&mut self, count: usize, is_acknowledged: bool) {
         let stored = self.aggregator.commit(count);
         stored.iter().for_each(|(stream, entry)| self.expected_content.committed(*stream, entry));
-        if told {
+        if is_acknowledged {
             let replies = self.aggregator.committed(stored.into_iter().map(|(stream, _)| stream).collect());
             self.down.extend(replies);
         } else {
@@ -358,7 +358,7 @@ impl Simulation {
 }
 
 /// Returns the number of missing events that the gaps in a body report.
-fn told(events: u32, body: &[u8]) -> u64 {
+fn missing_reported(events: u32, body: &[u8]) -> u64 {
     let events = codec::decode_events(body, events).expect("our own events");
     let count = |event| match event {
         Event::Gap(gap) => gap.count,

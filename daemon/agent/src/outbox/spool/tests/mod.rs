@@ -27,11 +27,11 @@ fn host() -> HostId {
 }
 
 /// A folder for a spool.
-struct Place {
+struct SpoolFolder {
     folder: TempDir,
 }
 
-impl Place {
+impl SpoolFolder {
     fn new() -> Self {
         Self { folder: tempfile::tempdir().expect("a folder") }
     }
@@ -45,7 +45,7 @@ impl Place {
     }
 
     /// Opens a spool that must not be broken.
-    async fn sound(&self) -> (SpoolFile, SpoolState) {
+    async fn open_undamaged(&self) -> (SpoolFile, SpoolState) {
         let OpenSpool { file, state, quarantined, counter } = self.open().await.expect("opens");
         assert_eq!(quarantined, None);
         // The counter's file is left behind only by a process that is killed.
