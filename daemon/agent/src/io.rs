@@ -41,7 +41,7 @@ impl IoThreads {
     }
 
     /// Wraps a future in the context of this runtime. The sockets and tasks that it creates belong to the I/O threads,
-    /// whichever thread polls the future.
+    /// no matter which thread polls the future.
     pub(crate) fn with_context<F: Future>(&self, future: F) -> TokioContext<F> {
         TokioContext::new(future, self.handle().clone())
     }

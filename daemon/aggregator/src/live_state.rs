@@ -62,7 +62,7 @@ pub struct RefusedFrames {
 /// Numbers of batches that arrived and were not stored, since the aggregator's start; they are sent again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Arrivals {
-    /// Batches for which the queue had no room.
+    /// Batches for which the queue had no capacity.
     pub deferred: u64,
     /// Batches that did not match their hash.
     pub damaged: u64,

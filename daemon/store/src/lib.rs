@@ -84,7 +84,7 @@ impl Store {
         self.readers.close().await;
     }
 
-    /// Opens new connections in place of the closed ones, so that queries work again.
+    /// Opens new connections in place of the closed connections, so that queries work again.
     pub fn reopen(&self) {
         self.readers.reopen();
     }
@@ -178,7 +178,7 @@ impl Store {
         read::iterations::iterations(&self.readers, run, filter).await
     }
 
-    /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored ones.
+    /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored iterations.
     ///
     /// The value of a standard name is the sum of its nodes below the root; that of a user's name is its first node, as in
     /// `data.csv`. Only a few iterations of a long run are read.

@@ -29,7 +29,7 @@ pub enum LockError {
 
 /// Lock of a database for writing: a lock on the file itself, which is released when this value is dropped or the process ends.
 ///
-/// There is one lock for a file, whatever name leads to it (link, hard link, another mount).
+/// A file has one lock under all its names (link, hard link, another mount).
 //
 // It is a lock of flock(2), because SQLite uses locks of fcntl(2). The two kinds are independent: when SQLite closes another
 // descriptor of the file, this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that

@@ -70,7 +70,7 @@ pub struct RunSummary {
     pub counts: OutcomeCounts,
     /// Iterations of the warm-up: stored, but excluded from statistics.
     pub warm_up: u64,
-    /// Skipped starts of an open loop before its iterations, whatever their outcome; without the warm-up.
+    /// Skipped starts of an open loop before its iterations of any outcome; without the warm-up.
     pub skipped_starts: u64,
     /// Longest allowed duration of an iteration in seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
@@ -100,7 +100,7 @@ pub struct RunDetail {
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
-    /// Conditions of the hosts before the run began; empty when none were recorded.
+    /// Conditions of the hosts before the run started; empty if none were recorded.
     pub conditions: Vec<Condition>,
     /// Missing events, oldest first, at most 1,000.
     pub gaps: Vec<GapRow>,
@@ -328,7 +328,7 @@ pub struct IncidentFilter {
 }
 
 impl IncidentFilter {
-    /// Returns the newest ones of all kinds and hosts.
+    /// Selects the newest incidents of all kinds and hosts.
     pub const fn newest(limit: u32) -> Self {
         Self { limit, before: None, kind: None, host: None }
     }
@@ -443,7 +443,7 @@ pub struct ClockSeries {
     pub points: Vec<ClockPoint>,
 }
 
-/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, later ones included.
+/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, including later exchanges.
 /// The recorded stamps stay unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Recomputed {

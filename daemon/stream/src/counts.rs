@@ -113,7 +113,7 @@ impl SubmittedEvents {
         SettledEvents { events, batched: self.batched.total, last: self.last }
     }
 
-    /// Moves the events in batches that are not in `kept` to the dropped ones.
+    /// Counts the events of batches that are not in `kept` as dropped.
     pub(super) fn give_up(&mut self, kept: &RunCounts) {
         let batched = std::mem::replace(&mut self.batched, kept.clone());
         self.dropped.total += batched.total.saturating_sub(kept.total);
@@ -129,7 +129,7 @@ impl SubmittedEvents {
 }
 
 impl CountedEvents {
-    /// Returns the gaps for `lost` events. `known` is the number of events that the spool lacks but that were stored or
+    /// Returns the gaps for `lost` events. `known` is the number of events that are not in the spool but that were stored or
     /// reported; their runs are unknown.
     pub(super) fn gaps(&self, settled: &SettledEvents, known: u64, lost: u64) -> Vec<Gap> {
         let mut left = lost;

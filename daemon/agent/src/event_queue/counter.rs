@@ -95,7 +95,7 @@ impl EventCounter {
         }
         let name = format!("peernet-{}.count", Uuid::new_v4());
         let file = create_file(&name)?;
-        // The whole file is written now, so that later writes need no more memory and cannot fail for lack of it.
+        // The whole file is written now, so that later writes need no more memory and cannot fail because memory is full.
         let mut bytes = vec![0; FILE_BYTES];
         bytes[..MAGIC.len()].copy_from_slice(MAGIC);
         let owner = owner.encode();

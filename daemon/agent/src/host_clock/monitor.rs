@@ -96,7 +96,7 @@ impl HostClockMonitor {
 
     /// Begins new epochs after a disruption that the hypervisor reports. No clock of the machine itself can show it.
     fn check_vmclock(&mut self) -> Option<String> {
-        let device = self.vmclock.disrupted()?.display().to_string();
+        let device = self.vmclock.find_disrupted_device()?.display().to_string();
         self.begin_epochs();
         Some(format!(
             "{device} reports that the hypervisor disrupted this host's clocks, as when a virtual machine is paused or moved; \

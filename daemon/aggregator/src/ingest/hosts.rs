@@ -1,4 +1,4 @@
-//! The known hosts: the stored ones with their secrets, and newcomers.
+//! The known hosts: stored hosts with their secrets, and newcomers.
 //!
 //! A newcomer is a host whose hello was accepted and of which nothing is stored yet. It exists only in memory and only
 //! while it is connected; its first batch makes it a stored host. Invented hosts therefore fill neither the database
@@ -179,7 +179,7 @@ impl Hosts {
     }
 
     /// Returns the newcomers for which `gone` is true.
-    pub(super) fn newcomers_where(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
+    pub(super) fn select_newcomers(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
         self.newcomers.keys().copied().filter(|host| gone(*host)).collect()
     }
 }
@@ -239,7 +239,7 @@ mod tests {
         let (host, at) = (HostId::random(), |seconds| MonoTime::from_nanos(0) + Span::from_seconds(seconds));
         let mut hosts = Hosts::new(1, vec![(host, Some(HostSecret::random()))]);
         assert!(hosts.needs_secret_check(host, at(0)));
-        assert!(!hosts.needs_secret_check(host, at(0)), "whoever guesses causes one question a second");
+        assert!(!hosts.needs_secret_check(host, at(0)), "guessing causes at most one query a second");
         assert!(hosts.needs_secret_check(host, at(1)));
         hosts.set_secret(host, None);
         assert_eq!(hosts.secret(host), None);

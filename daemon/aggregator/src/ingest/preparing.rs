@@ -16,7 +16,7 @@ use peernet_store::writing::Work;
 /// Largest number of prepared items. Their nodes are limited, too.
 const MAX_PREPARED_ITEMS: usize = 4_096;
 
-/// Work that is ready for the writer. It occupies its room in the queue until it is dropped.
+/// Work that is ready for the writer. It occupies its capacity of the queue until it is dropped.
 #[derive(Debug)]
 pub(crate) struct PreparedWork {
     pub(crate) work: Work,

@@ -71,7 +71,7 @@ impl Host {
         self.snapshot = None;
     }
 
-    /// Processes a goodbye. Pipelines of the host's latest update have ended, whatever state that update gave them.
+    /// Processes a goodbye. All pipelines of the host's latest update have ended, even if that update shows them as running.
     /// Others are away.
     pub(super) fn goodbye(&mut self) {
         let last = self.presence.sent_by_current();

@@ -1,4 +1,4 @@
-//! The live state: the current state of all agents, from the live lane alone, so that it stays current however many
+//! The live state: the current state of all agents, from the live lane alone, so that it stays current regardless of how many
 //! batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
 //! Memory is bounded whatever agents send: the numbers of hosts, of pipelines and links per host, and of names per
@@ -63,7 +63,7 @@ pub(crate) enum LiveEvent {
     Stored(HostId, StoredCounts, Option<WallTime>),
     /// A duplicate batch arrived.
     Duplicate(HostId),
-    /// A batch arrived for which the queue had no room.
+    /// A batch arrived for which the queue had no capacity.
     Deferred(HostId),
     /// A batch arrived that does not match its hash.
     Damaged(HostId),
@@ -236,7 +236,7 @@ impl LiveTracker {
         limits::limit_text(&mut refused.reason);
         let same = |known: &RefusedHost| (&known.name, &known.reason) == (&refused.name, &refused.reason);
         self.refused.retain(|(_, known)| !same(known));
-        // The newest refusals are the relevant ones.
+        // The newest refusals matter most.
         self.refused.truncate(MAX_REFUSED - 1);
         self.refused.push_front((now, refused));
     }

@@ -28,7 +28,7 @@ const MAX_CLOCK_DECREASE: Span = Span::from_seconds(2);
 /// Silence after which the windows continue without the agent. Updates arrive four times a second.
 const MAX_UPDATE_AGE: Span = Span::from_seconds(1);
 
-/// State of one pipeline, with rings of the last seconds of the agent's wall clock, whatever time that shows.
+/// State of one pipeline, with rings of the last seconds by the agent's wall clock, which may be wrong.
 #[derive(Debug)]
 pub(super) struct Pipeline {
     state: PipelineState,
@@ -72,7 +72,7 @@ impl Pipeline {
         limits::limit_placement(&mut live.placement);
         limits::limit_text(&mut live.load);
         if self.sent - sent > MAX_CLOCK_DECREASE {
-            // The clock was set back and repeats these seconds; the known ones happened at other times.
+            // The clock was set back and repeats these seconds; the seconds in the rings happened at other times.
             self.recent.remove_from(sent.unix_seconds());
             drop(self.series.split_off(&sent.unix_seconds()));
             self.percentiles.remove_from(sent.unix_seconds());
@@ -196,7 +196,7 @@ impl Pipeline {
             .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + incomplete_seconds).max(1.0));
         let mut sum = SecondFigures::default();
         let mut merged = 0;
-        // Each window contains the shorter ones, and all contain the incomplete second.
+        // Each window contains the shorter windows, and all contain the incomplete second.
         WINDOWS.map(|seconds| {
             let cells = i64::from(seconds) + 1;
             for (_, second_figures) in self.recent.iter(current - merged, (cells - merged) as usize) {

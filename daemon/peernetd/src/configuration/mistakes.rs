@@ -41,7 +41,7 @@ pub(super) struct Remainder<T> {
 /// The first key that could not be read.
 pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str, arrays: &[&str]) -> Result<T, Mistake> {
     let document = DeTable::parse(text).map_err(|error| Mistake { key: String::new(), error })?;
-    if let Some(mistake) = document.get_ref().iter().find_map(|entry| needless_array(entry, arrays)) {
+    if let Some(mistake) = document.get_ref().iter().find_map(|entry| find_needless_array(entry, arrays)) {
         return Err(mistake);
     }
     serde_path_to_error::deserialize(Deserializer::from(document)).map_err(|error| {
@@ -52,7 +52,7 @@ pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str, arrays: &[&str]) -> Re
 
 /// Returns the mistake of an entry that is an array and should be a table. serde would read an array as a struct,
 /// whose fields may all have defaults.
-fn needless_array(
+fn find_needless_array(
     (name, value): (&Spanned<Cow<'_, str>>, &Spanned<DeValue<'_>>),
     arrays: &[&str],
 ) -> Option<Mistake> {
@@ -71,7 +71,7 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
 ) -> (Vec<Mistake>, Option<Remainder<T>>) {
     let Ok(root) = DeTable::parse(text) else { return (vec![first], None) };
     let mut mistakes: Vec<Mistake> =
-        root.get_ref().iter().filter_map(|entry| needless_array(entry, arrays)).collect();
+        root.get_ref().iter().filter_map(|entry| find_needless_array(entry, arrays)).collect();
     let mut incomplete: BTreeSet<String> = mistakes.iter().map(|mistake| mistake.key.clone()).collect();
     let (mut rest, mut removed, mut indices_in_file) = (DeTable::new(), Vec::new(), BTreeMap::new());
     for part in split_into_parts(root.get_ref()) {
@@ -107,7 +107,7 @@ impl<T> Remainder<T> {
     }
 
     /// Returns whether a key was removed at a path of the whole file, below it or above it.
-    pub(super) fn lacks(&self, key: &str) -> bool {
+    pub(super) fn is_removed(&self, key: &str) -> bool {
         let is_at = |key: &str, above: &str| {
             key.strip_prefix(above).is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
         };
@@ -164,10 +164,10 @@ impl<'a> Part<'a> {
                 removed_keys.extend(removed.iter().map(|steps: &Vec<Step>| self.key(steps)));
                 return Some(document);
             };
-            let steps = steps(error.path());
+            let steps = path_steps(error.path());
             let missing = missing_key(error.inner().message());
             // A missing key that was removed here is not a mistake of the user: its table is removed, too.
-            if missing.is_some_and(|name| removed.contains(&below(&steps, name))) {
+            if missing.is_some_and(|name| removed.contains(&join_key(&steps, name))) {
                 if remove(document.get_mut(), &steps, &mut removed) {
                     continue;
                 }
@@ -234,7 +234,7 @@ enum Step {
     Element(usize),
 }
 
-fn steps(path: &Path) -> Vec<Step> {
+fn path_steps(path: &Path) -> Vec<Step> {
     path.iter()
         .map_while(|segment| match segment {
             Segment::Map { key } => Some(Step::Key(key.clone())),
@@ -245,7 +245,7 @@ fn steps(path: &Path) -> Vec<Step> {
 }
 
 /// Returns the path of a key in the table at `steps`.
-fn below(steps: &[Step], name: &str) -> Vec<Step> {
+fn join_key(steps: &[Step], name: &str) -> Vec<Step> {
     steps.iter().cloned().chain([Step::Key(name.to_owned())]).collect()
 }
 
@@ -382,7 +382,7 @@ mod tests {
             ("element[1].number.x", true),
             ("element[1].name", false),
         ] {
-            assert_eq!(rest.lacks(key), is_lacking, "{key}");
+            assert_eq!(rest.is_removed(key), is_lacking, "{key}");
         }
     }
 

@@ -108,7 +108,7 @@ impl PageFile {
         Ok(bytes)
     }
 
-    /// Returns the first page that the header counts but the file lacks, if it was cut off.
+    /// Returns the first page that the header counts and that is missing, because the file is truncated; `None` if it is not.
     pub(crate) fn first_missing(&self) -> io::Result<Option<u32>> {
         let counted = be32(&self.read(1, 1)?, 28);
         let pages = u32::try_from(self.file.metadata()?.len() / self.page_bytes as u64).unwrap_or(u32::MAX);

@@ -180,7 +180,7 @@ async fn read_pages(
     rate: u64,
 ) -> Result<Vec<u32>, sqlx::Error> {
     let (file, log) = (Arc::clone(file), log_path(database));
-    let Some(mut check) = blocking(reads, move || PageCheck::start(file, log)).await? else {
+    let Some(mut check) = read_blocking(reads, move || PageCheck::start(file, log)).await? else {
         return Ok(vec![1]);
     };
     let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP_BYTES / rate));
@@ -188,16 +188,16 @@ async fn read_pages(
     let mut more = true;
     while more {
         ticks.tick().await;
-        (check, more) = blocking(reads, move || {
+        (check, more) = read_blocking(reads, move || {
             let more = check.step(STEP_BYTES)?;
             Ok((check, more))
         })
         .await?;
     }
-    blocking(reads, move || check.finish()).await
+    read_blocking(reads, move || check.finish()).await
 }
 
-async fn blocking<T: Send + 'static>(
+async fn read_blocking<T: Send + 'static>(
     reads: &TaskTracker,
     work: impl FnOnce() -> io::Result<T> + Send + 'static,
 ) -> Result<T, sqlx::Error> {

@@ -51,7 +51,7 @@ pub enum BackupError {
     /// The path cannot be given to SQLite.
     #[error("{} is not UTF-8; name another file", .0.display())]
     Name(PathBuf),
-    /// The disk has not enough room for the copy.
+    /// The disk has not enough space for the copy.
     #[error("{} has {free} bytes free, but the copy needs {needed}; free some space, or name a file on another disk", folder.display())]
     NoRoom {
         /// The folder of the copy.
@@ -104,7 +104,7 @@ pub struct Backup {
 }
 
 impl Backup {
-    /// Checks that `database` can be read, and that `target` does not exist and has room. The copy is first written under the
+    /// Checks that `database` can be read, that `target` does not exist and that its disk has enough space. The copy is first written under the
     /// name `<target>.partial`.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 //! not depend on the length of the run.
 
 use super::iterations::Row;
-use super::{corrupt, sql, wall};
+use super::{corrupt_data, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::Episodes;
@@ -119,7 +119,7 @@ async fn rows(readers: &Readers, run: i64, numbers: &[i64]) -> Result<Vec<Row>, 
 
 /// Converts a list to JSON, in which form statements take it.
 fn json(list: &(impl serde::Serialize + ?Sized)) -> Result<String, StoreError> {
-    serde_json::to_string(list).map_err(|error| corrupt(WHAT, error))
+    serde_json::to_string(list).map_err(|error| corrupt_data(WHAT, error))
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use peernet_logger::{Name, stage};
 use sqlx::FromRow;
 
 use super::clocks::AssumedWindows;
-use super::{corrupt, count, known, sql, statistics, tree, wall};
+use super::{corrupt_data, count, sql, statistics, tree, value_of_number, wall};
 use crate::column::column;
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -180,7 +180,7 @@ async fn complete_rows(
     medians: &Medians,
 ) -> Result<Vec<IterationRow>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
-    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt_data(WHAT, error))?;
     let durations: Vec<NodeSeconds> = sqlx::query_as(sql::DURATIONS)
         .bind(run)
         .bind(&numbers)
@@ -240,7 +240,7 @@ fn complete_row(
     let transport_sum = transport_sum.flatten();
     let outcome = OUTCOMES
         .get(usize::from(row.outcome))
-        .ok_or_else(|| corrupt(WHAT, format_args!("outcome {}", row.outcome)))?;
+        .ok_or_else(|| corrupt_data(WHAT, format_args!("outcome {}", row.outcome)))?;
     Ok(IterationRow {
         number: count(row.number),
         episode: row.episode,
@@ -267,7 +267,7 @@ fn complete_row(
 
 impl Delay {
     fn row(self, windows: Option<&AssumedWindows>) -> Result<DelayRow, StoreError> {
-        let source = known(WHAT, DelaySource::ALL, self.source)?;
+        let source = value_of_number(WHAT, DelaySource::ALL, self.source)?;
         let is_upload = stage::UPLOAD == self.stage.as_str();
         let edge_ns = if is_upload { Some(self.sent_ns) } else { self.received_ns };
         let assumptions = match (windows, self.cloud, edge_ns) {
@@ -286,7 +286,7 @@ impl Delay {
             )
             .seconds(),
             source,
-            verdict: known(WHAT, Verdict::ALL, self.verdict)?,
+            verdict: value_of_number(WHAT, Verdict::ALL, self.verdict)?,
             assumptions,
         })
     }

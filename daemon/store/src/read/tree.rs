@@ -6,7 +6,7 @@ use peernet_logger::{
 };
 use sqlx::FromRow;
 
-use super::{StoredDelay, corrupt, name, parse, sql, wall};
+use super::{StoredDelay, corrupt_data, name, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 
@@ -76,7 +76,7 @@ pub(super) async fn trees(
     iterations: &[(i64, WallTime)],
 ) -> Result<Vec<Option<StoredTree>>, StoreError> {
     let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
-    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt_data(WHAT, error))?;
     let ends: TreeHosts =
         sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
@@ -145,7 +145,7 @@ fn tree(
             measure: measure(row, transit)?,
         });
     }
-    let tree = Tree::from_parts(anchors, nodes_again).map_err(|error| corrupt(WHAT, error))?;
+    let tree = Tree::from_parts(anchors, nodes_again).map_err(|error| corrupt_data(WHAT, error))?;
     Ok((tree, hosts))
 }
 
@@ -165,7 +165,7 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
         "token-rate" => Measure::TokenRate(row.value),
         "transit" => {
             let stamps =
-                transit.ok_or_else(|| corrupt(WHAT, format_args!("node {} has no stamps", row.node)))?;
+                transit.ok_or_else(|| corrupt_data(WHAT, format_args!("node {} has no stamps", row.node)))?;
             Measure::Transit(Box::new(Transit {
                 sent: wall(stamps.sent_ns),
                 received: stamps.received_ns.map(WallTime::from_unix_nanos),
@@ -173,7 +173,9 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
                 raw_stamps: stamps.raw_stamps(),
             }))
         }
-        kind => return Err(corrupt(WHAT, format_args!("node {} is of an unknown kind, {kind:?}", row.node))),
+        kind => {
+            return Err(corrupt_data(WHAT, format_args!("node {} is of an unknown kind, {kind:?}", row.node)));
+        }
     })
 }
 

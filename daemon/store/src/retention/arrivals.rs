@@ -80,7 +80,7 @@ struct Arrival {
 }
 
 /// Returns whether data of this kind had arrived by a second of the storage clock.
-pub(super) async fn due(
+pub(super) async fn has_due(
     connection: &mut SqliteConnection,
     kind: Kind,
     before_s: i64,
@@ -148,9 +148,9 @@ impl Arrival {
         now_s: i64,
         rows: u64,
     ) -> Result<DeletedRows, sqlx::Error> {
-        let mut others = self.later(connection).await?;
+        let mut others = self.later_extents(connection).await?;
         let pinned = match self.kind {
-            Kind::ClockSamples => clocks::pinned(connection, self.owner).await?,
+            Kind::ClockSamples => clocks::pinned_times(connection, self.owner).await?,
             _ => Vec::new(),
         };
         others.extend(&pinned);
@@ -178,7 +178,8 @@ impl Arrival {
         let mut kept = false;
         for Extent { first, last } in pinned {
             let part = Extent { first: first.max(self.extent.first), last: last.min(self.extent.last) };
-            kept = kept || (part.first <= part.last && clocks::any(connection, self.owner, part).await?);
+            kept = kept
+                || (part.first <= part.last && clocks::has_samples(connection, self.owner, part).await?);
         }
         let statement = if kept { POSTPONE } else { REMOVE };
         let statement = sqlx::query(statement).bind(self.kind.number()).bind(self.owner).bind(self.from_s);
@@ -187,7 +188,7 @@ impl Arrival {
     }
 
     /// Returns the parts of its extent for which data also arrived later.
-    async fn later(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
+    async fn later_extents(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
         let rows: Vec<(i64, i64)> = sqlx::query_as(LATER)
             .bind(self.kind.number())
             .bind(self.owner)

@@ -2,7 +2,7 @@
 
 use sqlx::SqliteConnection;
 
-use super::trimmed::trimmed;
+use super::trimmed::record_trimmed;
 use super::{DeletedRows, Kind};
 use crate::column::column;
 use crate::extent::Extent;
@@ -48,6 +48,6 @@ pub(super) async fn delete(
     let gone = sqlx::query(DELETE).bind(run).bind(width_s).bind(first).bind(through);
     let items = gone.execute(&mut *connection).await?.rows_affected();
     let before_s = newest.unwrap_or(first).saturating_add(width_s);
-    trimmed(connection, Kind::Buckets(width_s), run, before_s).await?;
+    record_trimmed(connection, Kind::Buckets(width_s), run, before_s).await?;
     Ok(DeletedRows { rows: items * BUCKET_COST, items, complete: after.is_none() })
 }

@@ -44,7 +44,10 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
 ];
 
 /// Returns the times around pinned runs of a link's edge.
-pub(super) async fn pinned(connection: &mut SqliteConnection, link: i64) -> Result<Vec<Extent>, sqlx::Error> {
+pub(super) async fn pinned_times(
+    connection: &mut SqliteConnection,
+    link: i64,
+) -> Result<Vec<Extent>, sqlx::Error> {
     let runs: Vec<(i64, i64)> = sqlx::query_as(PINNED).bind(link).fetch_all(connection).await?;
     let around = |(begin, end): (i64, i64)| Extent {
         first: begin.saturating_sub(AROUND_NS),
@@ -54,7 +57,7 @@ pub(super) async fn pinned(connection: &mut SqliteConnection, link: i64) -> Resu
 }
 
 /// Returns whether there are samples between two times, both included.
-pub(super) async fn any(
+pub(super) async fn has_samples(
     connection: &mut SqliteConnection,
     link: i64,
     times: Extent,

@@ -186,7 +186,7 @@ impl Retention {
         if self.idle.is_some_and(|idle| now.mono - idle < IDLE) {
             return Ok(Step::Done);
         }
-        let now_s = seconds(storage_clock.read(connection, now.mono).await?);
+        let now_s = whole_seconds(storage_clock.read(connection, now.mono).await?);
         let Some(work) = self.find_work(connection, now_s, now.mono).await? else {
             self.idle = Some(now.mono);
             self.deletions.log_at_rest(now_s);
@@ -218,7 +218,7 @@ impl Retention {
         rows: u64,
     ) -> Result<(), sqlx::Error> {
         raw_transaction::begin(connection).await?;
-        let now_s = seconds(storage_clock.advance(connection, now).await?);
+        let now_s = whole_seconds(storage_clock.advance(connection, now).await?);
         let mut deletions = Vec::new();
         self.perform(connection, work, (now_s, now), rows, &mut deletions).await?;
         self.deletions.record(connection, &deletions, (now_s, now.wall)).await?;
@@ -233,12 +233,12 @@ impl Retention {
         now: MonoTime,
     ) -> Result<Option<Work>, sqlx::Error> {
         let since_s = now_s - self.periods.finest_resolution_s();
-        if arriving::any(connection, since_s).await? {
+        if arriving::has_arrivals(connection, since_s).await? {
             return Ok(Some(Work::Arriving { since_s }));
         }
         for kind in Kind::ALL {
             if let Some(period_s) = self.periods.period_s(kind)
-                && arrivals::due(connection, kind, now_s - period_s).await?
+                && arrivals::has_due(connection, kind, now_s - period_s).await?
             {
                 return Ok(Some(Work::Aged { kind, before_s: now_s - period_s }));
             }
@@ -264,7 +264,7 @@ impl Retention {
             }
             Work::TooLarge => {
                 // Recent arrivals may be deleted as well, once no older iterations remain.
-                if !arrivals::due(connection, Kind::Nodes, i64::MAX).await? {
+                if !arrivals::has_due(connection, Kind::Nodes, i64::MAX).await? {
                     arriving::close(connection, &self.periods, i64::MAX, now_s, ARRIVING).await?;
                 }
                 if !self.size.reduce(connection, (now_s, now.wall), rows, deletions).await? {
@@ -287,7 +287,7 @@ enum Work {
     TooLarge,
 }
 
-const fn seconds(elapsed: Span) -> i64 {
+const fn whole_seconds(elapsed: Span) -> i64 {
     elapsed.nanos().div_euclid(1_000_000_000)
 }
 

@@ -2,7 +2,7 @@
 
 use sqlx::SqliteConnection;
 
-use super::trimmed::trimmed;
+use super::trimmed::record_trimmed;
 use super::{DeletedRows, Kind};
 use crate::extent::Extent;
 
@@ -71,7 +71,7 @@ pub(super) async fn delete(
             }
             let seconds = now.iter().map(|(_, started_ns)| started_ns.div_euclid(1_000_000_000));
             let newest_s = seconds.max().unwrap_or(i64::MIN);
-            trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;
+            record_trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;
             sqlx::query(NODES_FROM).bind(run).bind(through).execute(&mut *connection).await?;
             per_iteration = (gone / now.len() as u64).max(1);
             deleted.rows += gone;

@@ -8,7 +8,7 @@ use super::packed::PackedSummary;
 use super::table::{self, RollupRow};
 use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
-/// Number of older buckets of a width kept in addition to the newest one: iterations end in another order than they began in.
+/// Number of older buckets of a width kept in addition to the newest bucket: iterations may end in another order than they started.
 const OLDER_BUCKETS: usize = 2;
 /// Approximate memory of a run besides its rows, bytes.
 const OVERHEAD: usize = 512;

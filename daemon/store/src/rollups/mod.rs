@@ -77,7 +77,7 @@ pub(crate) enum Scope {
     All,
     /// Buckets that begin at this second or later, but not the whole run: the nodes before are deleted.
     From(i64),
-    /// Minutes and hours only: the finer ones exist already.
+    /// Minutes and hours only: the finer buckets exist already.
     Coarser,
 }
 

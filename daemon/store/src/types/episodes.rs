@@ -8,7 +8,7 @@ use peernet_clock::WallTime;
 pub struct Episodes {
     /// Start of the first iteration, if it is still stored.
     pub first: Option<WallTime>,
-    /// Number of episodes that began: 1 for a run that is not divided into episodes, 0 without iterations.
+    /// Number of started episodes: 1 for a run that is not divided into episodes, 0 without iterations.
     pub count: u64,
     /// Iterations of each episode but the last; `None` if there is only one.
     pub steps: Option<u64>,

@@ -50,7 +50,7 @@ pub(super) struct DatabaseFile {
     identity: Identity,
     log_path: PathBuf,
     /// Identity of the log. SQLite creates it with the first connection and removes it with the last: while the writer is
-    /// connected it stays the same, however often it is checkpointed and restarted.
+    /// connected it stays the same, even if it is checkpointed and restarted.
     log: Log,
 }
 

@@ -23,14 +23,14 @@ pub(super) struct RejectedBatch<'a> {
 
 impl<'a> RejectedBatch<'a> {
     /// Makes it of a batch that was found invalid before it reached the database.
-    pub(super) fn unstorable(unstorable: &'a UnstorableBatch) -> Self {
+    pub(super) fn from_unstorable(unstorable: &'a UnstorableBatch) -> Self {
         let events =
             unstorable.body.as_ref().and_then(|body| codec::decode_events(body, unstorable.head.events).ok());
         Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }
     }
 
     /// Makes it of a batch that the database refused.
-    pub(super) fn refused(batch: &PreparedBatch, reason: &'a str) -> Self {
+    pub(super) fn from_refused(batch: &PreparedBatch, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
         let frame = Bytes::from(codec::encode_batch(&head, body, false));
         Self { head, frame, events: codec::decode_events(body, head.events).ok(), reason }

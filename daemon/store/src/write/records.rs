@@ -101,7 +101,7 @@ pub(super) async fn insert_unattributed_gap(
     events: Option<u64>,
     now: WallTime,
 ) -> Result<StoredCounts, Refusal> {
-    // Batches that an agent's spool lacks: the agent itself reports the events as lost.
+    // Batches that are missing in an agent's spool: the agent itself reports the events as lost.
     if events == Some(0) {
         return Ok(StoredCounts::default());
     }

@@ -58,7 +58,7 @@ struct Row {
 }
 
 impl Streams {
-    /// Returns the knowledge that the answer to a hello needs; `seniority` is the rank of the host among the stored ones.
+    /// Returns the record that the answer to a hello needs; `seniority` is the rank of the host among the stored hosts.
     pub fn record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
@@ -104,7 +104,7 @@ impl Streams {
 impl AdvancedStreams {
     /// Stores that a host introduced itself with a stream.
     ///
-    /// A new stream leaves gaps if it does not continue the one before, or continues from a position that this database lacks.
+    /// A new stream leaves a gap if it does not continue the previous stream, or if it continues from a position that is missing in this database.
     /// Returns their additions to the counters.
     pub(super) async fn introduce(
         &mut self,

@@ -101,7 +101,7 @@ pub struct StreamRecord {
     pub last: Option<StreamId>,
     /// Mark of the stream that the hello's stream continues.
     pub previous: Option<Mark>,
-    /// Order in which hosts were stored first: smaller for older ones; `None` for a host of which nothing is stored.
+    /// Order in which hosts were first stored: smaller for older hosts; `None` for a host of which nothing is stored.
     pub seniority: Option<u64>,
 }
 
@@ -259,7 +259,7 @@ impl Receiving {
         if self.has_too_many_unstored(host, stream) || self.streams.get(&stream).is_some_and(has_unstored) {
             return HelloResult::Wait;
         }
-        // A stream is new only once, so that its gap is recorded once however often the agent reconnects.
+        // A stream is new only once. So its gap is recorded once, even if the agent reconnects often.
         let is_new = !record.was_used && mark.is_none() && !self.streams.contains_key(&stream);
         let replaced = last.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
         let missing_previous = hello.previous.filter(|_| is_new).and_then(|previous| {

@@ -103,7 +103,7 @@ impl Progress {
         })
     }
 
-    /// Returns the number of the last stored batch, which is one before the first if none is, and the mark for the
+    /// Returns the number of the last stored batch (the number before the first batch if none is stored), and the mark for the
     /// agent to compare.
     pub(super) const fn stored(&self) -> (u64, Option<Mark>) {
         (self.stored.number, self.mark)
@@ -222,7 +222,7 @@ impl Progress {
     /// Requests the next batch; `None` if that was done before.
     pub(super) fn request_next(&mut self, stream: StreamId) -> Option<ToAgent> {
         let from = self.next();
-        // One request per hole: each later batch in flight would otherwise cause another one.
+        // One request for each range of missing batches: otherwise each later batch in flight would cause another request.
         let is_new = self.requested != Some(from);
         self.requested = Some(from);
         is_new.then_some(ToAgent::Resend { stream, from })

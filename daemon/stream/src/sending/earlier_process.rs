@@ -25,7 +25,7 @@ impl EarlierProcess {
     }
 
     /// Returns the gaps that must still be written to the spool.
-    pub(super) const fn unwritten(&self) -> Option<&Vec<Gap>> {
+    pub(super) const fn unwritten_gaps(&self) -> Option<&Vec<Gap>> {
         self.unwritten.as_ref()
     }
 

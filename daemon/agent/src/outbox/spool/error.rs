@@ -188,7 +188,7 @@ pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
     matches!(code(error), Some(CORRUPT | NOT_A_DATABASE))
 }
 
-/// Returns SQLite's primary result code, if the error is one of SQLite.
+/// Returns SQLite's primary result code; `None` if the error does not come from SQLite.
 fn code(error: &sqlx::Error) -> Option<i32> {
     let code: i32 = error.as_database_error()?.code()?.parse().ok()?;
     Some(code & 0xff)

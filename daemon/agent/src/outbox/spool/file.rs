@@ -101,7 +101,7 @@ impl SpoolFile {
         Ok(())
     }
 
-    /// Reads batches from number `from` on: at least one, and further ones until their total length is `bytes` or more.
+    /// Reads batches from number `from` on: at least one, and more until their total length is `bytes` or more.
     pub(in crate::outbox) async fn load(
         &mut self,
         from: u64,

@@ -59,7 +59,7 @@ impl FileKind {
     }
 
     /// Returns why a file that the user configured cannot be used, and what to do; `None` if it can be used.
-    pub(crate) fn objection(self) -> Option<&'static str> {
+    pub(crate) fn refusal_reason(self) -> Option<&'static str> {
         match self {
             Self::Spool => None,
             Self::Database => Some(

@@ -70,7 +70,7 @@ impl OpenSpool {
         // Checked before SQLite opens the file, because SQLite may change it.
         let file_kind = FileKind::from_path(path).map_err(io("read", path))?;
         if !(is_default_path && file_kind == FileKind::Other)
-            && let Some(objection) = file_kind.objection()
+            && let Some(objection) = file_kind.refusal_reason()
         {
             return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
         }
@@ -210,7 +210,7 @@ async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), Spo
     if id == APPLICATION_ID {
         return Ok(());
     }
-    if let (true, Some(objection)) = (id != 0 || tables != 0, FileKind::Database.objection()) {
+    if let (true, Some(objection)) = (id != 0 || tables != 0, FileKind::Database.refusal_reason()) {
         return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
     }
     let mark = AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"));

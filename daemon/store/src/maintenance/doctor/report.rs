@@ -84,7 +84,7 @@ pub struct Integrity {
     pub full: bool,
     /// Errors that it found, at most 100.
     pub problems: Vec<String>,
-    /// `true` if rows can be found at all, so that a repair can salvage some.
+    /// `true` if rows can be found, so that a repair can salvage some.
     #[serde(skip)]
     pub(super) has_table_list: bool,
 }

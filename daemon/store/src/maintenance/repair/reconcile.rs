@@ -145,7 +145,7 @@ impl Reconciliation<'_> {
         Ok(done.rows_affected())
     }
 
-    /// Inserts substitutes for lost rows to which measurements refer, and deletes other rows that refer to lost ones.
+    /// Inserts substitutes for lost rows to which measurements refer, and deletes other rows that refer to lost rows.
     ///
     /// A run of an unknown host gets another id: events that its agent still sends begin another run.
     async fn restore_references(&mut self) -> Result<(), sqlx::Error> {

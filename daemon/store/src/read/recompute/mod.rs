@@ -204,7 +204,7 @@ fn combine(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
 }
 
 impl Row {
-    /// Returns the stamps by which the delay is judged, and their clocks: the free-running ones if both ends stamped by them, otherwise
+    /// Returns the stamps by which the delay is judged, and their clocks: the free-running clocks if both ends have their stamps, otherwise
     /// the wall clocks. A cloud without raw stamps gave stamps of its wall clock instead.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
         let by_wall = RawStamps { sent: RawTime::from_wall(sent), received: RawTime::from_wall(received) };

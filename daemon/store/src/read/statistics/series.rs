@@ -7,7 +7,7 @@ use futures::TryStreamExt as _;
 use peernet_logger::Name;
 use peernet_statistics::Summary;
 
-use super::super::{corrupt, runs, sql, wall};
+use super::super::{corrupt_data, runs, sql, wall};
 use super::WHAT;
 use crate::error::StoreError;
 use crate::figures::Figures;
@@ -167,7 +167,7 @@ impl NameIds {
     pub(super) async fn read(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
         let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
         let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
-            .bind(serde_json::to_string(&texts).map_err(|error| corrupt(WHAT, error))?)
+            .bind(serde_json::to_string(&texts).map_err(|error| corrupt_data(WHAT, error))?)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
@@ -184,7 +184,7 @@ impl NameIds {
     /// Returns the ids as a JSON array, in which form statements take them.
     pub(super) fn ids(&self) -> Result<String, StoreError> {
         let ids: Vec<i64> = self.places.keys().copied().collect();
-        serde_json::to_string(&ids).map_err(|error| corrupt(WHAT, error))
+        serde_json::to_string(&ids).map_err(|error| corrupt_data(WHAT, error))
     }
 }
 
@@ -210,7 +210,7 @@ struct SeriesBuilder {
 
 impl SeriesBuilder {
     fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
-        let summary = row.summary().map_err(|error| corrupt(WHAT, error))?;
+        let summary = row.summary().map_err(|error| corrupt_data(WHAT, error))?;
         let begin = bucket(row.bucket_s, self.width_s);
         match self.points.last_mut() {
             Some((open, all)) if *open == begin => all.merge(&summary),

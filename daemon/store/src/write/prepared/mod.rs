@@ -38,7 +38,7 @@ pub struct PreparedBatch {
     /// Work to be done one by one, in the order of the events.
     pub(super) steps: Vec<Step>,
     pub(super) runs: Vec<RunPart>,
-    /// Runs that its events name, of whatever kind.
+    /// Runs that its events of any kind name.
     pub(super) claimed: BTreeSet<RunId>,
     pub(super) names: Vec<NameKey>,
     /// Hosts in trees other than the edge.
@@ -80,7 +80,7 @@ pub(super) struct RunPart {
     pub(super) seconds: Extent,
 }
 
-/// Reason why a batch can never be stored, whatever the database holds.
+/// Reason why a batch can never be stored, in any database.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum BatchError {
     /// Its events cannot be decoded.
@@ -113,7 +113,7 @@ impl PreparedBatch {
         stored: &HashSet<(RunId, i64)>,
     ) -> Result<Self, BatchError> {
         let events = codec::decode_events(&body, head.events)?;
-        let mut preparing = BatchBuilder::new(Self::empty(head, body));
+        let mut preparing = BatchBuilder::new(Self::new_empty(head, body));
         for event in events {
             if let (false, Event::Iteration(it)) = (stored.is_empty(), &event)
                 && stored.contains(&(it.run, it.number.cast_signed()))
@@ -131,7 +131,7 @@ impl PreparedBatch {
         1 + self.steps.len() + self.nodes.len()
     }
 
-    fn empty(head: BatchHead, body: Bytes) -> Self {
+    fn new_empty(head: BatchHead, body: Bytes) -> Self {
         Self {
             head,
             body,

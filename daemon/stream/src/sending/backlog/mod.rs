@@ -69,7 +69,7 @@ impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
         let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.before) };
-        // Without batches nothing is held, whatever the counts state.
+        // Without batches nothing is held, even if the counts state more.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
@@ -223,7 +223,7 @@ impl Backlog {
         }
     }
 
-    /// Adds batches read from the file. Batches that do not follow the known ones are ignored. Returns how many were
+    /// Adds batches read from the file. Batches that do not follow the known batches are ignored. Returns how many were
     /// added.
     pub(super) fn add_loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
         let known = self.ready.len();
@@ -235,7 +235,7 @@ impl Backlog {
         self.ready.len() - known
     }
 
-    /// Returns a batch that is in memory: of the spooled ones only, or of all.
+    /// Returns a batch that is in memory: with `unspooled` any batch, otherwise only a spooled one.
     pub(super) fn get(&self, number: u64, unspooled: bool) -> Option<&SpooledBatch> {
         let index = number.checked_sub(self.oldest.number)?;
         let pending = || self.pending.get(number).filter(|_| unspooled).map(|pending| &pending.batch);
@@ -345,7 +345,7 @@ impl Backlog {
         self.oldest = OldestBatch { number: resume, before, since: None };
     }
 
-    /// Removes batches from the held ones that should be in the file and are not. This is known when no other batch is
+    /// Removes held batches that should be in the file and are not. This is known when no other batch is
     /// in the file only. Returns their size.
     pub(super) fn remove_missing(&mut self) -> Usage {
         if self.first_unloaded() <= self.spooled.0 {

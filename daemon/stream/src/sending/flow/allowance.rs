@@ -115,7 +115,7 @@ struct DeliveryRates {
 }
 
 impl DeliveryRates {
-    /// Adds a rate; `discard_earlier` discards the earlier ones.
+    /// Adds a rate; `discard_earlier` discards the earlier rates.
     fn add(&mut self, rate: f64, now: MonoTime, discard_earlier: bool) {
         if discard_earlier {
             *self = Self { since: now, current: rate, previous: 0.0 };

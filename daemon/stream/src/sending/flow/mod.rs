@@ -94,7 +94,7 @@ impl FlowControl {
     /// Returns whether the durable lane may hand over `bytes`.
     pub(super) const fn has_capacity(&self, bytes: usize) -> bool {
         let bytes_in_flight = self.in_flight.len();
-        // With nothing in flight one message is always allowed, however large.
+        // With nothing in flight, one message of any size is allowed.
         bytes_in_flight == 0
             || !self.round_trip.is_draining() && bytes_in_flight + bytes as u64 <= self.allowance.bytes()
     }

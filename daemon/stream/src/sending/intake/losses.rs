@@ -138,7 +138,7 @@ mod tests {
         assert_eq!(gaps.iter().map(|gap| gap.count).sum::<u64>(), 400);
         assert_eq!(gaps[MAX_LOSSES - 1].to, at(199).wall);
         assert_eq!((losses.len(), losses.next_report_at()), (0, None));
-        // Reported losses make room for others.
+        // Reported losses free capacity for other losses.
         losses.add(None, None, at(300), 1, "another".into());
         assert_eq!(losses.take_ended(None, at(300).mono).expect("a gap").reason, "another");
     }

@@ -1,4 +1,4 @@
-//! Losses of this process and of earlier ones that no gap reports yet.
+//! Losses of this process and of earlier processes that no gap reports yet.
 
 use std::collections::VecDeque;
 
@@ -87,12 +87,12 @@ impl UnreportedLosses {
     /// Records which batches of an earlier process the aggregator stored. Returns the losses of all earlier processes that
     /// no gap reports.
     pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
-        unresolved.unreported(resolved, &mut self.earlier_gaps, &mut self.earlier_drops);
+        unresolved.update_unreported(resolved, &mut self.earlier_gaps, &mut self.earlier_drops);
         self.earlier_gaps.iter().cloned().collect()
     }
 
     /// Records that the spool contains the gaps that [`resolve`](Self::resolve) returned.
-    pub(super) const fn resolution_written(&mut self) {
+    pub(super) const fn record_resolution_written(&mut self) {
         self.is_unresolved = false;
     }
 

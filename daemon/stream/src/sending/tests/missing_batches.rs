@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Returns an agent with a file of ten batches that lacks some.
+/// Returns an agent with a file from which these of its ten batches are missing.
 fn without(numbers: &[u64]) -> Agent {
     let mut agent = Agent::new(config());
     agent.cut(10);

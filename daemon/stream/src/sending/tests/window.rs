@@ -36,7 +36,7 @@ fn more_small_batches_than_large_ones_are_in_flight() {
     let stream = agent.stream();
     agent.receive(&ToAgent::Resend { stream, from: 150 });
     assert_eq!(agent.numbers(), (150..=194).collect::<Vec<_>>());
-    // Their number is limited however small they are.
+    // The number of batches is limited, even if they are small.
     let mut agent = Agent::up(SendingConfig { batch_bytes: 1 << 20, ..config });
     agent.cut(1_100);
     assert_eq!(agent.numbers().len(), MAX_IN_FLIGHT_BATCHES);
@@ -60,7 +60,7 @@ fn requested_batch_is_sent_again() {
     assert_eq!(
         (agent.hellos.len(), agent.hellos[hellos].oldest),
         (hellos + 1, 3),
-        "what is gone is told by the hello"
+        "the hello reports the missing batches"
     );
 }
 

@@ -146,15 +146,15 @@ impl ExpectedContent {
             let Entry::Gap { from, through, events } = entry else { continue };
             let held = (*from..=*through).map(|number| self.sizes.get(&(*stream, number)));
             if let (false, Some(held)) = (self.copied, held.sum::<Option<u64>>()) {
-                // A restored database may also lack batches after the last one in a spool.
+                // Batches after the last one in a spool may also be missing in a restored database.
                 let is_right = *events == Some(held) || self.restored && *events > Some(held);
                 assert!(is_right, "{events:?} events of batches {from} to {through}, which held {held}");
             }
         }
     }
 
-    /// Returns whether an event that a restored database lacks is covered by a gap, or its spool was deleted. With two
-    /// copies the database may lack different batches with the same numbers.
+    /// Returns whether an event that is missing in a restored database is covered by a gap, or its spool was deleted. With two
+    /// copies, different batches with the same numbers may be missing in the database.
     fn is_accounted(&self, name: u64, database: &Database) -> bool {
         self.places.get(&name).into_iter().flatten().any(|(stream, number)| {
             let entries = database.entries.get(stream).into_iter().flatten();
