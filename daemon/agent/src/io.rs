@@ -6,7 +6,7 @@
 //! the p99 of the total was up to three times as long (`docs/measurements.md`). With one thread the whole chain stays
 //! on one processor.
 //!
-//! The outbox and the host's metrics run on other threads. So do the aggregator and the web server where they are in
+//! The outbox and the host's metrics run on other threads. So do the aggregator and the web server if they are in
 //! the same process. Therefore no batch and no page delays a sample.
 
 use std::future::Future;

@@ -14,7 +14,7 @@ pub enum LockError {
     Taken {
         /// The database.
         path: PathBuf,
-        /// The other process, as far as it is known.
+        /// The other process, if it is known.
         holder: String,
     },
     /// The file cannot be created, opened or locked.

@@ -43,7 +43,7 @@ pub struct StoredState {
     pub streams: Streams,
     /// The newest runs with their numbers.
     pub runs: Vec<(HostId, RunId, i64)>,
-    /// Open runs of which only iterations are stored.
+    /// Open runs whose start is not stored, but iterations are.
     pub unnamed_runs: Vec<(HostId, RunId)>,
     /// Counts of each host's stored data.
     pub hosts: Vec<(HostId, StoredCounts)>,

@@ -38,7 +38,7 @@ pub struct StoredCounts {
     pub nodes: u64,
     /// Gaps that the host reported or that were noticed in its streams.
     pub gaps: u64,
-    /// Events missing in those gaps, as far as they could be counted.
+    /// Number of events in these gaps; events that could not be counted are not included.
     pub missing: u64,
     /// Batches that arrived more than once and were stored once, since the aggregator started.
     pub duplicates: u64,

@@ -56,7 +56,7 @@ pub struct RunSummary {
     pub host_name: Slug,
     /// The pipeline's name; `unknown` when the run's beginning never reached the store.
     pub pipeline: Slug,
-    /// Place where it computed, with the peer's name.
+    /// Placement: where the run computed, with the peer's name.
     pub placement: Placement,
     /// Time of its start on the edge's wall clock.
     pub started: WallTime,
@@ -257,7 +257,7 @@ pub struct DelayRow {
     pub source: DelaySource,
     /// Trust in the estimate.
     pub verdict: Verdict,
-    /// Assumptions behind its bounds; `None` where no clock sample of its time is stored, and where both ends are on one clock.
+    /// Assumptions behind its bounds; `None` if no clock sample of its time is stored, or if both ends are on one clock.
     pub assumptions: Option<DelayAssumptions>,
 }
 

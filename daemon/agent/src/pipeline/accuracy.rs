@@ -67,7 +67,7 @@ mod tests {
 
     use super::*;
 
-    /// Returns `top-1` and `top-5` of an answer, where they are recorded.
+    /// Returns `top-1` and `top-5` of an answer, if they are recorded.
     fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::new(Arc::new(clock), HostId::random());

@@ -77,7 +77,7 @@ impl Placement {
                 let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
                 Self::open_remote(remote, settings, &config.name, context).await
             }
-            // A pipeline that observes has a loop of its own (`observe`), which does not compute samples.
+            // A pipeline that observes has another loop (`observe`), which does not compute samples.
             PlacementConfig::None {} | PlacementConfig::Observe(_) => Ok(Self::None),
         }
     }
@@ -258,7 +258,7 @@ pub(super) async fn conditions(
     found
 }
 
-/// Returns the description for the store and the pages, as far as the configuration determines it.
+/// Returns the part of the description for the store and the pages that the configuration determines.
 pub(crate) fn describe_planned(config: &PlacementConfig) -> Description {
     match config {
         PlacementConfig::Local { model } => Description {

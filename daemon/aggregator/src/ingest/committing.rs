@@ -345,7 +345,7 @@ async fn store(
 
 /// Commits a group once, unless the file is damaged.
 async fn commit(writer: &mut Writer, work: &[Work], context: &TaskContext) -> Result<Committed, CommitError> {
-    // Checked first so that a file which replaced a damaged one is opened.
+    // Checked first, so that a file that replaced a damaged file is opened.
     writer.check_file()?;
     ensure_undamaged(&context.integrity)?;
     let committed = writer.commit(work, context.clock.stamp()).await;

@@ -1,7 +1,7 @@
 //! The bounded queue of work that waits to be stored, limited by number and bytes.
 //!
 //! The socket must not wait for the database, because live updates arrive on the same socket. So adding to the queue
-//! never waits: work that does not fit into the queue is treated as if it had not arrived, and is requested again when
+//! never waits: work that does not fit into the queue counts as not received, and is requested again when
 //! the queue has capacity.
 
 use std::sync::Arc;

@@ -239,7 +239,7 @@ impl IngestSession {
         self.output.defer_batch(head.host);
     }
 
-    /// Requests deferred batches as far as the queue has capacity now.
+    /// Requests as many deferred batches as the queue has capacity for now.
     fn request_deferred(&mut self) {
         for (host, request) in self.receiving.request_deferred(self.queue.capacity_for(USUAL_BATCH_BYTES)) {
             if let Some(route) = self.routes.connection_of(host) {

@@ -104,7 +104,7 @@ pub struct Backup {
 }
 
 impl Backup {
-    /// Checks that `database` can be read, that `target` does not exist and that its disk has enough space. The copy is first written under the
+    /// Checks that `database` can be read, that `target` does not exist, and that its disk has space. The copy is first written under the
     /// name `<target>.partial`.
     ///
     /// # Errors

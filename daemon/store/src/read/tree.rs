@@ -174,7 +174,10 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
             }))
         }
         kind => {
-            return Err(corrupt_data(WHAT, format_args!("node {} is of an unknown kind, {kind:?}", row.node)));
+            return Err(corrupt_data(
+                WHAT,
+                format_args!("node {} is of an unknown kind, {kind:?}", row.node),
+            ));
         }
     })
 }

@@ -108,7 +108,7 @@ async fn next(
 pub(super) struct TrimResult {
     /// Cost of the deleted rows, in small rows.
     pub(super) rows: u64,
-    /// `true` if no more data is due.
+    /// `true` if no other data is due.
     pub(super) complete: bool,
 }
 

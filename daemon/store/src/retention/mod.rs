@@ -204,7 +204,7 @@ impl Retention {
         done.map(|()| Step::More)
     }
 
-    /// Logs the deletions that were not logged yet, because no more follow.
+    /// Logs the deletions that were not logged yet, because no deletion follows soon.
     pub(crate) fn finish(&mut self) {
         self.deletions.finish();
     }

@@ -10,7 +10,7 @@ use crate::extent::Extent;
 const PAGE: i64 = 500;
 /// First guess of the nodes per iteration.
 const NODES: u64 = 32;
-/// Cost of an iteration besides its nodes, in nodes: two indexes and two more tables.
+/// Cost of an iteration without its nodes, in rows of `node`: two indexes and two more tables.
 const ITERATION: u64 = 4;
 
 /// ?1 run, ?2 and ?3 first and last number, ?4 limit.

@@ -10,7 +10,7 @@ use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
 /// Number of older buckets of a width kept in addition to the newest bucket: iterations may end in another order than they started.
 const OLDER_BUCKETS: usize = 2;
-/// Approximate memory of a run besides its rows, bytes.
+/// Approximate memory of a run in addition to its rows, bytes.
 const OVERHEAD: usize = 512;
 
 /// Buckets of one width.

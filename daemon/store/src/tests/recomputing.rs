@@ -1,4 +1,4 @@
-//! Judging a run again: never worse than before, with unchanged stamps, and without changes where nothing can be added.
+//! Judging a run again: intervals never get wider, stamps are unchanged, and nothing changes if nothing can be added.
 
 use peernet_clock::{DelaySource, Direction, Discipline, OneWayDelay, RelatedClocks, Span, Verdict};
 use peernet_logger::RunId;

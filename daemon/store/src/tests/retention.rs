@@ -362,7 +362,7 @@ async fn rebuilt_statistics_are_deleted_after_their_period() {
 async fn unpinned_run_is_kept_for_whole_period() {
     let (test_store, _) = two_runs().await;
     let mut connection = test_store.other().await;
-    // Pinned by hand, as with the sqlite3 shell.
+    // Pinned without the store, as with the sqlite3 shell.
     sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
     let mut retention = Retention::new(short());
     work_off(&mut retention, &mut connection, day(50.0)).await;

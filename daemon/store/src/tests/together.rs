@@ -27,7 +27,7 @@ async fn store(test_store: &mut TestStore, readings: &[f64]) {
 #[tokio::test]
 async fn merged_quantiles_are_within_one_percent() {
     let mut test_store = TestStore::new().await;
-    // Three ranges, of which two overlap: an average of the runs' own quantiles is far from the true ones.
+    // Three ranges, of which two overlap: an average of the runs' own quantiles is far from the true quantiles.
     let mut numbers = generate::Numbers::new(5);
     let mut readings = |count: usize, lo: i64, hi: i64| {
         (0..count).map(|_| numbers.between(lo, hi) as f64 / 1e3).collect::<Vec<f64>>()

@@ -231,7 +231,7 @@ fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDy
     to.add(offset.and_then(|it| it.age).map(|age| age.nanos()))
 }
 
-/// Returns the interval of each source alone, or `None` if it says no more than the offset itself.
+/// Returns the interval of each source alone; `None` if this is the offset's own interval.
 fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
     if offset.sources == [(offset.source, offset.bounds)] {
         return None;

@@ -81,7 +81,7 @@ fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
     Ok(to)
 }
 
-/// Adds the seven totals of a direction; NULL where they were not reported.
+/// Adds the seven totals of a direction; NULL for totals that were not reported.
 fn direction(reported: Option<&DirectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
     to.add(reported.map(|reported| column(reported.bytes)))?;
     to.add(reported.map(|reported| column(reported.messages)))?;

@@ -43,7 +43,7 @@ pub(super) struct Entities {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KnownRun {
     pub(super) number: i64,
-    /// Id under which it is stored. It differs from the reported id if another host used that one first, so that no host can
+    /// Id under which it is stored. It differs from the reported id if another host used that id first, so that no host can
     /// take an id before its owner comes.
     uuid: RunId,
 }
@@ -348,7 +348,7 @@ pub(crate) async fn read_newest_runs(
     rows.into_iter().map(|(host, run, number)| Ok((id(&host)?, id(&run)?, number))).collect()
 }
 
-/// Returns open runs of which only iterations are stored, with their hosts.
+/// Returns open runs whose start is not stored, but iterations are, with their hosts.
 pub(crate) async fn read_unnamed_runs(
     connection: &mut SqliteConnection,
     limit: u32,

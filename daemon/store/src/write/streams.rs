@@ -16,7 +16,7 @@ use crate::stored::StoredCounts;
 /// The database's knowledge of streams.
 #[derive(Clone, Debug, Default)]
 pub struct Streams {
-    /// Mark of each stream of which something is stored.
+    /// Mark of each stream with stored batches.
     pub marks: HashMap<StreamId, Mark>,
     /// All streams with which a host ever introduced itself.
     seen: HashSet<StreamId>,
@@ -104,7 +104,7 @@ impl Streams {
 impl AdvancedStreams {
     /// Stores that a host introduced itself with a stream.
     ///
-    /// A new stream leaves a gap if it does not continue the previous stream, or if it continues from a position that is missing in this database.
+    /// A new stream leaves a gap if it does not continue the previous stream, or if batches before its start are missing here.
     /// Returns their additions to the counters.
     pub(super) async fn introduce(
         &mut self,

@@ -14,7 +14,7 @@ use super::prepared::PreparedBatch;
 pub enum Work {
     /// A host introduced itself.
     Hello(Box<Introduction>),
-    /// A host said goodbye: no more events of its runs follow, unless it kept some for later.
+    /// A host said goodbye: no events of its runs follow, unless it kept some in its spool.
     Goodbye(HostId),
     /// The live lane names a run of which the store has only iterations.
     Name(Box<RunName>),
@@ -71,7 +71,7 @@ pub struct RunName {
     pub run: RunId,
     /// Its pipeline.
     pub pipeline: Slug,
-    /// Place where it computes.
+    /// Placement: where the pipeline computes.
     pub placement: Placement,
 }
 

@@ -15,7 +15,7 @@ const MAX_DAMAGED_ARRIVALS: u32 = 3;
 /// Largest number of batches that are accepted and not stored. An agent that respects its window needs half of it.
 const MAX_PENDING: usize = 2 * (MAX_IN_FLIGHT_BATCHES + 1);
 
-/// A position in a stream: number and chain of a batch, and the number of events up to it, where they are known.
+/// A position in a stream: number of a batch; its chain and the number of events up to it, if they are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Position {
     number: u64,

@@ -1,4 +1,4 @@
-//! The last batches of an earlier process, of which only the aggregator knows whether they are stored.
+//! The last batches of an earlier process. Only the aggregator knows whether they are stored.
 
 use super::super::unresolved::ResolvedBatches;
 use super::super::{Gap, SentUnspooled, Totals, UnresolvedBatches};

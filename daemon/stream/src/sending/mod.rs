@@ -224,7 +224,7 @@ impl Sending {
     }
 
     /// Returns the batch that was sent last without being in the spool, because the spool cannot be written. It must be
-    /// recorded where it outlives the process before its frame is sent.
+    /// recorded outside of the process before its frame is sent.
     pub fn sent_unspooled(&self) -> Option<SentUnspooled> {
         self.spooler.sent_unspooled()
     }

@@ -154,7 +154,7 @@ async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> D
     }
 }
 
-/// Marks the file as broken if SQLite reports damage, so that the next start quarantines it.
+/// Flags the file as damaged if SQLite reports damage, so that the next start quarantines it.
 fn mark_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
     if let Err(file_error @ SpoolFileError::Corrupt { .. }) = &result {
         flag_as_damaged(file.path(), &file_error.to_string());

@@ -109,7 +109,7 @@ pub struct Repaired {
     pub damaged: PathBuf,
     /// Result for each table, by name.
     pub tables: Vec<SalvagedTable>,
-    /// Number of lost iterations, as far as the counters of their runs and missing numbers show.
+    /// Number of lost iterations that the counters of their runs or missing numbers show.
     pub lost_iterations: u64,
     /// `true` if the log beside the database could not be taken over: the newest data is missing.
     pub without_log: bool,

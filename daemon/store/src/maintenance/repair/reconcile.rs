@@ -72,7 +72,7 @@ const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, 
      FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
 
 impl Reconciliation<'_> {
-    /// Reconciles all tables. Returns the number of lost iterations, as far as it is known.
+    /// Reconciles all tables. Returns the known number of lost iterations.
     pub(super) async fn run(mut self) -> Result<i64, sqlx::Error> {
         if self.has_unreadable(&["host", "pipeline", "run", "link"]) {
             self.restore_references().await?;

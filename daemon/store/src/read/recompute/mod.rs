@@ -1,7 +1,7 @@
 //! Judging of a run's one-way delays again, including the exchanges after them.
 //!
 //! The stored stamps and judgements do not change. The new bounds are the intersection of the bounds from the stored exchanges
-//! and of the earlier bounds, so none gets wider. A delay keeps its judgement where nothing can be added: both ends on one
+//! and of the earlier bounds, so none gets wider. A delay keeps its judgement if nothing can be added: both ends on one
 //! clock, near a step, or no samples of that time.
 
 mod clouds;

@@ -260,7 +260,7 @@ mod tests {
         assert_eq!(stored(100, &[1]).choose(240), (10, 10));
         assert_eq!(stored(100, &[1, 10]).choose(240), (60, 60));
         assert_eq!(stored(7_200, &[1, 10, 60]).choose(240), (3_600, 3_600));
-        // Hours are deleted last: what is left of them is shown.
+        // Hours are deleted last: the remaining hours are shown.
         assert_eq!(stored(WEEK_S, &[1, 10, 60, 3_600]).choose(240), (3_600, 3_600));
         assert_eq!(
             StoredWidths(stored(0, &[]).0.map(|width| Width { extent: None, ..width })).choose(240),

@@ -186,7 +186,7 @@ impl Intake {
         Usage { events, bytes: if events > 0 { bytes } else { 0 } }
     }
 
-    /// Reports the due gaps in place of the lost events, as far as there is capacity.
+    /// Reports the due gaps in place of the lost events, while there is capacity.
     pub(super) fn report_losses(&mut self, capacity: &EventCapacity, now: Stamp) {
         while self.has_capacity_for_report(capacity)
             && let Some(gap) = self.losses.take_due(now.mono)

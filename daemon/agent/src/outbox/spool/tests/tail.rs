@@ -41,7 +41,7 @@ async fn losses_of_killed_process_stay_until_reported() {
     assert_eq!((state.totals.produced, state.totals.dropped, state.totals.reported_drops), (10, 4, 0));
     assert_eq!(lost(&state), [(Some(run), 4, KILLED_REASON.to_owned())]);
     assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
-    // Killed again before it could report that, with an event of its own.
+    // The second process is killed, too, before it could report the loss. It lost one event itself.
     hand_in(&counter, second, 1);
     drop((file, counter));
 

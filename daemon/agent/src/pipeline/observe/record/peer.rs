@@ -22,7 +22,7 @@ const PEER_UNANSWERED: Name = Name::from_static("peer-unanswered");
 const PEER: HostIndex = HostIndex(1);
 
 /// Returns the tree of a pair of messages with the peer's stamps, and the time at which the iteration ended. `judge`
-/// judges the delays of the input message and, where both stamps are known, of the output message.
+/// judges the delays of the input message and, if both stamps are known, of the output message.
 pub(in crate::pipeline::observe) fn answered_by_peer(
     (clock, host): (&SharedClock, HostId),
     peer: HostId,
