@@ -98,7 +98,9 @@ pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: Str
     let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));
     let reason = match tokio::time::timeout(TIMEOUT, inspection).await {
         Ok(Ok(found)) => return found,
-        Ok(Err(_)) => "the inspection of the host panicked; see the log for the place".to_owned(),
+        Ok(Err(_)) => {
+            "the inspection of the host panicked; see the log for the location in the code".to_owned()
+        }
         Err(_) => format!("the inspection of the host took longer than {} ms", TIMEOUT.as_millis()),
     };
     vec![Finding::unknown("host", reason).with_host(&host)]

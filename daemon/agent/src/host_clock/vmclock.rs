@@ -96,7 +96,9 @@ fn read_structure(file: &File) -> io::Result<[u8; BYTES]> {
     let magic = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     let version = u16::from_le_bytes([bytes[8], bytes[9]]);
     if (magic, version) != (MAGIC, VERSION) {
-        let text = format!("magic {magic:#x} and version {version} are not those of a vmclock device");
+        let text = format!(
+            "it is not a vmclock device: it has the magic number {magic:#x} and the version {version}"
+        );
         return Err(io::Error::new(io::ErrorKind::InvalidData, text));
     }
     Ok(bytes)

@@ -52,7 +52,7 @@ pub struct Cloud {
 
 /// Error for a panic in the task of a link.
 #[derive(Clone, Debug, thiserror::Error)]
-#[error("the task of the link to {peer} panicked; see the log for the place")]
+#[error("the task of the link to {peer} panicked; see the log for the location in the code")]
 pub(crate) struct LinkPanic {
     peer: Slug,
 }

@@ -174,7 +174,7 @@ impl Reports {
                 mib(account.memory_bytes)
             ),
             Some(DroppingReport::Ended(events)) => {
-                tracing::info!(events, "stopped dropping events; gaps report the dropped ones");
+                tracing::info!(events, "events are no longer dropped; gaps report the dropped events");
             }
         }
     }

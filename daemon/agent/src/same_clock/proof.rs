@@ -26,7 +26,7 @@ pub(crate) enum NotProven {
     #[error("the connection to the cloud's process ended: {0}")]
     Ended(#[from] io::Error),
     /// The process at the other end of the connection does not serve the session.
-    #[error("the connected process is not the one that serves the session")]
+    #[error("the connected process does not serve the session")]
     Foreign,
     /// The last proof has expired.
     #[error("the cloud's process has not answered in time")]
@@ -41,7 +41,7 @@ pub(crate) enum NotProven {
     #[error("a preloaded library shows the cloud's process other times than the kernel's")]
     PeerTime,
     /// The cloud's reading was not between two readings of this process.
-    #[error("the cloud's free-running clock differs by {0} from the one that this process reads")]
+    #[error("the cloud's free-running clock differs by {0} from the free-running clock of this process")]
     OtherClock(Span),
 }
 

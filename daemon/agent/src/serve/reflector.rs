@@ -82,7 +82,7 @@ fn bind(
     let reflector = match bind(at) {
         Err(peernet_probes::BindError::InUse(_)) if config.port.is_none() => {
             let any = bind(SocketAddr::new(at.ip(), 0))?;
-            tracing::info!(taken = %at, instead = %any.address(), "the default port for probes is in use; probes use another one");
+            tracing::info!(taken = %at, instead = %any.address(), "the default port for probes is in use; probes use another port");
             any
         }
         other => other?,

@@ -174,7 +174,8 @@ impl<'a> Part<'a> {
                 return None;
             }
             if mistakes.len() + 1 == MAX_MISTAKES {
-                let error = Error::custom("the list of mistakes is not complete; correct those above first");
+                let error =
+                    Error::custom("the list of mistakes is not complete; correct the listed mistakes first");
                 mistakes.push(Mistake { key: String::new(), error });
                 return None;
             }

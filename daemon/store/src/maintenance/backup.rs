@@ -21,7 +21,7 @@ const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
 #[derive(Debug, thiserror::Error)]
 pub enum BackupError {
     /// The database does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// The database cannot be read.
     #[error("cannot read the database {}: {source}", path.display())]
@@ -32,7 +32,7 @@ pub enum BackupError {
         source: DatabaseError,
     },
     /// The file is of another kind.
-    #[error("{} is {what} and not an aggregator's database; name the file of [aggregator] database", path.display())]
+    #[error("{} is {what} and not an aggregator's database; give the file that the key `database` of [aggregator] names", path.display())]
     NotADatabase {
         /// The file.
         path: PathBuf,

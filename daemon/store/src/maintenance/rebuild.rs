@@ -16,7 +16,7 @@ use crate::rebuild::rebuild;
 #[derive(Debug, thiserror::Error)]
 pub enum RebuildError {
     /// The database does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// Another process has locked the database, most likely the aggregator.
     #[error("cannot rebuild roll-ups while another process may write to the database: {0}")]

@@ -31,7 +31,7 @@ pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
     if removed > 0 {
         tracing::info!(
             files = removed,
-            "removed event counts in {SHARED_MEMORY} that belong to no spool any more"
+            "removed event counts in {SHARED_MEMORY} whose spool no longer exists"
         );
     }
 }

@@ -267,7 +267,7 @@ impl Sender {
             tracing::warn!(
                 events = unspooled_events,
                 "stopped before these events were in the spool or known to be stored; after the next start a gap reports the \
-                 lost ones"
+                 lost events"
             );
             return;
         }

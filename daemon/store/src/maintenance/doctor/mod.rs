@@ -36,7 +36,7 @@ const RESTORE: &str = "stop the aggregator and replace the file by the newest ba
 #[derive(Debug, thiserror::Error)]
 pub enum DoctorError {
     /// The file does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// The log beside the database belongs to another database.
     #[error(transparent)]

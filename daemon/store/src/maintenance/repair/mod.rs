@@ -40,7 +40,7 @@ const MIGRATIONS_TABLE: &str = "_sqlx_migrations";
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
     /// The database does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// Another process has locked the database, most likely the aggregator.
     #[error("cannot repair the database while another process may write to it: {0}")]
@@ -93,7 +93,7 @@ pub enum RepairError {
         source: DatabaseError,
     },
     /// The new file is damaged, too.
-    #[error("the new file {} is damaged as well: {what}; the disk or the memory of this machine is probably failing", path.display())]
+    #[error("the new file {} is damaged, too: {what}; the disk or the memory of this machine is probably failing", path.display())]
     Failing {
         /// The new file.
         path: PathBuf,

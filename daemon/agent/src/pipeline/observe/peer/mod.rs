@@ -139,7 +139,9 @@ impl PeerStamps {
     pub(super) async fn close(mut self) {
         self.queries = None;
         if self.task.await.is_err() {
-            tracing::error!("the task that queries the peer for stamps panicked; see the log for the place");
+            tracing::error!(
+                "the task that queries the peer for stamps panicked; see the log for the location in the code"
+            );
         }
     }
 }
