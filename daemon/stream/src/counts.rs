@@ -132,19 +132,20 @@ impl CountedEvents {
     /// Returns the gaps for `lost` events. `known` is the number of events that are not in the spool but that were stored or
     /// reported; their runs are unknown.
     pub(super) fn gaps(&self, settled: &SettledEvents, known: u64, lost: u64) -> Vec<Gap> {
-        let mut left = lost;
+        let mut unassigned = lost;
         let gap = |pipeline, run, count, to: WallTime| {
             let from = settled.last.unwrap_or(to).min(to);
             Gap { pipeline, run, from, to, count, reason: KILLED_REASON.to_owned() }
         };
         let mut gaps = Vec::new();
         for CountedRun { run, pipeline, events, last } in &self.runs {
-            let count = events.saturating_sub(settled.events.events_of(*run)).saturating_sub(known).min(left);
-            left -= count;
+            let count =
+                events.saturating_sub(settled.events.events_of(*run)).saturating_sub(known).min(unassigned);
+            unassigned -= count;
             gaps.push(gap(pipeline.clone(), Some(*run), count, *last));
         }
         // Events without a run, and events of runs that are not counted separately.
-        gaps.push(gap(None, None, left, self.last));
+        gaps.push(gap(None, None, unassigned, self.last));
         gaps.retain(|gap| gap.count > 0);
         gaps
     }

@@ -20,15 +20,15 @@ const THROTTLING_DEVICES: [&str; 6] =
 /// Grades all signs of throttling: active now is bad, earlier since the start of the host is doubtful.
 pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
     let sys = &settings.sys;
-    let mut known = false;
+    let mut is_known = false;
     let mut found = Vec::new();
     for look in [active_cooling_devices, zones_near_trip_point, firmware_flags, throttle_counters] {
         if let Some(findings) = look(sys) {
-            known = true;
+            is_known = true;
             found.extend(findings);
         }
     }
-    match (found.is_empty(), known) {
+    match (found.is_empty(), is_known) {
         (false, _) => found,
         (true, true) => vec![Finding::good(ABOUT, "none, neither now nor since the host was started")],
         (true, false) => {
@@ -41,7 +41,7 @@ pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
 /// devices, too.
 fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     let devices = list_entries(&sys.join("class/thermal"), "cooling_device");
-    let mut known = false;
+    let mut has_devices = false;
     let mut active = Vec::new();
     for device in devices {
         let Some(kind) = read_text(&device.join("type")) else { continue };
@@ -49,7 +49,7 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
             continue;
         }
         let Some(state) = read_value::<i64>(&device.join("cur_state")) else { continue };
-        known = true;
+        has_devices = true;
         // The power clamp reports −1 while it is off.
         if state > 0 && !active.contains(&kind) {
             active.push(kind);
@@ -59,12 +59,12 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
         let found = format!("the kernel throttles the host now ({})", active.join(", "));
         Finding::graded(ABOUT, Grade::Bad, found, COOLING_ADVICE)
     };
-    known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
+    has_devices.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
 }
 
 /// Finds thermal zones at or near a trip point, above which the kernel slows the host down.
 fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
-    let mut known = false;
+    let mut has_zones = false;
     let mut found = Vec::new();
     for zone in list_entries(&sys.join("class/thermal"), "thermal_zone") {
         let Some(celsius) = read_value::<f64>(&zone.join("temp")).map(|millis| millis / 1e3) else {
@@ -78,7 +78,7 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
             read_value::<f64>(Path::new(&at)).map(|millis| millis / 1e3).filter(|celsius| *celsius > 0.0)
         });
         let Some(point) = points.min_by(f64::total_cmp) else { continue };
-        known = true;
+        has_zones = true;
         let name = read_text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
         let heat = format!("{name} is at {celsius:.0} °C; the host is throttled from {point:.0} °C on");
         if celsius >= point {
@@ -87,7 +87,7 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
             found.push(Finding::graded(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
         }
     }
-    known.then_some(found)
+    has_zones.then_some(found)
 }
 
 /// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 are the current state, bits 16 to 19 that since the

@@ -29,8 +29,9 @@ impl RequestCounts {
     /// Handles an edge's goodbye. Returns the number of the run's planned iterations whose requests never arrived; 0 if
     /// the run is not over (`ordered` is `None`).
     pub(super) fn take_missed(&mut self, host: HostId, pipeline: &Slug, ordered: Option<u64>) -> u64 {
-        let came = self.0.remove(&(host, pipeline.clone())).map_or(0, |count| count.load(Ordering::Relaxed));
-        ordered.map_or(0, |ordered| ordered.saturating_sub(came))
+        let requests =
+            self.0.remove(&(host, pipeline.clone())).map_or(0, |count| count.load(Ordering::Relaxed));
+        ordered.map_or(0, |ordered| ordered.saturating_sub(requests))
     }
 }
 

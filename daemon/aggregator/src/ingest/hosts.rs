@@ -143,7 +143,7 @@ impl Hosts {
         self.arrival_number += 1;
         let mut newcomer = Newcomer { introduction, missing, arrival_number: self.arrival_number };
         let before = self.newcomers.remove(&host);
-        let mut gone = None;
+        let mut dropped_newcomer = None;
         match before {
             // Findings of the first hello would otherwise be lost: later hellos do not report them again.
             Some(before) if before.introduction.stream == newcomer.introduction.stream => {
@@ -152,16 +152,16 @@ impl Hosts {
                 new.missing_previous = new.missing_previous.or(old.missing_previous);
                 newcomer.missing = newcomer.missing.or(before.missing);
             }
-            Some(before) => gone = Some(before),
+            Some(before) => dropped_newcomer = Some(before),
             None if self.newcomers.len() >= self.max_hosts => {
                 let first = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.arrival_number);
                 let first = first.map(|(host, _)| *host);
-                gone = first.and_then(|first| self.newcomers.remove(&first));
+                dropped_newcomer = first.and_then(|first| self.newcomers.remove(&first));
             }
             None => {}
         }
         self.newcomers.insert(host, newcomer);
-        gone
+        dropped_newcomer
     }
 
     /// Turns a newcomer into a stored host, because its first batch is about to be stored.

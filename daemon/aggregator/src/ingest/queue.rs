@@ -109,8 +109,8 @@ impl QueueSlot<'_> {
     /// Enlarges the slot to `bytes`; `None` if the queue is full.
     pub(super) fn grow_to(mut self, bytes: usize) -> Option<Self> {
         // A slot holds `bytes / BYTES_PER_PERMIT + 1` permits, so the difference of the quotients is sufficient.
-        let more = (bytes / BYTES_PER_PERMIT).saturating_sub(self.bytes / BYTES_PER_PERMIT);
-        self.capacity.merge(self.queue.acquire(more)?);
+        let missing_permits = (bytes / BYTES_PER_PERMIT).saturating_sub(self.bytes / BYTES_PER_PERMIT);
+        self.capacity.merge(self.queue.acquire(missing_permits)?);
         Some(self)
     }
 

@@ -258,13 +258,14 @@ impl BtreePage {
     /// Returns how many bytes of a record of that length are on the page itself.
     fn local_bytes(&self, record_bytes: usize) -> usize {
         let usable = self.usable;
-        let most = if self.kind == PageKind::TableLeaf { usable - 35 } else { (usable - 12) * 64 / 255 - 23 };
-        if record_bytes <= most {
+        let max_local =
+            if self.kind == PageKind::TableLeaf { usable - 35 } else { (usable - 12) * 64 / 255 - 23 };
+        if record_bytes <= max_local {
             return record_bytes;
         }
-        let least = (usable - 12) * 32 / 255 - 23;
-        let local = least + (record_bytes - least) % (usable - 4);
-        if local <= most { local } else { least }
+        let min_local = (usable - 12) * 32 / 255 - 23;
+        let local = min_local + (record_bytes - min_local) % (usable - 4);
+        if local <= max_local { local } else { min_local }
     }
 
     /// Returns the first pages of the records that continue on other pages.

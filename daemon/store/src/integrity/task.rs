@@ -243,8 +243,9 @@ async fn first_finding(
         .set_progress_handler(INSTRUCTIONS_PER_CHECK, move || !stop.is_cancelled());
     // The first takes a fraction of the time of the second, and finds most errors.
     for pragma in ["PRAGMA quick_check(1)", "PRAGMA integrity_check(1)"] {
-        let said: Vec<String> = sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;
-        if let Some(what) = said.into_iter().find(|line| line != "ok") {
+        let problems: Vec<String> =
+            sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;
+        if let Some(what) = problems.into_iter().find(|line| line != "ok") {
             // If there are several lines, the first is a heading.
             return Ok(what.lines().last().map(str::to_owned));
         }

@@ -63,8 +63,8 @@ pub async fn rebuild_rollups(
     };
     let mut connection = database::open(path).await?;
     if let Some(run) = run {
-        let known = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM run WHERE number = ?1)").bind(run);
-        if !known.fetch_one(&mut connection).await.map_err(failed)? {
+        let exists = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM run WHERE number = ?1)").bind(run);
+        if !exists.fetch_one(&mut connection).await.map_err(failed)? {
             return Err(RebuildError::NoRun { path: path.to_owned(), run });
         }
     }

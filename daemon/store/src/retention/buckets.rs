@@ -49,5 +49,5 @@ pub(super) async fn delete(
     let items = gone.execute(&mut *connection).await?.rows_affected();
     let before_s = newest.unwrap_or(first).saturating_add(width_s);
     record_trimmed(connection, Kind::Buckets(width_s), run, before_s).await?;
-    Ok(DeletedRows { rows: items * BUCKET_COST, items, complete: after.is_none() })
+    Ok(DeletedRows { cost: items * BUCKET_COST, items, complete: after.is_none() })
 }

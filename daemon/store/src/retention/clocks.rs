@@ -11,7 +11,7 @@ use crate::extent::Extent;
 /// Time before and after a pinned run for which samples stay.
 const AROUND_NS: i64 = 3_600_000_000_000;
 /// Cost of a row in nodes: it is several times as long.
-const ROW: u64 = 5;
+const SAMPLE_COST: u64 = 5;
 
 /// The oldest sample: ?1 link, ?2 and ?3 first and last.
 const OLDEST: &str = "SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
@@ -67,12 +67,12 @@ pub(super) async fn has_samples(
     Ok(oldest.is_some())
 }
 
-/// Deletes samples by ascending time, about `rows` rows.
+/// Deletes samples by ascending time, at a cost of about `max_cost` rows of the table `node`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     link: i64,
     times: Extent,
-    rows: u64,
+    max_cost: u64,
 ) -> Result<DeletedRows, sqlx::Error> {
     let first: Option<i64> = sqlx::query_scalar(OLDEST)
         .bind(link)
@@ -85,7 +85,7 @@ pub(super) async fn delete(
         .bind(link)
         .bind(first)
         .bind(times.last)
-        .bind(column((rows / ROW).max(1)))
+        .bind(column((max_cost / SAMPLE_COST).max(1)))
         .fetch_optional(&mut *connection)
         .await?;
     // Samples of one time, in several windows, are deleted together.
@@ -94,5 +94,5 @@ pub(super) async fn delete(
     let items = gone.execute(&mut *connection).await?.rows_affected();
     sqlx::query(CONNECTIONS).bind(link).bind(first).bind(through).execute(&mut *connection).await?;
     sqlx::query(WINDOWS).bind(link).bind(through).execute(connection).await?;
-    Ok(DeletedRows { rows: items * ROW, items, complete: after.is_none() })
+    Ok(DeletedRows { cost: items * SAMPLE_COST, items, complete: after.is_none() })
 }

@@ -26,7 +26,7 @@ use crate::retention_config::{RetentionConfig, period_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
-/// Approximate number of rows that a step deletes; it takes some tens of milliseconds.
+/// Approximate cost of the data that a step deletes, in rows of the table `node`; it takes some tens of milliseconds.
 pub(crate) const ROWS: u32 = 20_000;
 /// Pause after a step with nothing to do.
 const IDLE: Span = Span::from_seconds(1);
@@ -144,8 +144,8 @@ impl Periods {
 /// Amount of data that was deleted of a kind of a run or link.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeletedRows {
-    /// Cost of the deleted rows, in small rows.
-    rows: u64,
+    /// Cost of the deleted rows, in rows of the table `node`.
+    cost: u64,
     /// Number of iterations, rows of statistics, or samples.
     items: u64,
     /// `true` if everything that was asked for is deleted.
@@ -172,7 +172,7 @@ impl Retention {
         }
     }
 
-    /// Deletes about `rows` rows at most, in its own transaction; none may be open.
+    /// Deletes data at a cost of at most about `max_cost`, in its own transaction; none may be open.
     ///
     /// # Errors
     /// When the database cannot be read or written now. The step can be tried again.
@@ -181,7 +181,7 @@ impl Retention {
         connection: &mut SqliteConnection,
         storage_clock: &mut StorageClock,
         now: Stamp,
-        rows: u32,
+        max_cost: u32,
     ) -> Result<Step, sqlx::Error> {
         if self.idle.is_some_and(|idle| now.mono - idle < IDLE) {
             return Ok(Step::Done);
@@ -193,7 +193,7 @@ impl Retention {
             return Ok(Step::Done);
         };
         self.idle = None;
-        let done = self.transaction(connection, storage_clock, work, now, rows.into()).await;
+        let done = self.transaction(connection, storage_clock, work, now, max_cost.into()).await;
         match &done {
             Ok(()) => storage_clock.committed(now.mono),
             Err(_) => {
@@ -215,12 +215,12 @@ impl Retention {
         storage_clock: &StorageClock,
         work: Work,
         now: Stamp,
-        rows: u64,
+        max_cost: u64,
     ) -> Result<(), sqlx::Error> {
         raw_transaction::begin(connection).await?;
         let now_s = whole_seconds(storage_clock.advance(connection, now).await?);
         let mut deletions = Vec::new();
-        self.perform(connection, work, (now_s, now), rows, &mut deletions).await?;
+        self.perform(connection, work, (now_s, now), max_cost, &mut deletions).await?;
         self.deletions.record(connection, &deletions, (now_s, now.wall)).await?;
         raw_transaction::commit(connection).await
     }
@@ -251,7 +251,7 @@ impl Retention {
         connection: &mut SqliteConnection,
         work: Work,
         (now_s, now): (i64, Stamp),
-        rows: u64,
+        max_cost: u64,
         deletions: &mut Vec<Deletion>,
     ) -> Result<(), sqlx::Error> {
         match work {
@@ -260,14 +260,14 @@ impl Retention {
             }
             Work::Aged { kind, before_s } => {
                 let what = (kind, Cause::Age);
-                arrivals::trim(connection, what, before_s, now_s, rows, deletions).await?;
+                arrivals::trim(connection, what, before_s, now_s, max_cost, deletions).await?;
             }
             Work::TooLarge => {
                 // Recent arrivals may be deleted as well, once no older iterations remain.
                 if !arrivals::has_due(connection, Kind::Nodes, i64::MAX).await? {
                     arriving::close(connection, &self.periods, i64::MAX, now_s, ARRIVING).await?;
                 }
-                if !self.size.reduce(connection, (now_s, now.wall), rows, deletions).await? {
+                if !self.size.reduce(connection, (now_s, now.wall), max_cost, deletions).await? {
                     self.size.give_up(now.mono);
                 }
             }

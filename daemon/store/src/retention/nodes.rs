@@ -34,12 +34,12 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("NODES_FROM", NODES_FROM),
 ];
 
-/// Deletes iterations by ascending number, about `rows` rows.
+/// Deletes iterations by ascending number, at a cost of about `max_cost` rows of the table `node`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,
     numbers: Extent,
-    rows: u64,
+    max_cost: u64,
 ) -> Result<DeletedRows, sqlx::Error> {
     let mut deleted = DeletedRows::default();
     let mut per_iteration = NODES;
@@ -56,25 +56,25 @@ pub(super) async fn delete(
         }
         let mut old = &page[..];
         while let Some((from, _)) = old.first() {
-            if deleted.rows >= rows {
+            if deleted.cost >= max_cost {
                 return Ok(deleted);
             }
-            let together = usize::try_from((rows - deleted.rows) / per_iteration)
+            let together = usize::try_from((max_cost - deleted.cost) / per_iteration)
                 .unwrap_or(usize::MAX)
                 .clamp(1, old.len());
             let (now, later) = old.split_at(together);
             let through = now.last().map_or(*from, |(number, _)| *number);
-            let mut gone = now.len() as u64 * ITERATION;
+            let mut cost = now.len() as u64 * ITERATION;
             for table in [NODE, TRANSIT, ANCHOR, ITERATIONS] {
                 let done = sqlx::query(table).bind(run).bind(from).bind(through);
-                gone += done.execute(&mut *connection).await?.rows_affected();
+                cost += done.execute(&mut *connection).await?.rows_affected();
             }
             let seconds = now.iter().map(|(_, started_ns)| started_ns.div_euclid(1_000_000_000));
             let newest_s = seconds.max().unwrap_or(i64::MIN);
             record_trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;
             sqlx::query(NODES_FROM).bind(run).bind(through).execute(&mut *connection).await?;
-            per_iteration = (gone / now.len() as u64).max(1);
-            deleted.rows += gone;
+            per_iteration = (cost / now.len() as u64).max(1);
+            deleted.cost += cost;
             deleted.items += now.len() as u64;
             old = later;
         }

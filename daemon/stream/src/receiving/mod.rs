@@ -414,8 +414,8 @@ impl Receiving {
     /// Ends sessions of hosts that were silent for longer than `silence`. They are asked for a hello when they return.
     pub fn forget_silent(&mut self, silence: Span, now: MonoTime) {
         let silent = self.hosts.iter().filter(|(_, session)| now - session.last_message_at > silence);
-        let gone: Vec<HostId> = silent.map(|(host, _)| *host).collect();
-        gone.into_iter().for_each(|host| self.handle_goodbye(host));
+        let silent_hosts: Vec<HostId> = silent.map(|(host, _)| *host).collect();
+        silent_hosts.into_iter().for_each(|host| self.handle_goodbye(host));
     }
 
     /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the number of

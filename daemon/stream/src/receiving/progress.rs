@@ -134,8 +134,8 @@ impl Progress {
     /// Handles a batch whose number was accepted before.
     fn handle_repeated(&mut self, head: &BatchHead, window: u32) -> Arrival {
         let number = head.number;
-        let known = self.pending.iter().find(|(pending, _)| *pending == number);
-        let Some((_, chain)) = known else {
+        let pending_batch = self.pending.iter().find(|(pending, _)| *pending == number);
+        let Some((_, chain)) = pending_batch else {
             return Arrival::Pending;
         };
         // The same number with other content: the spool is a copy or was restored. The hello compares both ends.

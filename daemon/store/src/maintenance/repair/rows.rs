@@ -133,7 +133,7 @@ impl Table {
             copied.unreadable.push(UnreadableRange { before: None, after: None });
             return Ok(copied);
         };
-        let most = MAX_VALUES / self.columns.len() - DELAYED_ROWS;
+        let max_rows = MAX_VALUES / self.columns.len() - DELAYED_ROWS;
         let mut rows: Vec<Row> = Vec::new();
         // The last row that was written.
         let mut written = None;
@@ -164,9 +164,9 @@ impl Table {
                 range.after = Some(self.key(&row));
             }
             rows.push(row);
-            if rows.len() == most + DELAYED_ROWS {
-                self.insert(connection, &rows[..most]).await?;
-                written = rows.drain(..most).next_back();
+            if rows.len() == max_rows + DELAYED_ROWS {
+                self.insert(connection, &rows[..max_rows]).await?;
+                written = rows.drain(..max_rows).next_back();
             }
         }
         self.insert(connection, &rows).await?;

@@ -78,17 +78,17 @@ impl StoredWidths {
             extents.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
         };
         let (from, to) = whole.or_else(all).unwrap_or((0, 0));
-        let most = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
+        let max_points = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
         let hour = WIDTHS_S[WIDTHS_S.len() - 1];
         for width_s in POINTS_S {
-            let fits = to.div_euclid(width_s) - from.div_euclid(width_s) < most;
+            let fits = to.div_euclid(width_s) - from.div_euclid(width_s) < max_points;
             let stored = self.0.iter().rfind(|stored| width_s % stored.width_s == 0);
             if let Some(stored) = stored.filter(|stored| fits && (stored.whole || stored.width_s == hour)) {
                 return (width_s, stored.width_s);
             }
         }
         // It is longer than any run: a clock was wrong.
-        (((to - from) / most / DAY_S + 2) * DAY_S, hour)
+        (((to - from) / max_points / DAY_S + 2) * DAY_S, hour)
     }
 }
 
@@ -132,10 +132,10 @@ async fn lines(
     stages: &[Name],
     (width_s, stored_s): (i64, i64),
 ) -> Result<Vec<SeriesBuilder>, StoreError> {
-    let known = NameIds::read(readers, stages).await?;
+    let name_ids = NameIds::read(readers, stages).await?;
     let line = |(at, stage): (usize, &Name)| SeriesBuilder {
         stage: stage.clone(),
-        unit: known.units[at].clone(),
+        unit: name_ids.units[at].clone(),
         width_s,
         points: Vec::new(),
     };
@@ -144,10 +144,10 @@ async fn lines(
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS_OVER_TIME)
         .bind(run)
         .bind(stored_s)
-        .bind(known.ids()?)
+        .bind(name_ids.ids()?)
         .fetch(&pool);
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
-        let line = known.places.get(&row.name).and_then(|at| lines.get_mut(*at));
+        let line = name_ids.places.get(&row.name).and_then(|at| lines.get_mut(*at));
         if let Some(line) = line {
             line.add(&row)?;
         }
@@ -171,14 +171,14 @@ impl NameIds {
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
-        let mut known = Self { places: HashMap::new(), units: vec![String::new(); stages.len()] };
+        let mut name_ids = Self { places: HashMap::new(), units: vec![String::new(); stages.len()] };
         for (id, text, unit) in names {
             if let Some(at) = texts.iter().position(|asked| *asked == text) {
-                known.units[at] = unit;
-                known.places.insert(id, at);
+                name_ids.units[at] = unit;
+                name_ids.places.insert(id, at);
             }
         }
-        Ok(known)
+        Ok(name_ids)
     }
 
     /// Returns the ids as a JSON array, in which form statements take them.

@@ -226,13 +226,13 @@ impl Backlog {
     /// Adds batches read from the file. Batches that do not follow the known batches are ignored. Returns how many were
     /// added.
     pub(super) fn add_loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
-        let known = self.ready.len();
+        let ready_before = self.ready.len();
         for batch in batches {
             if batch.number == self.first_unloaded() && batch.number <= self.spooled.0 {
                 self.ready.push(batch);
             }
         }
-        self.ready.len() - known
+        self.ready.len() - ready_before
     }
 
     /// Returns a batch that is in memory: with `unspooled` any batch, otherwise only a spooled one.

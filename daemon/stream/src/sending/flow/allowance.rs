@@ -84,8 +84,8 @@ impl Allowance {
         self.rates.add(rate, now, took > shortest + MAX_QUEUEING + MAX_QUEUEING);
         let best = self.rates.best();
         // A long path needs a longer queue, or bursts leave it empty.
-        let least = TARGET_QUEUEING.max(Span::from_nanos(shortest.nanos() / 2));
-        let queue = Span::from_seconds_f64(MIN_QUEUED_BYTES / best).max(least).min(MAX_QUEUEING);
+        let min_queueing = TARGET_QUEUEING.max(Span::from_nanos(shortest.nanos() / 2));
+        let queue = Span::from_seconds_f64(MIN_QUEUED_BYTES / best).max(min_queueing).min(MAX_QUEUEING);
         let aim = shortest + queue;
         let fair = |rate: f64| (rate * aim.seconds()) as u64;
         if took > aim {

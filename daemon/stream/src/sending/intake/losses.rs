@@ -114,8 +114,8 @@ impl Loss {
 
     fn take_gap(&mut self, now: MonoTime) -> Gap {
         self.reported = Some(now);
-        let left = Gap { count: 0, ..self.gap.clone() };
-        std::mem::replace(&mut self.gap, left)
+        let remaining_gap = Gap { count: 0, ..self.gap.clone() };
+        std::mem::replace(&mut self.gap, remaining_gap)
     }
 }
 

@@ -236,8 +236,8 @@ impl Intake {
 
     /// Adds the current event to the batch.
     fn append_event(&mut self, nodes: usize, now: Stamp) {
-        let most = self.config.batch_bytes.min(MAX_BATCH_BYTES);
-        let full = self.open.body.len() + self.encoded.len() > most
+        let max_bytes = self.config.batch_bytes.min(MAX_BATCH_BYTES);
+        let full = self.open.body.len() + self.encoded.len() > max_bytes
             || self.open.nodes + nodes > self.config.batch_nodes;
         if full {
             self.close_batch();
