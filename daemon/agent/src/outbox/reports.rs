@@ -150,7 +150,7 @@ impl Reports {
         }
     }
 
-    /// Reports that a broken spool was replaced by a new one.
+    /// Reports that a damaged spool was replaced by a new one.
     pub(super) fn report_quarantine(&self, quarantined: &QuarantinedSpool) {
         let text = format!(
             "{}; it was moved to {}, and a new spool was created: events that the aggregator had not stored are missing there",

@@ -140,7 +140,7 @@ pub(super) async fn trim(
 }
 
 impl Arrival {
-    /// Deletes at a cost of about `max_cost` data that only this arrival covers. After the last of them the arrival is removed, or
+    /// Deletes data that only this arrival covers, at a cost of about `max_cost`. When all of it is deleted, the arrival is removed, or
     /// postponed by another period if pinned data remains.
     async fn delete(
         self,

@@ -10,7 +10,7 @@ use crate::extent::Extent;
 
 /// Time before and after a pinned run for which samples stay.
 const AROUND_NS: i64 = 3_600_000_000_000;
-/// Cost of a row in nodes: it is several times as long.
+/// Cost of deleting a clock sample, in rows of the table `node`: a sample is several times as large.
 const SAMPLE_COST: u64 = 5;
 
 /// The oldest sample: ?1 link, ?2 and ?3 first and last.

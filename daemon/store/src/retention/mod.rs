@@ -148,7 +148,7 @@ struct DeletedRows {
     cost: u64,
     /// Number of iterations, rows of statistics, or samples.
     items: u64,
-    /// `true` if everything that was asked for is deleted.
+    /// `true` if all requested data is deleted.
     complete: bool,
 }
 

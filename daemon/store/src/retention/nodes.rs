@@ -9,9 +9,9 @@ use crate::extent::Extent;
 /// Number of iterations read together.
 const PAGE: i64 = 500;
 /// First guess of the nodes per iteration.
-const NODES: u64 = 32;
+const NODES_PER_ITERATION: u64 = 32;
 /// Cost of an iteration without its nodes, in rows of `node`: two indexes and two more tables.
-const ITERATION: u64 = 4;
+const ITERATION_COST: u64 = 4;
 
 /// ?1 run, ?2 and ?3 first and last number, ?4 limit.
 const OLDEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 \
@@ -42,7 +42,7 @@ pub(super) async fn delete(
     max_cost: u64,
 ) -> Result<DeletedRows, sqlx::Error> {
     let mut deleted = DeletedRows::default();
-    let mut per_iteration = NODES;
+    let mut per_iteration = NODES_PER_ITERATION;
     loop {
         let page: Vec<(i64, i64)> = sqlx::query_as(OLDEST)
             .bind(run)
@@ -64,7 +64,7 @@ pub(super) async fn delete(
                 .clamp(1, old.len());
             let (now, later) = old.split_at(together);
             let through = now.last().map_or(*from, |(number, _)| *number);
-            let mut cost = now.len() as u64 * ITERATION;
+            let mut cost = now.len() as u64 * ITERATION_COST;
             for table in [NODE, TRANSIT, ANCHOR, ITERATIONS] {
                 let done = sqlx::query(table).bind(run).bind(from).bind(through);
                 cost += done.execute(&mut *connection).await?.rows_affected();

@@ -68,7 +68,7 @@ pub struct Sending {
 
 impl Sending {
     /// Creates the sending end of a host with its `secret`; `process` is a random number drawn at the start of the
-    /// process. Nothing is sent before [`connected`](Self::connected).
+    /// process. Nothing is sent before [`on_connected`](Self::on_connected).
     pub fn new(
         config: SendingConfig,
         host: HostDescription,

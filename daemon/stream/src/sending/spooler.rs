@@ -250,7 +250,7 @@ impl EventSpooler {
         self.backlog.acknowledged().0 <= self.deletions.through() && self.earlier.unwritten_gaps().is_none()
     }
 
-    /// Resolves the earlier process. The aggregator has stored everything up to `number_batches`, which `process` sent.
+    /// Resolves the earlier process. The aggregator has stored all batches up to `number`, which `process` sent.
     pub(super) fn resolve_earlier(&mut self, number: u64, process: Option<u64>) {
         let Some((unresolved, resolved)) = self.earlier.resolve(number, process) else { return };
         self.backlog.add_stored(resolved.stored);
@@ -404,7 +404,7 @@ impl EventSpooler {
         self.appends.losses_due(self.intake.totals().dropped)
     }
 
-    /// Returns the record that this process may send batches up to `number_batches`; `None` before the aggregator has accepted
+    /// Returns the record that this process may send batches up to `number`; `None` before the aggregator has accepted
     /// it.
     fn newest_sent_record(&self, number: u64) -> Option<NewestSentBatch> {
         self.is_accepted.then_some(NewestSentBatch { process: self.process, number })

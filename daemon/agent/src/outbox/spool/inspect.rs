@@ -49,7 +49,7 @@ pub struct Inspection {
 /// A kind of damage in a spool.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDamage {
-    /// SQLite finds the file broken.
+    /// SQLite finds the file damaged.
     #[error("the spool is damaged in {places} places; the first: {first}")]
     Pages {
         /// Number of findings, at most 100.

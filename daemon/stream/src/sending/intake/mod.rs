@@ -215,7 +215,7 @@ impl Intake {
     }
 
     /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports. They
-    /// are reported after the spool contains them ([`Self::resolution_written`]).
+    /// are reported after the spool contains them ([`Self::record_resolution_written`]).
     pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
         self.losses.resolve(unresolved, resolved)
     }

@@ -1,4 +1,4 @@
-//! Tests of broken files and broken rows.
+//! Tests of damaged files and rows.
 
 use std::fs;
 use std::io::{Seek, SeekFrom, Write};

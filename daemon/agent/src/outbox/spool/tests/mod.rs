@@ -44,7 +44,7 @@ impl SpoolFolder {
         OpenSpool::open(&self.path(), host(), true, &clock()).await
     }
 
-    /// Opens a spool that must not be broken.
+    /// Opens a spool that must not be damaged.
     async fn open_undamaged(&self) -> (SpoolFile, SpoolState) {
         let OpenSpool { file, state, quarantined, counter } = self.open().await.expect("opens");
         assert_eq!(quarantined, None);
