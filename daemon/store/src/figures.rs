@@ -7,9 +7,9 @@ use peernet_statistics::Summary;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Number of values below which a 95th percentile is not given.
+/// Minimum number of values for a 95th percentile.
 pub const MIN_P95_SAMPLES: u64 = MIN_VALUES_FOR_P95 as u64;
-/// Number of values below which a 99th percentile is not given.
+/// Minimum number of values for a 99th percentile.
 pub const MIN_P99_SAMPLES: u64 = MIN_VALUES_FOR_P99 as u64;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.

@@ -211,8 +211,8 @@ impl Store {
         read::whole::full_iterations(&self.readers, run, after).await
     }
 
-    /// Returns the first iteration of each shape of tree among the next few thousand iterations. Argument and result are
-    /// otherwise those of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
+    /// Returns the first iteration of each shape of tree among the next few thousand iterations, with the argument and the result
+    /// of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
     pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,

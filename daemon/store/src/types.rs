@@ -451,10 +451,10 @@ pub struct Recomputed {
     pub number: i64,
     /// Number of stored clock samples that were used.
     pub samples: u64,
-    /// Clocks by whose stamps delays were judged again; empty where all delays keep their first judgement.
+    /// Clocks by whose stamps delays were judged again; empty if all delays keep their first judgement.
     ///
-    /// Wall clocks are those of runs that were recorded before free-running clocks were stamped: their steps and slews affect
-    /// these delays.
+    /// Delays of runs that were recorded before free-running clocks were stamped are judged by wall clocks, whose steps and slews
+    /// affect these delays.
     pub clocks: Vec<RelatedClocks>,
     /// `upload` and `download`.
     pub stages: Vec<RecomputedStage>,

@@ -16,7 +16,7 @@ pub const KILLED_REASON: &str = "the agent was killed before these events reache
 /// Numbers of events in total and per run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunCounts {
-    /// Number of all events, including those without a run.
+    /// Number of all events, including events without a run.
     pub total: u64,
     /// Number of events of each run, for at most [`MAX_COUNTED_RUNS`] runs.
     pub runs: BTreeMap<RunId, u64>,

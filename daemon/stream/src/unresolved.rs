@@ -146,7 +146,7 @@ mod tests {
         (state, unresolved)
     }
 
-    /// Returns the counts of the gaps with a run and of those without one.
+    /// Returns the counts of the gaps with a run and of the gaps without a run.
     fn gaps(
         unresolved: &UnresolvedBatches,
         resolved: &ResolvedBatches,

@@ -2,7 +2,7 @@
 //!
 //! Each condition has one file, which reads the kernel's files below configurable roots. A condition that cannot be
 //! determined has the grade unknown. The cloud sends its conditions when it accepts the session; the run's description
-//! contains those of both hosts. `docs/trust.md` lists the thresholds and their sources.
+//! contains the conditions of both hosts. `docs/trust.md` lists the thresholds and their sources.
 
 mod disk;
 mod files;

@@ -282,7 +282,7 @@ impl LinkClockState {
         changes
     }
 
-    /// Returns the sample of a network's previous second if it is available, otherwise one of the current second so far.
+    /// Returns the sample of a network's previous second if it is available, otherwise the sample of the current second so far.
     pub(super) fn latest_sample(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
         let current = now.wall.unix_seconds() == self.second.at;

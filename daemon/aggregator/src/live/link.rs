@@ -16,8 +16,7 @@ const HISTORY_S: i64 = 600;
 /// Longest time between the stamp of an update and the creation of its parts.
 const MAX_REPORT_SKEW: Span = Span::from_millis(100);
 
-/// The latest report of one link, and a history whose seconds are those of the edge's wall clock, whatever time that
-/// shows.
+/// The latest report of one link, and a history by seconds of the edge's wall clock, which may be wrong.
 #[derive(Debug)]
 pub(super) struct Link {
     live: LinkLive,

@@ -1,6 +1,6 @@
 //! Reports of hosts on runs of other hosts.
 //!
-//! They change nothing of those runs, because runs are looked up by their reporter ([`Reporter`]). The attempt becomes an
+//! They do not change these runs, because runs are looked up by their reporter ([`Reporter`]). The attempt becomes an
 //! incident of the reporting host.
 
 use std::collections::{BTreeSet, HashMap, HashSet};

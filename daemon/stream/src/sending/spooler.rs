@@ -180,7 +180,7 @@ impl EventSpooler {
         self.intake.forget_run(run);
     }
 
-    /// Returns the totals without the events that are in memory only. They remain correct if those events are lost.
+    /// Returns the totals without the events that are in memory only. The totals remain correct if these events are lost.
     fn persistent_totals(&self) -> Totals {
         let (counted, settled) = (self.intake.totals(), self.backlog.settled_totals());
         let only_here = self.unspooled_events();

@@ -7,7 +7,7 @@ use uuid::Uuid;
 
 use super::{CountOwner, SHARED_MEMORY, open_owned_file, read_owner, remove};
 
-/// Removes the files of counts in which no process counts, and whose spool is gone or is `spool`.
+/// Removes the files of counts that no process uses, if their spool no longer exists or is `spool`.
 ///
 /// Files named in `needed`, which `spool` still needs, stay. So does a file without the identity of a spool.
 pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {

@@ -15,7 +15,7 @@ const NUMBERS_BYTES: usize = 4 * 8 + 2;
 /// Path that identifies the mount namespace, within which paths have their meaning.
 const MOUNT_NAMESPACE: &str = "/proc/self/ns/mnt";
 
-/// Identity of a spool file. A copy of the spool has another one.
+/// Identity of a spool file. A copy of the spool has another identity.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct CountOwner {
     device: u64,

@@ -38,7 +38,7 @@ pub(in crate::outbox) struct SpoolFile {
 /// Result of reading batches.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::outbox) struct Loaded {
-    /// Contiguous batches whose chains were checked. The first one cannot be checked if the previous batch is missing.
+    /// Contiguous batches whose chains were checked. The first batch cannot be checked if the previous batch is missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
     /// Damage that ends the list; `None` if it ends for another reason.
     pub(in crate::outbox) damage: Option<String>,
@@ -280,7 +280,7 @@ impl SpoolFile {
         let Some((since, events, kept, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
         let since = WallTime::from_unix_nanos(since);
         Ok(match chain(&kept) {
-            // A batch after a gap cannot be checked here; the one after it can.
+            // The first batch after a gap cannot be checked here; the next batch can.
             Ok(chain) if before.is_none_or(|before| before.next(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }

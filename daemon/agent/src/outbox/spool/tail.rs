@@ -77,7 +77,7 @@ pub(super) async fn read_unreported(connection: &mut SqliteConnection) -> Result
 }
 
 /// Returns the unresolved batches of an earlier process, whose losses only the aggregator can determine. `None` if its
-/// file of counts no longer exists, after a restart of the machine, or belongs to the spool of which this one is a copy.
+/// file of counts no longer exists, after a restart of the machine, or belongs to the spool that was copied to this one.
 pub(super) async fn read_unresolved(
     connection: &mut SqliteConnection,
     owner: &CountOwner,

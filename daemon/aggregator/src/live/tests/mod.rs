@@ -239,7 +239,7 @@ fn windows_follow_wrong_and_stepped_agent_clock() {
     let snapshot = testbed.snapshot(4.6);
     assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
     assert_eq!(snapshot.hosts[0].clock_ahead, Span::from_seconds(ahead));
-    // The clock is set back to the right time: later seconds are discarded, and new ones are shown at once.
+    // The clock is set back to the right time: later seconds are discarded, and new seconds are shown at once.
     testbed.live.apply(update(host, wall(6.5), line(6)), now(6.5));
     let snapshot = testbed.snapshot(6.5);
     assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [5, 5, 5]);

@@ -197,8 +197,8 @@ impl Backlog {
         self.pending.next_append(max_batches, max_bytes)
     }
 
-    /// Records that batches up to `through`, which has the chain `chain`, are in the file. Returns the bytes of those
-    /// that are held.
+    /// Records that batches up to `through`, which has the chain `chain`, are in the file. Returns the bytes of the held
+    /// batches among them.
     pub(super) fn mark_appended(&mut self, through: u64, chain: Chain) -> u64 {
         let mut bytes = 0;
         self.advance_file(through, chain);
@@ -280,15 +280,14 @@ impl Backlog {
         Some((head, body))
     }
 
-    /// Returns the number of events in the batches from the oldest to the one before `number`, all of which are in
-    /// memory.
+    /// Returns the number of events in the batches from the oldest to the last before `number`. They must be in memory.
     fn events_before(&self, number: u64) -> u64 {
         let before = self.ready.iter().chain(self.pending.iter()).take_while(|batch| batch.number < number);
         before.map(|batch| u64::from(batch.events)).sum()
     }
 
-    /// Frees the batches up to `through`, which the aggregator stored. Either all of them are in memory, or `scanned`
-    /// contains the size of those in the file only and the chain of the last of them.
+    /// Frees the batches up to `through`, which the aggregator stored. If some of them are only in the file, `scanned`
+    /// contains their size and the chain of the last of them.
     ///
     /// Batches up to `writing` are being written to the file.
     pub(super) fn free(&mut self, through: u64, scanned: Option<ScanResult>, writing: u64) -> FreedBatches {
@@ -339,7 +338,7 @@ impl Backlog {
         SpoolScan::new(self.first_unloaded(), number.min(self.spooled.0))
     }
 
-    /// Skips the oldest batches up to the one before `resume`, which no longer exist. None of them is in memory.
+    /// Skips the batches before `resume`, which no longer exist. None of them is in memory.
     /// `before` is the chain of the last of them.
     pub(super) fn skip_to(&mut self, resume: u64, before: Chain) {
         self.oldest = OldestBatch { number: resume, before, since: None };

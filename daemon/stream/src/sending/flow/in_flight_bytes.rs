@@ -1,4 +1,4 @@
-//! Counts of the bytes handed to the connection and of those known to have arrived.
+//! Counts of the bytes handed to the connection and of the bytes known to have arrived.
 
 use peernet_clock::MonoTime;
 

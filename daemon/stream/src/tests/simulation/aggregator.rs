@@ -54,7 +54,7 @@ pub(in super::super) struct Aggregator {
     capacity: usize,
     /// Connection with the host's session.
     route: Option<u64>,
-    /// Streams that the host used, including those in the queue, and the last one.
+    /// Streams that the host used, including streams in the queue, and the last stream.
     seen: BTreeSet<StreamId>,
     last: Option<StreamId>,
     /// Number of welcomes that reported missing batches.
