@@ -178,8 +178,8 @@ impl LiveTracker {
         }
         let held: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
         self.stored.retain(|host, _| held.contains(host));
-        let lacking: Vec<HostId> = self.hosts.keys().filter(|host| !held.contains(host)).copied().collect();
-        for host in lacking {
+        let missing_hosts: Vec<HostId> = self.hosts.keys().filter(|host| !held.contains(host)).copied().collect();
+        for host in missing_hosts {
             self.store(host, StoredCounts::default(), None);
         }
         for (host, stored) in hosts {

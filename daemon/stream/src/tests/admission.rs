@@ -167,7 +167,7 @@ fn deleted_or_replaced_spool_is_reported_once() {
 }
 
 #[test]
-fn batches_lacking_in_older_database_are_reported_once() {
+fn batches_missing_in_older_database_are_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let missing_previous = |greeting| match greeting {
