@@ -178,7 +178,8 @@ impl LiveTracker {
         }
         let held: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
         self.stored.retain(|host, _| held.contains(host));
-        let missing_hosts: Vec<HostId> = self.hosts.keys().filter(|host| !held.contains(host)).copied().collect();
+        let missing_hosts: Vec<HostId> =
+            self.hosts.keys().filter(|host| !held.contains(host)).copied().collect();
         for host in missing_hosts {
             self.store(host, StoredCounts::default(), None);
         }
