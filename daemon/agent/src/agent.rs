@@ -322,7 +322,7 @@ impl RunningAgent {
         let Parts { tasks, outbox, io: _io, stop_timeout, _state } = parts;
         let stop = tasks.stop_token();
         let stopped = stop.clone();
-        // The stop timeout counts from the request, however long the tasks take to end.
+        // The stop timeout counts from the request and includes the time that the tasks take to end.
         let requested_at = tokio::spawn(async move {
             stopped.cancelled().await;
             Instant::now()
@@ -331,7 +331,7 @@ impl RunningAgent {
         stop.cancel();
         let now = Instant::now();
         let requested_at = requested_at.await.unwrap_or(now);
-        // The outbox gets at least a quarter of the time, however long the iterations in flight took.
+        // The outbox gets at least a quarter of the time, even if the iterations in flight took longer than the rest.
         let deadline = (requested_at + stop_timeout).max(now + stop_timeout / 4);
         let stored = async {
             match outbox {

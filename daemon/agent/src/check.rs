@@ -85,7 +85,7 @@ impl Report {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
         }
-        // Settings that any of the networks cannot use are reported, whichever network is configured.
+        // A setting that one of the networks cannot use is reported, even if that network is not configured.
         for network in NetworkKind::ALL {
             if let Err(error) = network.check_settings(settings) {
                 self.add(format!("{key}.{}", error.key), error.problem);

@@ -62,7 +62,7 @@ impl Incidents {
         self.enqueue(kind, subject, text);
     }
 
-    /// Logs an incident at level info, whatever its kind, and queues it.
+    /// Logs an incident of any kind at level info, and queues it.
     pub(crate) fn report_info(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
         let pipeline = subject.pipeline.map_or("-", Slug::as_str);
         tracing::info!(%kind, pipeline, "{text}");

@@ -6,7 +6,7 @@
 //! the p99 of the total was up to three times as long (`docs/measurements.md`). With one thread the whole chain stays
 //! on one processor.
 //!
-//! The outbox and the host's metrics run on other threads. So do the aggregator and the web server where they are in
+//! The outbox and the host's metrics run on other threads. So do the aggregator and the web server if they are in
 //! the same process. Therefore no batch and no page delays a sample.
 
 use std::future::Future;
@@ -41,7 +41,7 @@ impl IoThreads {
     }
 
     /// Wraps a future in the context of this runtime. The sockets and tasks that it creates belong to the I/O threads,
-    /// whichever thread polls the future.
+    /// no matter which thread polls the future.
     pub(crate) fn with_context<F: Future>(&self, future: F) -> TokioContext<F> {
         TokioContext::new(future, self.handle().clone())
     }
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn running_tasks_end_with_threads_without_waiting() {
+    async fn dropping_io_threads_cancels_running_tasks() {
         let io = IoThreads::start(NonZeroUsize::MIN).expect("there are threads");
         let socket = io.with_context(UdpSocket::bind("127.0.0.1:0")).await.expect("there is a port");
         let waiting = io.handle().spawn(async move {

@@ -18,7 +18,7 @@ impl ReconnectBackoff {
     /// Pause after a refusal, which rarely ends without a change of configuration.
     pub(crate) const PAUSE_AFTER_REFUSAL: Duration = Duration::from_secs(15);
 
-    /// Creates the sequence of pauses. The seed of the jitter is the host id, so that each host has other pauses.
+    /// Creates the sequence of pauses. The seed of the jitter is the host id, so that the pauses of hosts differ.
     pub(crate) fn new(host: HostId) -> Self {
         let [a, b, c, d, e, f, g, h, ..] = *host.as_bytes();
         let seed = u64::from_le_bytes([a, b, c, d, e, f, g, h]);

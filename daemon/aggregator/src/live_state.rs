@@ -13,7 +13,7 @@ use peernet_stream::{
 };
 use serde::Serialize;
 
-use peernet_store::{Bound, ClockPoint, Figures, Stored};
+use peernet_store::{Bound, ClockPoint, Figures, StoredCounts};
 
 /// Snapshot of all agents.
 #[derive(Clone, Debug, Serialize)]
@@ -35,7 +35,7 @@ pub struct LiveState {
     /// Number of hosts with stored events that are not in `hosts`, because they were silent for long or since the
     /// aggregator's start.
     pub absent: usize,
-    /// Totals of all hosts, including those that are not in `hosts`.
+    /// Totals of all hosts, including hosts that are not in `hosts`.
     pub totals: Totals,
 }
 
@@ -43,7 +43,7 @@ pub struct LiveState {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Totals {
     /// Counts of the database.
-    pub stored: Stored,
+    pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
     pub arrivals: Arrivals,
     /// Frames that belong to no known host.
@@ -62,7 +62,7 @@ pub struct RefusedFrames {
 /// Numbers of batches that arrived and were not stored, since the aggregator's start; they are sent again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Arrivals {
-    /// Batches for which the queue had no room.
+    /// Batches for which the queue had no capacity.
     pub deferred: u64,
     /// Batches that did not match their hash.
     pub damaged: u64,
@@ -119,7 +119,7 @@ pub struct HostSnapshot {
     /// Description that the host sent in its hello.
     pub description: HostDescription,
     /// `true` if the host sent a message in the last three seconds. After a restart of the agent it is `false` until
-    /// the first update, because the other values are those of the previous process.
+    /// the first update, because the other values belong to the previous process.
     pub connected: bool,
     /// `true` if the host said goodbye with nothing left in its spool: it stopped in order.
     #[serde(rename = "left")]
@@ -143,7 +143,7 @@ pub struct HostSnapshot {
     /// Counts of its events, as reported by the host.
     pub accounting: Accounting,
     /// Counts of its events in the database.
-    pub stored: Stored,
+    pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
     pub arrivals: Arrivals,
     /// Time of its newest stored event on its clock; `None` if nothing was stored since the aggregator's start.
@@ -190,7 +190,7 @@ pub struct PipelineSnapshot {
     pub total_p95: PercentileSeries,
 }
 
-/// The 95th percentile of the total latency over time. Each value is that of all iterations of its bucket, whose
+/// The 95th percentile of the total latency over time. Each value is the percentile of all iterations of its bucket, whose
 /// sketches are merged.
 ///
 /// The bucket's length is the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 s with enough iterations at the

@@ -217,7 +217,7 @@ async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
     exit
 }
 
-/// Returns a timer with half the interval of the service manager's watchdog, if there is one.
+/// Returns a timer with half the interval of the service manager's watchdog; `None` without a watchdog.
 fn watchdog() -> Option<tokio::time::Interval> {
     sd_notify::watchdog_enabled().map(|timeout| tokio::time::interval(timeout / 2))
 }

@@ -32,7 +32,7 @@ pub enum OpenError {
         is_repairable: bool,
     },
     /// The file has no database header, or no longer has one.
-    #[error("cannot open the database {}: {source}; if it was one, its first page is lost: replace it by the newest backup, and agents send the events in their spools again; or choose another file with `database`", path.display())]
+    #[error("cannot open the database {}: {source}; if the file was a database, its first page is lost: replace it by the newest backup, and agents send the events in their spools again; or choose another file with `database`", path.display())]
     Unrecognised {
         /// The configured file.
         path: PathBuf,

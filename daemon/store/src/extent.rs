@@ -21,22 +21,22 @@ impl Extent {
     /// Returns the parts of this range that none of the others contains, in ascending order.
     pub(crate) fn without(self, mut others: Vec<Self>) -> Vec<Self> {
         others.sort_unstable_by_key(|other| other.first);
-        let mut left = Vec::new();
+        let mut remaining = Vec::new();
         let mut from = self.first;
         for Self { first, last } in others {
             if first > self.last {
                 break;
             }
             if first > from {
-                left.push(Self { first: from, last: first - 1 });
+                remaining.push(Self { first: from, last: first - 1 });
             }
             if last >= self.last {
-                return left;
+                return remaining;
             }
             from = from.max(last + 1);
         }
-        left.push(Self { first: from, last: self.last });
-        left
+        remaining.push(Self { first: from, last: self.last });
+        remaining
     }
 }
 

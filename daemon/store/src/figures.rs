@@ -1,4 +1,4 @@
-//! Figures of a summary, without quantiles that its samples do not support.
+//! Statistics of a summary, without quantiles for which it has too few values.
 
 use peernet_analysis::order::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 use peernet_clock::Verdict;
@@ -7,9 +7,9 @@ use peernet_statistics::Summary;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Samples below which a 95th percentile is not given.
+/// Minimum number of values for a 95th percentile.
 pub const MIN_P95_SAMPLES: u64 = MIN_VALUES_FOR_P95 as u64;
-/// Samples below which a 99th percentile is not given.
+/// Minimum number of values for a 99th percentile.
 pub const MIN_P99_SAMPLES: u64 = MIN_VALUES_FOR_P99 as u64;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
@@ -32,7 +32,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// Returns the figures of a summary, or `None` when it holds no samples.
+    /// Returns the statistics of a summary; `None` if it has no values.
     pub fn from_summary(summary: &Summary) -> Option<Self> {
         let moments = &summary.moments;
         let from = |needed, q| (moments.count >= needed).then(|| summary.quantile(q)).flatten();

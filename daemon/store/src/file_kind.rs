@@ -15,7 +15,7 @@ pub enum FileKind {
     Other,
 }
 
-/// Counts the tables except those that note migrations, and among them those of the aggregator and of a spool.
+/// Counts all tables except the table of migrations, then the tables of the aggregator, then the tables of a spool.
 const TABLES: &str = "SELECT count(*), coalesce(sum(name IN ('host', 'run', 'iteration')), 0), \
      coalesce(sum(name IN ('stream', 'batch', 'reached', 'unreported', 'unresolved')), 0) \
      FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE '\\_%' ESCAPE '\\' AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\'";

@@ -22,9 +22,12 @@ const MAGIC: u32 = 0x377f_0682;
 const LOG_HEADER: usize = 32;
 const FRAME_HEADER: usize = 24;
 
-/// The log at the path belongs to the file that was there before.
+/// The log at the path belongs to another file, which was at the database's path before.
 #[derive(Debug, thiserror::Error)]
-#[error("the log {} belongs to the database that was there before; move it to where that file went, or delete it", .0.display())]
+#[error(
+    "the write-ahead log {} belongs to another database, which was at this path before; move it beside that \
+     database, or delete it if nobody needs what it contains", .0.display()
+)]
 pub struct ForeignLog(pub(crate) PathBuf);
 
 /// Gives the file a number if it has none.
@@ -79,7 +82,8 @@ fn read_id(file: &File) -> io::Result<Option<u32>> {
     Ok(Some(be32(&header, ID_AT)).filter(|id| is_database && *id != 0))
 }
 
-/// Returns whether SQLite would apply a page 1 with another number, and none with this one.
+/// Returns whether the log, as far as SQLite would apply it, has page 1 with the number of another database, and never
+/// with the number of this one.
 fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     let log = match File::open(log) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),

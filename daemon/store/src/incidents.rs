@@ -8,7 +8,7 @@ use crate::types::AggregatorIncidentKind;
 
 /// Maximum number of stored incidents of the aggregator: at one per hour they cover more than a year.
 const MAX_STORED: i64 = 10_000;
-/// Number of incidents that may wait while the database cannot be written. Later ones are dropped: the first ones are the
+/// Number of incidents that may wait while the database cannot be written. Later incidents are dropped: the first incidents are the
 /// most useful.
 const MAX_PENDING: usize = 64;
 

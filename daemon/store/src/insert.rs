@@ -38,8 +38,8 @@ impl Insert {
     ) -> BoxFuture<'a, Result<(), sqlx::Error>> {
         let mut rows = rows.into_iter();
         let mut next = move || -> Result<Option<(&'a Arc<str>, SqliteArguments)>, sqlx::Error> {
-            let left = rows.len();
-            let Some(size) = SIZES.iter().position(|size| *size <= left) else { return Ok(None) };
+            let remaining_rows = rows.len();
+            let Some(size) = SIZES.iter().position(|size| *size <= remaining_rows) else { return Ok(None) };
             let mut arguments = SqliteArguments::default();
             arguments.reserve(SIZES[size] * self.columns, 0);
             rows.by_ref()

@@ -46,7 +46,7 @@ pub use error::{OpenError, StoreError};
 pub use figures::{Bound, Figures, MIN_P95_SAMPLES, MIN_P99_SAMPLES, rank};
 pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
-pub use stored::{ClockPoint, Stored};
+pub use stored::{ClockPoint, StoredCounts};
 pub use types::{
     AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
@@ -84,7 +84,7 @@ impl Store {
         self.readers.close().await;
     }
 
-    /// Opens new connections in place of the closed ones, so that queries work again.
+    /// Opens new connections in place of the closed connections, so that queries work again.
     pub fn reopen(&self) {
         self.readers.reopen();
     }
@@ -178,7 +178,7 @@ impl Store {
         read::iterations::iterations(&self.readers, run, filter).await
     }
 
-    /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored ones.
+    /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored iterations.
     ///
     /// The value of a standard name is the sum of its nodes below the root; that of a user's name is its first node, as in
     /// `data.csv`. Only a few iterations of a long run are read.
@@ -211,8 +211,8 @@ impl Store {
         read::whole::full_iterations(&self.readers, run, after).await
     }
 
-    /// Returns the first iteration of each shape of tree among the next few thousand iterations. Argument and result are
-    /// otherwise those of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
+    /// Returns the first iteration of each shape of tree among the next few thousand iterations, with the argument and the result
+    /// of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
     pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,

@@ -14,7 +14,7 @@ pub enum LockError {
     Taken {
         /// The database.
         path: PathBuf,
-        /// The other process, as far as it is known.
+        /// The other process, if it is known.
         holder: String,
     },
     /// The file cannot be created, opened or locked.
@@ -29,9 +29,9 @@ pub enum LockError {
 
 /// Lock of a database for writing: a lock on the file itself, which is released when this value is dropped or the process ends.
 ///
-/// There is one lock for a file, whatever name leads to it (link, hard link, another mount).
+/// A file has one lock under all its names (link, hard link, another mount).
 //
-// It is a lock of flock(2), because SQLite uses those of fcntl(2). The two are independent: when SQLite closes another
+// It is a lock of flock(2), because SQLite uses locks of fcntl(2). The two kinds are independent: when SQLite closes another
 // descriptor of the file, this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that
 // SQLite holds with fcntl in this process. So it is closed after SQLite's last connection.
 #[derive(Debug)]

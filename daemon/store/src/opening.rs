@@ -19,7 +19,7 @@ use super::write::{
 use crate::database_error::DatabaseError;
 use crate::error::OpenError;
 use crate::retention_config::RetentionConfig;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// Number of newest runs that are read at the opening: agents may still be executing them.
 const RUNS: u32 = 1_000;
@@ -43,10 +43,10 @@ pub struct StoredState {
     pub streams: Streams,
     /// The newest runs with their numbers.
     pub runs: Vec<(HostId, RunId, i64)>,
-    /// Open runs of which only iterations are stored.
+    /// Open runs whose start is not stored, but iterations are.
     pub unnamed_runs: Vec<(HostId, RunId)>,
     /// Counts of each host's stored data.
-    pub hosts: Vec<(HostId, Stored)>,
+    pub hosts: Vec<(HostId, StoredCounts)>,
     /// All stored hosts in the order of their first contact, with their secrets.
     pub host_secrets: Vec<(HostId, Option<HostSecret>)>,
 }
@@ -60,7 +60,7 @@ pub enum ReopenError {
     /// The file at the path is empty.
     #[error("the database file {} is empty; put the right file there, or restart the aggregator to create a new database in it", .0.display())]
     Empty(PathBuf),
-    /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
+    /// The log at the path belongs to another database, which was at this path before. SQLite would apply it to the new file.
     #[error(transparent)]
     ForeignLog(ForeignLog),
     /// Another process holds the lock, or the file cannot be opened for writing.

@@ -70,12 +70,12 @@ impl Readers {
         self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Closes the connections after the queries in progress are answered; later ones are refused.
+    /// Closes the connections after the queries in progress are answered; later queries are refused.
     pub(super) async fn close(&self) {
         self.pool().close().await;
     }
 
-    /// Creates new connections in place of the closed ones.
+    /// Creates new connections in place of the closed connections.
     pub(super) fn reopen(&self) {
         let mut pool = self.pool.write().unwrap_or_else(PoisonError::into_inner);
         let options = pool.connect_options().as_ref().clone();

@@ -106,7 +106,7 @@ mod tests {
         assert!(problems(|config| (config.nodes_days, config.size_limit_bytes) = (0, 1 << 30)).is_empty());
         assert_eq!(problems(|config| config.nodes_days = 40_000), ["retention.nodes_days"]);
         assert_eq!(problems(|config| config.size_limit_bytes = 1), ["retention.size_limit_bytes"]);
-        // The coarser statistics serve pages for the time of which the finer ones are deleted.
+        // The coarser statistics serve pages for the time of which the finer statistics are deleted.
         assert_eq!(problems(|config| config.seconds_days = 8), ["retention.ten_seconds_days"]);
         assert_eq!(problems(|config| config.minutes_days = 0), Vec::<&str>::new());
         assert_eq!(

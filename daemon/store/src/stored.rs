@@ -1,4 +1,4 @@
-//! Types of the store that the live state contains as well.
+//! Types of the store that the live state also contains.
 
 use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};
@@ -31,14 +31,14 @@ pub struct ClockPoint {
 
 /// Counts of the stored data of one host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Stored {
+pub struct StoredCounts {
     /// Events of all kinds.
     pub events: u64,
     /// Nodes of iterations.
     pub nodes: u64,
     /// Gaps that the host reported or that were noticed in its streams.
     pub gaps: u64,
-    /// Events missing in those gaps, as far as they could be counted.
+    /// Number of events in these gaps; events that could not be counted are not included.
     pub missing: u64,
     /// Batches that arrived more than once and were stored once, since the aggregator started.
     pub duplicates: u64,

@@ -22,7 +22,7 @@ use peernet_stream::{
 use serde::Serialize;
 
 use crate::figures::Figures;
-use crate::stored::{ClockPoint, Stored};
+use crate::stored::{ClockPoint, StoredCounts};
 
 /// Selection of the runs to list, newest first.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,7 +56,7 @@ pub struct RunSummary {
     pub host_name: Slug,
     /// The pipeline's name; `unknown` when the run's beginning never reached the store.
     pub pipeline: Slug,
-    /// Place where it computed, with the peer's name.
+    /// Placement: where the run computed, with the peer's name.
     pub placement: Placement,
     /// Time of its start on the edge's wall clock.
     pub started: WallTime,
@@ -70,7 +70,7 @@ pub struct RunSummary {
     pub counts: OutcomeCounts,
     /// Iterations of the warm-up: stored, but excluded from statistics.
     pub warm_up: u64,
-    /// Skipped starts of an open loop before its iterations, whatever their outcome; without the warm-up.
+    /// Skipped starts of an open loop before its iterations of any outcome; without the warm-up.
     pub skipped_starts: u64,
     /// Longest allowed duration of an iteration in seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
@@ -100,7 +100,7 @@ pub struct RunDetail {
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
-    /// Conditions of the hosts before the run began; empty when none were recorded.
+    /// Conditions of the hosts before the run started; empty if none were recorded.
     pub conditions: Vec<Condition>,
     /// Missing events, oldest first, at most 1,000.
     pub gaps: Vec<GapRow>,
@@ -197,12 +197,12 @@ pub struct IterationFilter {
     /// Maximum number of iterations, 1 to 1,000.
     pub limit: u32,
     /// `true` for iterations without an answer only: failed, lost, timeout.
-    pub unsuccessful: bool,
+    pub without_answer: bool,
 }
 
 impl Default for IterationFilter {
     fn default() -> Self {
-        Self { after: 0, limit: 100, unsuccessful: false }
+        Self { after: 0, limit: 100, without_answer: false }
     }
 }
 
@@ -232,10 +232,11 @@ pub struct IterationRow {
     pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; several nodes of one stage are added up.
     pub stages: Vec<(Name, f64)>,
-    /// Seconds of the total beyond its stages, as the agent measured them; `None` where it could not tell.
+    /// Seconds of the total outside of all stages, as the agent measured them; `None` if the agent did not
+    /// record them.
     pub unattributed: Option<f64>,
-    /// Seconds of `upload` and `download` together where they are not known separately: the total less the other stages and
-    /// `unattributed`. `None` where each is known, or nothing was sent.
+    /// Seconds of `upload` and `download` together if they are not known separately: the total less the other stages and
+    /// `unattributed`. `None` if both are known, or if nothing was sent.
     pub both_ways: Option<f64>,
     /// The judged one-way delays, in the order of the tree.
     pub delays: Vec<DelayRow>,
@@ -250,13 +251,13 @@ pub struct DelayRow {
     pub value: Option<f64>,
     /// Bounds that contain the truth; `None` when nothing is known.
     pub bounds: Option<(f64, f64)>,
-    /// The receiver's stamp less the sender's; may be negative.
+    /// The receiver's stamp less the sender's, both on wall clocks; may be negative.
     pub raw: f64,
     /// Source of the correction.
     pub source: DelaySource,
     /// Trust in the estimate.
     pub verdict: Verdict,
-    /// Assumptions behind its bounds; `None` where no clock sample of its time is stored, and where both ends are on one clock.
+    /// Assumptions behind its bounds; `None` if no clock sample of its time is stored, or if both ends are on one clock.
     pub assumptions: Option<DelayAssumptions>,
 }
 
@@ -327,7 +328,7 @@ pub struct IncidentFilter {
 }
 
 impl IncidentFilter {
-    /// Returns the newest ones of all kinds and hosts.
+    /// Selects the newest incidents of all kinds and hosts.
     pub const fn newest(limit: u32) -> Self {
         Self { limit, before: None, kind: None, host: None }
     }
@@ -393,7 +394,7 @@ pub struct HostRow {
     /// Time of its last hello or stored event, on the aggregator's wall clock.
     pub last_seen: WallTime,
     /// Counts of its stored data.
-    pub stored: Stored,
+    pub stored: StoredCounts,
 }
 
 /// Key of a link: two hosts that use several networks have one link over each.
@@ -442,7 +443,7 @@ pub struct ClockSeries {
     pub points: Vec<ClockPoint>,
 }
 
-/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, later ones included.
+/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, including later exchanges.
 /// The recorded stamps stay unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Recomputed {
@@ -450,10 +451,10 @@ pub struct Recomputed {
     pub number: i64,
     /// Number of stored clock samples that were used.
     pub samples: u64,
-    /// Clocks by whose stamps delays were judged again; empty where all delays keep their first judgement.
+    /// Clocks by whose stamps delays were judged again; empty if all delays keep their first judgement.
     ///
-    /// Wall clocks are those of runs that were recorded before free-running clocks were stamped: their steps and slews affect
-    /// these delays.
+    /// Delays of runs that were recorded before free-running clocks were stamped are judged by wall clocks, whose steps and slews
+    /// affect these delays.
     pub clocks: Vec<RelatedClocks>,
     /// `upload` and `download`.
     pub stages: Vec<RecomputedStage>,

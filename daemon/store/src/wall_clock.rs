@@ -2,7 +2,7 @@
 
 use peernet_clock::{Span, Stamp, WallTime};
 
-/// Smallest step that is reported. Smaller ones are left to the time daemon: nothing is deleted because of them, and pages
+/// Smallest step that is reported. Smaller steps are left to the time daemon: nothing is deleted because of them, and pages
 /// show seconds.
 const MIN_STEP: Span = Span::from_seconds(10);
 

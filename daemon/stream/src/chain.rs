@@ -46,8 +46,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_chain_is_the_hash_of_all_that_came_before() {
-        // The expected value is that of `(head -c 16 /dev/zero; printf '\0\0\0\2ab') | sha256sum`.
+    fn chain_is_hash_of_all_batches_so_far() {
+        // The expected value is the output of `(head -c 16 /dev/zero; printf '\0\0\0\2ab') | sha256sum`.
         let chain = Chain::START.next(2, b"ab");
         assert_eq!(chain.to_string(), "406eafa51a022395ef1bb1ee145156df");
         assert_eq!(Chain::from_bytes(*chain.as_bytes()), chain);

@@ -214,7 +214,7 @@ pub struct ReflectorLive {
     pub probes: ProbeCounts,
     /// Round trips of the newest hundred answers; `None` before the first.
     pub round_trip: Option<RoundTrip>,
-    /// Wall clock of the reflector minus that of the edge; `None` if it is unknown.
+    /// Wall clock of the reflector minus the edge's wall clock; `None` if it is unknown.
     pub offset: Option<Offset>,
 }
 

@@ -137,7 +137,7 @@ pub fn decode<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
 fn read<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
     let mut reader = rmp_serde::Deserializer::new(frame);
     reader.set_max_depth(MAX_NESTING);
-    let message = M::deserialize(&mut reader).map_err(|error| malformed(&error))?;
+    let message = M::deserialize(&mut reader).map_err(|error| malformed_error(&error))?;
     match reader.get_ref().len() {
         0 => Ok(message),
         more => Err(CodecError::Trailing(more)),
@@ -177,7 +177,7 @@ pub fn decode_batch_head(frame: &[u8]) -> Option<BatchHead> {
 /// Returns the wire form of a batch's events from its frame, decompressed and checked against the batch's chain.
 ///
 /// # Errors
-/// If the frame is not that of a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain.
+/// If the frame does not contain a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain.
 pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
     let Some(Head { form, batch, length }) = read_head(&frame) else {
         return Err(CodecError::Malformed("not a batch".into()));
@@ -218,7 +218,7 @@ pub fn decode_events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> 
     let mut reader = rmp_serde::Deserializer::from_read_ref(body);
     reader.set_max_depth(MAX_NESTING);
     for _ in 0..count {
-        events.push(Event::deserialize(&mut reader).map_err(|error| malformed(&error))?);
+        events.push(Event::deserialize(&mut reader).map_err(|error| malformed_error(&error))?);
     }
     match IgnoredAny::deserialize(&mut reader) {
         // No first byte of another value follows.
@@ -264,7 +264,7 @@ fn read_head(frame: &[u8]) -> Option<Head> {
     Some(Head { form, batch, length: u32::from_be_bytes(length) as usize })
 }
 
-fn malformed(error: &rmp_serde::decode::Error) -> CodecError {
+fn malformed_error(error: &rmp_serde::decode::Error) -> CodecError {
     CodecError::Malformed(error.to_string())
 }
 

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::NetworkName;
 
-/// A connection of a link, as counted by its edge and, where that is known, by its cloud.
+/// A connection of a link, as counted by its edge and, if known, by its cloud.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Connection {
     /// Pipeline that uses the connection.

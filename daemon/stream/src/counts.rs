@@ -16,7 +16,7 @@ pub const KILLED_REASON: &str = "the agent was killed before these events reache
 /// Numbers of events in total and per run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunCounts {
-    /// Number of all events, including those without a run.
+    /// Number of all events, including events without a run.
     pub total: u64,
     /// Number of events of each run, for at most [`MAX_COUNTED_RUNS`] runs.
     pub runs: BTreeMap<RunId, u64>,
@@ -113,7 +113,7 @@ impl SubmittedEvents {
         SettledEvents { events, batched: self.batched.total, last: self.last }
     }
 
-    /// Moves the events in batches that are not in `kept` to the dropped ones.
+    /// Counts the events of batches that are not in `kept` as dropped.
     pub(super) fn give_up(&mut self, kept: &RunCounts) {
         let batched = std::mem::replace(&mut self.batched, kept.clone());
         self.dropped.total += batched.total.saturating_sub(kept.total);
@@ -129,22 +129,23 @@ impl SubmittedEvents {
 }
 
 impl CountedEvents {
-    /// Returns the gaps for `lost` events. `known` is the number of events that the spool lacks but that were stored or
+    /// Returns the gaps for `lost` events. `known` is the number of events that are not in the spool but that were stored or
     /// reported; their runs are unknown.
     pub(super) fn gaps(&self, settled: &SettledEvents, known: u64, lost: u64) -> Vec<Gap> {
-        let mut left = lost;
+        let mut unassigned = lost;
         let gap = |pipeline, run, count, to: WallTime| {
             let from = settled.last.unwrap_or(to).min(to);
             Gap { pipeline, run, from, to, count, reason: KILLED_REASON.to_owned() }
         };
         let mut gaps = Vec::new();
         for CountedRun { run, pipeline, events, last } in &self.runs {
-            let count = events.saturating_sub(settled.events.events_of(*run)).saturating_sub(known).min(left);
-            left -= count;
+            let count =
+                events.saturating_sub(settled.events.events_of(*run)).saturating_sub(known).min(unassigned);
+            unassigned -= count;
             gaps.push(gap(pipeline.clone(), Some(*run), count, *last));
         }
-        // Events without a run, and those of runs that are not counted separately.
-        gaps.push(gap(None, None, left, self.last));
+        // Events without a run, and events of runs that are not counted separately.
+        gaps.push(gap(None, None, unassigned, self.last));
         gaps.retain(|gap| gap.count > 0);
         gaps
     }

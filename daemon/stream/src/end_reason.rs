@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_run_that_broke_off_has_a_failure() {
+    fn only_aborted_run_has_failure() {
         let failures = ["", "finished", "stopped", "no camera"].map(EndReason::from);
         assert_eq!(failures.each_ref().map(EndReason::failure), [None, None, None, Some("no camera")]);
     }

@@ -14,7 +14,7 @@ use peernet_logger::{HostId, RunId, Slug, Tree};
 /// An event on an agent that is to be stored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Event {
-    /// A run began.
+    /// A run started.
     RunStarted(RunDescription),
     /// A run ended.
     RunEnded(RunEnded),

@@ -181,7 +181,7 @@ pub struct Accounting {
     pub stored: u64,
     /// Number of events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
-    /// Number of events that were dropped for lack of space or lost when the agent was killed. Gaps report them.
+    /// Number of events that were dropped because no space was left, or lost when the agent was killed. Gaps report them.
     pub dropped: u64,
     /// Number of gaps that were reported.
     pub gaps: u64,

@@ -6,7 +6,7 @@ use peernet_logger::{HostId, Slug};
 
 use crate::{Chain, Event, Hello, HostSecret, LiveUpdate, Nonce, ProofCode, StreamId};
 
-/// Largest number of batches of one agent in flight, however small they are.
+/// Maximum number of batches of one agent in flight, regardless of their size.
 pub const MAX_IN_FLIGHT_BATCHES: usize = 1_024;
 
 /// Returns the weight of a batch in a window: the bytes of its body, and at least 1 KiB, because a small batch also

@@ -9,7 +9,7 @@ use crate::counts::{CountedEvents, SentUnspooled, SettledEvents};
 use crate::totals::Totals;
 use crate::{Gap, MAX_IN_FLIGHT_BATCHES};
 
-/// Number of batches for which [`SentUnspooled`] must be kept: those that may be in flight, and the last acknowledged
+/// Number of batches for which [`SentUnspooled`] must be kept: the batches that may be in flight, and the last acknowledged
 /// one.
 pub const MAX_SENT_UNSPOOLED: usize = MAX_IN_FLIGHT_BATCHES + 1;
 
@@ -67,9 +67,9 @@ impl UnresolvedBatches {
         }
     }
 
-    /// Updates the losses that no gap reports yet: those in `earlier_gaps`, `earlier_drops` events that earlier processes dropped,
-    /// and those of the process itself. Losses that its stored gaps reported are removed, the oldest first.
-    pub(super) fn unreported(
+    /// Updates the losses that no gap reports yet: the gaps in `earlier_gaps`, `earlier_drops` events that earlier processes dropped,
+    /// and the losses of the process itself. Losses that its stored gaps reported are removed, the oldest first.
+    pub(super) fn update_unreported(
         &self,
         resolved: &ResolvedBatches,
         earlier_gaps: &mut VecDeque<Gap>,
@@ -85,7 +85,7 @@ impl UnresolvedBatches {
         reported_drops -= of_before;
         let of_lost = reported_drops.min(resolved.lost);
         reported_drops -= of_lost;
-        // One gap may contain losses of a later process together with reported ones.
+        // One gap may contain losses of a later process together with reported losses.
         while let Some(mut gap) = (reported_drops > 0).then(|| earlier_gaps.pop_front()).flatten() {
             let of_gap = reported_drops.min(gap.count);
             reported_drops -= of_gap;
@@ -146,14 +146,14 @@ mod tests {
         (state, unresolved)
     }
 
-    /// Returns the counts of the gaps with a run and of those without one.
+    /// Returns the counts of the gaps with a run and of the gaps without a run.
     fn gaps(
         unresolved: &UnresolvedBatches,
         resolved: &ResolvedBatches,
         mut earlier_drops: u64,
     ) -> (u64, u64) {
         let mut earlier_gaps = VecDeque::new();
-        unresolved.unreported(resolved, &mut earlier_gaps, &mut earlier_drops);
+        unresolved.update_unreported(resolved, &mut earlier_gaps, &mut earlier_drops);
         assert!(earlier_gaps.iter().all(|gap| gap.reason == KILLED_REASON));
         let (named, unnamed): (Vec<_>, Vec<_>) = earlier_gaps.iter().partition(|gap| gap.run.is_some());
         let sum = |gaps: Vec<&Gap>| gaps.iter().map(|gap| gap.count).sum();
@@ -177,7 +177,7 @@ mod tests {
         let both = unresolved.resolve(5, Some(PROCESS));
         assert_eq!((both.stored, both.lost, both.reported_drops), (10, 11, 2));
         let (named, unnamed) = gaps(&unresolved, &both, 2);
-        assert_eq!(named + unnamed, 11, "the gap in batch 5 told of both that were untold");
+        assert_eq!(named + unnamed, 11, "the gap in batch 5 reported both unreported losses");
         let totals = state.totals.with(&both);
         assert_eq!((totals.produced, totals.dropped, totals.reported_drops), (36, 14, 3));
     }
@@ -194,7 +194,11 @@ mod tests {
             reason: "full".to_owned(),
         };
         let (mut earlier_gaps, mut earlier_drops) = (VecDeque::from([gap(1), gap(4)]), 0);
-        unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut earlier_gaps, &mut earlier_drops);
+        unresolved.update_unreported(
+            &unresolved.resolve(5, Some(PROCESS)),
+            &mut earlier_gaps,
+            &mut earlier_drops,
+        );
         assert_eq!(earlier_gaps.front().map(|gap| gap.count), Some(4));
         assert_eq!(earlier_gaps.iter().map(|gap| gap.count).sum::<u64>(), 5 + 11 - 2);
     }
@@ -206,12 +210,12 @@ mod tests {
         let gap =
             |count| Gap { count, ..unresolved.counted.gaps(&SettledEvents::default(), 0, 1)[0].clone() };
         let (mut earlier_gaps, mut earlier_drops) = (VecDeque::from([gap(5)]), 1);
-        unresolved.unreported(&resolved, &mut earlier_gaps, &mut earlier_drops);
+        unresolved.update_unreported(&resolved, &mut earlier_gaps, &mut earlier_drops);
         let counts: Vec<u64> = earlier_gaps.iter().map(|gap| gap.count).collect();
         assert_eq!(
             (counts, earlier_drops),
             (vec![3], 0),
-            "5 owed, 1 untold and 1 lost, of which 4 were told"
+            "5 owed, 1 unreported and 1 lost, of which 4 were reported"
         );
     }
 

@@ -2,7 +2,7 @@
 //!
 //! The event stream and the session protocol negotiate their versions as follows. The end that connects states its
 //! range and the first release that supports the oldest version in it. The other end chooses the highest version that
-//! both support and says so: the aggregator in its challenge, the cloud when it accepts a session. Without a common
+//! both support and states it: the aggregator in its challenge, the cloud when it accepts a session. Without a common
 //! version the connection is refused, with a text that names the end to update and the release that it needs. The older
 //! end cannot know that release; the range of the other end states it.
 //!
@@ -58,7 +58,7 @@ impl VersionRange {
         self.oldest
     }
 
-    /// Returns the newest version, which is never below the oldest, whatever a peer states.
+    /// Returns the newest version. It is never below the oldest, even if a peer states that.
     pub fn newest(&self) -> u16 {
         self.newest.map_or(self.oldest, |newest| newest.max(self.oldest))
     }

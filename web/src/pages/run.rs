@@ -157,7 +157,7 @@ async fn show(
     let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{number} is stored")))?;
     let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
-    let without_answer = IterationFilter { after: 0, limit: UNANSWERED, unsuccessful: true };
+    let without_answer = IterationFilter { after: 0, limit: UNANSWERED, without_answer: true };
     let (known, known_histogram, series, slowest, unanswered, episodes, trust) = tokio::try_join!(
         store.statistics_of(number),
         store.histogram(number, &wanted, BINS),

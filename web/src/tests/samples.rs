@@ -11,7 +11,7 @@ use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
 };
 use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
-use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored};
+use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, StoredCounts};
 use peernet_stream::{
     Accounting, ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics,
     Hardware, HostClock, HostDescription, HostMetrics, LinkLive, NetworkInterface, NetworkName,
@@ -200,7 +200,7 @@ pub(crate) fn host(name: &str, kind: &str) -> HostSnapshot {
         history: vec![Arc::new(MetricsPoint { at: NOW, metrics: metrics.clone() })],
         metrics,
         accounting: Accounting::default(),
-        stored: Stored::default(),
+        stored: StoredCounts::default(),
         arrivals: Arrivals::default(),
         newest_stored: None,
         live_left_out: 0,

@@ -6,7 +6,7 @@ use peernet_aggregator::{Arrivals, HostSnapshot};
 use peernet_clock::Span;
 use peernet_figures::drawing;
 use peernet_statistics::number::{NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
-use peernet_store::Stored;
+use peernet_store::StoredCounts;
 use peernet_stream::Accounting;
 
 use super::chip::{Chip, Tone};
@@ -190,7 +190,7 @@ pub(crate) fn worst(host: &HostSnapshot) -> Option<Remark> {
 
 /// Returns the aggregator's account, as pairs.
 pub(crate) fn stored(
-    stored: &Stored,
+    stored: &StoredCounts,
     arrivals: Option<&Arrivals>,
     newest: Option<peernet_clock::WallTime>,
     zone: Zone,

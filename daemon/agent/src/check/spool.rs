@@ -60,7 +60,7 @@ fn check_content(report: &mut Report, config: &AgentConfig) {
     match FileKind::from_path(&path) {
         Ok(FileKind::Other) if is_default_path => {}
         Ok(kind) => {
-            if let Some(objection) = kind.objection() {
+            if let Some(objection) = kind.refusal_reason() {
                 report.add("spool.file", format!("the file {} {objection}", path.display()));
             }
         }

@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn defaults_are_right() {
+    fn default_settings_have_no_problems() {
         let nothing: [String; 0] = [];
         assert_eq!(
             (clock(""), probes(""), clock_fault("")),

@@ -5,17 +5,17 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 /// Returns the text of a file without surrounding white space; `None` if it cannot be read.
-pub(super) fn text(path: &Path) -> Option<String> {
+pub(super) fn read_text(path: &Path) -> Option<String> {
     Some(fs::read_to_string(path).ok()?.trim().to_owned())
 }
 
 /// Returns the parsed text of a file; `None` if it cannot be read or parsed.
-pub(super) fn value<T: FromStr>(path: &Path) -> Option<T> {
-    text(path)?.parse().ok()
+pub(super) fn read_value<T: FromStr>(path: &Path) -> Option<T> {
+    read_text(path)?.parse().ok()
 }
 
 /// Returns the entries of a folder whose names begin with `prefix`, in the order of their names.
-pub(super) fn entries(folder: &Path, prefix: &str) -> Vec<PathBuf> {
+pub(super) fn list_entries(folder: &Path, prefix: &str) -> Vec<PathBuf> {
     let Ok(listed) = fs::read_dir(folder) else { return Vec::new() };
     let named =
         |path: &PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(prefix));
@@ -30,11 +30,11 @@ pub(super) fn processors(sys: &Path) -> Vec<PathBuf> {
         let number = path.file_name().and_then(|name| name.to_str()?.strip_prefix("cpu"));
         number.is_some_and(|number| !number.is_empty() && number.bytes().all(|digit| digit.is_ascii_digit()))
     };
-    entries(&sys.join("devices/system/cpu"), "cpu").into_iter().filter(numbered).collect()
+    list_entries(&sys.join("devices/system/cpu"), "cpu").into_iter().filter(numbered).collect()
 }
 
 /// Returns the number after `key:` in a text of such lines, as in /proc/meminfo.
-pub(super) fn keyed(text: &str, key: &str) -> Option<u64> {
+pub(super) fn number_after_key(text: &str, key: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
     line.split_ascii_whitespace().next()?.parse().ok()
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use peernet_stream::Grade;
 
-use super::files::{processors, text, value};
+use super::files::{processors, read_text, read_value};
 use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "CPU governor";
@@ -19,7 +19,7 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     let mut fixed = true;
     for processor in processors(&settings.sys) {
         let folder = processor.join("cpufreq");
-        let Some(governor) = text(&folder.join("scaling_governor")) else { continue };
+        let Some(governor) = read_text(&folder.join("scaling_governor")) else { continue };
         *governors.entry(governor).or_default() += 1;
         fixed &= is_fixed(&folder);
     }
@@ -53,6 +53,6 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
 
 /// Returns whether the limits allow only one frequency, as `jetson_clocks` sets them.
 fn is_fixed(folder: &Path) -> bool {
-    let limit = |name: &str| value::<u64>(&folder.join(name));
+    let limit = |name: &str| read_value::<u64>(&folder.join(name));
     matches!((limit("scaling_min_freq"), limit("scaling_max_freq")), (Some(min), Some(max)) if min == max)
 }

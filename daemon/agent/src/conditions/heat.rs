@@ -4,7 +4,7 @@ use std::path::Path;
 
 use peernet_stream::Grade;
 
-use super::files::{entries, processors, text, value};
+use super::files::{list_entries, processors, read_text, read_value};
 use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "thermal throttling";
@@ -20,15 +20,15 @@ const THROTTLING_DEVICES: [&str; 6] =
 /// Grades all signs of throttling: active now is bad, earlier since the start of the host is doubtful.
 pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
     let sys = &settings.sys;
-    let mut known = false;
+    let mut is_known = false;
     let mut found = Vec::new();
     for look in [active_cooling_devices, zones_near_trip_point, firmware_flags, throttle_counters] {
         if let Some(findings) = look(sys) {
-            known = true;
+            is_known = true;
             found.extend(findings);
         }
     }
-    match (found.is_empty(), known) {
+    match (found.is_empty(), is_known) {
         (false, _) => found,
         (true, true) => vec![Finding::good(ABOUT, "none, neither now nor since the host was started")],
         (true, false) => {
@@ -40,16 +40,16 @@ pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
 /// Finds active cooling devices (kernel documentation, driver-api/thermal/sysfs-api); the alerts of a Jetson are such
 /// devices, too.
 fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
-    let devices = entries(&sys.join("class/thermal"), "cooling_device");
-    let mut known = false;
+    let devices = list_entries(&sys.join("class/thermal"), "cooling_device");
+    let mut has_devices = false;
     let mut active = Vec::new();
     for device in devices {
-        let Some(kind) = text(&device.join("type")) else { continue };
+        let Some(kind) = read_text(&device.join("type")) else { continue };
         if !kind.contains("throttle-alert") && !THROTTLING_DEVICES.iter().any(|name| kind.starts_with(name)) {
             continue;
         }
-        let Some(state) = value::<i64>(&device.join("cur_state")) else { continue };
-        known = true;
+        let Some(state) = read_value::<i64>(&device.join("cur_state")) else { continue };
+        has_devices = true;
         // The power clamp reports −1 while it is off.
         if state > 0 && !active.contains(&kind) {
             active.push(kind);
@@ -59,25 +59,27 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
         let found = format!("the kernel throttles the host now ({})", active.join(", "));
         Finding::graded(ABOUT, Grade::Bad, found, COOLING_ADVICE)
     };
-    known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
+    has_devices.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
 }
 
 /// Finds thermal zones at or near a trip point, above which the kernel slows the host down.
 fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
-    let mut known = false;
+    let mut has_zones = false;
     let mut found = Vec::new();
-    for zone in entries(&sys.join("class/thermal"), "thermal_zone") {
-        let Some(celsius) = value::<f64>(&zone.join("temp")).map(|millis| millis / 1e3) else { continue };
-        let passive = entries(&zone, "trip_point_").into_iter().filter(|path| {
-            path.to_string_lossy().ends_with("_type") && text(path).as_deref() == Some("passive")
+    for zone in list_entries(&sys.join("class/thermal"), "thermal_zone") {
+        let Some(celsius) = read_value::<f64>(&zone.join("temp")).map(|millis| millis / 1e3) else {
+            continue;
+        };
+        let passive = list_entries(&zone, "trip_point_").into_iter().filter(|path| {
+            path.to_string_lossy().ends_with("_type") && read_text(path).as_deref() == Some("passive")
         });
         let points = passive.filter_map(|path| {
             let at = path.to_string_lossy().replace("_type", "_temp");
-            value::<f64>(Path::new(&at)).map(|millis| millis / 1e3).filter(|celsius| *celsius > 0.0)
+            read_value::<f64>(Path::new(&at)).map(|millis| millis / 1e3).filter(|celsius| *celsius > 0.0)
         });
         let Some(point) = points.min_by(f64::total_cmp) else { continue };
-        known = true;
-        let name = text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
+        has_zones = true;
+        let name = read_text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
         let heat = format!("{name} is at {celsius:.0} °C; the host is throttled from {point:.0} °C on");
         if celsius >= point {
             found.push(Finding::graded(ABOUT, Grade::Bad, heat, COOLING_ADVICE));
@@ -85,13 +87,13 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
             found.push(Finding::graded(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
         }
     }
-    known.then_some(found)
+    has_zones.then_some(found)
 }
 
 /// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 are the current state, bits 16 to 19 that since the
 /// board was started (documentation of `vcgencmd get_throttled`).
 fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
-    let bits = text(&sys.join("devices/platform/soc/soc:firmware/get_throttled"))?;
+    let bits = read_text(&sys.join("devices/platform/soc/soc:firmware/get_throttled"))?;
     let bits = u32::from_str_radix(bits.trim_start_matches("0x"), 16).ok()?;
     let named = |shift: u32| {
         let names = ["under-voltage", "frequency capped", "throttled", "soft temperature limit"];
@@ -115,10 +117,10 @@ fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
     let cores = processors(sys).into_iter().map(|processor| processor.join("thermal_throttle"));
     let counters = cores
         .flat_map(|folder| ["core_throttle_count", "package_throttle_count"].map(|name| folder.join(name)));
-    let boards = entries(&sys.join("class/hwmon"), "hwmon").into_iter().flat_map(|folder| {
-        entries(&folder, "oc").into_iter().filter(|path| path.to_string_lossy().ends_with("_event_cnt"))
+    let boards = list_entries(&sys.join("class/hwmon"), "hwmon").into_iter().flat_map(|folder| {
+        list_entries(&folder, "oc").into_iter().filter(|path| path.to_string_lossy().ends_with("_event_cnt"))
     });
-    let counts: Vec<u64> = counters.chain(boards).filter_map(|path| value(&path)).collect();
+    let counts: Vec<u64> = counters.chain(boards).filter_map(|path| read_value(&path)).collect();
     let count = counts.into_iter().max()?;
     let found = || format!("the processor was throttled {count} times since the host was started");
     Some(if count == 0 {

@@ -5,18 +5,18 @@ use std::time::Duration;
 
 use peernet_stream::Grade;
 
-use super::files::{entries, processors, text};
+use super::files::{list_entries, processors, read_text};
 use super::{Finding, InspectionSettings};
 
 /// Pause between two counts of the threads.
 const COUNT_INTERVAL: Duration = Duration::from_millis(8);
-/// Number of other runnable threads per processor from which on the grade is doubtful: the run is disturbed at times.
+/// Lowest doubtful number of other runnable threads per processor: the run is disturbed at times.
 const COMPETING_DOUBTFUL: f64 = 0.25;
-/// Number of other runnable threads per processor from which on the grade is bad: the run shares every processor.
+/// Lowest bad number of other runnable threads per processor: the run shares every processor.
 const COMPETING_BAD: f64 = 1.0;
-/// Share of steal time since the start of the host from which on the grade is doubtful.
+/// Lowest doubtful share of steal time since the start of the host.
 const STEAL_DOUBTFUL: f64 = 0.01;
-/// Share of steal time since the start of the host from which on the grade is bad.
+/// Lowest bad share of steal time since the start of the host.
 const STEAL_BAD: f64 = 0.05;
 
 /// Grades the number of runnable threads of other processes: the mean of a few counts (proc_loadavg(5)).
@@ -50,16 +50,16 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
 
 /// Returns the number of runnable threads of the whole host.
 fn runnable_threads(settings: &InspectionSettings) -> Option<u32> {
-    let averages = text(&settings.proc.join("loadavg"))?;
+    let averages = read_text(&settings.proc.join("loadavg"))?;
     averages.split_ascii_whitespace().nth(3)?.split_once('/')?.0.parse().ok()
 }
 
 /// Returns the number of runnable threads of this process (proc_pid_stat(5): the state is the field after the name in
 /// parentheses).
 fn own_threads(settings: &InspectionSettings) -> u32 {
-    let threads = entries(&settings.proc.join("self/task"), "").into_iter();
+    let threads = list_entries(&settings.proc.join("self/task"), "").into_iter();
     let runs = |path: &std::path::PathBuf| {
-        text(&path.join("stat")).is_some_and(|stat| {
+        read_text(&path.join("stat")).is_some_and(|stat| {
             stat.rsplit(')').next().is_some_and(|rest| rest.trim_start().starts_with('R'))
         })
     };
@@ -69,7 +69,7 @@ fn own_threads(settings: &InspectionSettings) -> u32 {
 /// Returns the percentage of the last 10 s in which some thread waited for a processor (kernel documentation,
 /// accounting/psi).
 fn pressure(settings: &InspectionSettings) -> Option<f64> {
-    let pressure = text(&settings.proc.join("pressure/cpu"))?;
+    let pressure = read_text(&settings.proc.join("pressure/cpu"))?;
     let some = pressure.lines().find_map(|line| line.strip_prefix("some "))?;
     some.split_ascii_whitespace().find_map(|field| field.strip_prefix("avg10=")?.parse().ok())
 }
@@ -77,9 +77,9 @@ fn pressure(settings: &InspectionSettings) -> Option<f64> {
 /// Grades the CPU quota of a container (cgroup v2, `cpu.max`). When the quota is used up, the kernel stops the process
 /// until the next period, which looks like a slow model.
 pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
-    let own = text(&settings.proc.join("self/cgroup"))?;
+    let own = read_text(&settings.proc.join("self/cgroup"))?;
     let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim_start_matches('/').to_owned();
-    let max = text(&settings.sys.join("fs/cgroup").join(path).join("cpu.max"))?;
+    let max = read_text(&settings.sys.join("fs/cgroup").join(path).join("cpu.max"))?;
     let (quota, period) = max.split_once(' ')?;
     let (quota, period): (f64, f64) = (quota.parse().ok()?, period.parse().ok()?);
     (period > 0.0).then(|| {
@@ -98,7 +98,7 @@ pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
 
 /// Grades the steal time, during which the hypervisor ran other machines (proc_stat(5)); `None` if there was none.
 pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
-    let stat = text(&settings.proc.join("stat"))?;
+    let stat = read_text(&settings.proc.join("stat"))?;
     let times = stat.lines().find_map(|line| line.strip_prefix("cpu "))?;
     let times: Vec<u64> = times.split_ascii_whitespace().filter_map(|ticks| ticks.parse().ok()).collect();
     // Guest time is included in user time.

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use super::files::{entries, text};
+use super::files::{list_entries, read_text};
 use super::{Finding, InspectionSettings};
 
 /// Names in the control groups of a container's processes. They are visible if the container shares the host's
@@ -60,7 +60,7 @@ pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
 
 /// Returns vendor and product by the firmware.
 fn products(sys: &Path) -> Vec<String> {
-    let named = |name: &str| text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
+    let named = |name: &str| read_text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
     [named("sys_vendor"), named("product_name")].into_iter().flatten().collect()
 }
 
@@ -70,7 +70,7 @@ fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool
     let is_bare_metal = products.iter().any(|name| name.ends_with(".metal"));
     let is_named =
         products.iter().any(|name| VIRTUAL_PRODUCTS.iter().any(|product| name.starts_with(product)));
-    let has_hypervisor = text(&settings.sys.join("hypervisor/type")).is_some_and(|kind| kind != "none");
+    let has_hypervisor = read_text(&settings.sys.join("hypervisor/type")).is_some_and(|kind| kind != "none");
     let by_processor = processor_flag(&settings.proc);
     let by_tree = device_tree_is_virtual(&settings.proc.join("device-tree"));
     let signs = [by_processor, by_tree];
@@ -82,29 +82,29 @@ fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool
 
 /// Returns whether the processor has the flag of a virtual one; `None` on ARM, which has no such flag.
 fn processor_flag(proc: &Path) -> Option<bool> {
-    let info = text(&proc.join("cpuinfo"))?;
+    let info = read_text(&proc.join("cpuinfo"))?;
     let flags = info.lines().find(|line| line.starts_with("flags"))?;
     Some(flags.split_ascii_whitespace().any(|flag| flag == "hypervisor"))
 }
 
-/// Returns whether a board's device tree is that of a virtual machine; `None` if there is no tree.
+/// Returns whether a device tree belongs to a virtual machine; `None` if there is no device tree.
 fn device_tree_is_virtual(tree: &Path) -> Option<bool> {
-    let model = text(&tree.join("model"))?;
+    let model = read_text(&tree.join("model"))?;
     let is_virtual = model.starts_with("linux,dummy-virt")
-        || text(&tree.join("hypervisor/compatible")).is_some()
-        || !entries(tree, "fw-cfg@").is_empty();
+        || read_text(&tree.join("hypervisor/compatible")).is_some()
+        || !list_entries(tree, "fw-cfg@").is_empty();
     Some(is_virtual)
 }
 
 /// Returns the container manager, if the host is a container.
 fn container(settings: &InspectionSettings) -> Option<String> {
-    let named = text(&settings.root.join("run/systemd/container")).filter(|name| !name.is_empty());
+    let named = read_text(&settings.root.join("run/systemd/container")).filter(|name| !name.is_empty());
     let marked = || {
         let found = MARKS.iter().find(|(file, _)| settings.root.join(file).exists());
         found.map(|(_, manager)| (*manager).to_owned())
     };
     named.or_else(marked).or_else(|| {
-        let groups = text(&settings.proc.join("self/cgroup"))?;
+        let groups = read_text(&settings.proc.join("self/cgroup"))?;
         // `0::/system.slice/docker-1f0c.scope`
         let parts = groups.lines().filter_map(|line| line.splitn(3, ':').nth(2));
         let mut parts = parts.flat_map(|path| path.split('/'));

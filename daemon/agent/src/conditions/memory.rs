@@ -2,19 +2,19 @@
 
 use peernet_stream::Grade;
 
-use super::files::{keyed, text};
+use super::files::{number_after_key, read_text};
 use super::{Finding, InspectionSettings};
 
-/// Share of the memory's size from which on the swap in use is doubtful. A small share is normal, because unused pages
+/// Lowest doubtful amount of swap in use, as a share of the memory's size. A small share is normal, because unused pages
 /// are swapped out.
 const DOUBTFUL_SHARE: f64 = 0.05;
 
 /// Grades the swap in use. A program stops while swapped memory is read back from the disk.
 pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
     const ABOUT: &str = "swap";
-    let info = text(&settings.proc.join("meminfo"))?;
-    let (total, free) = (keyed(&info, "SwapTotal")?, keyed(&info, "SwapFree")?);
-    let memory = keyed(&info, "MemTotal").filter(|kib| *kib > 0)?;
+    let info = read_text(&settings.proc.join("meminfo"))?;
+    let (total, free) = (number_after_key(&info, "SwapTotal")?, number_after_key(&info, "SwapFree")?);
+    let memory = number_after_key(&info, "MemTotal").filter(|kib| *kib > 0)?;
     if total == 0 {
         return Some(Finding::good(ABOUT, "none on this host"));
     }

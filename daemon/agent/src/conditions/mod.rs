@@ -2,7 +2,7 @@
 //!
 //! Each condition has one file, which reads the kernel's files below configurable roots. A condition that cannot be
 //! determined has the grade unknown. The cloud sends its conditions when it accepts the session; the run's description
-//! contains those of both hosts. `docs/trust.md` lists the thresholds and their sources.
+//! contains the conditions of both hosts. `docs/trust.md` lists the thresholds and their sources.
 
 mod disk;
 mod files;
@@ -98,7 +98,9 @@ pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: Str
     let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));
     let reason = match tokio::time::timeout(TIMEOUT, inspection).await {
         Ok(Ok(found)) => return found,
-        Ok(Err(_)) => "the inspection of the host panicked; see the log for the place".to_owned(),
+        Ok(Err(_)) => {
+            "the inspection of the host panicked; see the log for the location in the code".to_owned()
+        }
         Err(_) => format!("the inspection of the host took longer than {} ms", TIMEOUT.as_millis()),
     };
     vec![Finding::unknown("host", reason).with_host(&host)]

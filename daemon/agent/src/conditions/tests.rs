@@ -1,4 +1,4 @@
-//! Tests of the conditions with file trees like those of boards.
+//! Tests of the conditions with file trees that imitate boards.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use tempfile::TempDir;
 
 use super::*;
 
-/// A file tree like that of a board.
+/// A file tree that imitates a board.
 struct HostFiles(TempDir);
 
 impl HostFiles {

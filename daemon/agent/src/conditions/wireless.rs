@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use peernet_networks::is_wireless;
 use peernet_stream::Grade;
 
-use super::files::{entries, text};
+use super::files::{list_entries, read_text};
 use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "Wi-Fi power save";
@@ -16,9 +16,11 @@ const ABOUT: &str = "Wi-Fi power save";
 ///
 /// The state is available only through nl80211, which `iw` queries. Without `iw` it is unknown.
 pub(super) fn power_save(settings: &InspectionSettings) -> Vec<Finding> {
-    let up = |path: &std::path::PathBuf| text(&path.join("operstate")).as_deref() == Some("up");
-    let interfaces =
-        entries(&settings.sys.join("class/net"), "").into_iter().filter(|path| is_wireless(path)).filter(up);
+    let up = |path: &std::path::PathBuf| read_text(&path.join("operstate")).as_deref() == Some("up");
+    let interfaces = list_entries(&settings.sys.join("class/net"), "")
+        .into_iter()
+        .filter(|path| is_wireless(path))
+        .filter(up);
     interfaces.map(|path| inspect_interface(settings, &path)).collect()
 }
 

@@ -76,7 +76,7 @@ impl ClockConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Timestamps {
-    /// The kernel, where it supports them.
+    /// The kernel, if it supports them.
     #[default]
     Kernel,
     /// Only the program. Needed where a process runs under libfaketime, which does not change the kernel's stamps.

@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clock_fault_config_becomes_clock_faults() {
+    fn wall_error_is_offset_plus_drift_plus_past_steps() {
         let config: ClockFaultConfig =
             toml::from_str("offset_ms = 1000\ndrift_ppm = -50.5\nsteps = [{ at_s = 20, by_ms = -3000 }]")
                 .expect("it is a table of [clock_fault]");

@@ -33,10 +33,10 @@ pub struct HostConfig {
     /// latency. At most 64. Default: 1.
     pub io_threads: NonZeroUsize,
     /// Largest number of events that wait in memory until they are in the spool. The wait is milliseconds unless the
-    /// spool's disk is slow, full or broken. Beyond this number the newest events are dropped, counted and reported as a
+    /// spool's disk is slow, full or fails. Beyond this number the newest events are dropped, counted and reported as a
     /// gap. At most 10000000. Default: 50000.
     pub queue_events: NonZeroUsize,
-    /// Largest number of bytes of those events; beyond it the newest are dropped, too. At most 16 GiB. Default: 33554432
+    /// Largest number of bytes of these events; beyond it the newest are dropped, too. At most 16 GiB. Default: 33554432
     /// (32 MiB).
     pub queue_bytes: NonZeroUsize,
     /// Largest number of nodes per batch; up to 1000000. Default: 8192.

@@ -89,7 +89,7 @@ impl ObserveConfig {
         Ok(version)
     }
 
-    /// Checks that the stamps of messages can be matched with those of the peer, if there is one.
+    /// If there is a peer, checks that the stamps of messages can be matched with the peer's stamps.
     ///
     /// # Errors
     /// When messages are paired by order, or `peer_pipeline` is set without `peer`.

@@ -98,13 +98,13 @@ pub enum PlacementConfig {
 pub struct RemoteConfig {
     /// Address in the peer's `[serve] listen`: `tcp://host:port`. Its scheme selects the network.
     pub peer: Address,
-    /// Kind of network, which must be that of `peer`. Default: the one that `peer` selects.
+    /// Kind of network, which must match the scheme of `peer`. Default: the kind that the scheme selects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network: Option<NetworkKind>,
-    /// Name of one of the peer's models. Default: the only one that the peer offers.
+    /// Name of one of the peer's models. Default: the peer's only model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<Slug>,
-    /// Device that the model must run on. Default: the one that the peer has configured.
+    /// Device that the model must run on. Default: the device that the peer has configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
     /// Time limits and bounds of the session.
@@ -190,15 +190,15 @@ impl Default for WarmUp {
     }
 }
 
-/// Limits at which a pipeline stops by itself; it stops at the first one that is reached. Without a limit it runs for
+/// Limits at which a pipeline stops by itself; it stops at the first limit that is reached. Without a limit it runs for
 /// ever, and a new run starts at midnight UTC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limit {
-    /// Number of iterations, without those of the warm-up.
+    /// Number of iterations, without the warm-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<NonZeroU64>,
-    /// Number of iterations, with those of the warm-up: the published `--iterations`. If the warm-up is as long, the run
+    /// Number of iterations, including the warm-up: the published `--iterations`. If the warm-up is as long, the run
     /// has rows but no statistics.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub total: Option<NonZeroU64>,
@@ -226,7 +226,7 @@ pub enum StartMode {
 }
 
 impl PipelineConfig {
-    /// Returns the schedule as a text; that of an observed system is unknown.
+    /// Returns the schedule as a text. The schedule of an observed system is unknown.
     pub fn load_text(&self) -> String {
         match &self.placement {
             PlacementConfig::Observe(_) => "observed".to_owned(),

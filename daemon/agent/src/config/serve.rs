@@ -14,7 +14,7 @@ pub struct ServeConfig {
     /// Address to listen on, or a list of addresses; the scheme of each selects its network. `tcp://0.0.0.0:5551`
     /// accepts peers on every interface. Default: `tcp://127.0.0.1:5551`, which accepts peers of this machine only.
     pub listen: ListenAddresses,
-    /// Kind of network, which must be that of every address in `listen`. Default: the one that each address selects.
+    /// Kind of network, which must match every address in `listen`. Default: the kind that each address selects.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub network: Option<NetworkKind>,
     /// `true` if peers may use the built-in echo model `calibration`, which `peernet calibrate` needs. Default: true.

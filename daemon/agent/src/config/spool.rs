@@ -19,7 +19,7 @@ pub struct SpoolConfig {
     /// gap. The file itself is a few per cent larger. 1 MiB to 1 TiB. Default: 1073741824 (1 GiB).
     pub limit_bytes: NonZeroU64,
     /// Interval at which the file is synced to the disk; milliseconds, up to a minute. Events in the spool survive a
-    /// crash of the process; a power cut loses at most those of the last interval. Default: 1000.
+    /// crash of the process; a power cut loses at most the events of the last interval. Default: 1000.
     pub sync_interval_ms: NonZeroU32,
     /// Compression of batches on their way to the aggregator. Default: `auto`.
     pub compression: CompressionMode,

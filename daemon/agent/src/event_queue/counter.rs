@@ -12,7 +12,7 @@
 //! The file contains the identity of its spool, and the counting process holds a lock on it. So a copy of the spool does
 //! not use the file, and a file whose spool was deleted can be removed.
 //!
-//! Batches that were sent while the spool could not be written are recorded as well. Only the aggregator knows which of
+//! Batches that were sent while the spool could not be written are also recorded. Only the aggregator knows which of
 //! them it stored, so the next process queries it before it reports a loss (`peernet_stream`, `unresolved.rs`).
 
 mod abandoned;
@@ -95,7 +95,7 @@ impl EventCounter {
         }
         let name = format!("peernet-{}.count", Uuid::new_v4());
         let file = create_file(&name)?;
-        // The whole file is written now, so that later writes need no more memory and cannot fail for lack of it.
+        // The whole file is written now, so that later writes need no more memory and cannot fail because memory is full.
         let mut bytes = vec![0; FILE_BYTES];
         bytes[..MAGIC.len()].copy_from_slice(MAGIC);
         let owner = owner.encode();
@@ -126,7 +126,7 @@ impl EventCounter {
             count_file.sent = Some(sent);
             let SentUnspooled { process, number, batched, reported_drops, events } = sent;
             let bytes = [process, number, batched, reported_drops, events].map(u64::to_be_bytes).concat();
-            // The slots are a ring: a batch overwrites the one in the same slot, which is older.
+            // The slots are a ring: a batch overwrites the older batch in its slot.
             let place = SENT_OFFSET as u64 + number % MAX_SENT_UNSPOOLED as u64 * SENT_RECORD_BYTES as u64;
             let written = count_file.file.write_all_at(&bytes, place);
             count_file.check(written);
@@ -191,7 +191,7 @@ impl CountFile {
     }
 
     fn release(&mut self, run: RunId, place: usize) -> io::Result<()> {
-        // The total is written to the header first, because the record may have the newest one.
+        // The total is written to the header first, because the record may have the newest total.
         self.file.write_all_at(&self.total.to_be_bytes(), TOTAL_OFFSET)?;
         self.file.write_all_at(&[0; RECORD_BYTES], (place * RECORD_BYTES) as u64)?;
         self.runs.remove(&run);

@@ -79,7 +79,7 @@ impl EventQueue {
         Self { outbox: None, tap: None }
     }
 
-    /// Returns this queue with a tap, to which its events go as well.
+    /// Returns this queue with a tap, which receives a copy of each event.
     pub(crate) fn with_tap(self, tap: Option<EventTap>) -> Self {
         Self { tap, ..self }
     }

@@ -8,7 +8,7 @@
 //! sources      every few seconds: queries chronyc and the kernel; `claim` combines their answers
 //! ```
 //!
-//! The difference of the boot clock and the monotonic clock changes only by sleeps; that of the wall clock and the
+//! The difference of the boot clock and the monotonic clock changes only by sleeps; the difference of the wall clock and the
 //! monotonic clock changes by steps and slews. Both differences are read with each stamp (`Clock::epoch`,
 //! `Clock::wall_epoch`), so the next message detects a sleep or a step. Only slews and a changed clocksource have to be
 //! polled here.

@@ -96,7 +96,7 @@ impl HostClockMonitor {
 
     /// Begins new epochs after a disruption that the hypervisor reports. No clock of the machine itself can show it.
     fn check_vmclock(&mut self) -> Option<String> {
-        let device = self.vmclock.disrupted()?.display().to_string();
+        let device = self.vmclock.find_disrupted_device()?.display().to_string();
         self.begin_epochs();
         Some(format!(
             "{device} reports that the hypervisor disrupted this host's clocks, as when a virtual machine is paused or moved; \
@@ -111,7 +111,7 @@ impl HostClockMonitor {
         self.wall_epoch = self.clock.wall_epoch();
     }
 
-    /// Describes a disturbance; `None` for a slew soon after the last one that was described.
+    /// Describes a disturbance; `None` for a slew soon after the last described slew.
     fn describe(&mut self, disturbance: Disturbance, now: MonoTime) -> Option<String> {
         match disturbance {
             Disturbance::Step(by) => {

@@ -9,7 +9,7 @@ use super::claim::{ClaimSummary, combine};
 use super::{exact_claim, kernel};
 use crate::config::{ClaimedDiscipline, ClockConfig, ClockFaultConfig, DisciplineSource};
 
-/// Time that a claim must hold after the next query is due: that of the query and of the announcement to a peer.
+/// Time for which a claim must hold after the next query is due: the query and the announcement to a peer take time.
 const CLAIM_MARGIN: Duration = CHRONYC_TIMEOUT.saturating_add(Duration::from_secs(1));
 /// Longest interval between exact claims. It is short, because an injected drift may be fast.
 const EXACT_INTERVAL: Duration = Duration::from_secs(1);

@@ -47,13 +47,13 @@ impl Vmclock {
         };
         let mut vmclock = Self { devices: named.map(|entry| entry.path()).filter_map(open).collect() };
         // The markers at the start are the baseline.
-        let _ = vmclock.disrupted();
+        let _ = vmclock.find_disrupted_device();
         vmclock
     }
 
     /// Reads the markers. Returns a device whose marker changed since the last check. A change means that the hardware
     /// counter was disrupted, for example because the virtual machine was moved.
-    pub(crate) fn disrupted(&mut self) -> Option<&Path> {
+    pub(crate) fn find_disrupted_device(&mut self) -> Option<&Path> {
         let mut disrupted = None;
         for device in &mut self.devices {
             match read(&device.file) {
@@ -78,9 +78,9 @@ impl Vmclock {
 // Linux copies the structure consistently for a reader. The count is checked nevertheless, for other providers of the
 // file.
 fn read(file: &File) -> io::Result<Option<u64>> {
-    let mut before = structure(file)?;
+    let mut before = read_structure(file)?;
     for _ in 0..ATTEMPTS {
-        let after = structure(file)?;
+        let after = read_structure(file)?;
         if before == after && sequence(&after).is_multiple_of(2) {
             let [.., a, b, c, d, e, f, g, h] = after;
             return Ok(Some(u64::from_le_bytes([a, b, c, d, e, f, g, h])));
@@ -90,13 +90,15 @@ fn read(file: &File) -> io::Result<Option<u64>> {
     Ok(None)
 }
 
-fn structure(file: &File) -> io::Result<[u8; BYTES]> {
+fn read_structure(file: &File) -> io::Result<[u8; BYTES]> {
     let mut bytes = [0; BYTES];
     file.read_exact_at(&mut bytes, 0)?;
     let magic = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     let version = u16::from_le_bytes([bytes[8], bytes[9]]);
     if (magic, version) != (MAGIC, VERSION) {
-        let text = format!("magic {magic:#x} and version {version} are not those of a vmclock device");
+        let text = format!(
+            "it is not a vmclock device: it has the magic number {magic:#x} and the version {version}"
+        );
         return Err(io::Error::new(io::ErrorKind::InvalidData, text));
     }
     Ok(bytes)
@@ -144,13 +146,13 @@ pub(super) mod tests {
     #[test]
     fn changed_marker_is_reported_once() {
         let dev = tempfile::tempdir().expect("a folder");
-        assert_eq!(Vmclock::open_all(dev.path()).disrupted(), None, "there is none");
+        assert_eq!(Vmclock::open_all(dev.path()).find_disrupted_device(), None, "there is none");
         let file = make(dev.path(), 7);
         let mut vmclock = Vmclock::open_all(dev.path());
-        assert_eq!(vmclock.disrupted(), None);
+        assert_eq!(vmclock.find_disrupted_device(), None);
         disrupt(&file, 0, 8);
-        assert_eq!(vmclock.disrupted(), Some(dev.path().join("vmclock0").as_path()));
-        assert_eq!(vmclock.disrupted(), None);
+        assert_eq!(vmclock.find_disrupted_device(), Some(dev.path().join("vmclock0").as_path()));
+        assert_eq!(vmclock.find_disrupted_device(), None);
     }
 
     #[test]
@@ -160,9 +162,9 @@ pub(super) mod tests {
         let mut vmclock = Vmclock::open_all(dev.path());
         disrupt(&file, 0, 8);
         file.write_all_at(&3_u32.to_le_bytes(), 12).expect("written");
-        assert_eq!(vmclock.disrupted(), None);
+        assert_eq!(vmclock.find_disrupted_device(), None);
         file.write_all_at(&4_u32.to_le_bytes(), 12).expect("written");
-        assert!(vmclock.disrupted().is_some());
+        assert!(vmclock.find_disrupted_device().is_some());
     }
 
     #[test]
@@ -173,11 +175,11 @@ pub(super) mod tests {
             file.write_all_at(&[byte], at).expect("written");
             let mut vmclock = Vmclock::open_all(dev.path());
             disrupt(&file, 0, 8);
-            assert_eq!(vmclock.disrupted(), None);
+            assert_eq!(vmclock.find_disrupted_device(), None);
         }
         let dev = tempfile::tempdir().expect("a folder");
         std::fs::write(dev.path().join("vmclock0"), [0; BYTES - 1]).expect("written");
-        assert_eq!(Vmclock::open_all(dev.path()).disrupted(), None);
+        assert_eq!(Vmclock::open_all(dev.path()).find_disrupted_device(), None);
     }
 
     #[test]

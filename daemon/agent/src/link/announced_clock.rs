@@ -26,7 +26,7 @@ impl AnnouncedClock {
         Self { clock, at, is_free_running, epoch, outdated: false }
     }
 
-    /// Handles an announcement. Returns the epoch of the related clock if it is a new one.
+    /// Handles an announcement. Returns the epoch of the related clock if it is new.
     pub(super) fn announce(&mut self, clock: PeerClock, at: RawTime) -> Option<u32> {
         let epoch = epoch_of(&clock, self.is_free_running);
         (self.clock, self.at) = (clock, at);

@@ -120,7 +120,7 @@ impl LinkClockState {
         let mut changes = self.advance_second(now);
         let JudgedExchange { learned, up, down } =
             self.update_relation(epochs_of(observation), |relation| relation.judge(observation));
-        // The stored raw value is the difference of the wall clocks, whichever clocks are related.
+        // The stored raw value is the difference of the wall clocks, also if other clocks are related.
         let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
         self.handle_learn_result(learned, observation, now, &mut changes);
         self.second.add_delay(network, Direction::Up, &up, there.bits);
@@ -282,7 +282,7 @@ impl LinkClockState {
         changes
     }
 
-    /// Returns the sample of a network's previous second if it is available, otherwise one of the current second so far.
+    /// Returns the sample of a network's previous second if it is available, otherwise the sample of the current second so far.
     pub(super) fn latest_sample(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
         let current = now.wall.unix_seconds() == self.second.at;

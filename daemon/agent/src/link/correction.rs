@@ -33,7 +33,7 @@ fn value(tree: &Tree, name: &Name) -> Option<f64> {
     tree.nodes().iter().find(|node| node.name == *name)?.measure.value()
 }
 
-/// Returns the rate of bits over a delay, with the bounds that follow from those of the delay.
+/// Returns the rate of bits over a delay, with the bounds that follow from the delay's bounds.
 fn rate(bits: f64, delay: &OneWayDelay) -> Rate {
     // A delay of zero, which a coarse clock can show, gives no rate; a lower bound of zero gives an infinite upper
     // bound of the rate.

@@ -7,7 +7,7 @@ const MAX_VALUES: usize = 256;
 #[derive(Debug)]
 pub(super) struct Downsampled<T> {
     values: Vec<T>,
-    /// The n of which every n-th value is kept.
+    /// Every n-th value is kept.
     stride: u64,
     /// Number of pushed values.
     count: u64,

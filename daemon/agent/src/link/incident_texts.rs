@@ -17,7 +17,7 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
         }
     };
     let moved = restart.moved.map_or_else(String::new, |moved| {
-        // `moved` is the change of the cloud's clock minus that of the edge's clock. The text names the clock that moved.
+        // `moved` is the change of the cloud's clock minus the change of the edge's clock. The text names the clock that moved.
         let is_edge = restart.edge && !restart.cloud;
         let (moved, moved_host, other) = if is_edge { (-moved, edge, cloud) } else { (moved, cloud, edge) };
         let direction = if moved.is_negative() { "back" } else { "forward" };

@@ -32,7 +32,7 @@ impl Crossing {
         OneWayDelay::stepped(self.receiver.wall - self.sender.wall, peernet_clock::DelaySource::None)
     }
 
-    /// Returns the delay with the difference of the wall clocks as its raw value, whichever clocks are related.
+    /// Returns the delay with the difference of the wall clocks as its raw value, also if other clocks are related.
     pub(super) fn with_raw_difference(&self, delay: OneWayDelay) -> OneWayDelay {
         OneWayDelay { raw: self.receiver.wall - self.sender.wall, ..delay }
     }

@@ -52,7 +52,7 @@ pub struct Cloud {
 
 /// Error for a panic in the task of a link.
 #[derive(Clone, Debug, thiserror::Error)]
-#[error("the task of the link to {peer} panicked; see the log for the place")]
+#[error("the task of the link to {peer} panicked; see the log for the location in the code")]
 pub(crate) struct LinkPanic {
     peer: Slug,
 }
@@ -214,7 +214,7 @@ impl Drop for LinkedSession {
     }
 }
 
-/// Returns the host that answers probes: that of the address, or for the address of a name service the host at the other
+/// Returns the host that answers probes: the host of the address, or for the address of a name service the host at the other
 /// end of the connection.
 fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String {
     let connected = address.listener_name().and_then(|_| session.statistics_reader().addresses());

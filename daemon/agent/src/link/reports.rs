@@ -13,7 +13,7 @@ const SESSION_END: Span = Span::from_seconds(1);
 /// Decides which restarts of the relation, violated assumptions and lost proofs of a common clock are reported.
 #[derive(Debug, Default)]
 pub(super) struct ClockReports {
-    /// Whether the clock of the edge, and that of the cloud, was stepped since the last restart.
+    /// Whether the edge's clock was stepped since the last restart, and whether the cloud's clock was.
     stepped: (bool, bool),
     /// `true` if the last restart was reported as a violated assumption.
     is_in_doubt: bool,
@@ -34,7 +34,7 @@ struct ReportLimit {
 }
 
 impl ReportLimit {
-    /// Returns the number of events since the last report if another one is allowed; otherwise counts this event.
+    /// Returns the number of events since the last report if a report is allowed; otherwise counts this event.
     fn unreported_before(&mut self, at: RawTime) -> Option<u32> {
         if self.last_report.is_some_and(|last| (at - last).abs() < REPORT_INTERVAL) {
             self.unreported = self.unreported.saturating_add(1);
@@ -67,13 +67,13 @@ impl ClockReports {
         (doubt.is_none() || !was_in_doubt).then_some(Restart { moved, edge, cloud, doubt })
     }
 
-    /// Returns the report of a jump that is suspected at `at`, unless another one was reported shortly before.
+    /// Returns the report of a jump that is suspected at `at`, unless another jump was reported shortly before.
     pub(super) fn report_jump(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
         let unreported = self.jumps.unreported_before(at)?;
         Some(SuspectedJump { moved, unreported })
     }
 
-    /// Returns the report of a lost proof, unless another one was reported shortly before. A proof that was lost with its
+    /// Returns the report of a lost proof, unless another lost proof was reported shortly before. A proof that was lost with its
     /// connection is reported by [`report_ended_proof`](Self::report_ended_proof), if the session continues without it.
     pub(super) fn report_lost_proof(&mut self, why: NotProven, at: RawTime) -> Option<LostProof> {
         if let NotProven::Ended(_) = why {

@@ -15,7 +15,7 @@ pub(super) struct Second {
     pub(super) probes: ProbeCounts,
     /// `true` if all probes are authenticated; `None` without probes.
     pub(super) authenticated: Option<bool>,
-    /// Exchange with the best upper bound of the offset; `lower` is the one with the best lower bound.
+    /// Exchange with the best upper bound of the offset; `lower` is the exchange with the best lower bound.
     pub(super) upper: Option<Exchange>,
     pub(super) lower: Option<Exchange>,
     trips: Downsampled<Span>,

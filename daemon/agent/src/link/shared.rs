@@ -69,7 +69,7 @@ impl ProbeSettings {
         })
     }
 
-    /// Returns the key for the probes of a session: the configured one, else the one that came with the session.
+    /// Returns the key for the probes of a session: the configured key, or else the key that came with the session.
     pub(super) fn key_for(&self, session: &Session) -> Option<Key> {
         let given = || session.probe_key.map(|key| Key::from_bytes(key.as_bytes()));
         self.key.clone().or_else(given)

@@ -29,7 +29,7 @@ pub(crate) struct SentSeconds(Vec<(i64, u64)>);
 impl Ring {
     /// Adds an iteration that ended within the second `at` (Unix time).
     pub(super) fn record(&mut self, at: i64, outcome: &Outcome, tree: &Tree) {
-        // The version orders changes and marks, so that a second that changes while an update is sent is sent again.
+        // The version orders changes and updates: a second that changes while an update is sent is sent again.
         self.version += 1;
         let version = self.version;
         let second = self.second_at(at);

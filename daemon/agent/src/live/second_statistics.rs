@@ -47,7 +47,7 @@ impl SecondStatistics {
             Outcome::Lost(_) => self.counts.lost += 1,
             Outcome::Timeout(_) => self.counts.timeout += 1,
         }
-        // The durations of a failed iteration are left out: they say nothing about those of a successful one. Only the
+        // The durations of a failed iteration are left out: they say nothing about successful iterations. Only the
         // name of the deadline's value is added, so that a second without answers still shows that there is a deadline.
         if *outcome != Outcome::Ok {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {

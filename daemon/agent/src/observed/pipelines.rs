@@ -16,7 +16,7 @@ use crate::link::HostStamp;
 /// Name by which stamps are requested in place of a model.
 pub(crate) const MODEL: &str = "observed-stamps";
 
-/// Number of messages of a pipeline whose stamps are kept: those of eight seconds at 1 kHz.
+/// Number of messages of a pipeline whose stamps are kept: the messages of eight seconds at 1 kHz.
 const CAPACITY: usize = 8192;
 
 /// The observing pipelines of this host that start with the agent; clones share them.

@@ -135,7 +135,7 @@ impl Connection {
     }
 }
 
-/// Determines why a connection failed by connecting once more, because the library does not report the reason.
+/// Determines why a connection failed by connecting again, because the library does not report the reason.
 async fn diagnose(address: &Address) -> ConnectionError {
     match tokio::time::timeout(DIAGNOSIS_TIMEOUT, TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => ConnectionError::Refused(error),

@@ -24,7 +24,7 @@ struct DroppingPeriod {
 /// Report for the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DroppingReport {
-    /// Events are being dropped; the number is that of this period so far.
+    /// Events are being dropped, so far this number in this period.
     Dropping(u64),
     /// The period has ended; the number is its total.
     Ended(u64),

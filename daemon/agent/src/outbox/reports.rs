@@ -13,7 +13,7 @@ use crate::incidents::{IncidentSubject, Incidents};
 use crate::reconnect_backoff::ReconnectBackoff;
 
 /// Formats a number with commas between thousands.
-fn grouped(number: u64) -> String {
+fn with_thousands_separators(number: u64) -> String {
     let digits = number.to_string();
     let mut text = String::with_capacity(digits.len() * 4 / 3);
     for (index, digit) in digits.chars().enumerate() {
@@ -30,7 +30,7 @@ fn grouped(number: u64) -> String {
 pub(super) struct Welcome {
     /// Number of the newest batch that the aggregator has.
     pub(super) stored: u64,
-    /// `true` if it lacks batches that were acknowledged.
+    /// `true` if batches that were acknowledged are missing there.
     pub(super) lacks_batches: bool,
     /// Number of events that wait.
     pub(super) waiting: u64,
@@ -71,14 +71,14 @@ impl Reports {
         let wait = match waiting {
             0 => String::new(),
             1 => "; 1 event waits here".to_owned(),
-            waiting => format!("; {} events wait here", grouped(waiting)),
+            waiting => format!("; {} events wait here", with_thousands_separators(waiting)),
         };
         let unreported = match unreported_ends {
             0 => String::new(),
             1 => "; 1 connection to a cloud ended in the meantime; its traffic since the last live update is not stored".to_owned(),
             ends => format!(
                 "; {} connections to clouds ended in the meantime; their traffic since the last live update is not stored",
-                grouped(ends)
+                with_thousands_separators(ends)
             ),
         };
         // The usual name would make it "the aggregator aggregator".
@@ -152,7 +152,7 @@ impl Reports {
         }
     }
 
-    /// Reports that a broken spool was replaced by a new one.
+    /// Reports that a damaged spool was replaced by a new one.
     pub(super) fn report_quarantine(&self, quarantined: &QuarantinedSpool) {
         let text = format!(
             "{}; it was moved to {}, and a new spool was created: events that the aggregator had not stored are missing there",
@@ -176,7 +176,7 @@ impl Reports {
                 mib(account.memory_bytes)
             ),
             Some(DroppingReport::Ended(events)) => {
-                tracing::info!(events, "stopped dropping events; gaps report the dropped ones");
+                tracing::info!(events, "events are no longer dropped; gaps report the dropped events");
             }
         }
     }
@@ -191,12 +191,12 @@ impl Reports {
 
 #[cfg(test)]
 mod tests {
-    use super::grouped;
+    use super::with_thousands_separators;
 
     #[test]
     fn thousands_are_separated() {
         for (number, text) in [(7, "7"), (999, "999"), (1_000, "1,000"), (12_345_678, "12,345,678")] {
-            assert_eq!(grouped(number), text);
+            assert_eq!(with_thousands_separators(number), text);
         }
     }
 }

@@ -36,7 +36,7 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
         return;
     }
     let Some(Classification { label: best, top }) = classification(answer) else { return };
-    // A label is often the name of a folder, whose spelling differs from that of the model's class.
+    // A label is often the name of a folder, which may be spelled differently from the model's class.
     let label = normalized_label(label);
     let matches_label = |class: &str| normalized_label(class) == label;
     let is_best = matches_label(&best);
@@ -67,7 +67,7 @@ mod tests {
 
     use super::*;
 
-    /// Returns `top-1` and `top-5` of an answer, where they are recorded.
+    /// Returns `top-1` and `top-5` of an answer, if they are recorded.
     fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::new(Arc::new(clock), HostId::random());

@@ -15,7 +15,7 @@ use super::run::Run;
 
 /// Runs iterations of `run` at `placement` until the loop ends. By then every iteration that started is recorded.
 ///
-/// After `stop` no iteration starts, and those in flight have `drain_timeout` to complete.
+/// After `stop` no iteration starts, and iterations in flight have `drain_timeout` to complete.
 pub(super) async fn drive(
     resources: &mut PipelineResources,
     run: &mut Run,

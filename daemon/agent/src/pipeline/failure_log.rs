@@ -1,6 +1,6 @@
 //! Log lines about failed iterations. No I/O.
 //!
-//! The first failure of each kind is logged at once, later ones in at most one summary per minute.
+//! The first failure of each kind is logged at once, later failures in at most one summary per minute.
 
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;

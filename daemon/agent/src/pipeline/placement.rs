@@ -77,7 +77,7 @@ impl Placement {
                 let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
                 Self::open_remote(remote, settings, &config.name, context).await
             }
-            // A pipeline that observes has a loop of its own (`observe`), which does not compute samples.
+            // A pipeline that observes has another loop (`observe`), which does not compute samples.
             PlacementConfig::None {} | PlacementConfig::Observe(_) => Ok(Self::None),
         }
     }
@@ -200,7 +200,7 @@ impl Placement {
         }
     }
 
-    /// Inspects this host, and returns its conditions and those that the peer reported when the session opened.
+    /// Inspects this host. Returns its conditions and the peer's conditions, which the peer reported when the session opened.
     ///
     /// `is_continuation` is `true` while the pipeline measures: the competing threads are then counted only once, so
     /// that the inspection does not sleep.
@@ -247,7 +247,7 @@ impl Placement {
     }
 }
 
-/// Inspects this host, including its network if there is a peer, and returns its conditions and those of the peer.
+/// Inspects this host, including its network if there is a peer. Returns its conditions and the peer's conditions.
 pub(super) async fn conditions(
     peer: Option<&[Condition]>,
     context: &PipelineContext,
@@ -264,7 +264,7 @@ pub(super) async fn conditions(
     found
 }
 
-/// Returns the description for the store and the pages, as far as the configuration determines it.
+/// Returns the part of the description for the store and the pages that the configuration determines.
 pub(crate) fn describe_planned(config: &PlacementConfig) -> Description {
     match config {
         PlacementConfig::Local { model } => Description {

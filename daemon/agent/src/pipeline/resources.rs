@@ -59,7 +59,7 @@ impl PipelineResources {
     /// Opens the sensor, the transforms and the actuator. Blocks: a folder of images may be on a slow disk.
     ///
     /// # Errors
-    /// When one of them cannot be set up.
+    /// When a resource cannot be set up.
     pub(super) fn assemble(
         config: Arc<PipelineConfig>,
         live_state: Arc<PipelineLiveState>,

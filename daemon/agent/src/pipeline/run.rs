@@ -2,9 +2,7 @@
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{RunId, Slug, Tree};
-use peernet_stream::{
-    Condition, EndReason, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
-};
+use peernet_stream::{Condition, EndReason, Event, Iteration, Outcome, Placement, RunDescription, RunEnded};
 
 use super::context::PipelineContext;
 use super::deadline;
@@ -23,7 +21,7 @@ pub(super) struct Run {
     pipeline: Slug,
     /// Day of its start, in days since the Unix epoch; `None` if the run does not end at midnight.
     start_day: Option<i64>,
-    placement: Description,
+    placement: Placement,
     deadline: Option<Span>,
     progress: Progress,
     failures: FailureLog,
@@ -33,7 +31,7 @@ impl Run {
     /// Starts a run and reports its start. `is_continuation` is `true` if it directly continues another run.
     pub(super) fn start(
         config: &PipelineConfig,
-        placement: Description,
+        placement: Placement,
         (mut facts, conditions): (Vec<(String, String)>, Vec<Condition>),
         is_continuation: bool,
         context: &PipelineContext,
@@ -73,7 +71,7 @@ impl Run {
     }
 
     /// Returns whether this is the run's placement.
-    pub(super) fn has_placement(&self, placement: &Description) -> bool {
+    pub(super) fn has_placement(&self, placement: &Placement) -> bool {
         self.placement == *placement
     }
 

@@ -63,7 +63,7 @@ pub(super) enum PipelineError {
     /// The topics of an observed system cannot be subscribed to.
     #[error(transparent)]
     Observe(#[from] SourceError),
-    #[error("the pipeline panicked: {message}; see the log for the place")]
+    #[error("the pipeline panicked: {message}; see the log for the location in the code")]
     Panicked { message: String },
 }
 

@@ -18,7 +18,7 @@ use uuid::Uuid;
 use super::messages::ClockAnswer;
 use super::proof::{NotProven, Outcome, OwnClock, Proof};
 
-/// Largest number of processes that may connect while a session is opened. The cloud is one of them; others are not part
+/// Maximum number of processes that may connect while a session is opened. The cloud is one of them; the others are not part
 /// of PEERNet.
 const MAX_PEERS: usize = 16;
 /// Time after which a process that has not answered the first query is ignored: it does not serve the session, or is
@@ -129,7 +129,7 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
         }
     }
 
-    /// Sends one query and handles its answer, however long it takes.
+    /// Sends one query and handles its answer. There is no timeout.
     async fn send_query(&mut self, stream: &mut UnixStream) -> Result<(), NotProven> {
         // A new nonce for each query, so that an old answer is not mistaken for a new one.
         let nonce = Uuid::new_v4().into_bytes();

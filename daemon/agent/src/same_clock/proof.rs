@@ -26,7 +26,7 @@ pub(crate) enum NotProven {
     #[error("the connection to the cloud's process ended: {0}")]
     Ended(#[from] io::Error),
     /// The process at the other end of the connection does not serve the session.
-    #[error("the connected process is not the one that serves the session")]
+    #[error("the connected process does not serve the session")]
     Foreign,
     /// The last proof has expired.
     #[error("the cloud's process has not answered in time")]
@@ -41,7 +41,7 @@ pub(crate) enum NotProven {
     #[error("a preloaded library shows the cloud's process other times than the kernel's")]
     PeerTime,
     /// The cloud's reading was not between two readings of this process.
-    #[error("the cloud's free-running clock differs by {0} from the one that this process reads")]
+    #[error("the cloud's free-running clock differs by {0} from the free-running clock of this process")]
     OtherClock(Span),
 }
 
@@ -100,28 +100,30 @@ impl Proof {
     pub(super) fn handle_answer(&mut self, answer: Option<ClockAnswer>, own: OwnClock) -> Outcome {
         // A query counts for one answer only: a second answer with the same nonce proves nothing.
         let open_query = self.open_query.take();
-        let (Some(answer), Some((nonce, before))) = (answer, open_query) else { return self.foreign() };
+        let (Some(answer), Some((nonce, before))) = (answer, open_query) else {
+            return self.reject_foreign();
+        };
         if answer.session != self.session || answer.nonce != nonce {
-            return self.foreign();
+            return self.reject_foreign();
         }
         if answer.time_namespace != self.time_namespace {
-            return self.refuted(NotProven::TimeNamespace);
+            return self.refute(NotProven::TimeNamespace);
         }
         // A preloaded library may show a process other times than the kernel's. Equal readings then do not prove one
         // clock.
         if !own.shows_kernel_time {
-            return self.refuted(NotProven::OwnTime);
+            return self.refute(NotProven::OwnTime);
         }
         if !answer.shows_kernel_time {
-            return self.refuted(NotProven::PeerTime);
+            return self.refute(NotProven::PeerTime);
         }
         // The cloud read its clock after the query was sent and before the answer arrived. A reading outside that interval
         // is of a different clock.
         if answer.raw < before {
-            return self.refuted(NotProven::OtherClock(answer.raw - before));
+            return self.refute(NotProven::OtherClock(answer.raw - before));
         }
         if answer.raw > own.raw {
-            return self.refuted(NotProven::OtherClock(answer.raw - own.raw));
+            return self.refute(NotProven::OtherClock(answer.raw - own.raw));
         }
         // A slow answer does not refute an earlier proof, which is valid until it expires.
         if own.raw - before > MAX_ROUND_TRIP {
@@ -157,12 +159,12 @@ impl Proof {
         is_over
     }
 
-    fn refuted(&mut self, why: NotProven) -> Outcome {
+    fn refute(&mut self, why: NotProven) -> Outcome {
         (self.slow_answers, self.proven_at) = (0, None);
         Outcome::Refuted(why)
     }
 
-    fn foreign(&mut self) -> Outcome {
+    fn reject_foreign(&mut self) -> Outcome {
         self.proven_at = None;
         Outcome::Foreign
     }
@@ -257,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn answer_without_question_or_twice_is_foreign() {
+    fn unsolicited_or_repeated_answer_is_foreign() {
         let mut proof = proof_with_open_query();
         assert!(matches!(proof.handle_answer(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
         assert!(

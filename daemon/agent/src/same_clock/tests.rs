@@ -120,7 +120,7 @@ async fn cloud_connects_to_no_edge_of_another_boot() {
 }
 
 #[tokio::test]
-async fn cloud_continues_without_listener_or_room_in_queue() {
+async fn cloud_continues_without_listener_or_with_full_queue() {
     let clock = system();
     let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
     assert!(witness(&hello(&clock, Some(name)), 1, &clock).is_none());

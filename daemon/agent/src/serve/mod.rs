@@ -299,7 +299,7 @@ impl Server {
         }
     }
 
-    /// Sends the reflectors the addresses of the peers with a session, and `opening`, that of a session being opened.
+    /// Sends the reflectors the addresses of the peers with a session, and `opening`, the address of a session being opened.
     fn update_reflectors(&self, opening: Option<IpAddr>) {
         for allowed in &self.allowed_probers {
             let open = self.peers.values().filter_map(|peer| peer.address);

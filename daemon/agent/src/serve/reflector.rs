@@ -38,7 +38,7 @@ pub(super) async fn bind_all(
         wanted.push(at);
     }
     let mut by_reach = wanted.clone();
-    // Addresses of all interfaces come first, because their reflectors answer for each single address as well.
+    // Addresses of all interfaces come first, because their reflectors also answer for each single address.
     by_reach.sort_by_key(|at| !at.ip().is_unspecified());
     let mut reflectors: Vec<Reflector> = Vec::new();
     for at in by_reach {
@@ -82,7 +82,7 @@ fn bind(
     let reflector = match bind(at) {
         Err(peernet_probes::BindError::InUse(_)) if config.port.is_none() => {
             let any = bind(SocketAddr::new(at.ip(), 0))?;
-            tracing::info!(taken = %at, instead = %any.address(), "the default port for probes is in use; probes use another one");
+            tracing::info!(taken = %at, instead = %any.address(), "the default port for probes is in use; probes use another port");
             any
         }
         other => other?,
@@ -92,7 +92,7 @@ fn bind(
 
 async fn resolve(listen: &Address, port: u16) -> io::Result<SocketAddr> {
     if listen.listener_name().is_some() {
-        // The host and port of such an address are those of a name service; peers connect on any interface.
+        // Such an address names a name service; peers connect on any interface.
         return Ok(SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), port));
     }
     let host = listen.host();

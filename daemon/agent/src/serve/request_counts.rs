@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use peernet_logger::{HostId, Slug};
 
-/// Number of runs from which on the counters of edges without a session are removed. Until then they are kept for a
+/// Maximum number of runs while counters of edges without a session are kept. They are kept for a
 /// reconnect of the edge.
 const MAX_RUNS: usize = 256;
 
@@ -18,7 +18,7 @@ const MAX_RUNS: usize = 256;
 pub(super) struct RequestCounts(HashMap<(HostId, Slug), Arc<AtomicU64>>);
 
 impl RequestCounts {
-    /// Returns the counter for the requests of a new session: that of the pipeline's current run.
+    /// Returns the counter for the requests of a new session: the counter of the pipeline's current run.
     pub(super) fn counter(&mut self, host: HostId, pipeline: &Slug) -> Arc<AtomicU64> {
         if self.0.len() >= MAX_RUNS {
             self.0.retain(|_, count| Arc::strong_count(count) > 1);
@@ -29,8 +29,9 @@ impl RequestCounts {
     /// Handles an edge's goodbye. Returns the number of the run's planned iterations whose requests never arrived; 0 if
     /// the run is not over (`ordered` is `None`).
     pub(super) fn take_missed(&mut self, host: HostId, pipeline: &Slug, ordered: Option<u64>) -> u64 {
-        let came = self.0.remove(&(host, pipeline.clone())).map_or(0, |count| count.load(Ordering::Relaxed));
-        ordered.map_or(0, |ordered| ordered.saturating_sub(came))
+        let requests =
+            self.0.remove(&(host, pipeline.clone())).map_or(0, |count| count.load(Ordering::Relaxed));
+        ordered.map_or(0, |ordered| ordered.saturating_sub(requests))
     }
 }
 

@@ -98,7 +98,7 @@ impl Service {
     }
 }
 
-/// Returns whether the name is that of the stamps. A configured model of the same name takes precedence.
+/// Returns whether the name means the service of stamps. A configured model of the same name takes precedence.
 fn is_stamps(model: &Slug, bank: &Bank) -> bool {
     model.as_str() == MODEL && !bank.names().contains(model)
 }

@@ -1,4 +1,4 @@
-//! Tests of failures that are not those of the network.
+//! Tests of failures outside of the network.
 
 use peernet_stream::{IncidentKind, Outcome, PipelineState};
 

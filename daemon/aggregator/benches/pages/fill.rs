@@ -153,7 +153,7 @@ impl Agent {
         }
     }
 
-    /// Sends one batch as soon as the window has room.
+    /// Sends one batch as soon as the window has capacity.
     async fn send(&mut self, events: &[Event]) {
         if events.is_empty() {
             return;

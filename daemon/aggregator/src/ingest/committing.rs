@@ -1,7 +1,7 @@
 //! The writer's task, the only owner of the writing connection: it commits the batches of several agents together
 //! (group commit).
 //!
-//! A commit costs one sync of the disk whatever its size. A group consists of the batches that arrived while the
+//! A commit of any size costs one sync of the disk. A group consists of the batches that arrived while the
 //! previous commit was syncing, so that groups grow with the load. A batch of few nodes waits up to
 //! `commit_interval_ms` for others, so that a quiet system does not sync at each batch. A group of `commit_nodes` makes
 //! the sync a small part of its cost; it does not wait longer, because its agents may have used up their windows and
@@ -240,7 +240,7 @@ async fn serve(
                 return ServeEnd::Failed(error);
             }
         }
-        // Frees the room in the queue before retention, which may take a while.
+        // Frees the capacity of the queue before retention, which may take long.
         drop((work, capacity));
         commits += 1;
         more = Step::More;
@@ -283,7 +283,7 @@ async fn check_and_maintain(
 
 /// Deletes a small part of the expired data. A failed deletion is retried in the next step.
 async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
-    // Deletion writes to freed pages. In a damaged file they have to stay as they are for a salvage.
+    // Deletion writes to freed pages. In a damaged file freed pages must stay unchanged, because a repair may read rows from them.
     if context.integrity.damage().is_some() {
         return Step::Done;
     }
@@ -345,7 +345,7 @@ async fn store(
 
 /// Commits a group once, unless the file is damaged.
 async fn commit(writer: &mut Writer, work: &[Work], context: &TaskContext) -> Result<Committed, CommitError> {
-    // Checked first so that a file which replaced a damaged one is opened.
+    // Checked first, so that a file that replaced a damaged file is opened.
     writer.check_file()?;
     ensure_undamaged(&context.integrity)?;
     let committed = writer.commit(work, context.clock.stamp()).await;

@@ -1,4 +1,4 @@
-//! The known hosts: the stored ones with their secrets, and newcomers.
+//! The known hosts: stored hosts with their secrets, and newcomers.
 //!
 //! A newcomer is a host whose hello was accepted and of which nothing is stored yet. It exists only in memory and only
 //! while it is connected; its first batch makes it a stored host. Invented hosts therefore fill neither the database
@@ -143,25 +143,25 @@ impl Hosts {
         self.arrival_number += 1;
         let mut newcomer = Newcomer { introduction, missing, arrival_number: self.arrival_number };
         let before = self.newcomers.remove(&host);
-        let mut gone = None;
+        let mut dropped_newcomer = None;
         match before {
             // Findings of the first hello would otherwise be lost: later hellos do not report them again.
             Some(before) if before.introduction.stream == newcomer.introduction.stream => {
                 let (new, old) = (&mut newcomer.introduction, before.introduction);
                 new.replaced = new.replaced.or(old.replaced);
-                new.lacking = new.lacking.or(old.lacking);
+                new.missing_previous = new.missing_previous.or(old.missing_previous);
                 newcomer.missing = newcomer.missing.or(before.missing);
             }
-            Some(before) => gone = Some(before),
+            Some(before) => dropped_newcomer = Some(before),
             None if self.newcomers.len() >= self.max_hosts => {
                 let first = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.arrival_number);
                 let first = first.map(|(host, _)| *host);
-                gone = first.and_then(|first| self.newcomers.remove(&first));
+                dropped_newcomer = first.and_then(|first| self.newcomers.remove(&first));
             }
             None => {}
         }
         self.newcomers.insert(host, newcomer);
-        gone
+        dropped_newcomer
     }
 
     /// Turns a newcomer into a stored host, because its first batch is about to be stored.
@@ -179,7 +179,7 @@ impl Hosts {
     }
 
     /// Returns the newcomers for which `gone` is true.
-    pub(super) fn newcomers_where(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
+    pub(super) fn select_newcomers(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
         self.newcomers.keys().copied().filter(|host| gone(*host)).collect()
     }
 }
@@ -208,7 +208,7 @@ mod tests {
             previous: None,
             first: 1,
             replaced: None,
-            lacking: None,
+            missing_previous: None,
             secret: Some(HostSecret::random()),
         }
     }
@@ -239,7 +239,7 @@ mod tests {
         let (host, at) = (HostId::random(), |seconds| MonoTime::from_nanos(0) + Span::from_seconds(seconds));
         let mut hosts = Hosts::new(1, vec![(host, Some(HostSecret::random()))]);
         assert!(hosts.needs_secret_check(host, at(0)));
-        assert!(!hosts.needs_secret_check(host, at(0)), "whoever guesses causes one question a second");
+        assert!(!hosts.needs_secret_check(host, at(0)), "guessing causes at most one query a second");
         assert!(hosts.needs_secret_check(host, at(1)));
         hosts.set_secret(host, None);
         assert_eq!(hosts.secret(host), None);

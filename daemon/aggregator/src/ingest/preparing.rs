@@ -16,7 +16,7 @@ use peernet_store::writing::Work;
 /// Largest number of prepared items. Their nodes are limited, too.
 const MAX_PREPARED_ITEMS: usize = 4_096;
 
-/// Work that is ready for the writer. It occupies its room in the queue until it is dropped.
+/// Work that is ready for the writer. It occupies its capacity of the queue until it is dropped.
 #[derive(Debug)]
 pub(crate) struct PreparedWork {
     pub(crate) work: Work,
@@ -35,7 +35,7 @@ pub(crate) struct PreparedSender {
     max_nodes: u32,
 }
 
-/// Creates the channel of prepared work with capacity for `max_nodes` nodes. A single larger item is accepted as well.
+/// Creates the channel of prepared work with capacity for `max_nodes` nodes. A single larger item is also accepted.
 pub(crate) fn channel(max_nodes: usize) -> (PreparedSender, mpsc::Receiver<PreparedWork>) {
     let (sender, receiver) = mpsc::channel(MAX_PREPARED_ITEMS);
     let max_nodes = u32::try_from(max_nodes).unwrap_or(u32::MAX);

@@ -1,7 +1,7 @@
 //! The bounded queue of work that waits to be stored, limited by number and bytes.
 //!
 //! The socket must not wait for the database, because live updates arrive on the same socket. So adding to the queue
-//! never waits: work that does not fit into the queue is treated as if it had not arrived, and is requested again when
+//! never waits: work that does not fit into the queue counts as not received, and is requested again when
 //! the queue has capacity.
 
 use std::sync::Arc;
@@ -109,8 +109,8 @@ impl QueueSlot<'_> {
     /// Enlarges the slot to `bytes`; `None` if the queue is full.
     pub(super) fn grow_to(mut self, bytes: usize) -> Option<Self> {
         // A slot holds `bytes / BYTES_PER_PERMIT + 1` permits, so the difference of the quotients is sufficient.
-        let more = (bytes / BYTES_PER_PERMIT).saturating_sub(self.bytes / BYTES_PER_PERMIT);
-        self.capacity.merge(self.queue.acquire(more)?);
+        let missing_permits = (bytes / BYTES_PER_PERMIT).saturating_sub(self.bytes / BYTES_PER_PERMIT);
+        self.capacity.merge(self.queue.acquire(missing_permits)?);
         Some(self)
     }
 
@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn room_is_reserved_by_bytes_and_released() {
+    fn capacity_is_reserved_by_bytes_and_released() {
         let (queue, mut waiting) = queue();
         let fits = queue.capacity_for(1 << 20);
         assert_eq!(fits, CAPACITY_BYTES / BYTES_PER_PERMIT / 1_025);

@@ -3,8 +3,8 @@
 //! The writer compares the file at the path with the open file before and after each commit and once a second while it
 //! is idle. This one mechanism covers descriptors that became read-only, and files that were moved, replaced or
 //! unmounted, because it assumes nothing about the file's content. An empty or missing file is never opened: an
-//! operator who moves the database away would otherwise get a new, empty one. Work admitted under an earlier generation
-//! is dropped.
+//! operator who moves the database away would otherwise get a new, empty one. Batches that were queued before the database
+//! was closed are dropped, and the agents send them again.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -22,7 +22,7 @@ pub(crate) struct Reopening {
     pub(crate) path: PathBuf,
     pub(crate) retention: RetentionConfig,
     pub(crate) integrity: Integrity,
-    /// The readers; their connections are replaced, too.
+    /// The read-only connections to the database; they are reopened, too.
     pub(crate) store: Store,
 }
 

@@ -63,9 +63,9 @@ impl Routes {
         if self.connections.contains_key(&host) {
             return None;
         }
-        let here = self.connections.values().filter(|other| **other == connection).count();
-        (here >= MAX_HOSTS_PER_CONNECTION).then(|| {
-            format!("{here} hosts have sent a hello on this connection; let each agent open its own")
+        let hosts_of_connection = self.connections.values().filter(|other| **other == connection).count();
+        (hosts_of_connection >= MAX_HOSTS_PER_CONNECTION).then(|| {
+            format!("{hosts_of_connection} hosts have sent a hello on this connection; let each agent open its own")
         })
     }
 

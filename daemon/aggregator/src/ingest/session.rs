@@ -24,7 +24,7 @@ use peernet_store::writing::{Committed, RunName, StoredState, Streams, Unstorabl
 const SESSION_TIMEOUT: Span = Span::from_seconds(60);
 /// Time without messages after which a newcomer is dropped. Agents send four messages a second.
 const NEWCOMER_TIMEOUT: Span = Span::from_seconds(10);
-/// Usual size of a batch as agents cut them, bytes. The number of batches that have room is computed with it.
+/// Usual size of an agent's batch, bytes. The queue's capacity in batches is computed with it.
 const USUAL_BATCH_BYTES: usize = 128 * 1024;
 
 /// The state of ingest, which decides about each frame.
@@ -145,7 +145,7 @@ impl IngestSession {
     pub(super) fn handle_connection_closed(&mut self, connection: ConnectionId) {
         self.challenges.forget(&connection);
         let routes = &self.routes;
-        for host in self.hosts.newcomers_where(|host| routes.connection_of(host) == Some(connection)) {
+        for host in self.hosts.select_newcomers(|host| routes.connection_of(host) == Some(connection)) {
             self.forget_newcomer(host);
         }
     }
@@ -239,7 +239,7 @@ impl IngestSession {
         self.output.defer_batch(head.host);
     }
 
-    /// Requests deferred batches as far as the queue has capacity now.
+    /// Requests as many deferred batches as the queue has capacity for now.
     fn request_deferred(&mut self) {
         for (host, request) in self.receiving.request_deferred(self.queue.capacity_for(USUAL_BATCH_BYTES)) {
             if let Some(route) = self.routes.connection_of(host) {
@@ -305,7 +305,8 @@ impl IngestSession {
     pub(super) fn expire(&mut self, now: Stamp) {
         self.challenges.remove_expired(now.mono);
         let receiving = &self.receiving;
-        let silent = self.hosts.newcomers_where(|host| !receiving.is_alive(host, NEWCOMER_TIMEOUT, now.mono));
+        let silent =
+            self.hosts.select_newcomers(|host| !receiving.is_alive(host, NEWCOMER_TIMEOUT, now.mono));
         for host in silent {
             self.forget_newcomer(host);
         }

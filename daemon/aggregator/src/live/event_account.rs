@@ -1,10 +1,10 @@
 //! The events of one host, as counted by the host and by the database.
 
 use peernet_clock::{MonoTime, Span, WallTime};
-use peernet_store::Stored;
+use peernet_store::StoredCounts;
 use peernet_stream::Accounting;
 
-use super::bounds;
+use super::limits;
 use super::storage_lag::StorageLag;
 use crate::live_state::Arrivals;
 
@@ -15,23 +15,23 @@ pub(super) struct EventAccount {
     accounting: Accounting,
     lag: StorageLag,
     /// The database's counts.
-    stored: Stored,
+    stored: StoredCounts,
     arrivals: Arrivals,
     /// Time of the newest stored event on the host's clock.
     newest_stored: Option<WallTime>,
 }
 
 impl EventAccount {
-    /// Replaces the host's counts by those of an update that was sent at `sent` on the host's clock.
+    /// Replaces the host's counts by the counts of an update that was sent at `sent` on the host's clock.
     pub(super) fn update(&mut self, accounting: Accounting, sent: WallTime, now: MonoTime) {
         self.accounting = accounting;
-        bounds::accounting(&mut self.accounting);
+        limits::limit_accounting(&mut self.accounting);
         self.lag.observe(self.behind(Some(sent)), self.accounting.stored, now);
     }
 
     /// Replaces the database's counts. Duplicates are counted here, because they do not reach the database.
-    pub(super) fn store(&mut self, stored: Stored, newest: Option<WallTime>) {
-        self.stored = Stored { duplicates: self.stored.duplicates, ..stored };
+    pub(super) fn store(&mut self, stored: StoredCounts, newest: Option<WallTime>) {
+        self.stored = StoredCounts { duplicates: self.stored.duplicates, ..stored };
         self.newest_stored = self.newest_stored.max(newest);
     }
 
@@ -62,7 +62,7 @@ impl EventAccount {
     }
 
     /// Returns the latest counts of the database.
-    pub(super) const fn stored(&self) -> Stored {
+    pub(super) const fn stored(&self) -> StoredCounts {
         self.stored
     }
 

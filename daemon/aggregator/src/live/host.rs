@@ -11,15 +11,15 @@ use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{HostId, RunId, Slug};
 use peernet_stream::{HostClock, HostDescription, LinkLive, LiveUpdate, NetworkName};
 
-use super::bounds;
 use super::event_account::EventAccount;
+use super::limits;
 use super::link::Link;
 use super::metrics_history::MetricsHistory;
 use super::pipeline::Pipeline;
 use super::presence::Presence;
 use super::{MAX_HOST_LINKS, MAX_HOST_PIPELINES};
 use crate::live_state::{Arrivals, HostSnapshot, LinkSnapshot, PipelineSnapshot};
-use peernet_store::Stored;
+use peernet_store::StoredCounts;
 
 /// State of one host with its pipelines and links.
 #[derive(Debug)]
@@ -42,7 +42,7 @@ impl Host {
     /// Creates the state at the host's first hello.
     pub(super) fn new(mut description: HostDescription, process: u64, now: Stamp) -> Self {
         let mut left_out = 0;
-        bounds::description(&mut description, &mut left_out);
+        limits::limit_description(&mut description, &mut left_out);
         Self {
             description,
             presence: Presence::new(process, now),
@@ -59,7 +59,7 @@ impl Host {
     /// Processes another hello. After a start of a new process the values of the previous one remain, marked as away,
     /// so that counters do not drop to zero for a moment.
     pub(super) fn introduce(&mut self, mut description: HostDescription, process: u64, now: Stamp) {
-        bounds::description(&mut description, &mut self.left_out);
+        limits::limit_description(&mut description, &mut self.left_out);
         if self.description.name != description.name {
             self.pipelines.values_mut().for_each(Pipeline::invalidate_snapshot);
             self.links.values_mut().for_each(Link::invalidate_snapshot);
@@ -71,7 +71,7 @@ impl Host {
         self.snapshot = None;
     }
 
-    /// Processes a goodbye. Pipelines of the host's latest update have ended, whatever state that update gave them.
+    /// Processes a goodbye. All pipelines of the host's latest update have ended, even if that update shows them as running.
     /// Others are away.
     pub(super) fn goodbye(&mut self) {
         let last = self.presence.sent_by_current();
@@ -105,7 +105,7 @@ impl Host {
         self.events.update(update.accounting, update.sent, now.mono);
         self.metrics.push(update.metrics, now);
         self.clock = update.clock;
-        bounds::clock(&mut self.clock, &mut self.left_out);
+        limits::limit_clock(&mut self.clock, &mut self.left_out);
         for live in update.pipelines {
             if let Some(pipeline) = self.pipelines.get_mut(&live.pipeline) {
                 pipeline.update(live, update.sent, now, &mut self.left_out);
@@ -133,7 +133,7 @@ impl Host {
     }
 
     /// Applies the database's counts.
-    pub(super) fn store(&mut self, stored: Stored, newest: Option<WallTime>) {
+    pub(super) fn store(&mut self, stored: StoredCounts, newest: Option<WallTime>) {
         self.events.store(stored, newest);
         self.snapshot = None;
     }
@@ -144,7 +144,7 @@ impl Host {
     }
 
     /// Returns the latest counts of the database.
-    pub(super) fn stored(&self) -> Stored {
+    pub(super) fn stored(&self) -> StoredCounts {
         self.events.stored()
     }
 

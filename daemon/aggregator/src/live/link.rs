@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{HostId, Slug};
 use peernet_stream::{ClockSample, LinkLive};
 
-use super::bounds;
+use super::limits;
 use crate::live_state::LinkSnapshot;
 use peernet_store::ClockPoint;
 
@@ -16,8 +16,7 @@ const HISTORY_S: i64 = 600;
 /// Longest time between the stamp of an update and the creation of its parts.
 const MAX_REPORT_SKEW: Span = Span::from_millis(100);
 
-/// The latest report of one link, and a history whose seconds are those of the edge's wall clock, whatever time that
-/// shows.
+/// The latest report of one link, and a history by seconds of the edge's wall clock, which may be wrong.
 #[derive(Debug)]
 pub(super) struct Link {
     live: LinkLive,
@@ -38,7 +37,7 @@ impl Link {
     /// Applies a report, within the limits. A second that is known already is replaced, because each report of a second
     /// covers it from its start.
     pub(super) fn update(&mut self, mut live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
-        bounds::link(&mut live, left_out);
+        limits::limit_link(&mut live, left_out);
         // `newest` is the incomplete second. Later seconds were reported before the edge's clock was set back.
         let newest = (sent + MAX_REPORT_SKEW).unix_seconds();
         drop(self.history.split_off(&newest.saturating_add(1)));

@@ -13,7 +13,7 @@ const POINT_INTERVAL: Span = Span::from_seconds(5);
 /// Number of points: ten minutes.
 const MAX_POINTS: usize = 120;
 
-/// The latest metrics of a host, and earlier ones at a fixed interval.
+/// The latest metrics of a host, and earlier metrics at a fixed interval.
 #[derive(Debug)]
 pub(super) struct MetricsHistory {
     current: HostMetrics,

@@ -1,12 +1,12 @@
-//! The live state: the current state of all agents, from the live lane alone, so that it stays current however many
+//! The live state: the current state of all agents, from the live lane alone, so that it stays current regardless of how many
 //! batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
 //! Memory is bounded whatever agents send: the numbers of hosts, of pipelines and links per host, and of names per
 //! second have limits. Values beyond a limit are discarded and counted.
 
-pub(crate) mod bounds;
 mod event_account;
 mod host;
+pub(crate) mod limits;
 mod link;
 mod metrics_history;
 mod percentiles;
@@ -27,7 +27,7 @@ use peernet_stream::{HostDescription, LiveUpdate};
 
 use self::host::Host;
 use crate::live_state::{LiveState, RefusedHost, Totals};
-use peernet_store::Stored;
+use peernet_store::StoredCounts;
 
 /// Largest number of hosts in the live state. Beyond it, the host that was silent longest is removed.
 const MAX_HOSTS: usize = 4_096;
@@ -60,10 +60,10 @@ pub(crate) enum LiveEvent {
     /// A host was refused.
     Refused(RefusedHost),
     /// The database's counts of a host, and the time of its newest stored event on the host's clock.
-    Stored(HostId, Stored, Option<WallTime>),
+    Stored(HostId, StoredCounts, Option<WallTime>),
     /// A duplicate batch arrived.
     Duplicate(HostId),
-    /// A batch arrived for which the queue had no room.
+    /// A batch arrived for which the queue had no capacity.
     Deferred(HostId),
     /// A batch arrived that does not match its hash.
     Damaged(HostId),
@@ -80,7 +80,7 @@ pub(crate) enum LiveEvent {
         /// Numbers of its newest runs, with their hosts.
         runs: Vec<(HostId, RunId, i64)>,
         /// Its counts of each host.
-        hosts: Vec<(HostId, Stored)>,
+        hosts: Vec<(HostId, StoredCounts)>,
     },
 }
 
@@ -96,7 +96,7 @@ pub(crate) struct LiveTracker {
     /// Keyed by the host and the id under which it reports the run.
     numbers: HashMap<(HostId, RunId), i64>,
     /// Stored counts of hosts that are not in the live state.
-    stored: HashMap<HostId, Stored>,
+    stored: HashMap<HostId, StoredCounts>,
     totals: Totals,
 }
 
@@ -169,8 +169,8 @@ impl LiveTracker {
         }
     }
 
-    /// Replaces the counts and run numbers of the previous database by those of the reopened one.
-    fn restart(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, Stored)>) {
+    /// Replaces the counts and run numbers of the previous database by the values of the reopened database.
+    fn restart(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, StoredCounts)>) {
         self.numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
         for host in self.hosts.values_mut() {
             let shown: Vec<RunId> = host.runs().collect();
@@ -178,9 +178,10 @@ impl LiveTracker {
         }
         let held: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
         self.stored.retain(|host, _| held.contains(host));
-        let lacking: Vec<HostId> = self.hosts.keys().filter(|host| !held.contains(host)).copied().collect();
-        for host in lacking {
-            self.store(host, Stored::default(), None);
+        let missing_hosts: Vec<HostId> =
+            self.hosts.keys().filter(|host| !held.contains(host)).copied().collect();
+        for host in missing_hosts {
+            self.store(host, StoredCounts::default(), None);
         }
         for (host, stored) in hosts {
             self.store(host, stored, None);
@@ -188,7 +189,7 @@ impl LiveTracker {
     }
 
     /// Applies the database's counts of a host. Returns whether the host is in the live state.
-    fn store(&mut self, id: HostId, stored: Stored, newest: Option<WallTime>) -> bool {
+    fn store(&mut self, id: HostId, stored: StoredCounts, newest: Option<WallTime>) -> bool {
         let before = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
         // The increase is added, so that totals stay when a host leaves the live state.
         add_increase(&mut self.totals.stored, before.unwrap_or_default(), stored);
@@ -200,7 +201,7 @@ impl LiveTracker {
     }
 
     /// Keeps the stored counts of a host that is not in the live state, for the totals.
-    fn remember(&mut self, id: HostId, stored: Stored) {
+    fn remember(&mut self, id: HostId, stored: StoredCounts) {
         if self.stored.len() < MAX_REMEMBERED || self.stored.contains_key(&id) {
             self.stored.insert(id, stored);
         }
@@ -233,10 +234,10 @@ impl LiveTracker {
 
     /// Adds a refused host, or renews its entry.
     fn refuse(&mut self, mut refused: RefusedHost, now: Stamp) {
-        bounds::text(&mut refused.reason);
+        limits::limit_text(&mut refused.reason);
         let same = |known: &RefusedHost| (&known.name, &known.reason) == (&refused.name, &refused.reason);
         self.refused.retain(|(_, known)| !same(known));
-        // The newest refusals are the relevant ones.
+        // The newest refusals matter most.
         self.refused.truncate(MAX_REFUSED - 1);
         self.refused.push_front((now, refused));
     }
@@ -249,7 +250,7 @@ impl LiveTracker {
             let timeout = if host.has_stored() { forget } else { forget.min(UNSTORED_HOST_TIMEOUT) };
             now.mono - host.seen() > timeout
         });
-        let gone: Vec<(HostId, Stored)> = gone.map(|(id, host)| (id, host.stored())).collect();
+        let gone: Vec<(HostId, StoredCounts)> = gone.map(|(id, host)| (id, host.stored())).collect();
         gone.into_iter()
             .filter(|(_, stored)| stored.events > 0)
             .for_each(|(id, stored)| self.remember(id, stored));
@@ -294,7 +295,7 @@ impl LiveTracker {
 }
 
 /// Adds the increase of a host's stored counts to the totals. Saturates, because a host may state any number.
-const fn add_increase(total: &mut Stored, before: Stored, now: Stored) {
+const fn add_increase(total: &mut StoredCounts, before: StoredCounts, now: StoredCounts) {
     total.events = total.events.saturating_add(now.events.saturating_sub(before.events));
     total.nodes = total.nodes.saturating_add(now.nodes.saturating_sub(before.nodes));
     total.gaps = total.gaps.saturating_add(now.gaps.saturating_sub(before.gaps));

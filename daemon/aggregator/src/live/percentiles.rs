@@ -58,7 +58,7 @@ impl Percentiles {
         self.changed.insert(at);
     }
 
-    /// Discards a second and all later ones, because a clock that was set back repeats them.
+    /// Discards a second and all later seconds, because a clock that was set back repeats them.
     pub(super) fn remove_from(&mut self, second: i64) {
         // Their buckets have to be computed again.
         self.changed.extend(self.seconds.split_off(&second).into_keys());

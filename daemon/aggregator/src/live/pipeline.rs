@@ -8,7 +8,7 @@ use peernet_logger::{HostId, RunId, Slug};
 use peernet_statistics::{Merge, RecentSeconds};
 use peernet_stream::{PipelineLive, PipelineState, Placement};
 
-use super::bounds;
+use super::limits;
 use super::percentiles::Percentiles;
 use super::second_figures::SecondFigures;
 use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
@@ -17,16 +17,18 @@ use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 const WINDOWS: [u32; 3] = [1, 10, 60];
 /// Seconds that are kept with their sketches: the longest window and the incomplete second.
 const SKETCHES_S: i64 = 61;
-/// Length of their ring, seconds. The surplus is for a clock that is set back by less than [`MAX_CLOCK_DECREASE`].
+/// Length of the ring of these seconds. The three seconds beyond [`SKETCHES_S`] are for an agent's clock that decreases
+/// by at most [`MAX_CLOCK_DECREASE`].
 const RING_S: usize = 64;
 /// Seconds that are kept as points of the live charts.
 const SERIES_S: i64 = 600;
-/// Largest decrease of the agent's clock that the ring absorbs. A larger decrease means that the clock was set back.
+/// Largest decrease of the agent's clock between two updates that the ring absorbs. After a larger decrease, the seconds
+/// that the clock shows again are removed.
 const MAX_CLOCK_DECREASE: Span = Span::from_seconds(2);
 /// Silence after which the windows continue without the agent. Updates arrive four times a second.
 const MAX_UPDATE_AGE: Span = Span::from_seconds(1);
 
-/// State of one pipeline, with rings of the last seconds of the agent's wall clock, whatever time that shows.
+/// State of one pipeline, with rings of the last seconds by the agent's wall clock, which may be wrong.
 #[derive(Debug)]
 pub(super) struct Pipeline {
     state: PipelineState,
@@ -45,7 +47,7 @@ pub(super) struct Pipeline {
 }
 
 impl Pipeline {
-    /// Creates the state at the pipeline's first update.
+    /// Creates the state at the pipeline's first update. Adds to `left_out` the items of the update that are not taken over.
     pub(super) fn new(live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) -> Self {
         let mut pipeline = Self {
             state: PipelineState::Starting,
@@ -64,13 +66,13 @@ impl Pipeline {
     }
 
     /// Applies an update. A second that is known already is replaced, because each report of a second covers it from
-    /// its start.
+    /// its start. Adds to `left_out` the seconds and names that are not taken over.
     pub(super) fn update(&mut self, mut live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
-        bounds::state(&mut live.state);
-        bounds::placement(&mut live.placement);
-        bounds::text(&mut live.load);
+        limits::limit_state(&mut live.state);
+        limits::limit_placement(&mut live.placement);
+        limits::limit_text(&mut live.load);
         if self.sent - sent > MAX_CLOCK_DECREASE {
-            // The clock was set back and repeats these seconds; the known ones happened at other times.
+            // The clock was set back and repeats these seconds; the seconds in the rings happened at other times.
             self.recent.remove_from(sent.unix_seconds());
             drop(self.series.split_off(&sent.unix_seconds()));
             self.percentiles.remove_from(sent.unix_seconds());
@@ -105,7 +107,8 @@ impl Pipeline {
         self.seen.mono
     }
 
-    /// Discards the snapshot if its windows change with time, because the agent is silent. Returns whether it did.
+    /// Discards the snapshot if the agent is silent and a window has iterations: the windows then end at the present, so
+    /// their values change with time. Returns whether it discarded the snapshot.
     pub(super) fn expire(&mut self, now: Stamp) -> bool {
         let empty = |snapshot: &Arc<PipelineSnapshot>| {
             snapshot.windows.iter().all(|window| window.counts.total() == 0)
@@ -156,7 +159,7 @@ impl Pipeline {
         number: impl Fn(RunId) -> Option<i64>,
         now: Stamp,
     ) -> Arc<PipelineSnapshot> {
-        // Unchanged pipelines share one snapshot between pictures.
+        // Unchanged pipelines share one snapshot between snapshots of the live state.
         if let Some(cached) = &self.snapshot {
             return Arc::clone(cached);
         }
@@ -183,23 +186,24 @@ impl Pipeline {
         let silence = now.mono - self.seen.mono;
         let end = if silence > MAX_UPDATE_AGE { self.sent + silence } else { self.sent };
         let current = end.unix_seconds();
-        let under_way = (end - WallTime::from_unix_nanos(current.saturating_mul(1_000_000_000))).seconds();
+        let incomplete_seconds =
+            (end - WallTime::from_unix_nanos(current.saturating_mul(1_000_000_000))).seconds();
         // The time before the pipeline's start does not lower the rate. At least 1 s is assumed, so that a pipeline
         // that has just started has no extreme rate.
         let known_for = self
             .series
             .first_key_value()
-            .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + under_way).max(1.0));
+            .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + incomplete_seconds).max(1.0));
         let mut sum = SecondFigures::default();
         let mut merged = 0;
-        // Each window contains the shorter ones, and all contain the incomplete second.
+        // Each window contains the shorter windows, and all contain the incomplete second.
         WINDOWS.map(|seconds| {
             let cells = i64::from(seconds) + 1;
             for (_, second_figures) in self.recent.iter(current - merged, (cells - merged) as usize) {
                 sum.merge(second_figures);
             }
             merged = cells;
-            sum.window(seconds, (f64::from(seconds) + under_way).min(known_for))
+            sum.window(seconds, (f64::from(seconds) + incomplete_seconds).min(known_for))
         })
     }
 }

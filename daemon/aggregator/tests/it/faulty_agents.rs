@@ -223,14 +223,14 @@ async fn sender_beyond_window_loses_nothing() {
 }
 
 #[tokio::test]
-async fn lost_batches_leave_gap_and_copied_spool_is_refused() {
+async fn batches_missing_at_first_hello_are_stored_as_gap() {
     let mut testbed = Testbed::new().await;
     let mut scripted_agent = ScriptedAgent::new(&testbed).await;
     for _ in 0..7 {
         scripted_agent.next();
     }
-    let greeting = scripted_agent.hello("edge");
-    assert!(matches!(scripted_agent.socket.greet(&greeting).await, ToAgent::Welcome { .. }));
+    let hello = scripted_agent.hello("edge");
+    assert!(matches!(scripted_agent.socket.greet(&hello).await, ToAgent::Welcome { .. }));
     // The gap is stored with the first batch of the host.
     scripted_agent.send_next().await;
     scripted_agent.until_stored_over_requests(8).await;
@@ -238,15 +238,30 @@ async fn lost_batches_leave_gap_and_copied_spool_is_refused() {
         testbed.count("SELECT count(*) FROM gap WHERE reason LIKE 'batches 1 to 7 of stream%'").await,
         1
     );
-    // The owner of a stream is known after a restart, too.
+    testbed.stop().await;
+}
+
+#[tokio::test]
+async fn stream_of_another_host_is_refused_after_restart() {
+    let mut testbed = Testbed::new().await;
+    let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
+    scripted_agent.send_next().await;
+    scripted_agent.expect(Reply::Ack(1)).await;
     testbed.stop().await;
     testbed.start().await;
     let mut copy = ScriptedAgent::new(&testbed).await;
     copy.stream = scripted_agent.stream;
     let ToAgent::Refused { reason } = copy.socket.greet(&copy.hello("copy")).await else { panic!("refused") };
     assert!(reason.contains(&scripted_agent.host.to_string()), "{reason}");
-    let impossible = Hello { oldest: u64::MAX, ..greeting };
-    assert!(matches!(copy.socket.greet(&impossible).await, ToAgent::Refused { .. }));
+    testbed.stop().await;
+}
+
+#[tokio::test]
+async fn hello_with_impossible_batch_number_is_refused() {
+    let mut testbed = Testbed::new().await;
+    let scripted_agent = ScriptedAgent::new(&testbed).await;
+    let impossible = Hello { oldest: u64::MAX, ..scripted_agent.hello("edge") };
+    assert!(matches!(scripted_agent.socket.greet(&impossible).await, ToAgent::Refused { .. }));
     testbed.stop().await;
 }
 

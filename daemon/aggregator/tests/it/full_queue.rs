@@ -21,7 +21,7 @@ fn large(scripted_agent: &mut ScriptedAgent) -> Vec<u8> {
 }
 
 #[tokio::test]
-async fn deferred_batches_are_requested_when_room_is_free() {
+async fn deferred_batches_are_requested_when_queue_has_capacity() {
     let mut testbed = Testbed::new().await;
     let mut agents = Vec::new();
     for name in ["one", "two", "late"] {
@@ -32,7 +32,7 @@ async fn deferred_batches_are_requested_when_room_is_free() {
     }
     let mut holder = testbed.connection().await;
     sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut holder).await.expect("locks");
-    // Compressed they are small on the network, but their room is that of the decompressed events.
+    // Compressed they are small on the network, but in the queue they take the size of the decompressed events.
     for scripted_agent in &mut agents[..2] {
         for _ in 0..16 {
             let frame = large(scripted_agent);

@@ -150,7 +150,7 @@ async fn restart_loses_nothing_and_stores_nothing_twice() {
 }
 
 #[tokio::test]
-async fn nothing_is_acknowledged_before_commit_while_picture_updates() {
+async fn nothing_is_acknowledged_before_commit_while_live_state_updates() {
     let mut testbed = Testbed::new().await;
     let mut agent = testbed.agent("edge").await;
     agent.until_up().await;

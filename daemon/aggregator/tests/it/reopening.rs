@@ -144,7 +144,7 @@ async fn log_of_replaced_database_is_not_applied() {
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM iteration").execute(&mut reader).await.expect("reads");
     line.store(40).await;
     std::fs::rename(&copy, &testbed.database).expect("replaces");
-    not_storing(&testbed, "belongs to the database that was there before").await;
+    not_storing(&testbed, "belongs to another database, which was at this path before").await;
     reader.close().await.expect("closes");
     std::fs::remove_file(beside(&testbed.database, "-wal")).expect("removes");
     ready(&testbed).await;

@@ -51,7 +51,7 @@ async fn an_unwritable_database_is_named() {
 }
 
 #[tokio::test]
-async fn picture_states_address_and_name() {
+async fn live_state_has_address_and_name() {
     let mut testbed = Testbed::new().await;
     let snapshot = testbed.aggregator().live().borrow().clone();
     assert_eq!(snapshot.aggregator.as_str(), "base");

@@ -67,7 +67,7 @@ impl Testbed {
         Agent::new(name, &self.address, &self.clock).await
     }
 
-    /// Waits for a picture for which `is_it` is true.
+    /// Waits for a snapshot of the live state for which `is_it` is true.
     pub(crate) async fn snapshot(&self, what: &str, is_it: impl Fn(&LiveState) -> bool) -> Arc<LiveState> {
         let mut live = self.aggregator().live();
         let wait = live.wait_for(|snapshot| is_it(snapshot));

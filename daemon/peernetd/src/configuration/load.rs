@@ -113,7 +113,7 @@ impl fmt::Display for Problem {
 /// # Errors
 /// All problems that were found. If the file cannot be read or is not TOML, this is the only one.
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable(path, &error)])?;
+    let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable_file(path, &error)])?;
     let locator = Locator::new(&text);
     let problem = |(key, text): (String, String)| Problem {
         file: path.to_owned(),
@@ -125,15 +125,16 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
         Ok(file) => file,
         Err(first) => {
             let (found, remainder) = mistakes::all_mistakes::<File>(&text, &ARRAYS, first);
-            let unread = found.into_iter().map(|mistake| unread(path, mistake, &locator));
+            let unread = found.into_iter().map(|mistake| problem_from_mistake(path, mistake, &locator));
             let checked = remainder.map(check_remainder).unwrap_or_default().into_iter().map(problem);
             let mut problems: Vec<Problem> = unread.chain(checked).collect();
             problems.sort_by_key(|problem| problem.line);
             return Err(problems);
         }
     };
-    let found =
-        roles(&file, &BTreeSet::new()).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
+    let found = missing_role_tables(&file, &BTreeSet::new())
+        .into_iter()
+        .map(|(key, text)| (key.to_owned(), text.to_owned()));
     let mut configuration = Configuration::from(file);
     configuration.deprecated = deprecations(path, &locator);
     let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
@@ -148,8 +149,8 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
 /// # Errors
 /// If it cannot be read or parsed.
 pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable(path, &error)])?;
-    let unread = |mistake| vec![unread(path, mistake, &Locator::new(&text))];
+    let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable_file(path, &error)])?;
+    let unread = |mistake| vec![problem_from_mistake(path, mistake, &Locator::new(&text))];
     mistakes::read::<File>(&text, &ARRAYS).map(Configuration::from).map_err(unread)
 }
 
@@ -162,15 +163,15 @@ fn deprecations(path: &Path, locator: &Locator<'_>) -> Vec<String> {
     RENAMED_TABLES.iter().filter_map(line).collect()
 }
 
-fn unreadable(path: &Path, error: &io::Error) -> Problem {
+fn unreadable_file(path: &Path, error: &io::Error) -> Problem {
     let text = format!("cannot read the configuration: {error}");
     Problem { file: path.to_owned(), line: None, key: String::new(), text }
 }
 
 /// Returns the problem of a key that could not be read.
-fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
+fn problem_from_mistake(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     let Mistake { key, error } = mistake;
-    // Within tables that are distinguished by their `kind` the span is that of the first table; the line of the key
+    // Within tables that are distinguished by their `kind` the span covers the first table; the line of the key
     // is more precise.
     let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
     let mut text = describe_error(&error);
@@ -182,24 +183,24 @@ fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     Problem { file: path.to_owned(), line, key, text }
 }
 
-/// Returns the problems of the readable part of a file, except for those that depend on the unreadable part.
+/// Returns the problems of the readable part of a file, except for problems that depend on the unreadable part.
 fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     let file = std::mem::take(&mut remainder.file);
-    let roles = roles(&file, &remainder.incomplete).into_iter();
+    let roles = missing_role_tables(&file, &remainder.incomplete).into_iter();
     let roles = roles.map(|(key, text)| (key.to_owned(), text.to_owned()));
     let found = Configuration::from(file).check().into_iter();
     let found = found.map(|(key, text)| (remainder.key_in_file(&key), text));
     let is_certain = |(key, _): &(String, String)| {
         let depends =
             |(table, end): &(&str, &str)| remainder.incomplete.contains(*table) && key.ends_with(end);
-        !remainder.lacks(key) && !DEPENDENT.iter().any(depends)
+        !remainder.is_removed(key) && !DEPENDENT.iter().any(depends)
     };
     roles.chain(found.filter(is_certain)).collect()
 }
 
 /// Returns the problems (key and text) of tables that need another table. Tables in `incomplete` exist in the file, even if
 /// `file` does not have them.
-fn roles(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'static str)> {
+fn missing_role_tables(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'static str)> {
     let (has_agent, has_aggregator) = (
         file.agent.is_some() || incomplete.contains("agent"),
         file.aggregator.is_some() || incomplete.contains("aggregator"),
@@ -351,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_of_several_tables_are_told_at_once() {
+    fn mistakes_of_several_tables_are_reported_together() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let text = said(&format!(
             "[log]\nlevel = 'loud=very'\n[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n\
@@ -378,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn mistake_hides_no_problem_of_what_can_be_read() {
+    fn mistake_hides_no_problem_in_readable_tables() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let sensor = "sensor = { kind = 'synthetic', size_bytes = 10 }";
         let text = said(&format!(

@@ -27,7 +27,7 @@ pub(super) struct Mistake {
 /// The file without the keys that have mistakes, and without the tables that cannot be read without these keys.
 pub(super) struct Remainder<T> {
     pub(super) file: T,
-    /// Names of all tables with mistakes, including those that were removed.
+    /// Names of all tables with mistakes, including removed tables.
     pub(super) incomplete: BTreeSet<String>,
     /// Paths of the removed keys.
     removed: Vec<String>,
@@ -41,7 +41,7 @@ pub(super) struct Remainder<T> {
 /// The first key that could not be read.
 pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str, arrays: &[&str]) -> Result<T, Mistake> {
     let document = DeTable::parse(text).map_err(|error| Mistake { key: String::new(), error })?;
-    if let Some(mistake) = document.get_ref().iter().find_map(|entry| needless_array(entry, arrays)) {
+    if let Some(mistake) = document.get_ref().iter().find_map(|entry| find_needless_array(entry, arrays)) {
         return Err(mistake);
     }
     serde_path_to_error::deserialize(Deserializer::from(document)).map_err(|error| {
@@ -52,7 +52,7 @@ pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str, arrays: &[&str]) -> Re
 
 /// Returns the mistake of an entry that is an array and should be a table. serde would read an array as a struct,
 /// whose fields may all have defaults.
-fn needless_array(
+fn find_needless_array(
     (name, value): (&Spanned<Cow<'_, str>>, &Spanned<DeValue<'_>>),
     arrays: &[&str],
 ) -> Option<Mistake> {
@@ -71,7 +71,7 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
 ) -> (Vec<Mistake>, Option<Remainder<T>>) {
     let Ok(root) = DeTable::parse(text) else { return (vec![first], None) };
     let mut mistakes: Vec<Mistake> =
-        root.get_ref().iter().filter_map(|entry| needless_array(entry, arrays)).collect();
+        root.get_ref().iter().filter_map(|entry| find_needless_array(entry, arrays)).collect();
     let mut incomplete: BTreeSet<String> = mistakes.iter().map(|mistake| mistake.key.clone()).collect();
     let (mut rest, mut removed, mut indices_in_file) = (DeTable::new(), Vec::new(), BTreeMap::new());
     for part in split_into_parts(root.get_ref()) {
@@ -107,7 +107,7 @@ impl<T> Remainder<T> {
     }
 
     /// Returns whether a key was removed at a path of the whole file, below it or above it.
-    pub(super) fn lacks(&self, key: &str) -> bool {
+    pub(super) fn is_removed(&self, key: &str) -> bool {
         let is_at = |key: &str, above: &str| {
             key.strip_prefix(above).is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
         };
@@ -164,17 +164,18 @@ impl<'a> Part<'a> {
                 removed_keys.extend(removed.iter().map(|steps: &Vec<Step>| self.key(steps)));
                 return Some(document);
             };
-            let steps = steps(error.path());
+            let steps = path_steps(error.path());
             let missing = missing_key(error.inner().message());
-            // A missing key that was removed here is not a mistake of the user: its table is removed as well.
-            if missing.is_some_and(|name| removed.contains(&below(&steps, name))) {
+            // A missing key that was removed here is not a mistake of the user: its table is removed, too.
+            if missing.is_some_and(|name| removed.contains(&join_key(&steps, name))) {
                 if remove(document.get_mut(), &steps, &mut removed) {
                     continue;
                 }
                 return None;
             }
             if mistakes.len() + 1 == MAX_MISTAKES {
-                let error = Error::custom("the list of mistakes is not complete; correct those above first");
+                let error =
+                    Error::custom("the list of mistakes is not complete; correct the listed mistakes first");
                 mistakes.push(Mistake { key: String::new(), error });
                 return None;
             }
@@ -187,7 +188,7 @@ impl<'a> Part<'a> {
         None
     }
 
-    /// Adds the valid rest of this part to that of the file. An element of an array is appended, and its index in the file
+    /// Adds the valid rest of this part to the valid rest of the file. An element of an array is appended, and its index in the file
     /// is recorded.
     fn append_to(
         &self,
@@ -234,7 +235,7 @@ enum Step {
     Element(usize),
 }
 
-fn steps(path: &Path) -> Vec<Step> {
+fn path_steps(path: &Path) -> Vec<Step> {
     path.iter()
         .map_while(|segment| match segment {
             Segment::Map { key } => Some(Step::Key(key.clone())),
@@ -245,7 +246,7 @@ fn steps(path: &Path) -> Vec<Step> {
 }
 
 /// Returns the path of a key in the table at `steps`.
-fn below(steps: &[Step], name: &str) -> Vec<Step> {
+fn join_key(steps: &[Step], name: &str) -> Vec<Step> {
     steps.iter().cloned().chain([Step::Key(name.to_owned())]).collect()
 }
 
@@ -337,7 +338,7 @@ mod tests {
 
     #[test]
     fn all_errors_of_all_tables_are_found_once() {
-        let (told, rest) = found(
+        let (reported, rest) = found(
             "third = 1\n[first]\nnumbr = 1\nnumber = 'x'\nlist = [1, 'y', 2]\n[second]\na = 1\n\
              [[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n\
              [[element]]\nkind = { kind = 'one', size = 1, sise = 1 }\nnumber = -1\n\
@@ -355,9 +356,9 @@ mod tests {
             ("element[2].kind", "unknown variant `two`"),
         ] {
             let is_there = |mistake: &&String| mistake.starts_with(expected) && mistake.contains(text);
-            assert_eq!(told.iter().filter(is_there).count(), 1, "{expected}{text} in {told:#?}");
+            assert_eq!(reported.iter().filter(is_there).count(), 1, "{expected}{text} in {reported:#?}");
         }
-        assert_eq!(told.len(), 9, "{told:#?}");
+        assert_eq!(reported.len(), 9, "{reported:#?}");
         let rest = rest.expect("the rest can be read");
         assert_eq!(rest.incomplete, ["element", "first", "third"].map(str::to_owned).into());
         assert_eq!((rest.file.second.len(), rest.file.first.number, rest.file.element.len()), (1, 0, 1));
@@ -382,20 +383,20 @@ mod tests {
             ("element[1].number.x", true),
             ("element[1].name", false),
         ] {
-            assert_eq!(rest.lacks(key), is_lacking, "{key}");
+            assert_eq!(rest.is_removed(key), is_lacking, "{key}");
         }
     }
 
     #[test]
-    fn truncated_list_of_mistakes_says_that_it_is_incomplete() {
+    fn list_of_too_many_mistakes_states_that_it_is_incomplete() {
         let keys: String = (0..200).map(|key| format!("k{key} = 1\n")).collect();
-        let (told, _) = found(&format!("[first]\n{keys}"));
-        assert_eq!(told.len(), MAX_MISTAKES);
-        assert!(told[MAX_MISTAKES - 1].contains("not complete"), "{told:#?}");
+        let (reported, _) = found(&format!("[first]\n{keys}"));
+        assert_eq!(reported.len(), MAX_MISTAKES);
+        assert!(reported[MAX_MISTAKES - 1].contains("not complete"), "{reported:#?}");
     }
 
     #[test]
-    fn single_mistake_is_told_as_it_is_found_first() {
+    fn single_mistake_is_reported_as_first_found() {
         for text in [
             "[first]\nnumbr = 1\n",
             "[first]\nnumber = 256\n",

@@ -31,7 +31,7 @@ use self::pages::PageFile;
 
 /// Record of the damage of one database, shared by everything that reads or writes it.
 ///
-/// It is also kept in a file beside the database, `<database>-damaged`, because the damaged page may be one that is rarely
+/// It is also kept in a file beside the database, `<database>-damaged`, because the damaged page may be a page that is rarely
 /// read: an aggregator that finds this file stores nothing until the whole database was checked.
 #[derive(Clone, Debug)]
 pub struct Integrity {

@@ -105,14 +105,14 @@ impl PageCheck {
             && malformed.iter().any(|number| log.contains(*number))
             && !self.is_checkpointed(log)?
         {
-            // SQLite reads these from the log. In the main file there may be an older version, a hole, or nothing yet.
+            // SQLite reads these from the log. In the main file there may be an older version, a sparse range, or nothing yet.
             malformed.retain(|number| !log.contains(*number));
         }
         malformed.sort_unstable();
         Ok(malformed)
     }
 
-    /// Removes the pages with the rest of long records from those that may be malformed. A broken chain ends at a page that is
+    /// Removes the pages with the rest of long records from the pages that may be malformed. A broken chain ends at a page that is
     /// malformed or missing, which is not reported here.
     fn follow_overflows(&mut self, log: Option<&LogPages>) -> io::Result<()> {
         let mut seen_in_log = HashSet::new();
@@ -124,10 +124,10 @@ impl PageCheck {
         Ok(())
     }
 
-    /// Returns whether the main file has all pages of the log, except for those that may be malformed. A log that was
+    /// Returns whether the main file has all pages of the log, except for pages that may be malformed. A log that was
     /// checkpointed stays until the next commit, and readers no longer use it.
     fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
-        // A file that was cut off lacks all pages from there on.
+        // A truncated file has no page beyond its end.
         let is_whole = |number: &u32| !self.others.contains_key(number) && self.file.contains(*number);
         for number in log.numbers().filter(is_whole) {
             if log.read(number)? != Some(self.file.read(number, 1)?) {

@@ -26,7 +26,7 @@ pub(crate) struct PageFile {
     pub(crate) pages: u32,
 }
 
-/// Kind of a b-tree page; the numbers are those of the file format.
+/// Kind of a b-tree page; the file format defines the numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PageKind {
     IndexInterior = 2,
@@ -108,7 +108,7 @@ impl PageFile {
         Ok(bytes)
     }
 
-    /// Returns the first page that the header counts but the file lacks, if it was cut off.
+    /// Returns the first page that the header counts and that is missing, because the file is truncated; `None` if it is not.
     pub(crate) fn first_missing(&self) -> io::Result<Option<u32>> {
         let counted = be32(&self.read(1, 1)?, 28);
         let pages = u32::try_from(self.file.metadata()?.len() / self.page_bytes as u64).unwrap_or(u32::MAX);
@@ -258,13 +258,14 @@ impl BtreePage {
     /// Returns how many bytes of a record of that length are on the page itself.
     fn local_bytes(&self, record_bytes: usize) -> usize {
         let usable = self.usable;
-        let most = if self.kind == PageKind::TableLeaf { usable - 35 } else { (usable - 12) * 64 / 255 - 23 };
-        if record_bytes <= most {
+        let max_local =
+            if self.kind == PageKind::TableLeaf { usable - 35 } else { (usable - 12) * 64 / 255 - 23 };
+        if record_bytes <= max_local {
             return record_bytes;
         }
-        let least = (usable - 12) * 32 / 255 - 23;
-        let local = least + (record_bytes - least) % (usable - 4);
-        if local <= most { local } else { least }
+        let min_local = (usable - 12) * 32 / 255 - 23;
+        let local = min_local + (record_bytes - min_local) % (usable - 4);
+        if local <= max_local { local } else { min_local }
     }
 
     /// Returns the first pages of the records that continue on other pages.

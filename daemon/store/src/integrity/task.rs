@@ -36,7 +36,7 @@ pub(crate) struct IntegrityCheck {
     stop: CancellationToken,
     /// Dropping it aborts the task, which then releases the file.
     task: AbortOnDropHandle<()>,
-    /// Reads in progress on other threads, which hold the file as well.
+    /// Reads in progress on other threads, which also hold the file open.
     reads: TaskTracker,
 }
 
@@ -180,7 +180,7 @@ async fn read_pages(
     rate: u64,
 ) -> Result<Vec<u32>, sqlx::Error> {
     let (file, log) = (Arc::clone(file), log_path(database));
-    let Some(mut check) = blocking(reads, move || PageCheck::start(file, log)).await? else {
+    let Some(mut check) = read_blocking(reads, move || PageCheck::start(file, log)).await? else {
         return Ok(vec![1]);
     };
     let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP_BYTES / rate));
@@ -188,16 +188,16 @@ async fn read_pages(
     let mut more = true;
     while more {
         ticks.tick().await;
-        (check, more) = blocking(reads, move || {
+        (check, more) = read_blocking(reads, move || {
             let more = check.step(STEP_BYTES)?;
             Ok((check, more))
         })
         .await?;
     }
-    blocking(reads, move || check.finish()).await
+    read_blocking(reads, move || check.finish()).await
 }
 
-async fn blocking<T: Send + 'static>(
+async fn read_blocking<T: Send + 'static>(
     reads: &TaskTracker,
     work: impl FnOnce() -> io::Result<T> + Send + 'static,
 ) -> Result<T, sqlx::Error> {
@@ -243,8 +243,9 @@ async fn first_finding(
         .set_progress_handler(INSTRUCTIONS_PER_CHECK, move || !stop.is_cancelled());
     // The first takes a fraction of the time of the second, and finds most errors.
     for pragma in ["PRAGMA quick_check(1)", "PRAGMA integrity_check(1)"] {
-        let said: Vec<String> = sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;
-        if let Some(what) = said.into_iter().find(|line| line != "ok") {
+        let problems: Vec<String> =
+            sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;
+        if let Some(what) = problems.into_iter().find(|line| line != "ok") {
             // If there are several lines, the first is a heading.
             return Ok(what.lines().last().map(str::to_owned));
         }

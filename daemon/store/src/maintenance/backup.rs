@@ -21,7 +21,7 @@ const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
 #[derive(Debug, thiserror::Error)]
 pub enum BackupError {
     /// The database does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// The database cannot be read.
     #[error("cannot read the database {}: {source}", path.display())]
@@ -32,7 +32,7 @@ pub enum BackupError {
         source: DatabaseError,
     },
     /// The file is of another kind.
-    #[error("{} is {what} and not an aggregator's database; name the file of [aggregator] database", path.display())]
+    #[error("{} is {what} and not an aggregator's database; give the file that the key `database` of [aggregator] names", path.display())]
     NotADatabase {
         /// The file.
         path: PathBuf,
@@ -51,7 +51,7 @@ pub enum BackupError {
     /// The path cannot be given to SQLite.
     #[error("{} is not UTF-8; name another file", .0.display())]
     Name(PathBuf),
-    /// The disk has not enough room for the copy.
+    /// The disk has not enough space for the copy.
     #[error("{} has {free} bytes free, but the copy needs {needed}; free some space, or name a file on another disk", folder.display())]
     NoRoom {
         /// The folder of the copy.
@@ -104,7 +104,7 @@ pub struct Backup {
 }
 
 impl Backup {
-    /// Checks that `database` can be read, and that `target` does not exist and has room. The copy is first written under the
+    /// Checks that `database` can be read, that `target` does not exist, and that its disk has space. The copy is first written under the
     /// name `<target>.partial`.
     ///
     /// # Errors

@@ -16,10 +16,10 @@ use crate::rebuild::rebuild;
 #[derive(Debug, thiserror::Error)]
 pub enum RebuildError {
     /// The database does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// Another process has locked the database, most likely the aggregator.
-    #[error("cannot rebuild roll-ups while another process may store: {0}")]
+    #[error("cannot rebuild roll-ups while another process may write to the database: {0}")]
     Lock(#[from] LockError),
     /// The database cannot be opened or brought up to date.
     #[error(transparent)]
@@ -42,8 +42,8 @@ pub enum RebuildError {
     },
 }
 
-/// Makes the roll-ups of one run, or of all, from the nodes that still exist. `progress` is called after every few thousand
-/// summaries.
+/// Makes the roll-ups of one run, or of all runs, from the nodes that still exist. `progress` is called after every few
+/// thousand rows of roll-ups.
 ///
 /// # Errors
 /// When the aggregator runs, or the database cannot be read or written. Finished runs stay finished.
@@ -63,8 +63,8 @@ pub async fn rebuild_rollups(
     };
     let mut connection = database::open(path).await?;
     if let Some(run) = run {
-        let known = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM run WHERE number = ?1)").bind(run);
-        if !known.fetch_one(&mut connection).await.map_err(failed)? {
+        let exists = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM run WHERE number = ?1)").bind(run);
+        if !exists.fetch_one(&mut connection).await.map_err(failed)? {
             return Err(RebuildError::NoRun { path: path.to_owned(), run });
         }
     }

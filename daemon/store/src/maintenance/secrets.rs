@@ -15,7 +15,7 @@ use crate::foreign_log::{ForeignLog, refuse_foreign_log_at};
 #[derive(Debug, thiserror::Error)]
 pub enum ClearSecretError {
     /// The database does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// The file is of another kind.
     #[error("cannot clear a host's secret in {}: the file is {what}", .path.display())]
@@ -37,7 +37,7 @@ pub enum ClearSecretError {
         host: String,
     },
     /// Several hosts have this name.
-    #[error("{} hosts have had the name {name}; name one by its id: {}", .ids.len(), .ids.join(", "))]
+    #[error("{} hosts have had the name {name}; give the id of one of them: {}", .ids.len(), .ids.join(", "))]
     SeveralHosts {
         /// The name.
         name: String,

@@ -2,7 +2,7 @@
 //! not depend on the length of the run.
 
 use super::iterations::Row;
-use super::{corrupt, sql, wall};
+use super::{corrupt_data, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::Episodes;
@@ -72,27 +72,27 @@ async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>
 
 /// Returns the unanswered iterations to mark and their number, which is at most one more than the limit of counting.
 async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
-    let most = Episodes::MAX_UNANSWERED;
+    let max_marked = Episodes::MAX_UNANSWERED;
     let found: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
         .bind(run)
         .bind(0)
-        .bind(i64::try_from(most).map_or(i64::MAX, |most| most + 1))
+        .bind(i64::try_from(max_marked).map_or(i64::MAX, |max_marked| max_marked + 1))
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let Some(first) = found.first().filter(|_| found.len() > most) else {
+    let Some(first) = found.first().filter(|_| found.len() > max_marked) else {
         let all = found.len() as u64;
         return Ok((found, all));
     };
     let all: i64 = sqlx::query_scalar(sql::COUNT_WITHOUT_ANSWER)
         .bind(run)
-        .bind(i64::try_from(Episodes::MAX_COUNTED).map_or(i64::MAX, |most| most + 1))
+        .bind(i64::try_from(Episodes::MAX_COUNTED).map_or(i64::MAX, |max_marked| max_marked + 1))
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let numbers: Vec<Option<i64>> = sqlx::query_scalar(sql::FIRST_WITHOUT_ANSWER)
         .bind(run)
-        .bind(json(&parts(first.number, last, most as i64))?)
+        .bind(json(&parts(first.number, last, max_marked as i64))?)
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
@@ -119,7 +119,7 @@ async fn rows(readers: &Readers, run: i64, numbers: &[i64]) -> Result<Vec<Row>, 
 
 /// Converts a list to JSON, in which form statements take it.
 fn json(list: &(impl serde::Serialize + ?Sized)) -> Result<String, StoreError> {
-    serde_json::to_string(list).map_err(|error| corrupt(WHAT, error))
+    serde_json::to_string(list).map_err(|error| corrupt_data(WHAT, error))
 }
 
 #[cfg(test)]

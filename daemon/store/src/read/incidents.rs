@@ -2,10 +2,10 @@
 
 use sqlx::FromRow;
 
-use super::{corrupt, count, parse, sql, wall};
+use super::{corrupt_data, count, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 use crate::types::{HostRow, IncidentFilter, IncidentRow};
 use crate::write::UNKNOWN;
 
@@ -78,10 +78,11 @@ pub(crate) async fn hosts(readers: &Readers) -> Result<Vec<HostRow>, StoreError>
             Ok(HostRow {
                 id: parse(WHAT, &row.uuid)?,
                 name: parse(WHAT, &row.name)?,
-                description: serde_json::from_str(&row.description).map_err(|error| corrupt(WHAT, error))?,
+                description: serde_json::from_str(&row.description)
+                    .map_err(|error| corrupt_data(WHAT, error))?,
                 first_seen: wall(row.first_seen_ns),
                 last_seen: wall(row.last_seen_ns),
-                stored: Stored {
+                stored: StoredCounts {
                     events: count(row.events),
                     nodes: count(row.nodes),
                     gaps: count(row.gaps),

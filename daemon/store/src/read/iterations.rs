@@ -1,4 +1,4 @@
-//! Iterations in lists, with their trees and their places in the run.
+//! Iterations: lists, and single iterations with their tree, their rank and their neighbours.
 
 use std::collections::HashMap;
 
@@ -9,7 +9,7 @@ use peernet_logger::{Name, stage};
 use sqlx::FromRow;
 
 use super::clocks::AssumedWindows;
-use super::{corrupt, count, known, sql, statistics, tree, wall};
+use super::{corrupt_data, count, sql, statistics, tree, value_of_number, wall};
 use crate::column::column;
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -33,21 +33,29 @@ pub(super) struct Row {
     total: Option<f64>,
 }
 
+/// Seconds of one node.
 #[derive(FromRow)]
-struct Duration {
+struct NodeSeconds {
     iteration: i64,
-    text: String,
-    value: f64,
+    /// Name of the node, such as a stage.
+    #[sqlx(rename = "text")]
+    name: String,
+    #[sqlx(rename = "value")]
+    seconds: f64,
 }
 
 #[derive(FromRow)]
 struct Delay {
     iteration: i64,
-    text: String,
+    /// `upload` or `download`.
+    #[sqlx(rename = "text")]
+    stage: String,
     value: Option<f64>,
     lo: Option<f64>,
     hi: Option<f64>,
-    raw_ns: i64,
+    /// Difference of the wall clocks, as the agent reported it.
+    #[sqlx(rename = "raw_ns")]
+    wall_difference_ns: i64,
     source: u8,
     verdict: u8,
     sent_ns: i64,
@@ -55,9 +63,9 @@ struct Delay {
     cloud: Option<i64>,
 }
 
-/// Place of an iteration among the slowest, and its neighbours.
+/// Rank of an iteration among the slowest, and the numbers of the next slower and the next faster iteration.
 #[derive(Default)]
-struct Place {
+struct Rank {
     rank: Option<u64>,
     slower: Option<u64>,
     faster: Option<u64>,
@@ -74,7 +82,7 @@ pub(crate) async fn slowest_iterations(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    compared(readers, run, rows).await
+    with_stages_and_causes(readers, run, rows).await
 }
 
 pub(crate) async fn iterations(
@@ -82,7 +90,7 @@ pub(crate) async fn iterations(
     run: i64,
     filter: &IterationFilter,
 ) -> Result<Vec<IterationRow>, StoreError> {
-    let statement = if filter.unsuccessful { sql::ITERATIONS_WITHOUT_ANSWER } else { sql::ITERATIONS };
+    let statement = if filter.without_answer { sql::ITERATIONS_WITHOUT_ANSWER } else { sql::ITERATIONS };
     let rows: Vec<Row> = sqlx::query_as(statement)
         .bind(run)
         .bind(column(filter.after))
@@ -90,7 +98,7 @@ pub(crate) async fn iterations(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    compared(readers, run, rows).await
+    with_stages_and_causes(readers, run, rows).await
 }
 
 pub(crate) async fn iteration(
@@ -110,9 +118,9 @@ pub(crate) async fn iteration(
     let Some((tree, hosts)) = trees.into_iter().flatten().next() else { return Ok(None) };
     let run_figures = statistics::figures(readers, run).await?;
     let medians = statistics::medians(&run_figures);
-    let place = match row.total {
-        Some(total) if row.outcome == 0 && !row.warm_up => place(readers, run, (total, number)).await?,
-        _ => Place::default(),
+    let rank = match row.total {
+        Some(total) if row.outcome == 0 && !row.warm_up => rank(readers, run, (total, number)).await?,
+        _ => Rank::default(),
     };
     let neighbour = async |statement: &'static str| {
         let number: Option<i64> = sqlx::query_scalar(statement)
@@ -124,13 +132,13 @@ pub(crate) async fn iteration(
         Ok(number.map(count))
     };
     let (previous, next) = (neighbour(sql::PREVIOUS).await?, neighbour(sql::NEXT).await?);
-    let Some(row) = complete(readers, run, vec![row], &medians).await?.pop() else { return Ok(None) };
-    let Place { rank, slower, faster } = place;
+    let Some(row) = complete_rows(readers, run, vec![row], &medians).await?.pop() else { return Ok(None) };
+    let Rank { rank, slower, faster } = rank;
     Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, slower, faster, run_figures }))
 }
 
-/// Finds the place of a successful iteration among the slowest.
-async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Place, StoreError> {
+/// Returns the rank of a successful iteration; no rank if it is not among the [`RANKED`] slowest.
+async fn rank(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Rank, StoreError> {
     let slower: i64 = sqlx::query_scalar(sql::SLOWER)
         .bind(run)
         .bind(total)
@@ -138,9 +146,9 @@ async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Resu
         .await
         .map_err(readers.failed(WHAT))?;
     if slower >= RANKED {
-        return Ok(Place::default());
+        return Ok(Rank::default());
     }
-    let beside = async |statement: &'static str| {
+    let neighbour = async |statement: &'static str| {
         let number: Option<i64> = sqlx::query_scalar(statement)
             .bind(run)
             .bind(total)
@@ -151,24 +159,29 @@ async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Resu
         Ok(number.map(count))
     };
     let rank = Some(count(slower) + 1);
-    Ok(Place { rank, slower: beside(sql::ONE_SLOWER).await?, faster: beside(sql::ONE_FASTER).await? })
+    Ok(Rank { rank, slower: neighbour(sql::ONE_SLOWER).await?, faster: neighbour(sql::ONE_FASTER).await? })
 }
 
-async fn compared(readers: &Readers, run: i64, rows: Vec<Row>) -> Result<Vec<IterationRow>, StoreError> {
+/// Adds the stages, the delays and the causes of slowness, for which it reads the run's medians.
+async fn with_stages_and_causes(
+    readers: &Readers,
+    run: i64,
+    rows: Vec<Row>,
+) -> Result<Vec<IterationRow>, StoreError> {
     let medians = statistics::medians(&statistics::figures(readers, run).await?);
-    complete(readers, run, rows, &medians).await
+    complete_rows(readers, run, rows, &medians).await
 }
 
-/// Adds the values of the trees, with two queries for all rows together.
-async fn complete(
+/// Adds the stages, the delays and the causes of slowness. The number of queries does not depend on the number of rows.
+async fn complete_rows(
     readers: &Readers,
     run: i64,
     rows: Vec<Row>,
     medians: &Medians,
 ) -> Result<Vec<IterationRow>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
-    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
-    let durations: Vec<Duration> = sqlx::query_as(sql::DURATIONS)
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt_data(WHAT, error))?;
+    let durations: Vec<NodeSeconds> = sqlx::query_as(sql::DURATIONS)
         .bind(run)
         .bind(&numbers)
         .fetch_all(&readers.pool())
@@ -180,9 +193,10 @@ async fn complete(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let mut parts: HashMap<i64, (Vec<Duration>, Vec<DelayRow>)> = HashMap::with_capacity(rows.len());
+    let mut by_iteration: HashMap<i64, (Vec<NodeSeconds>, Vec<DelayRow>)> =
+        HashMap::with_capacity(rows.len());
     for duration in durations {
-        parts.entry(duration.iteration).or_default().0.push(duration);
+        by_iteration.entry(duration.iteration).or_default().0.push(duration);
     }
     let times = || rows.iter().map(|row| row.started_ns);
     let between = times().min().zip(times().max()).filter(|_| !delays.is_empty());
@@ -193,11 +207,11 @@ async fn complete(
     for delay in delays {
         let iteration = delay.iteration;
         let row = delay.row(windows.as_ref())?;
-        parts.entry(iteration).or_default().1.push(row);
+        by_iteration.entry(iteration).or_default().1.push(row);
     }
     rows.into_iter()
         .map(|row| {
-            let (durations, delays) = parts.remove(&row.number).unwrap_or_default();
+            let (durations, delays) = by_iteration.remove(&row.number).unwrap_or_default();
             complete_row(row, &durations, delays, medians)
         })
         .collect()
@@ -205,27 +219,28 @@ async fn complete(
 
 fn complete_row(
     row: Row,
-    durations: &[Duration],
+    durations: &[NodeSeconds],
     delays: Vec<DelayRow>,
     medians: &Medians,
 ) -> Result<IterationRow, StoreError> {
-    let seconds_of = |stage: &Name| {
-        let of_stage = durations.iter().filter(|duration| stage == duration.text.as_str());
-        let values: Vec<f64> = of_stage.map(|duration| duration.value).collect();
+    let seconds_of = |name: &Name| {
+        let of_name = durations.iter().filter(|duration| name == duration.name.as_str());
+        let values: Vec<f64> = of_name.map(|duration| duration.seconds).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>())
     };
     let stages: Vec<(Name, f64)> =
         stage::ORDER.into_iter().filter_map(|stage| Some((stage.clone(), seconds_of(&stage)?))).collect();
     let unattributed = seconds_of(&stage::UNATTRIBUTED);
-    let both_ways = delays.iter().any(|delay| delay.value.is_none()).then(|| {
-        let ways = [stage::UPLOAD, stage::DOWNLOAD];
-        let others = stages.iter().filter(|(stage, _)| !ways.contains(stage));
+    let is_direction_unknown = delays.iter().any(|delay| delay.value.is_none());
+    let transport_sum = is_direction_unknown.then(|| {
+        let directions = [stage::UPLOAD, stage::DOWNLOAD];
+        let others = stages.iter().filter(|(stage, _)| !directions.contains(stage));
         Some(slowness::both_ways(row.total?, others.map(|(_, seconds)| *seconds), unattributed?))
     });
-    let both_ways = both_ways.flatten();
+    let transport_sum = transport_sum.flatten();
     let outcome = OUTCOMES
         .get(usize::from(row.outcome))
-        .ok_or_else(|| corrupt(WHAT, format_args!("outcome {}", row.outcome)))?;
+        .ok_or_else(|| corrupt_data(WHAT, format_args!("outcome {}", row.outcome)))?;
     Ok(IterationRow {
         number: count(row.number),
         episode: row.episode,
@@ -241,19 +256,19 @@ fn complete_row(
             stages: &stages,
             lateness: seconds_of(&Name::from_static(LATENESS)),
             unattributed,
-            both_ways,
+            both_ways: transport_sum,
         }),
         stages,
         unattributed,
-        both_ways,
+        both_ways: transport_sum,
         delays,
     })
 }
 
 impl Delay {
     fn row(self, windows: Option<&AssumedWindows>) -> Result<DelayRow, StoreError> {
-        let source = known(WHAT, DelaySource::ALL, self.source)?;
-        let is_upload = stage::UPLOAD == self.text.as_str();
+        let source = value_of_number(WHAT, DelaySource::ALL, self.source)?;
+        let is_upload = stage::UPLOAD == self.stage.as_str();
         let edge_ns = if is_upload { Some(self.sent_ns) } else { self.received_ns };
         let assumptions = match (windows, self.cloud, edge_ns) {
             (Some(windows), Some(cloud), Some(at)) if source != DelaySource::SameClock => {
@@ -262,14 +277,16 @@ impl Delay {
             _ => None,
         };
         Ok(DelayRow {
-            stage: Name::from(self.text.as_str()),
+            stage: Name::from(self.stage.as_str()),
             value: self.value,
             bounds: self.lo.zip(self.hi),
-            // The difference of the wall clocks, whichever clocks it was judged by.
-            raw: Span::from_nanos(self.received_ns.map_or(self.raw_ns, |at| at.saturating_sub(self.sent_ns)))
-                .seconds(),
+            // The difference of the wall clocks, also if the delay was judged by other clocks.
+            raw: Span::from_nanos(
+                self.received_ns.map_or(self.wall_difference_ns, |at| at.saturating_sub(self.sent_ns)),
+            )
+            .seconds(),
             source,
-            verdict: known(WHAT, Verdict::ALL, self.verdict)?,
+            verdict: value_of_number(WHAT, Verdict::ALL, self.verdict)?,
             assumptions,
         })
     }

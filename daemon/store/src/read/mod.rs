@@ -19,7 +19,7 @@ use peernet_logger::Slug;
 use crate::column::count;
 use crate::error::StoreError;
 
-pub(super) fn corrupt(what: &'static str, detail: impl std::fmt::Display) -> StoreError {
+pub(super) fn corrupt_data(what: &'static str, detail: impl std::fmt::Display) -> StoreError {
     StoreError::Corrupt { what, detail: detail.to_string() }
 }
 
@@ -28,7 +28,7 @@ pub(super) fn parse<T: std::str::FromStr<Err: std::fmt::Display>>(
     what: &'static str,
     text: &str,
 ) -> Result<T, StoreError> {
-    text.parse().map_err(|error| corrupt(what, error))
+    text.parse().map_err(|error| corrupt_data(what, error))
 }
 
 pub(super) fn name(what: &'static str, text: Option<&str>) -> Result<Option<Slug>, StoreError> {
@@ -36,9 +36,9 @@ pub(super) fn name(what: &'static str, text: Option<&str>) -> Result<Option<Slug
 }
 
 /// Returns the value of a number of the tables `source` and `verdict`, whose rows are in the order of declaration.
-pub(super) fn known<T: Copy>(what: &'static str, all: &[T], number: u8) -> Result<T, StoreError> {
+pub(super) fn value_of_number<T: Copy>(what: &'static str, all: &[T], number: u8) -> Result<T, StoreError> {
     let value = all.get(usize::from(number)).copied();
-    value.ok_or_else(|| corrupt(what, format_args!("source or verdict {number}")))
+    value.ok_or_else(|| corrupt_data(what, format_args!("source or verdict {number}")))
 }
 
 /// One-way delay as the tables `node` and `transit` store it.
@@ -63,8 +63,8 @@ impl StoredDelay {
             raw: Span::from_nanos(raw),
             value: self.value.map(span),
             bounds: self.bounds.map(|(lo, hi)| Interval { lo: span(lo), hi: span(hi) }),
-            source: known(what, DelaySource::ALL, source)?,
-            verdict: known(what, Verdict::ALL, verdict)?,
+            source: value_of_number(what, DelaySource::ALL, source)?,
+            verdict: value_of_number(what, Verdict::ALL, verdict)?,
         }))
     }
 }

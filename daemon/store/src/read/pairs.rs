@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use futures::future::try_join_all;
 use sqlx::FromRow;
 
-use super::{corrupt, sql};
+use super::{corrupt_data, sql};
 use crate::error::StoreError;
 use crate::figures::rank;
 use crate::readers::Readers;
@@ -29,7 +29,7 @@ struct Row {
     is_y: bool,
 }
 
-/// Values of a name in an iteration, reduced to one number whatever the number of nodes.
+/// Values of a name in an iteration, of one or more nodes, reduced to one number.
 #[derive(Default)]
 struct NameValues {
     /// The first node of the name with its value.
@@ -76,14 +76,14 @@ pub(crate) async fn value_pairs(
     let read = async |numbers: &[i64]| -> Result<Vec<Row>, StoreError> {
         sqlx::query_as(sql::PAIRS)
             .bind(run)
-            .bind(serde_json::to_string(numbers).map_err(|error| corrupt(WHAT, error))?)
+            .bind(serde_json::to_string(numbers).map_err(|error| corrupt_data(WHAT, error))?)
             .bind(x)
             .bind(y)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))
     };
-    // Iterations of a long run are far apart in the file: each read waits for the disk.
+    // In a long run these iterations are far from each other in the file: each read waits for the disk.
     let part = numbers.len().div_ceil(CONCURRENT_READS).max(1);
     let rows = try_join_all(numbers.chunks(part).map(read)).await?;
     let mut found = BTreeMap::<i64, [NameValues; 2]>::new();
@@ -151,7 +151,7 @@ mod tests {
             prop_assert!(numbers.iter().all(|number| (first..=last).contains(number)));
             let interval = all as f64 / f64::from(max_pairs.max(1));
             let far = numbers.windows(2).any(|pair| (pair[1] - pair[0]) as f64 > 2.0 * interval + 2.0);
-            prop_assert!(!far, "no hole is wider than two stretches");
+            prop_assert!(!far, "no gap is wider than two intervals");
         }
     }
 }

@@ -10,7 +10,7 @@ use peernet_stream::{EndReason, FaultyHost, OutcomeCounts, Placement, PlacementK
 use serde::de::DeserializeOwned;
 use sqlx::FromRow;
 
-use super::{corrupt, count, name, parse, sql, statistics, wall};
+use super::{corrupt_data, count, name, parse, sql, statistics, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{ExperimentSummary, GapRow, NameSummary, RunDetail, RunFilter, RunSummary};
@@ -183,7 +183,7 @@ fn facts(row: &RunRow) -> Result<Vec<(String, String)>, StoreError> {
 }
 
 fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
-    serde_json::from_str(text).map_err(|error| corrupt(WHAT, error))
+    serde_json::from_str(text).map_err(|error| corrupt_data(WHAT, error))
 }
 
 fn summary(
@@ -194,7 +194,7 @@ fn summary(
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| kind.name() == row.placement)
-        .ok_or_else(|| corrupt(WHAT, format_args!("placement {:?}", row.placement)))?;
+        .ok_or_else(|| corrupt_data(WHAT, format_args!("placement {:?}", row.placement)))?;
     let deadline_s = deadline_s(&row.configuration);
     // Sum of ones and zeros.
     let late = late.map_or(0.0, |known| known.summary.moments.mean * known.summary.moments.count as f64);

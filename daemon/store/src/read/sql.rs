@@ -144,8 +144,8 @@ statements! {
     DURATIONS = "SELECT node.iteration, name.text, node.value FROM node CROSS JOIN name ON name.id = node.name \
                  WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
                  AND node.value IS NOT NULL AND name.unit = 's'";
-    /// The nodes of two names in those of some iterations that statistics are made of, by their numbers: the index that holds
-    /// `warm_up` and `outcome` has all iterations of a run. ?1 run, ?2 numbers, a JSON array, ?3 and ?4 the names.
+    /// The nodes of two names in iterations that count in statistics. Iterations are found by their numbers and not by the index
+    /// with `warm_up` and `outcome`, which has all iterations of a run. ?1 run, ?2 numbers, a JSON array, ?3 and ?4 the names.
     PAIRS = "SELECT node.iteration, node.node, node.parent, node.value, \
              node.name IN (SELECT id FROM name WHERE text = ?3) AS is_x, \
              node.name IN (SELECT id FROM name WHERE text = ?4) AS is_y \
@@ -182,7 +182,7 @@ statements! {
     /// As `NODES`.
     TRANSITS = "SELECT iteration, node, sent_ns, received_ns, raw_ns, source, verdict, sent_raw_ns, received_raw_ns FROM transit \
                 WHERE run = ?1 AND iteration IN (SELECT value FROM json_each(?2)) ORDER BY iteration, node";
-    /// The host that senses, and the name of the one that serves it: ?1 run.
+    /// The edge, and the name of the cloud: ?1 run.
     ENDS = "SELECT host.uuid, host.name, run.peer FROM run JOIN pipeline ON pipeline.id = run.pipeline \
             JOIN host ON host.id = pipeline.host WHERE run.number = ?1";
     /// As `NODES`.
@@ -252,8 +252,8 @@ statements! {
     /// The edge of a run and its network: ?1 run.
     RUN_LINKS = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network FROM run \
                  JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
-    /// The edge of a run and its network, when its first and last iterations began, and its first and last minutes with successful
-    /// ones: where the edge's clock was set back, the first is not the earliest: ?1 run.
+    /// The edge of a run and its network, the starts of its first and last iterations, and its first and last minutes with successful
+    /// iterations. If the edge's clock was set back, the first is not the earliest. ?1 run.
     RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network, run.model, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT 1) AS first_ns, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number DESC LIMIT 1) AS last_ns, \

@@ -11,7 +11,7 @@ use peernet_logger::Name;
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::FromRow;
 
-use super::{corrupt, count, sql};
+use super::{corrupt_data, count, sql};
 use crate::error::StoreError;
 use crate::figures::Figures;
 use crate::readers::Readers;
@@ -43,7 +43,7 @@ struct RollupRow {
 
 impl RollupRow {
     fn summary(&self) -> Result<Summary, StoreError> {
-        let sketch = Sketch::from_bytes(&self.sketch).map_err(|error| corrupt(WHAT, error))?;
+        let sketch = Sketch::from_bytes(&self.sketch).map_err(|error| corrupt_data(WHAT, error))?;
         let moments =
             Moments { count: count(self.count), mean: self.mean, m2: self.m2, min: self.min, max: self.max };
         Ok(Summary { moments, sketch })
@@ -72,7 +72,7 @@ pub(super) async fn whole_runs(
 
 /// Converts numbers to a JSON array, in which form statements take them.
 fn list(numbers: &[i64]) -> Result<String, StoreError> {
-    serde_json::to_string(numbers).map_err(|error| corrupt(WHAT, error))
+    serde_json::to_string(numbers).map_err(|error| corrupt_data(WHAT, error))
 }
 
 pub(crate) async fn histogram(

@@ -6,7 +6,7 @@ use peernet_logger::{
 };
 use sqlx::FromRow;
 
-use super::{StoredDelay, corrupt, name, parse, sql, wall};
+use super::{StoredDelay, corrupt_data, name, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 
@@ -56,7 +56,7 @@ struct AnchorRow {
     wall_ns: i64,
 }
 
-/// The host that senses, and the name of the one that serves it: the tree's second host.
+/// The edge, and the name of the cloud, which is the tree's second host.
 #[derive(FromRow)]
 struct TreeHosts {
     uuid: String,
@@ -65,18 +65,18 @@ struct TreeHosts {
 }
 
 /// A tree with the names of its anchors' hosts.
-pub(super) type Stored = (Tree, Vec<Option<Slug>>);
+pub(super) type StoredTree = (Tree, Vec<Option<Slug>>);
 
 /// Returns trees of iterations as they were sent, with the names of their hosts.
 ///
-/// `iterations` holds number and start of each one, in ascending order. The result is `None` for one that was deleted meanwhile.
+/// `iterations` has number and start of each iteration, in ascending order. The result is `None` for an iteration that was deleted meanwhile.
 pub(super) async fn trees(
     readers: &Readers,
     run: i64,
     iterations: &[(i64, WallTime)],
-) -> Result<Vec<Option<Stored>>, StoreError> {
+) -> Result<Vec<Option<StoredTree>>, StoreError> {
     let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
-    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt_data(WHAT, error))?;
     let ends: TreeHosts =
         sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
@@ -125,7 +125,7 @@ fn tree(
     others: &[AnchorRow],
     nodes: &[NodeRow],
     transits: &[TransitRow],
-) -> Result<Stored, StoreError> {
+) -> Result<StoredTree, StoreError> {
     let mut anchors = vec![Anchor { host: parse(WHAT, &ends.uuid)?, wall: started }];
     let mut hosts = vec![name(WHAT, ends.name.as_deref())?];
     for (at, other) in others.iter().enumerate() {
@@ -145,7 +145,7 @@ fn tree(
             measure: measure(row, transit)?,
         });
     }
-    let tree = Tree::from_parts(anchors, nodes_again).map_err(|error| corrupt(WHAT, error))?;
+    let tree = Tree::from_parts(anchors, nodes_again).map_err(|error| corrupt_data(WHAT, error))?;
     Ok((tree, hosts))
 }
 
@@ -165,7 +165,7 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
         "token-rate" => Measure::TokenRate(row.value),
         "transit" => {
             let stamps =
-                transit.ok_or_else(|| corrupt(WHAT, format_args!("node {} has no stamps", row.node)))?;
+                transit.ok_or_else(|| corrupt_data(WHAT, format_args!("node {} has no stamps", row.node)))?;
             Measure::Transit(Box::new(Transit {
                 sent: wall(stamps.sent_ns),
                 received: stamps.received_ns.map(WallTime::from_unix_nanos),
@@ -173,7 +173,12 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
                 raw_stamps: stamps.raw_stamps(),
             }))
         }
-        kind => return Err(corrupt(WHAT, format_args!("node {} is of an unknown kind, {kind:?}", row.node))),
+        kind => {
+            return Err(corrupt_data(
+                WHAT,
+                format_args!("node {} is of an unknown kind, {kind:?}", row.node),
+            ));
+        }
     })
 }
 

@@ -134,8 +134,8 @@ impl From<&RunSummary> for Starts {
 fn actual_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
     let seconds = (run.summary.last_iteration? - run.summary.started).seconds();
     // Missing iterations were started, too.
-    let known = run.gaps.is_empty() && seconds > 0.0;
-    known.then(|| (counts.measured() + counts.warm_up) as f64 / seconds)
+    let is_complete = run.gaps.is_empty() && seconds > 0.0;
+    is_complete.then(|| (counts.measured() + counts.warm_up) as f64 / seconds)
 }
 
 /// Compares a run that has ended with the limits in its configuration.

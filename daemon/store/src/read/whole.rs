@@ -3,7 +3,7 @@
 use peernet_stream::{Iteration, Outcome};
 
 use super::iterations::Row;
-use super::{corrupt, count, sql, tree, wall};
+use super::{corrupt_data, count, sql, tree, wall};
 use crate::column::column;
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -53,7 +53,7 @@ pub(crate) async fn iterations_by_shape(
         .map_err(readers.failed(WHAT))?;
     let mut found = Vec::with_capacity(firsts.len());
     for some in firsts.chunks(MAX_ITERATIONS as usize) {
-        let numbers = serde_json::to_string(some).map_err(|error| corrupt(WHAT, error))?;
+        let numbers = serde_json::to_string(some).map_err(|error| corrupt_data(WHAT, error))?;
         let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_OF)
             .bind(run.number)
             .bind(numbers)
@@ -97,6 +97,6 @@ fn outcome(number: u8, reason: Option<String>) -> Result<Outcome, StoreError> {
         1 => Outcome::Failed(reason),
         2 => Outcome::Lost(reason),
         3 => Outcome::Timeout(reason),
-        number => return Err(corrupt(WHAT, format_args!("outcome {number}"))),
+        number => return Err(corrupt_data(WHAT, format_args!("outcome {number}"))),
     })
 }

@@ -1,4 +1,4 @@
-//! Rebuilding of roll-ups: from the nodes, or coarser ones from finer ones. No other process may write meanwhile.
+//! Rebuilding of roll-ups: from the nodes, or coarser roll-ups from finer ones. No other process may write meanwhile.
 
 mod coarser;
 mod nodes;

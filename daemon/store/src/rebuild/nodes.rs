@@ -13,11 +13,11 @@ const ITERATIONS: i64 = 500;
 /// Number of summaries after which they are written.
 const SUMMARIES: usize = 20_000;
 
-/// The last iteration of a page, and the number of counted ones: ?1 run, ?2 the last iteration of the previous page, ?3 limit.
+/// The last iteration of a page, and the number of iterations that count in statistics: ?1 run, ?2 the last iteration of the previous page, ?3 limit.
 pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_up = 0 AND outcome = 0) FROM \
      (SELECT number, warm_up, outcome FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3)";
 /// The values of the successful iterations of a page, without the warm-up: ?1 run, ?2 and ?3 first and last iteration.
-/// The order of the joins is that of all four tables.
+/// The joins follow the key that all these tables have: run, iteration, node.
 pub(super) const NUMBERS: &str = "SELECT iteration.started_ns, node.name, node.value, node.lo, node.hi, transit.verdict \
      FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
      LEFT JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node \

@@ -80,7 +80,7 @@ struct Arrival {
 }
 
 /// Returns whether data of this kind had arrived by a second of the storage clock.
-pub(super) async fn due(
+pub(super) async fn has_due(
     connection: &mut SqliteConnection,
     kind: Kind,
     before_s: i64,
@@ -106,88 +106,91 @@ async fn next(
 /// Result of deleting due data.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TrimResult {
-    /// Cost of the deleted rows, in small rows.
-    pub(super) rows: u64,
-    /// `true` if no more data is due.
+    /// Cost of the deleted rows, in rows of the table `node`.
+    pub(super) cost: u64,
+    /// `true` if no other data is due.
     pub(super) complete: bool,
 }
 
-/// Deletes data that had arrived by a second of the storage clock, in the order of arrival, about `rows` rows.
+/// Deletes data that had arrived by a second of the storage clock, in the order of arrival, at a cost of about `max_cost`.
 pub(super) async fn trim(
     connection: &mut SqliteConnection,
     (kind, cause): (Kind, Cause),
     before_s: i64,
     now_s: i64,
-    rows: u64,
+    max_cost: u64,
     deletions: &mut Vec<Deletion>,
 ) -> Result<TrimResult, sqlx::Error> {
     let mut deleted = 0;
     for _ in 0..ROWS {
-        let left = rows.saturating_sub(deleted);
-        if left == 0 {
+        let remaining_cost = max_cost.saturating_sub(deleted);
+        if remaining_cost == 0 {
             break;
         }
         let Some(arrival) = next(connection, kind, before_s).await? else {
-            return Ok(TrimResult { rows: deleted, complete: true });
+            return Ok(TrimResult { cost: deleted, complete: true });
         };
-        let gone = arrival.delete(connection, now_s, left).await?;
-        deleted += gone.rows;
+        let gone = arrival.delete(connection, now_s, remaining_cost).await?;
+        deleted += gone.cost;
         if gone.items > 0 {
             deletions.push(Deletion { cause, kind, owner: arrival.owner, items: gone.items });
         }
     }
-    Ok(TrimResult { rows: deleted, complete: false })
+    Ok(TrimResult { cost: deleted, complete: false })
 }
 
 impl Arrival {
-    /// Deletes about `rows` rows of the data that only this arrival covers. After the last of them the arrival is removed, or
+    /// Deletes data that only this arrival covers, at a cost of about `max_cost`. When all of it is deleted, the arrival is removed, or
     /// postponed by another period if pinned data remains.
     async fn delete(
         self,
         connection: &mut SqliteConnection,
         now_s: i64,
-        rows: u64,
+        max_cost: u64,
     ) -> Result<DeletedRows, sqlx::Error> {
-        let mut others = self.later(connection).await?;
+        let mut others = self.later_extents(connection).await?;
         let pinned = match self.kind {
-            Kind::ClockSamples => clocks::pinned(connection, self.owner).await?,
+            Kind::ClockSamples => clocks::pinned_times(connection, self.owner).await?,
             _ => Vec::new(),
         };
         others.extend(&pinned);
         let mut deleted = DeletedRows::default();
         for part in self.extent.without(others) {
             loop {
-                let left = rows.saturating_sub(deleted.rows);
-                if left == 0 {
+                let remaining_cost = max_cost.saturating_sub(deleted.cost);
+                if remaining_cost == 0 {
                     return Ok(deleted);
                 }
                 let gone = match self.kind {
-                    Kind::Nodes => nodes::delete(connection, self.owner, part, left).await?,
+                    Kind::Nodes => nodes::delete(connection, self.owner, part, remaining_cost).await?,
                     Kind::Buckets(width_s) => {
-                        buckets::delete(connection, self.owner, width_s, part, left).await?
+                        buckets::delete(connection, self.owner, width_s, part, remaining_cost).await?
                     }
-                    Kind::ClockSamples => clocks::delete(connection, self.owner, part, left).await?,
+                    Kind::ClockSamples => {
+                        clocks::delete(connection, self.owner, part, remaining_cost).await?
+                    }
                 };
-                deleted.rows += gone.rows;
+                deleted.cost += gone.cost;
                 deleted.items += gone.items;
                 if gone.complete {
                     break;
                 }
             }
         }
-        let mut kept = false;
+        let mut is_kept = false;
         for Extent { first, last } in pinned {
             let part = Extent { first: first.max(self.extent.first), last: last.min(self.extent.last) };
-            kept = kept || (part.first <= part.last && clocks::any(connection, self.owner, part).await?);
+            is_kept = is_kept
+                || (part.first <= part.last && clocks::has_samples(connection, self.owner, part).await?);
         }
-        let statement = if kept { POSTPONE } else { REMOVE };
+        let statement = if is_kept { POSTPONE } else { REMOVE };
         let statement = sqlx::query(statement).bind(self.kind.number()).bind(self.owner).bind(self.from_s);
-        if kept { statement.bind(now_s) } else { statement }.execute(connection).await?;
+        if is_kept { statement.bind(now_s) } else { statement }.execute(connection).await?;
         Ok(DeletedRows { complete: true, ..deleted })
     }
 
-    /// Returns the parts of its extent that arrived later as well.
-    async fn later(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
+    /// Returns the parts of its extent for which data also arrived later.
+    async fn later_extents(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
         let rows: Vec<(i64, i64)> = sqlx::query_as(LATER)
             .bind(self.kind.number())
             .bind(self.owner)

@@ -57,7 +57,10 @@ struct Run {
 }
 
 /// Returns whether something has been arriving since this second or before.
-pub(super) async fn any(connection: &mut SqliteConnection, since_s: i64) -> Result<bool, sqlx::Error> {
+pub(super) async fn has_arrivals(
+    connection: &mut SqliteConnection,
+    since_s: i64,
+) -> Result<bool, sqlx::Error> {
     sqlx::query_scalar(ANY).bind(since_s).fetch_one(connection).await
 }
 

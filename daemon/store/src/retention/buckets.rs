@@ -2,13 +2,13 @@
 
 use sqlx::SqliteConnection;
 
-use super::trimmed::trimmed;
+use super::trimmed::record_trimmed;
 use super::{DeletedRows, Kind};
 use crate::column::column;
 use crate::extent::Extent;
 
-/// Cost of a row in nodes: it is several times as long.
-const ROW: u64 = 3;
+/// Cost of deleting a row of the table `rollup`, in rows of the table `node`: it is several times as large.
+const BUCKET_COST: u64 = 3;
 
 /// The oldest bucket: ?1 run, ?2 width, ?3 and ?4 first and last.
 const OLDEST: &str =
@@ -26,21 +26,21 @@ const DELETE: &str = "DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AN
 pub(super) const STATEMENTS: [(&str, &str); 4] =
     [("OLDEST", OLDEST), ("LAST", LAST), ("AFTER", AFTER), ("DELETE", DELETE)];
 
-/// Deletes buckets by ascending start, about `rows` rows.
+/// Deletes buckets by ascending start, at a cost of about `max_cost` rows of the table `node`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,
     width_s: i64,
     seconds: Extent,
-    rows: u64,
+    max_cost: u64,
 ) -> Result<DeletedRows, sqlx::Error> {
     let of = |statement| sqlx::query_scalar(statement).bind(run).bind(width_s);
     let first: Option<i64> =
         of(OLDEST).bind(seconds.first).bind(seconds.last).fetch_one(&mut *connection).await?;
     let Some(first) = first else { return Ok(DeletedRows { complete: true, ..DeletedRows::default() }) };
-    let most = column((rows / ROW).max(1));
+    let max_rows = column((max_cost / BUCKET_COST).max(1));
     let after: Option<Option<i64>> =
-        of(AFTER).bind(first).bind(seconds.last).bind(most).fetch_optional(&mut *connection).await?;
+        of(AFTER).bind(first).bind(seconds.last).bind(max_rows).fetch_optional(&mut *connection).await?;
     let after = after.flatten();
     // A bucket is deleted as a whole, however many rows it has.
     let through = after.map_or(seconds.last, |after| (after - 1).max(first));
@@ -48,6 +48,6 @@ pub(super) async fn delete(
     let gone = sqlx::query(DELETE).bind(run).bind(width_s).bind(first).bind(through);
     let items = gone.execute(&mut *connection).await?.rows_affected();
     let before_s = newest.unwrap_or(first).saturating_add(width_s);
-    trimmed(connection, Kind::Buckets(width_s), run, before_s).await?;
-    Ok(DeletedRows { rows: items * ROW, items, complete: after.is_none() })
+    record_trimmed(connection, Kind::Buckets(width_s), run, before_s).await?;
+    Ok(DeletedRows { cost: items * BUCKET_COST, items, complete: after.is_none() })
 }

@@ -10,8 +10,8 @@ use crate::extent::Extent;
 
 /// Time before and after a pinned run for which samples stay.
 const AROUND_NS: i64 = 3_600_000_000_000;
-/// Cost of a row in nodes: it is several times as long.
-const ROW: u64 = 5;
+/// Cost of deleting a clock sample, in rows of the table `node`: a sample is several times as large.
+const SAMPLE_COST: u64 = 5;
 
 /// The oldest sample: ?1 link, ?2 and ?3 first and last.
 const OLDEST: &str = "SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
@@ -44,7 +44,10 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
 ];
 
 /// Returns the times around pinned runs of a link's edge.
-pub(super) async fn pinned(connection: &mut SqliteConnection, link: i64) -> Result<Vec<Extent>, sqlx::Error> {
+pub(super) async fn pinned_times(
+    connection: &mut SqliteConnection,
+    link: i64,
+) -> Result<Vec<Extent>, sqlx::Error> {
     let runs: Vec<(i64, i64)> = sqlx::query_as(PINNED).bind(link).fetch_all(connection).await?;
     let around = |(begin, end): (i64, i64)| Extent {
         first: begin.saturating_sub(AROUND_NS),
@@ -54,7 +57,7 @@ pub(super) async fn pinned(connection: &mut SqliteConnection, link: i64) -> Resu
 }
 
 /// Returns whether there are samples between two times, both included.
-pub(super) async fn any(
+pub(super) async fn has_samples(
     connection: &mut SqliteConnection,
     link: i64,
     times: Extent,
@@ -64,12 +67,12 @@ pub(super) async fn any(
     Ok(oldest.is_some())
 }
 
-/// Deletes samples by ascending time, about `rows` rows.
+/// Deletes samples by ascending time, at a cost of about `max_cost` rows of the table `node`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     link: i64,
     times: Extent,
-    rows: u64,
+    max_cost: u64,
 ) -> Result<DeletedRows, sqlx::Error> {
     let first: Option<i64> = sqlx::query_scalar(OLDEST)
         .bind(link)
@@ -82,7 +85,7 @@ pub(super) async fn delete(
         .bind(link)
         .bind(first)
         .bind(times.last)
-        .bind(column((rows / ROW).max(1)))
+        .bind(column((max_cost / SAMPLE_COST).max(1)))
         .fetch_optional(&mut *connection)
         .await?;
     // Samples of one time, in several windows, are deleted together.
@@ -91,5 +94,5 @@ pub(super) async fn delete(
     let items = gone.execute(&mut *connection).await?.rows_affected();
     sqlx::query(CONNECTIONS).bind(link).bind(first).bind(through).execute(&mut *connection).await?;
     sqlx::query(WINDOWS).bind(link).bind(through).execute(connection).await?;
-    Ok(DeletedRows { rows: items * ROW, items, complete: after.is_none() })
+    Ok(DeletedRows { cost: items * SAMPLE_COST, items, complete: after.is_none() })
 }

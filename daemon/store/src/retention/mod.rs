@@ -26,7 +26,7 @@ use crate::retention_config::{RetentionConfig, period_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
-/// Approximate number of rows that a step deletes; it takes some tens of milliseconds.
+/// Approximate cost of the data that a step deletes, in rows of the table `node`; it takes some tens of milliseconds.
 pub(crate) const ROWS: u32 = 20_000;
 /// Pause after a step with nothing to do.
 const IDLE: Span = Span::from_seconds(1);
@@ -144,11 +144,11 @@ impl Periods {
 /// Amount of data that was deleted of a kind of a run or link.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeletedRows {
-    /// Cost of the deleted rows, in small rows.
-    rows: u64,
+    /// Cost of the deleted rows, in rows of the table `node`.
+    cost: u64,
     /// Number of iterations, rows of statistics, or samples.
     items: u64,
-    /// `true` if everything that was asked for is deleted.
+    /// `true` if all requested data is deleted.
     complete: bool,
 }
 
@@ -172,7 +172,7 @@ impl Retention {
         }
     }
 
-    /// Deletes about `rows` rows at most, in its own transaction; none may be open.
+    /// Deletes data at a cost of at most about `max_cost`, in its own transaction; none may be open.
     ///
     /// # Errors
     /// When the database cannot be read or written now. The step can be tried again.
@@ -181,19 +181,19 @@ impl Retention {
         connection: &mut SqliteConnection,
         storage_clock: &mut StorageClock,
         now: Stamp,
-        rows: u32,
+        max_cost: u32,
     ) -> Result<Step, sqlx::Error> {
         if self.idle.is_some_and(|idle| now.mono - idle < IDLE) {
             return Ok(Step::Done);
         }
-        let now_s = seconds(storage_clock.read(connection, now.mono).await?);
+        let now_s = whole_seconds(storage_clock.read(connection, now.mono).await?);
         let Some(work) = self.find_work(connection, now_s, now.mono).await? else {
             self.idle = Some(now.mono);
             self.deletions.log_at_rest(now_s);
             return Ok(Step::Done);
         };
         self.idle = None;
-        let done = self.transaction(connection, storage_clock, work, now, rows.into()).await;
+        let done = self.transaction(connection, storage_clock, work, now, max_cost.into()).await;
         match &done {
             Ok(()) => storage_clock.committed(now.mono),
             Err(_) => {
@@ -204,7 +204,7 @@ impl Retention {
         done.map(|()| Step::More)
     }
 
-    /// Logs the deletions that were not logged yet, because no more follow.
+    /// Logs the deletions that were not logged yet, because no deletion follows soon.
     pub(crate) fn finish(&mut self) {
         self.deletions.finish();
     }
@@ -215,12 +215,12 @@ impl Retention {
         storage_clock: &StorageClock,
         work: Work,
         now: Stamp,
-        rows: u64,
+        max_cost: u64,
     ) -> Result<(), sqlx::Error> {
         raw_transaction::begin(connection).await?;
-        let now_s = seconds(storage_clock.advance(connection, now).await?);
+        let now_s = whole_seconds(storage_clock.advance(connection, now).await?);
         let mut deletions = Vec::new();
-        self.perform(connection, work, (now_s, now), rows, &mut deletions).await?;
+        self.perform(connection, work, (now_s, now), max_cost, &mut deletions).await?;
         self.deletions.record(connection, &deletions, (now_s, now.wall)).await?;
         raw_transaction::commit(connection).await
     }
@@ -233,12 +233,12 @@ impl Retention {
         now: MonoTime,
     ) -> Result<Option<Work>, sqlx::Error> {
         let since_s = now_s - self.periods.finest_resolution_s();
-        if arriving::any(connection, since_s).await? {
+        if arriving::has_arrivals(connection, since_s).await? {
             return Ok(Some(Work::Arriving { since_s }));
         }
         for kind in Kind::ALL {
             if let Some(period_s) = self.periods.period_s(kind)
-                && arrivals::due(connection, kind, now_s - period_s).await?
+                && arrivals::has_due(connection, kind, now_s - period_s).await?
             {
                 return Ok(Some(Work::Aged { kind, before_s: now_s - period_s }));
             }
@@ -251,7 +251,7 @@ impl Retention {
         connection: &mut SqliteConnection,
         work: Work,
         (now_s, now): (i64, Stamp),
-        rows: u64,
+        max_cost: u64,
         deletions: &mut Vec<Deletion>,
     ) -> Result<(), sqlx::Error> {
         match work {
@@ -260,14 +260,14 @@ impl Retention {
             }
             Work::Aged { kind, before_s } => {
                 let what = (kind, Cause::Age);
-                arrivals::trim(connection, what, before_s, now_s, rows, deletions).await?;
+                arrivals::trim(connection, what, before_s, now_s, max_cost, deletions).await?;
             }
             Work::TooLarge => {
                 // Recent arrivals may be deleted as well, once no older iterations remain.
-                if !arrivals::due(connection, Kind::Nodes, i64::MAX).await? {
+                if !arrivals::has_due(connection, Kind::Nodes, i64::MAX).await? {
                     arriving::close(connection, &self.periods, i64::MAX, now_s, ARRIVING).await?;
                 }
-                if !self.size.reduce(connection, (now_s, now.wall), rows, deletions).await? {
+                if !self.size.reduce(connection, (now_s, now.wall), max_cost, deletions).await? {
                     self.size.give_up(now.mono);
                 }
             }
@@ -287,7 +287,7 @@ enum Work {
     TooLarge,
 }
 
-const fn seconds(elapsed: Span) -> i64 {
+const fn whole_seconds(elapsed: Span) -> i64 {
     elapsed.nanos().div_euclid(1_000_000_000)
 }
 

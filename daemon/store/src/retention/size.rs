@@ -48,12 +48,12 @@ impl SizeLimit {
         &mut self,
         connection: &mut SqliteConnection,
         (now_s, now): (i64, WallTime),
-        rows: u64,
+        max_cost: u64,
         deletions: &mut Vec<Deletion>,
     ) -> Result<bool, sqlx::Error> {
         for kind in ORDER {
-            let TrimResult { rows: deleted, complete } =
-                arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, rows, deletions).await?;
+            let TrimResult { cost: deleted, complete } =
+                arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, max_cost, deletions).await?;
             if deleted > 0 {
                 if !self.is_reported {
                     tracing::warn!(

@@ -12,7 +12,7 @@ const TRIMMED: &str = "INSERT INTO trimmed (run, kind, before_s) VALUES (?1, ?2,
 pub(super) const STATEMENTS: [(&str, &str); 1] = [("TRIMMED", TRIMMED)];
 
 /// Records that data of this kind that began before a second is deleted in part.
-pub(super) async fn trimmed(
+pub(super) async fn record_trimmed(
     connection: &mut SqliteConnection,
     kind: Kind,
     run: i64,

@@ -8,9 +8,9 @@ use super::packed::PackedSummary;
 use super::table::{self, RollupRow};
 use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
-/// Number of older buckets of a width kept in addition to the newest one: iterations end in another order than they began in.
+/// Number of older buckets of a width kept in addition to the newest bucket: iterations may end in another order than they started.
 const OLDER_BUCKETS: usize = 2;
-/// Approximate memory of a run besides its rows, bytes.
+/// Approximate memory of a run in addition to its rows, bytes.
 const OVERHEAD: usize = 512;
 
 /// Buckets of one width.
@@ -18,7 +18,7 @@ const OVERHEAD: usize = 512;
 struct Width {
     /// All rows of each bucket, by series. A bucket in this map is complete.
     buckets: BTreeMap<i64, Vec<(Series, PackedSummary)>>,
-    /// Second from which on the database has no bucket that is not in `buckets`.
+    /// All of the database's buckets that start at this second or later are in `buckets`.
     known_from: i64,
 }
 

@@ -77,7 +77,7 @@ pub(crate) enum Scope {
     All,
     /// Buckets that begin at this second or later, but not the whole run: the nodes before are deleted.
     From(i64),
-    /// Minutes and hours only: the finer ones exist already.
+    /// Minutes and hours only: the finer buckets exist already.
     Coarser,
 }
 
@@ -208,7 +208,7 @@ impl Rollups {
     }
 }
 
-/// Merges narrower buckets into those of a width; both are in the order of series and time.
+/// Merges narrower buckets into buckets of a width; both are in the order of series and time.
 fn merge_into_width(finer: &[Added], width_s: i64) -> Vec<Added> {
     let key = |(series, bucket_s, _): &Added| (*series, bucket(*bucket_s, width_s));
     finer

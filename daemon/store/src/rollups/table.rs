@@ -102,7 +102,7 @@ impl Default for Upserts {
 }
 
 impl Upserts {
-    /// Writes rows, in place of those with the same keys.
+    /// Writes rows; replaces existing rows with the same keys.
     pub(super) async fn rollups(
         &self,
         connection: &mut SqliteConnection,

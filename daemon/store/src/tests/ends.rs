@@ -4,7 +4,7 @@ use peernet_logger::RunId;
 use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
 
 use super::{NOW, STAMP, TestStore, Work, generate, open};
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 use crate::write::{RunName, UnstorableBatch, read_host_counts, read_unnamed_runs};
 
 const LEFT: &str = "the agent ended without saying so";
@@ -142,7 +142,7 @@ async fn events_of_quarantined_batches_count_as_missing() {
     let mut connection = crate::database::open(&test_store.path).await.expect("opens");
     let hosts = read_host_counts(&mut connection, 10).await.expect("reads");
     let known = hosts.iter().find(|(host, _)| *host == test_store.edge).map(|(_, stored)| *stored);
-    assert_eq!(known, Some(Stored { duplicates: 0, ..stored }));
+    assert_eq!(known, Some(StoredCounts { duplicates: 0, ..stored }));
 }
 
 #[tokio::test]

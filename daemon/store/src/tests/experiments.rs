@@ -12,7 +12,7 @@ use peernet_stream::{Condition, Event, ExperimentPlace, Grade, RunDescription, R
 use super::{TestStore, generate};
 use crate::types::{MeanBucket, RunFilter, RunSummary};
 
-fn place(id: &str, size: &str, repeat: u32) -> ExperimentPlace {
+fn experiment_place(id: &str, size: &str, repeat: u32) -> ExperimentPlace {
     ExperimentPlace {
         name: "sizes".to_owned(),
         id: id.to_owned(),
@@ -41,11 +41,14 @@ fn began(experiment: Option<ExperimentPlace>, conditions: Vec<Condition>) -> Eve
 #[tokio::test]
 async fn a_run_knows_its_experiment_and_what_was_found_of_its_hosts() {
     let mut test_store = TestStore::new().await;
-    let work =
-        test_store.batch(vec![began(Some(place("a", "1 kB", 2)), conditions()), began(None, Vec::new())]);
+    let work = test_store
+        .batch(vec![began(Some(experiment_place("a", "1 kB", 2)), conditions()), began(None, Vec::new())]);
     test_store.commit(&[work]).await;
     let of = test_store.store.run(1).await.expect("answers").expect("exists");
-    assert_eq!((of.summary.experiment, of.conditions), (Some(place("a", "1 kB", 2)), conditions()));
+    assert_eq!(
+        (of.summary.experiment, of.conditions),
+        (Some(experiment_place("a", "1 kB", 2)), conditions())
+    );
     let alone = test_store.store.run(2).await.expect("answers").expect("exists");
     assert_eq!((alone.summary.experiment, alone.conditions), (None, Vec::new()));
     let listed = test_store.store.runs(&RunFilter::default()).await.expect("answers");
@@ -57,10 +60,10 @@ async fn experiments_are_listed_with_their_runs() {
     let mut test_store = TestStore::new().await;
     assert!(test_store.store.experiments(10).await.expect("answers").is_empty());
     let events = vec![
-        began(Some(place("a", "1 kB", 0)), Vec::new()),
-        began(Some(place("b", "1 kB", 0)), Vec::new()),
+        began(Some(experiment_place("a", "1 kB", 0)), Vec::new()),
+        began(Some(experiment_place("b", "1 kB", 0)), Vec::new()),
         began(None, Vec::new()),
-        began(Some(place("a", "2 kB", 0)), Vec::new()),
+        began(Some(experiment_place("a", "2 kB", 0)), Vec::new()),
     ];
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
@@ -79,7 +82,7 @@ async fn experiments_are_listed_with_their_runs() {
 #[tokio::test]
 async fn same_runs_count_in_store_and_in_files() {
     let mut test_store = TestStore::new().await;
-    // The same repeat twice, one that was stopped and begun again, one that failed, one that goes on.
+    // The same repeat twice; a repeat that was stopped and started again, one that failed, and one in progress.
     let plan = [
         ("1 kB", Some("finished")),
         ("2 kB", Some("stopped")),
@@ -89,7 +92,7 @@ async fn same_runs_count_in_store_and_in_files() {
         ("4 kB", None),
     ];
     for (at, (size, reason)) in plan.iter().enumerate() {
-        let began = began(Some(place("a", size, 0)), Vec::new());
+        let began = began(Some(experiment_place("a", size, 0)), Vec::new());
         let Event::RunStarted(RunDescription { run, .. }) = &began else { panic!("a run begins") };
         let at = generate::at(at as f64 + 1.0);
         let end =

@@ -78,7 +78,7 @@ async fn database_of_each_migration_is_readable() {
         sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");
         connection.close().await.expect("closes");
 
-        // Migrates to the newest version; sqlx compares the text of each migration with the one that was applied.
+        // Migrates to the newest version; sqlx compares the text of each migration with the applied text.
         drop(open(&path).await);
         let found = answers(&Store::new(readers(&path))).await;
         let expected = expected.get_or_insert_with(|| found.clone());

@@ -89,7 +89,10 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
     let refused = start(&path).await.expect_err("refuses");
     assert!(matches!(refused, OpenError::ForeignLog(_)), "{refused}");
     let words = refused.to_string();
-    assert!(words.contains("peernet.sqlite-wal belongs to the database that was there before"), "{words}");
+    assert!(
+        words.contains("peernet.sqlite-wal belongs to another database, which was at this path before"),
+        "{words}"
+    );
     assert!(words.contains("delete it"), "{words}");
     let examined = examine(&path, Examination { full: false, now: NOW }).await;
     assert!(matches!(examined, Err(DoctorError::ForeignLog(_))), "{examined:?}");

@@ -142,7 +142,7 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         let mut connection = reopen(&mut test_store, &path).await;
         assert_eq!(answers(&test_store).await, expected, "version {version}");
         assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21);
-        // The coarser statistics were made of the stored ones; finer ones did not exist.
+        // The coarser statistics were made from the stored statistics; finer statistics did not exist.
         let coarser = grown.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
         assert_same(&table(&mut connection).await, &coarser);
         assert_eq!(test_store.count("SELECT count(*) FROM rollup_debt").await, 0);

@@ -21,7 +21,7 @@ mod migrating;
 mod ownership;
 mod pairs;
 mod plans;
-mod questions;
+mod queries;
 mod rebuilding;
 mod recomputing;
 mod recomputing_by_raw;
@@ -156,7 +156,7 @@ fn hello(host: HostDescription, process: u64) -> Work {
         previous: None,
         first: 1,
         replaced: None,
-        lacking: None,
+        missing_previous: None,
         secret: None,
     }))
 }

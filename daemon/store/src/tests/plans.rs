@@ -85,7 +85,7 @@ fn judged(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
 }
 
 #[tokio::test]
-async fn every_question_finds_its_rows_by_an_index() {
+async fn every_query_finds_its_rows_by_an_index() {
     let test_store = TestStore::new().await;
     let (mut wrong, mut needed) = (Vec::new(), HashSet::new());
     for (name, statement) in sql::ALL {
@@ -100,7 +100,7 @@ async fn every_question_finds_its_rows_by_an_index() {
 }
 
 #[tokio::test]
-async fn a_question_that_reads_a_whole_run_or_sorts_is_found() {
+async fn query_that_reads_whole_run_or_sorts_is_detected() {
     let test_store = TestStore::new().await;
     for bad in [
         "SELECT count(*) FROM node",
@@ -117,7 +117,7 @@ async fn a_question_that_reads_a_whole_run_or_sorts_is_found() {
 
 /// Each statement of the readers is in `sql.rs`, so that the test above checks it.
 #[test]
-fn no_question_is_asked_elsewhere() {
+fn all_queries_are_constants_of_sql_module() {
     let read = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/read");
     let mut folders = vec![read];
     let mut seen = 0;
@@ -141,11 +141,11 @@ fn no_question_is_asked_elsewhere() {
             assert!(wrong.is_empty(), "{}: {wrong:?}", path.display());
         }
     }
-    assert!(seen > 20, "only {seen} questions were found");
+    assert!(seen > 20, "only {seen} queries were found");
 }
 
 #[tokio::test]
-async fn counting_the_slower_ones_and_finding_neighbours_touch_the_index_alone() {
+async fn rank_and_neighbours_are_read_from_index_alone() {
     let test_store = TestStore::new().await;
     for (statement, index) in [
         (
@@ -182,11 +182,11 @@ async fn instructions(test_store: &TestStore, statement: &'static str, numbers: 
         true
     };
     connection.lock_handle().await.expect("a connection").set_progress_handler(1, count);
-    let mut question = sqlx::query(statement);
+    let mut query = sqlx::query(statement);
     for number in numbers {
-        question = question.bind(number);
+        query = query.bind(number);
     }
-    question.fetch_all(&mut connection).await.expect("answers");
+    query.fetch_all(&mut connection).await.expect("answers");
     counted.load(Ordering::Relaxed)
 }
 

@@ -1,4 +1,4 @@
-//! Rebuilt roll-ups are equal to those that grew with the nodes.
+//! Rebuilt roll-ups are equal to roll-ups that grew with the nodes.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};

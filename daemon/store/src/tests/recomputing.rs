@@ -1,4 +1,4 @@
-//! Judging a run again: never worse than before, with unchanged stamps, and without changes where nothing can be added.
+//! Judging a run again: intervals never get wider, stamps are unchanged, and nothing changes if nothing can be added.
 
 use peernet_clock::{DelaySource, Direction, Discipline, OneWayDelay, RelatedClocks, Span, Verdict};
 use peernet_logger::RunId;
@@ -134,7 +134,7 @@ async fn later_clock_samples_narrow_delays() {
     let widest = |judgement: &Judgement| judgement.half_width.expect("has bounds").max;
     assert!(widest(before) > 1e-3 && widest(after) < 0.7e-3, "{before:?} {after:?}");
     assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok));
-    // The stored stamps and judgements are those that were sent.
+    // The stamps and judgements are stored as they were sent.
     for iteration in simulated.iterations.iter().step_by(100) {
         let stored = test_store.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
         assert_eq!(stored.tree, iteration.tree);

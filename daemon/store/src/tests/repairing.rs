@@ -123,7 +123,7 @@ async fn trees_are_whole_after_repair_of_single_rows() {
         let path = whole.with_file_name(format!("{seed}.sqlite"));
         std::fs::copy(&whole, &path).expect("copies");
         let page = pages[seed as usize % pages.len()];
-        // A place in the second half of a page, where its rows are.
+        // An offset in the second half of a page, where its rows are.
         let (at, bytes) = (2048 + (seed * 137) % 2000, 1 + (seed % 40) as usize);
         let file = std::fs::File::options().write(true).open(&path).expect("opens");
         file.write_all_at(&noise(seed, bytes), (page.cast_unsigned() - 1) * 4096 + at).expect("writes");

@@ -148,7 +148,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let must_stay = |((run, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - period_s(*width_s)
     };
-    // An iteration arrives at most an hour after it began, and is deleted with those that arrived within the next hour.
+    // An iteration arrives at most an hour after it began. It is deleted with the iterations that arrived within the next hour.
     let may_stay = |((_, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         bucket_s + width_s + 2 * RESOLUTION_S + 60 > now_s - period_s(*width_s)
     };
@@ -212,8 +212,8 @@ async fn deletions_are_one_incident_with_counts() {
     let gone = before - test_store.count(seconds).await;
     let iterations = 288 - test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await;
     assert!(gone > 0 && iterations > 0, "{gone} {iterations}");
-    let told = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
-    let [incident] = &told[..] else { panic!("one for all of it: {told:?}") };
+    let incidents = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
+    let [incident] = &incidents[..] else { panic!("one for all of it: {incidents:?}") };
     assert_eq!((incident.kind.as_str(), incident.host), ("retention", None));
     assert_eq!(
         incident.text,
@@ -362,7 +362,7 @@ async fn rebuilt_statistics_are_deleted_after_their_period() {
 async fn unpinned_run_is_kept_for_whole_period() {
     let (test_store, _) = two_runs().await;
     let mut connection = test_store.other().await;
-    // Pinned by hand, as with the sqlite3 shell.
+    // Pinned without the store, as with the sqlite3 shell.
     sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
     let mut retention = Retention::new(short());
     work_off(&mut retention, &mut connection, day(50.0)).await;

@@ -38,12 +38,12 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
         1
     );
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-    let told = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
+    let incidents = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     let iterations_gone = first - 1;
     let expected = format!(
         "deleted {iterations_gone} iterations with their trees of 1 run (size_limit_bytes = {limit})"
     );
-    assert_eq!(told.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(), [expected.as_str()]);
+    assert_eq!(incidents.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(), [expected.as_str()]);
 
     // No size is small enough: everything that may be deleted is deleted, and then it stops.
     let mut retention = limited(1);
@@ -119,7 +119,7 @@ async fn course(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64>, i64)>
 #[tokio::test]
 async fn overlapping_runs_are_trimmed_in_turns() {
     let mut test_store = TestStore::new().await;
-    // One that continues, two that ended meanwhile, and one that began late.
+    // One run that continues, two runs that ended meanwhile, and one run that began late.
     let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
     side_by_side(&mut test_store, &runs, 20).await;
     let mut connection = test_store.other().await;

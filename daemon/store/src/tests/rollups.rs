@@ -38,7 +38,7 @@ pub(super) fn assert_same(a: &BTreeMap<Key, Summary>, b: &BTreeMap<Key, Summary>
         let (a, b) = (a.moments, b.moments);
         assert_eq!((a.count, a.min, a.max), (b.count, b.min, b.max), "{key:?}");
         assert!((a.mean - b.mean).abs() <= 1e-9 * a.mean.abs().max(b.mean.abs()), "{key:?} {a:?} {b:?}");
-        // Relative to the size of the numbers: those of a bucket may all be equal.
+        // Relative to the size of the numbers: all numbers of a bucket may be equal.
         let size = a.m2.max(b.m2).max(a.count as f64 * a.max.abs().max(a.min.abs()).powi(2) * 1e-6);
         assert!((a.m2 - b.m2).abs() <= 1e-9 * size, "{key:?} {a:?} {b:?}");
     }
@@ -186,11 +186,11 @@ const LARGE: [&str; 12] = [
 async fn rollup_and_retention_queries_use_keys() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
-    let questions = crate::rollups::QUERIES
+    let queries = crate::rollups::QUERIES
         .into_iter()
         .chain(crate::rebuild::QUERIES)
         .chain(crate::retention::statements());
-    for (name, statement) in questions {
+    for (name, statement) in queries {
         let explain = format!("EXPLAIN QUERY PLAN {statement}");
         let steps: Vec<(i64, i64, i64, String)> = sqlx::query_as(sqlx::AssertSqlSafe(explain))
             .fetch_all(&mut connection)

@@ -32,7 +32,7 @@ pub(super) struct Simulation {
     epochs: (u32, u32),
     /// Time that one way of a probe takes in addition to 50 µs.
     pub(super) congestion: Span,
-    /// `true` if all samples name one window, like those of agents that did not detect jumps.
+    /// `true` if all samples name one window, like the samples of agents that did not detect jumps.
     pub(super) is_one_window: bool,
     /// Change in the middle of a second.
     pub(super) halfway: Option<fn(&mut Self)>,

@@ -29,7 +29,7 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     }
     let elapsed = test_store.count(ELAPSED_S).await;
     assert!((70..=100).contains(&elapsed), "{elapsed}");
-    // Other transactions store it as well.
+    // Other transactions also store it.
     let work = [hello(generate::host(test_store.edge, "edge"), 1)];
     test_store.writer.commit(&work, after(100)).await.expect("commits");
     assert_eq!(test_store.count(ELAPSED_S).await, 100);

@@ -1,4 +1,4 @@
-//! Statistics of several runs taken together are those of all their iterations.
+//! Statistics of several runs together equal the statistics of all their iterations.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -27,7 +27,7 @@ async fn store(test_store: &mut TestStore, readings: &[f64]) {
 #[tokio::test]
 async fn merged_quantiles_are_within_one_percent() {
     let mut test_store = TestStore::new().await;
-    // Three ranges, of which two overlap: an average of the runs' own quantiles is far from the true ones.
+    // Three ranges, of which two overlap: an average of the runs' own quantiles is far from the true quantiles.
     let mut numbers = generate::Numbers::new(5);
     let mut readings = |count: usize, lo: i64, hi: i64| {
         (0..count).map(|_| numbers.between(lo, hi) as f64 / 1e3).collect::<Vec<f64>>()
@@ -62,7 +62,7 @@ async fn merged_quantiles_are_within_one_percent() {
     let kept = together.kept.known("range").expect("kept");
     assert_eq!((kept.count(), kept.moments.max), (390, all[389]));
 
-    // Bounds of delays are merged as well.
+    // Bounds of delays are also merged.
     let bound = together.kept.bound(&stage::UPLOAD).expect("judged");
     let each: Vec<_> = statistics.iter().filter_map(|run| run.kept.bound(&stage::UPLOAD)).collect();
     assert_eq!(bound.verdicts[0].1, each.iter().map(|bound| bound.verdicts[0].1).sum::<u64>());

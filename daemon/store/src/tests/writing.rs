@@ -9,7 +9,7 @@ use peernet_stream::{
 use super::rollups::{assert_same, table};
 use super::{NOW, STAMP, TestStore, Work, generate, open};
 use crate::rebuild::rebuild;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 use crate::write::{Introduction, UnstorableBatch};
 
 fn iterations(test_store: &TestStore, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
@@ -138,7 +138,7 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
     let (stored, _) = committed.hosts[&test_store.edge];
     let (events, nodes, missing, quarantined) = (1 + 20 + 1 + 15 + 5, 40 * 21, 0, 0);
-    assert_eq!(stored, Stored { events, nodes, missing, quarantined, ..Stored::default() });
+    assert_eq!(stored, StoredCounts { events, nodes, missing, quarantined, ..StoredCounts::default() });
 
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 40);
     assert_eq!(test_store.count("SELECT count(*) FROM node").await, 40 * 21);
@@ -220,7 +220,7 @@ async fn iterations_of_run_without_start_are_kept() {
 }
 
 #[tokio::test]
-async fn gaps_are_recorded_per_run_and_holes_per_host() {
+async fn gap_is_stored_with_run_missing_batches_with_host() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_of(3).await;
     let gap = Gap {
@@ -260,7 +260,7 @@ async fn replaced_spool_leaves_one_gap() {
     let mut test_store = TestStore::new().await;
     let (old, new) = (test_store.stream, StreamId::random());
     let greeting = |stream, previous, replaced| {
-        let (host, process, first, lacking) = (generate::host(test_store.edge, "edge"), 1, 5, None);
+        let (host, process, first, missing_previous) = (generate::host(test_store.edge, "edge"), 1, 5, None);
         let secret = None;
         Work::Hello(Box::new(Introduction {
             host,
@@ -269,7 +269,7 @@ async fn replaced_spool_leaves_one_gap() {
             previous,
             first,
             replaced,
-            lacking,
+            missing_previous,
             secret,
         }))
     };
@@ -302,7 +302,7 @@ async fn replaced_spool_leaves_one_gap() {
 }
 
 #[tokio::test]
-async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
+async fn missing_batches_of_previous_stream_are_one_gap() {
     let mut test_store = TestStore::new().await;
     let (old, new) = (test_store.stream, StreamId::random());
     let work = test_store.batch(vec![generate::run_started(RunId::random(), "line", generate::at(1.0))]);
@@ -311,10 +311,19 @@ async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
     let hello = hello_of(test_store.edge, new, Some(old));
     let known = StreamRecord { last: Some(old), previous: Some(mark), ..StreamRecord::default() };
     assert_eq!(test_store.writer.streams().record(&hello, None), known);
-    let (host, lacking) =
+    let (host, missing_previous) =
         (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
-    let came = Introduction { host, process, stream: new, previous, first, replaced, lacking, secret: None };
+    let came = Introduction {
+        host,
+        process,
+        stream: new,
+        previous,
+        first,
+        replaced,
+        missing_previous,
+        secret: None,
+    };
     for _ in 0..2 {
         let committed = test_store.commit(&[Work::Hello(Box::new(came.clone()))]).await;
         assert_eq!(committed.hosts[&test_store.edge].0.gaps, 1);

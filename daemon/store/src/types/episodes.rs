@@ -8,16 +8,16 @@ use peernet_clock::WallTime;
 pub struct Episodes {
     /// Start of the first iteration, if it is still stored.
     pub first: Option<WallTime>,
-    /// Number of episodes that began: 1 for a run that is not divided into episodes, 0 without iterations.
+    /// Number of started episodes: 1 for a run that is not divided into episodes, 0 without iterations.
     pub count: u64,
     /// Iterations of each episode but the last; `None` if there is only one.
     pub steps: Option<u64>,
     /// Starts of the episodes but the first. Empty if there are more than [`Episodes::MAX_BORDERS`].
     pub borders: Vec<WallTime>,
-    /// Start of the first iteration after the warm-up; `None` if none is stored that shows it.
+    /// Start of the first iteration after the warm-up; `None` if no stored iteration shows it.
     pub warm_up_until: Option<WallTime>,
-    /// Starts of iterations without an answer, those of the warm-up included: all of them, or, if there are more than
-    /// [`Episodes::MAX_UNANSWERED`], the first in each of that many parts of the run.
+    /// Starts of iterations without an answer, including the warm-up. If there are more than [`Episodes::MAX_UNANSWERED`], the
+    /// run is divided into this number of parts, and the list has the first such start of each part.
     pub unanswered: Vec<WallTime>,
     /// Number of stored iterations without an answer, of which `unanswered` holds all or some. At most one more than
     /// [`Episodes::MAX_COUNTED`].

@@ -15,7 +15,7 @@ pub struct ExperimentSummary {
     pub id: String,
     /// The name in its file.
     pub name: String,
-    /// Runs that began.
+    /// Number of runs that started.
     pub runs: u64,
     /// Number of them that have not ended.
     pub open: u64,
@@ -23,7 +23,7 @@ pub struct ExperimentSummary {
     pub oldest: i64,
     /// The number of its last run.
     pub newest: i64,
-    /// When the first began, on its edge's wall clock.
+    /// Start of the first run, on its edge's wall clock.
     pub started: WallTime,
 }
 

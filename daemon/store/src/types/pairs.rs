@@ -7,7 +7,7 @@ pub struct ValuePairs {
     pub points: Vec<(f64, f64)>,
     /// Number of iterations of any kind that were read.
     pub read_iterations: u64,
-    /// Number of stored iterations; deleted ones are not counted.
+    /// Number of stored iterations; deleted iterations are not counted.
     pub stored_iterations: u64,
 }
 

@@ -33,7 +33,7 @@ pub struct StageStatistics {
 pub struct RunStatistics {
     /// Statistics of each node name, in the order of tables.
     pub stages: Vec<StageStatistics>,
-    /// Accuracy of the one-way delays: `upload`, `download`. Also present where no delay had a value and `stages` lacks the
+    /// Accuracy of the one-way delays: `upload`, `download`. Also present if no delay had a value and `stages` lacks the
     /// name.
     pub bounds: Vec<Bound>,
     /// The mergeable sums from which `stages` and `bounds` were made.
@@ -92,7 +92,7 @@ impl NameSummary {
 }
 
 impl MergeableStatistics {
-    /// Returns the values of a node name in its SI unit, or `None` where it has none.
+    /// Returns the values of a node name in its SI unit; `None` if there are no values.
     pub fn known(&self, name: &str) -> Option<&Summary> {
         self.values.get(name).map(|known| &known.summary)
     }

@@ -42,7 +42,7 @@ const FREE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
 
-/// The assumptions are those of the newest sample; probes count as authenticated only if those of all samples are.
+/// The assumptions come from the newest sample. Probes count as authenticated only if the probes of all samples were.
 const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
      max_drift_change_ppm_per_s, claims_trusted, probes_authenticated) VALUES (?1, ?2, ?3, ?3, ?4, ?5, ?6, ?7, ?8) \
      ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
@@ -231,7 +231,7 @@ fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDy
     to.add(offset.and_then(|it| it.age).map(|age| age.nanos()))
 }
 
-/// Returns the interval of each source alone, or `None` if it says no more than the offset itself.
+/// Returns the interval of each source alone; `None` if this is the offset's own interval.
 fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
     if offset.sources == [(offset.source, offset.bounds)] {
         return None;

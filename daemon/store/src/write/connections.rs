@@ -81,12 +81,13 @@ fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
     Ok(to)
 }
 
-/// Adds the seven totals of a direction; NULL where they were not reported.
+/// Adds the seven totals of a direction; NULL for totals that were not reported.
 fn direction(reported: Option<&DirectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
     to.add(reported.map(|reported| column(reported.bytes)))?;
     to.add(reported.map(|reported| column(reported.messages)))?;
-    let known = reported.copied().unwrap_or_default();
-    let datagrams = [known.datagrams, known.lost, known.duplicated, known.reordered, known.retransmitted];
+    let totals = reported.copied().unwrap_or_default();
+    let datagrams =
+        [totals.datagrams, totals.lost, totals.duplicated, totals.reordered, totals.retransmitted];
     datagrams.into_iter().try_for_each(|count| to.add(count.map(column)))
 }
 

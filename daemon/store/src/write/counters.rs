@@ -13,10 +13,10 @@ use super::prepared::RunPart;
 use crate::column::{column, count};
 use crate::extent::Extent;
 use crate::insert::Insert;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
-/// Maximum number of hosts whose counters are in memory, as many as `[aggregator] max_hosts` may allow; beyond it, all are
-/// forgotten and read again when needed.
+/// Maximum number of hosts whose counters are in memory: the largest value of `[aggregator] max_hosts`. If there are more,
+/// all are forgotten and read again when needed.
 const MAX_CACHED_HOSTS: usize = 65_536;
 
 /// Maximum number of skipped starts of a run: an agent may claim any number, and neither the column nor a sum of runs may
@@ -27,7 +27,7 @@ const MAX_SKIPPED_STARTS: u64 = 1 << 53;
 #[derive(Debug, Default)]
 pub(super) struct HostCounts {
     id: i64,
-    added: Stored,
+    added: StoredCounts,
     pub(super) newest: Option<WallTime>,
 }
 
@@ -37,8 +37,8 @@ struct RunCounts {
     warm_up: u64,
     skipped_starts: u64,
     last: WallTime,
-    /// Ranges of numbers and seconds of the iterations.
-    arrived: Option<(Extent, Extent)>,
+    /// Ranges of the iterations' numbers and of the seconds in which they started; `None` without an iteration.
+    number_and_second_ranges: Option<(Extent, Extent)>,
 }
 
 /// Additions of a transaction, and the hosts' counters as they will be after it.
@@ -46,7 +46,7 @@ struct RunCounts {
 pub(super) struct Counters {
     hosts: HashMap<HostId, HostCounts>,
     runs: HashMap<i64, RunCounts>,
-    totals: HashMap<i64, Stored>,
+    totals: HashMap<i64, StoredCounts>,
     write_hosts: Insert,
     write_runs: Insert,
 }
@@ -57,8 +57,8 @@ impl Default for Counters {
             hosts: HashMap::new(),
             runs: HashMap::new(),
             totals: HashMap::new(),
-            // The statement writes totals instead of adding: an agent may claim any number of missing events, and the column may not
-            // overflow.
+            // An agent may claim any number of missing events, and the column may not overflow. So the totals are added in Rust,
+            // where the addition saturates, and the statement only writes them.
             write_hosts: Insert::new(
                 "UPDATE host SET last_seen_ns = now.column2, events = now.column3, nodes = now.column4, \
                  gaps = now.column5, missing = now.column6, quarantined = now.column7 FROM (",
@@ -99,8 +99,8 @@ impl Counters {
         counts.skipped_starts =
             counts.skipped_starts.saturating_add(part.skipped_starts).min(MAX_SKIPPED_STARTS);
         counts.last = counts.last.max(part.last);
-        let (numbers, seconds) = counts.arrived.unwrap_or((part.numbers, part.seconds));
-        counts.arrived = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
+        let (numbers, seconds) = counts.number_and_second_ranges.unwrap_or((part.numbers, part.seconds));
+        counts.number_and_second_ranges = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
     }
 
     /// Writes all additions. Returns the hosts' totals in the database, and the time of their newest iteration.
@@ -109,7 +109,7 @@ impl Counters {
         connection: &mut SqliteConnection,
         now: WallTime,
         storage_s: i64,
-    ) -> Result<HashMap<HostId, (Stored, Option<WallTime>)>, sqlx::Error> {
+    ) -> Result<HashMap<HostId, (StoredCounts, Option<WallTime>)>, sqlx::Error> {
         self.write_runs
             .run(connection, &self.runs, |(run, counts), to| {
                 to.add(*run)?;
@@ -122,11 +122,11 @@ impl Counters {
                 to.add(UNREPORTED_END)?;
                 to.add(column(counts.skipped_starts))?;
                 to.add(column(MAX_SKIPPED_STARTS))?;
-                to.add(counts.arrived.map(|_| storage_s))?;
-                to.add(counts.arrived.map(|(numbers, _)| numbers.first))?;
-                to.add(counts.arrived.map(|(numbers, _)| numbers.last))?;
-                to.add(counts.arrived.map(|(_, seconds)| seconds.first))?;
-                to.add(counts.arrived.map(|(_, seconds)| seconds.last))
+                to.add(counts.number_and_second_ranges.map(|_| storage_s))?;
+                to.add(counts.number_and_second_ranges.map(|(numbers, _)| numbers.first))?;
+                to.add(counts.number_and_second_ranges.map(|(numbers, _)| numbers.last))?;
+                to.add(counts.number_and_second_ranges.map(|(_, seconds)| seconds.first))?;
+                to.add(counts.number_and_second_ranges.map(|(_, seconds)| seconds.last))
             })
             .await?;
         self.runs.clear();
@@ -165,12 +165,12 @@ impl Counters {
 }
 
 impl HostCounts {
-    pub(super) fn add(&mut self, more: &Stored) {
+    pub(super) fn add(&mut self, more: &StoredCounts) {
         self.added.add(more);
     }
 }
 
-impl Stored {
+impl StoredCounts {
     /// Makes it from the columns of `host`: events, nodes, gaps, missing, quarantined.
     pub(super) fn from_columns(
         (events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64),
@@ -190,11 +190,11 @@ impl Stored {
     }
 }
 
-async fn total(connection: &mut SqliteConnection, host: i64) -> Result<Stored, sqlx::Error> {
+async fn total(connection: &mut SqliteConnection, host: i64) -> Result<StoredCounts, sqlx::Error> {
     let counts: (i64, i64, i64, i64, i64) =
         sqlx::query_as("SELECT events, nodes, gaps, missing, quarantined FROM host WHERE id = ?")
             .bind(host)
             .fetch_one(connection)
             .await?;
-    Ok(Stored::from_columns(counts))
+    Ok(StoredCounts::from_columns(counts))
 }

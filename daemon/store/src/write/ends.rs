@@ -1,11 +1,13 @@
-//! Ends of runs that were not reported, because the agent was killed.
+//! Ends of runs that were not reported: the agent was killed, or the report was lost.
 
 use sqlx::SqliteConnection;
 
 use super::Refusal;
 
-/// Reason of an end that was not reported. Iterations of the run that arrive later move this end; a real end that arrives
-/// later replaces it.
+/// Reason of an end that was not reported. It is stored and compared, so the text never changes. If a new run of the
+/// pipeline shows that the previous one has ended, the agent may be running.
+///
+/// Iterations of the run that arrive later move this end. A reported end that arrives later replaces it.
 pub(super) const UNREPORTED_END: &str = "the agent ended without saying so";
 
 /// Ends of runs that follow from the events of a transaction. They are written at its end, after the last iterations are counted.
@@ -58,7 +60,7 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Records that a run of a pipeline began: the runs before it have ended.
+    /// Records that a run of a pipeline started: the pipeline's earlier runs have ended.
     pub(super) fn record_next_run(&mut self, pipeline: i64, run: i64) {
         self.pipelines.push((pipeline, run));
     }

@@ -10,7 +10,7 @@ use serde::Serialize;
 use sqlx::SqliteConnection;
 
 use super::{Refusal, RunName};
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// Maximum number of runs in memory; beyond it, all are forgotten and read again when needed.
 const MAX_CACHED_RUNS: usize = 10_000;
@@ -43,7 +43,7 @@ pub(super) struct Entities {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KnownRun {
     pub(super) number: i64,
-    /// Id under which it is stored. It differs from the reported id if another host used that one first, so that no host can
+    /// Id under which it is stored. It differs from the reported id if another host used that id first, so that no host can
     /// take an id before its owner comes.
     uuid: RunId,
 }
@@ -348,7 +348,7 @@ pub(crate) async fn read_newest_runs(
     rows.into_iter().map(|(host, run, number)| Ok((id(&host)?, id(&run)?, number))).collect()
 }
 
-/// Returns open runs of which only iterations are stored, with their hosts.
+/// Returns open runs whose start is not stored, but iterations are, with their hosts.
 pub(crate) async fn read_unnamed_runs(
     connection: &mut SqliteConnection,
     limit: u32,
@@ -369,7 +369,7 @@ pub(crate) async fn read_unnamed_runs(
 pub(crate) async fn read_host_counts(
     connection: &mut SqliteConnection,
     limit: u32,
-) -> Result<Vec<(HostId, Stored)>, sqlx::Error> {
+) -> Result<Vec<(HostId, StoredCounts)>, sqlx::Error> {
     let rows: Vec<(String, i64, i64, i64, i64, i64)> = sqlx::query_as(
         "SELECT uuid, events, nodes, gaps, missing, quarantined FROM host ORDER BY last_seen_ns DESC LIMIT ?",
     )
@@ -378,7 +378,7 @@ pub(crate) async fn read_host_counts(
     .await?;
     rows.into_iter()
         .map(|(uuid, events, nodes, gaps, missing, quarantined)| {
-            Ok((id(&uuid)?, Stored::from_columns((events, nodes, gaps, missing, quarantined))))
+            Ok((id(&uuid)?, StoredCounts::from_columns((events, nodes, gaps, missing, quarantined))))
         })
         .collect()
 }

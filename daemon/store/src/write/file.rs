@@ -1,6 +1,6 @@
 //! Check that the paths of the database and of its log still name the open files.
 //!
-//! The writer checks before and after each commit, and once a second: data that is written to a file which was moved or deleted
+//! The writer checks before and after each commit, and once a second: data that is written to a file that was moved or deleted
 //! would be lost.
 
 use std::os::unix::fs::MetadataExt;
@@ -11,10 +11,10 @@ use crate::database_error::DatabaseError;
 /// Reason why a commit did not count.
 #[derive(Debug, thiserror::Error)]
 pub enum CommitError {
-    /// The path names another file or none: data that is written now is lost when this process ends.
+    /// The path names another file or no file: data that is written now is lost when this process ends.
     #[error("the database file {} was deleted, moved or replaced, or its file system is not mounted; put it back, or restart the aggregator to use the file that is there now", .0.display())]
     Moved(PathBuf),
-    /// The path of the log names another file or none: data that is written now is lost when this process is killed.
+    /// The path of the log names another file or no file: data that is written now is lost when this process is killed.
     #[error("the log {} of the database was deleted, moved or replaced while it was in use", .0.display())]
     LogMoved(PathBuf),
     /// The file is damaged. The text describes the damage and what to do.
@@ -50,7 +50,7 @@ pub(super) struct DatabaseFile {
     identity: Identity,
     log_path: PathBuf,
     /// Identity of the log. SQLite creates it with the first connection and removes it with the last: while the writer is
-    /// connected it stays the same, however often it is checkpointed and restarted.
+    /// connected it stays the same, even if it is checkpointed and restarted.
     log: Log,
 }
 

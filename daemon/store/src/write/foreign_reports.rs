@@ -1,6 +1,6 @@
 //! Reports of hosts on runs of other hosts.
 //!
-//! They change nothing of those runs, because runs are looked up by their reporter ([`Reporter`]). The attempt becomes an
+//! They do not change these runs, because runs are looked up by their reporter ([`Reporter`]). The attempt becomes an
 //! incident of the reporting host.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
@@ -16,7 +16,7 @@ use super::entities::{Entities, Reporter};
 /// Maximum number of runs that are remembered as reported; beyond it, all are forgotten and reported again.
 const MAX_REMEMBERED_REPORTS: usize = 10_000;
 
-/// Reports that a transaction found, and those that earlier ones recorded as incidents.
+/// Reports that a transaction found, and reports that earlier transactions recorded as incidents.
 #[derive(Debug, Default)]
 pub(super) struct ForeignReports {
     /// By the row of the host: its id, one of the runs, and their number.
@@ -26,7 +26,7 @@ pub(super) struct ForeignReports {
 }
 
 impl ForeignReports {
-    /// Finds runs of other hosts among those that a batch names.
+    /// Finds runs of other hosts among the runs that a batch names.
     pub(super) async fn check(
         &mut self,
         connection: &mut SqliteConnection,

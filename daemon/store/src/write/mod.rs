@@ -51,7 +51,7 @@ use crate::integrity::Integrity;
 use crate::raw_transaction;
 use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// Carries the whole log over into the file and empties it, unless a reader is active.
 const CHECKPOINT_AND_TRUNCATE: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
@@ -62,7 +62,7 @@ pub struct Committed {
     /// New marks: all batches of a stream up to the mark's number are stored.
     pub marks: HashMap<StreamId, Mark>,
     /// Totals of each host concerned, and the time of its newest event on the host's clock.
-    pub hosts: HashMap<HostId, (Stored, Option<WallTime>)>,
+    pub hosts: HashMap<HostId, (StoredCounts, Option<WallTime>)>,
     /// Numbers of runs that were created or read since the last commit.
     pub runs: Vec<(HostId, RunId, i64)>,
     /// Runs that were created without their beginning.
@@ -174,7 +174,7 @@ impl Writer {
             return Err(StoreError::Damaged { what: "the pin of a run", refusal });
         }
         let result = retention::pin(&mut self.connection, run, pinned).await;
-        let result = self.rolled_back(result).await.map_err(DatabaseError::new);
+        let result = self.roll_back_on_error(result).await.map_err(DatabaseError::new);
         result.inspect_err(|error| integrity.note(error)).map_err(StoreError::pin_failed)
     }
 
@@ -182,7 +182,7 @@ impl Writer {
     pub async fn retain(&mut self, now: Stamp) -> Result<Step, DatabaseError> {
         let Self { connection, storage_clock, .. } = self;
         let result = self.retention.step(connection, storage_clock, now, retention::ROWS).await;
-        self.rolled_back(result).await.map_err(DatabaseError::new)
+        self.roll_back_on_error(result).await.map_err(DatabaseError::new)
     }
 
     /// Checks the wall clock, stores waiting incidents of the aggregator, and stores the storage clock if nothing else was stored
@@ -200,7 +200,7 @@ impl Writer {
             return Ok(());
         }
         let result = self.store_clocks(now, incidents).await;
-        self.rolled_back(result).await.map_err(DatabaseError::new)?;
+        self.roll_back_on_error(result).await.map_err(DatabaseError::new)?;
         self.storage_clock.committed(now.mono);
         incidents.clear();
         self.file.record_log();
@@ -226,14 +226,14 @@ impl Writer {
             raw_transaction::commit(&mut self.connection).await
         };
         let result = stored.await;
-        self.rolled_back(result).await.map_err(DatabaseError::new)?;
+        self.roll_back_on_error(result).await.map_err(DatabaseError::new)?;
         self.file.record_log();
         Ok(())
     }
 
     /// Checkpoints the log and truncates it if its file has more bytes than `max_bytes`, unless a reader is active.
     ///
-    /// SQLite restarts the log only if no reader uses it at the moment of a commit: one long reader, or many short ones that
+    /// SQLite restarts the log only if no reader uses it at the moment of a commit: one long reader, or many short readers that
     /// overlap, let it grow, and without further commits it keeps its size.
     pub async fn bound_log(&mut self, max_bytes: u64) -> Result<(), CommitError> {
         let bytes = std::fs::metadata(self.file.log_path()).map_or(0, |log| log.len());
@@ -343,14 +343,14 @@ impl Writer {
     }
 
     /// Rolls back a transaction that a failed statement may have left open.
-    async fn rolled_back<T>(&mut self, result: Result<T, sqlx::Error>) -> Result<T, sqlx::Error> {
+    async fn roll_back_on_error<T>(&mut self, result: Result<T, sqlx::Error>) -> Result<T, sqlx::Error> {
         if result.is_err() {
             self.roll_back().await?;
         }
         result
     }
 
-    /// Rolls back an unfinished transaction and reads the names again, because those that it added are gone.
+    /// Rolls back an unfinished transaction and reads the names again, because the names that it added do not exist any more.
     async fn roll_back(&mut self) -> Result<(), sqlx::Error> {
         raw_transaction::roll_back(&mut self.connection).await?;
         self.staging.names = Names::load(&mut self.connection).await?;

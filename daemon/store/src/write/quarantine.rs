@@ -11,7 +11,7 @@ use sqlx::SqliteConnection;
 use super::entities::{Entities, Reporter};
 use super::prepared::PreparedBatch;
 use super::{Refusal, UnstorableBatch, records};
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// A batch to be quarantined.
 pub(super) struct RejectedBatch<'a> {
@@ -23,14 +23,14 @@ pub(super) struct RejectedBatch<'a> {
 
 impl<'a> RejectedBatch<'a> {
     /// Makes it of a batch that was found invalid before it reached the database.
-    pub(super) fn unstorable(unstorable: &'a UnstorableBatch) -> Self {
+    pub(super) fn from_unstorable(unstorable: &'a UnstorableBatch) -> Self {
         let events =
             unstorable.body.as_ref().and_then(|body| codec::decode_events(body, unstorable.head.events).ok());
         Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }
     }
 
     /// Makes it of a batch that the database refused.
-    pub(super) fn refused(batch: &PreparedBatch, reason: &'a str) -> Self {
+    pub(super) fn from_refused(batch: &PreparedBatch, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
         let frame = Bytes::from(codec::encode_batch(&head, body, false));
         Self { head, frame, events: codec::decode_events(body, head.events).ok(), reason }
@@ -49,7 +49,7 @@ impl<'a> RejectedBatch<'a> {
         entities: &mut Entities,
         reporter: Reporter,
         now: WallTime,
-    ) -> Result<Stored, Refusal> {
+    ) -> Result<StoredCounts, Refusal> {
         let kept = (self.events.as_ref().map(Vec::len), &self.frame);
         records::insert_quarantined_batch(connection, reporter.row, self.head, kept, self.reason, now)
             .await?;
@@ -88,7 +88,7 @@ impl<'a> RejectedBatch<'a> {
             records::insert_gap(connection, entities, reporter, gap).await?;
         }
         let missing = gaps.iter().map(|gap| gap.count).sum();
-        Ok(Stored { quarantined: 1, gaps: gaps.len() as u64, missing, ..Stored::default() })
+        Ok(StoredCounts { quarantined: 1, gaps: gaps.len() as u64, missing, ..StoredCounts::default() })
     }
 }
 

@@ -9,7 +9,7 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::entities::{Entities, Reporter};
 use crate::column::column;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// Number of quarantined batches that are kept.
 const MAX_QUARANTINED: i64 = 1_000;
@@ -83,7 +83,7 @@ pub(super) async fn insert_missing_batches(
     host: i64,
     missing: &MissingBatches,
     now: WallTime,
-) -> Result<Stored, Refusal> {
+) -> Result<StoredCounts, Refusal> {
     let MissingBatches { stream, from, through, events, .. } = missing;
     let reason = format!(
         "batches {from} to {through} of stream {stream} are not in this database: they were stored in another database before this one was created or \
@@ -100,10 +100,10 @@ pub(super) async fn insert_unattributed_gap(
     reason: &str,
     events: Option<u64>,
     now: WallTime,
-) -> Result<Stored, Refusal> {
-    // Batches that an agent's spool lacks: the agent itself reports the events as lost.
+) -> Result<StoredCounts, Refusal> {
+    // Batches that are missing in an agent's spool: the agent itself reports the events as lost.
     if events == Some(0) {
-        return Ok(Stored::default());
+        return Ok(StoredCounts::default());
     }
     let missing = events.unwrap_or_default();
     sqlx::query("INSERT INTO gap (host, from_ns, to_ns, count, reason) VALUES (?1, ?2, ?2, ?3, ?4)")
@@ -113,7 +113,7 @@ pub(super) async fn insert_unattributed_gap(
         .bind(reason)
         .execute(connection)
         .await?;
-    Ok(Stored { gaps: 1, missing, ..Stored::default() })
+    Ok(StoredCounts { gaps: 1, missing, ..StoredCounts::default() })
 }
 
 /// Stores a batch that cannot be stored otherwise; `events` is their number if they can be decoded.

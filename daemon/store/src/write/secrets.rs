@@ -41,7 +41,8 @@ pub(super) async fn read_host_secret(
     row.map(secret).transpose()
 }
 
-/// Returns all stored hosts in the order of their first contact, with their secrets.
+/// Returns the named hosts with stored events, gaps or quarantined batches, by ascending row id, with their secrets. A host
+/// gets its row when it is first stored or when another host's event first names it.
 pub(crate) async fn read_host_secrets(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(HostId, Option<HostSecret>)>, sqlx::Error> {

@@ -11,12 +11,12 @@ use super::entities::id;
 use super::{Introduction, Refusal, records};
 use crate::column::{column, count};
 use crate::insert::Insert;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 /// The database's knowledge of streams.
 #[derive(Clone, Debug, Default)]
 pub struct Streams {
-    /// Mark of each stream of which something is stored.
+    /// Mark of each stream with stored batches.
     pub marks: HashMap<StreamId, Mark>,
     /// All streams with which a host ever introduced itself.
     seen: HashSet<StreamId>,
@@ -58,7 +58,7 @@ struct Row {
 }
 
 impl Streams {
-    /// Returns the knowledge that the answer to a hello needs; `seniority` is the rank of the host among the stored ones.
+    /// Returns the record that the answer to a hello needs; `seniority` is the rank of the host among the stored hosts.
     pub fn record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
@@ -104,7 +104,7 @@ impl Streams {
 impl AdvancedStreams {
     /// Stores that a host introduced itself with a stream.
     ///
-    /// A new stream leaves gaps if it does not continue the one before, or continues from a position that this database lacks.
+    /// A new stream leaves a gap if it does not continue the previous stream, or if batches before its start are missing here.
     /// Returns their additions to the counters.
     pub(super) async fn introduce(
         &mut self,
@@ -112,14 +112,14 @@ impl AdvancedStreams {
         host: i64,
         introduction: &Introduction,
         now: WallTime,
-    ) -> Result<Stored, Refusal> {
+    ) -> Result<StoredCounts, Refusal> {
         let known = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
             .bind(now.unix_nanos())
             .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
         if known.rows_affected() > 0 {
-            return Ok(Stored::default());
+            return Ok(StoredCounts::default());
         }
         sqlx::query(
             "INSERT INTO stream (uuid, host, stored, previous, first_seen_ns, last_seen_ns) \
@@ -138,15 +138,15 @@ impl AdvancedStreams {
             );
             (reason, None)
         });
-        let lacking = introduction.lacking.map(|MissingPreviousBatches { stream, from, through, events }| {
+        let missing_previous = introduction.missing_previous.map(|MissingPreviousBatches { stream, from, through, events }| {
             let reason = format!(
                 "batches {from} to {through} of stream {stream} are not in this database: they were stored in a newer \
                  database, of which this one is an older copy"
             );
             (reason, events)
         });
-        let mut added = Stored::default();
-        for (reason, events) in replaced.into_iter().chain(lacking) {
+        let mut added = StoredCounts::default();
+        for (reason, events) in replaced.into_iter().chain(missing_previous) {
             added.add(&records::insert_unattributed_gap(&mut *connection, host, &reason, events, now).await?);
         }
         Ok(added)

@@ -60,9 +60,11 @@ impl Staging {
             let (head, rejected) = match (item, quarantine_reason) {
                 (Work::Batch(batch), None) => (batch.head, None),
                 (Work::Batch(batch), Some(reason)) => {
-                    (batch.head, Some(RejectedBatch::refused(batch, reason)))
+                    (batch.head, Some(RejectedBatch::from_refused(batch, reason)))
                 }
-                (Work::UnstorableBatch(batch), _) => (batch.head, Some(RejectedBatch::unstorable(batch))),
+                (Work::UnstorableBatch(batch), _) => {
+                    (batch.head, Some(RejectedBatch::from_unstorable(batch)))
+                }
                 (Work::MissingBatches(missing), _) => {
                     let MissingBatches {
                         host, stream, through: number, chain, process, events_through, ..

@@ -14,7 +14,7 @@ use super::prepared::PreparedBatch;
 pub enum Work {
     /// A host introduced itself.
     Hello(Box<Introduction>),
-    /// A host said goodbye: no more events of its runs follow, unless it kept some for later.
+    /// A host said goodbye: no events of its runs follow, unless it kept some in its spool.
     Goodbye(HostId),
     /// The live lane names a run of which the store has only iterations.
     Name(Box<RunName>),
@@ -41,11 +41,11 @@ pub struct Introduction {
     pub previous: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
-    /// The host's stream before, if this one does not continue it: its spool was deleted or replaced.
+    /// The host's previous stream, if this stream does not continue it: the spool was deleted or replaced.
     pub replaced: Option<StreamId>,
-    /// Batches that this database lacks of the continued stream.
-    pub lacking: Option<MissingPreviousBatches>,
-    /// The secret that it proved to have; stored unless there is one.
+    /// Batches of the continued stream that are missing in this database.
+    pub missing_previous: Option<MissingPreviousBatches>,
+    /// The secret that the host proved to have. It is stored if the host has no stored secret.
     pub secret: Option<HostSecret>,
 }
 
@@ -71,7 +71,7 @@ pub struct RunName {
     pub run: RunId,
     /// Its pipeline.
     pub pipeline: Slug,
-    /// Place where it computes.
+    /// Placement: where the pipeline computes.
     pub placement: Placement,
 }
 

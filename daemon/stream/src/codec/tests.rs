@@ -168,7 +168,7 @@ fn compressed_message_is_read_within_size_limit() {
 }
 
 #[test]
-fn a_damaged_batch_can_still_be_named() {
+fn head_of_damaged_batch_is_readable() {
     for compress in [false, true] {
         let (frame, head, _) = frame_of(2, compress);
         for cut in [frame.slice(..frame.len() - 1), Bytes::from([&frame[..], &[0]].concat())] {
@@ -190,7 +190,7 @@ fn events_must_be_as_many_as_the_head_says() {
 }
 
 #[test]
-fn a_body_that_grows_without_end_is_not_unpacked() {
+fn body_that_decompresses_beyond_limit_is_refused() {
     // The body compresses to almost nothing, so that only a wrong length in the head could pass the limit.
     let body = vec![0; 8 * MAX_MESSAGE_BYTES];
     let mut frame = encode_batch(&head_of(5, 1, &body), &body, true);
@@ -234,7 +234,7 @@ fn clock_samples_arrive_unchanged() {
 }
 
 #[test]
-fn limits_and_remainders_are_refused() {
+fn excess_lengths_and_remaining_bytes_are_refused() {
     let frame = encode(&ToAgent::Unknown);
     assert_eq!(decode(&frame), Ok(ToAgent::Unknown));
     assert_eq!(decode::<ToAgent>(&[&frame[..], &[0]].concat()), Err(CodecError::Trailing(1)));
@@ -246,14 +246,14 @@ fn limits_and_remainders_are_refused() {
 
 proptest! {
     #[test]
-    fn no_bytes_panic(bytes: Vec<u8>, count: u32) {
+    fn arbitrary_bytes_cause_no_panic(bytes: Vec<u8>, count: u32) {
         let _ = (decode::<ToAggregator>(&bytes), decode::<ToAgent>(&bytes), decode_events(&bytes, count));
         let batch: Bytes = [&[BATCH], &bytes[..]].concat().into();
         let _ = (decode_batch_head(&batch), decode_batch_body(batch.clone()), decode_batch_head(&bytes), decode_batch_body(bytes.into()));
     }
 
     #[test]
-    fn no_damage_panics(at: prop::sample::Index, byte: u8, cut: prop::sample::Index) {
+    fn damaged_messages_cause_no_panic(at: prop::sample::Index, byte: u8, cut: prop::sample::Index) {
         let mut frame = encode(&ToAggregator::Goodbye(HostId::random()));
         let at_message = at.index(frame.len());
         frame[at_message] = byte;
@@ -264,9 +264,9 @@ proptest! {
         let _ = (decode_events(&body, 2), decode_events(&body[..cut.index(at_body + 1)], 2));
     }
 
-    /// Checks that every changed bit is detected: the head is that of another batch, or the events are not read.
+    /// Checks that every changed bit is detected: the head belongs to another batch, or the events are not read.
     #[test]
-    fn no_bit_changes_unnoticed(bit: prop::sample::Index, compress: bool) {
+    fn every_changed_bit_is_detected(bit: prop::sample::Index, compress: bool) {
         let (frame, head, _) = frame_of(2, compress);
         let mut damaged = frame.to_vec();
         let bit = bit.index(8 * frame.len());
@@ -279,7 +279,7 @@ proptest! {
     }
 
     #[test]
-    fn no_cut_goes_unnoticed(cut: prop::sample::Index, compress: bool) {
+    fn every_truncation_is_detected(cut: prop::sample::Index, compress: bool) {
         let (frame, ..) = frame_of(2, compress);
         prop_assert!(decode_batch_body(frame.slice(..cut.index(frame.len()))).is_err());
     }

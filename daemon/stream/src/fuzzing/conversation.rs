@@ -31,7 +31,7 @@ pub fn any_conversation(data: &[u8]) {
 
 fn at_an_aggregator(script: &mut Script<'_>) {
     let mut end = Receiving::new(ReceivingConfig::new("base".parse().expect("a name")));
-    // Last accepted number of each stream, as far as it was reported.
+    // Last reported accepted number of each stream.
     let mut accepted: BTreeMap<StreamId, u64> = BTreeMap::new();
     let mut now = MonoTime::from_nanos(0);
     for _ in 0..MOST_STEPS {

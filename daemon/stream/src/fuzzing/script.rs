@@ -45,7 +45,7 @@ impl Script<'_> {
         StreamId::from_bytes([self.byte() % 4; 16])
     }
 
-    /// Returns the chain of a batch with a number, so that some chains agree, or another one.
+    /// Returns the chain that belongs to `number`, so that chains often agree, or sometimes another chain.
     pub(super) fn chain(&mut self, number: u64) -> Chain {
         let mut bytes = [0; 16];
         let (head, tail) = bytes.split_at_mut(8);

@@ -109,7 +109,7 @@ impl Receiving {
         named.map(|(other, session)| (*other, session))
     }
 
-    /// Ends the session of another host that uses the name of a host which has been stored for longer. Returns that
+    /// Ends the session of another host that uses the name of a host that has been stored for longer. Returns that
     /// host.
     pub(super) fn take_back_name(&mut self, hello: &Hello, now: MonoTime) -> Option<HostId> {
         let (other, _) = self.find_namesake(hello, now)?;
@@ -118,7 +118,7 @@ impl Receiving {
     }
 
     /// Decides between two processes with one host id. The new process takes over if the old one is silent. If both are
-    /// active, one of them uses a copied state directory, and the new one is refused.
+    /// active, one of them uses a copied state directory, and the new process is refused.
     fn challenge(&mut self, hello: &Hello, now: MonoTime) -> Admission {
         let host: HostId = hello.host.id;
         let process_timeout = self.config.process_timeout;

@@ -96,7 +96,7 @@ impl<C: Eq + Hash> Challenges<C> {
         let Some(Pending { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
             return ProofResult::Unsolicited;
         };
-        // A secret that was not requested is ignored: it could replace the one that is known.
+        // A secret that was not requested is ignored: it could replace the known secret.
         let told = proof.secret.filter(|_| enrol);
         let Some(secret) = known.or(told.as_ref()) else { return ProofResult::Unsolicited };
         if secret.verify(&proof.code, &nonce, &hello, &self.aggregator) {

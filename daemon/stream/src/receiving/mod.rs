@@ -20,9 +20,9 @@ use super::codec::Part;
 use super::{BatchHead, Chain, Hello, StreamId, ToAgent};
 use peernet_logger::{HostId, Slug};
 
-/// Largest number of streams of one host with batches that are accepted and not stored: the current one, and those that
-/// it left recently.
-const MAX_UNSETTLED_STREAMS: usize = 8;
+/// Maximum number of streams of one host with batches that are accepted and not stored: the current stream and the host's
+/// earlier streams.
+const MAX_UNSTORED_STREAMS: usize = 8;
 
 /// Configuration of the receiving end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -101,7 +101,7 @@ pub struct StreamRecord {
     pub last: Option<StreamId>,
     /// Mark of the stream that the hello's stream continues.
     pub previous: Option<Mark>,
-    /// Order in which hosts were stored first: smaller for older ones; `None` for a host of which nothing is stored.
+    /// Order in which hosts were first stored: smaller for older hosts; `None` for a host of which nothing is stored.
     pub seniority: Option<u64>,
 }
 
@@ -112,16 +112,18 @@ pub enum HelloResult {
     Welcome {
         /// Message to be sent.
         reply: ToAgent,
-        /// Batches that neither end has any more. They are to be stored as a gap together with the mark `through`.
+        /// Batches of this stream that neither end has any more. They are to be stored as a gap together with the mark
+        /// `through`.
         missing: Option<MissingBatches>,
-        /// Stream that this host used before and that the new one does not continue: its spool was deleted or replaced,
-        /// and the events that it still held will never come. To be stored as a gap of unknown count.
+        /// Previous stream of this host, if the new stream does not continue it: the spool was deleted or replaced, and
+        /// the events that it still held are lost. To be stored as a gap of unknown count.
         replaced: Option<StreamId>,
-        /// Batches that were once stored in the stream that this one continues, but are not in this database, which is
-        /// older than they are. To be stored as a gap. The mark of that stream stays, because another copy of the spool
-        /// may still hold them.
-        lacking: Option<MissingPreviousBatches>,
-        /// Another host with the name of this one, which has been stored for longer. The other host's session ended.
+        /// Batches of the previous stream, which this stream continues, that are missing in this database: it is an older
+        /// copy of the database that stored them. To be stored as a gap. The mark of the previous stream stays, because
+        /// another copy of the spool may still hold the batches.
+        missing_previous: Option<MissingPreviousBatches>,
+        /// Another host that was connected with the same name. Its session ended, because this host has been stored for
+        /// longer.
         displaced: Option<HostId>,
     },
     /// The hello was refused.
@@ -131,9 +133,12 @@ pub enum HelloResult {
         /// Reason in the message.
         reason: String,
     },
-    /// No decision yet; nothing is to be sent, and the next hello decides. Either another process of the same host was
-    /// active recently. If it has ended, the next hello of this process is accepted; otherwise it sends something
-    /// before that hello. Or too many batches of the host wait to be stored.
+    /// No decision yet; nothing is to be sent, and the next hello decides. There are three causes:
+    ///
+    /// - Another process of the same host was active recently. If that process has ended, the next hello of this process
+    ///   is accepted. Otherwise that process sends something before the next hello.
+    /// - Batches of the stream that an earlier process sent are not stored yet.
+    /// - Too many batches of the host are not stored yet.
     Wait,
 }
 
@@ -158,16 +163,16 @@ pub struct MissingBatches {
     pub events_through: u64,
 }
 
-/// Batches of an earlier stream that this database lacks.
+/// Batches of a previous stream that are missing in this database.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissingPreviousBatches {
     /// Stream of the batches.
     pub stream: StreamId,
     /// Number of the first batch; 1 if nothing of the stream is known.
     pub from: u64,
-    /// Number of the last known batch.
+    /// Number of the last known batch; `from` if all missing batches come after the last known one.
     pub through: u64,
-    /// Number of events in the batches, and in those after the last known one; `None` if it is unknown.
+    /// Number of events in the batches, including batches after the last known one; `None` if it is unknown.
     pub events: Option<u64>,
 }
 
@@ -236,8 +241,8 @@ impl Receiving {
     /// with a stream.
     ///
     /// The mark takes precedence over the agent's statement. Batches after the mark that the agent does not hold are
-    /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A stream whose oldest
-    /// batch is before its first is refused.
+    /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A hello whose oldest held
+    /// batch is before the stream's first batch is refused.
     pub fn handle_hello(&mut self, hello: &Hello, record: StreamRecord, now: MonoTime) -> HelloResult {
         let StreamRecord { mark, last, seniority, .. } = record;
         let (host, stream) = (hello.host.id, hello.stream);
@@ -250,22 +255,23 @@ impl Receiving {
         }
         // Batches from an earlier process of the host are stored first, so that the welcome's statement about them
         // stays true.
-        let unsettled = |progress: &Progress| progress.has_unsettled_from_other_process(hello.process);
-        if self.has_too_many_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
+        let has_unstored = |progress: &Progress| progress.has_unstored_from_other_process(hello.process);
+        if self.has_too_many_unstored(host, stream) || self.streams.get(&stream).is_some_and(has_unstored) {
             return HelloResult::Wait;
         }
-        // A stream is new only once, so that its gap is recorded once however often the agent reconnects.
+        // A stream is new only once. So its gap is recorded once, even if the agent reconnects often.
         let is_new = !record.was_used && mark.is_none() && !self.streams.contains_key(&stream);
         let replaced = last.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
-        let lacking = hello.previous.filter(|_| is_new).and_then(|previous| {
+        let missing_previous = hello.previous.filter(|_| is_new).and_then(|previous| {
             let from = record.previous.map_or(1, |mark| mark.stored.saturating_add(1));
             let through = hello.first - 1;
             let stored = record.previous.map_or(Some(0), |mark| mark.events);
             let events =
                 hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
-            // Batches after the last one in the spool may have been stored from the memory of a dead process.
-            let lacks = from <= through || events.is_some_and(|events| events > 0);
-            lacks.then_some(MissingPreviousBatches {
+            // A process that died may have sent batches from memory, after the last batch in its spool. The newer
+            // database may have stored them.
+            let is_missing = from <= through || events.is_some_and(|events| events > 0);
+            is_missing.then_some(MissingPreviousBatches {
                 stream: previous,
                 from,
                 through: through.max(from),
@@ -273,31 +279,33 @@ impl Receiving {
             })
         });
         let displaced = self.take_back_name(hello, now);
-        let left = self.hosts.insert(host, Session::new(hello, seniority, now));
-        // Another process may hold other batches with the same numbers, so what its predecessor sent is not confirmed
-        // for it.
-        let same = left.as_ref().is_some_and(|left| left.process == hello.process && left.stream == stream);
+        let replaced_session = self.hosts.insert(host, Session::new(hello, seniority, now));
+        // Another process may hold other batches with the same numbers, so batches that its predecessor sent are not
+        // confirmed for it.
+        let same = replaced_session
+            .as_ref()
+            .is_some_and(|session| session.process == hello.process && session.stream == stream);
         let progress = self.streams.entry(stream).or_insert_with(|| Progress::new(hello, mark));
         let missing = progress.handle_hello(hello, mark, same);
         let (stored, last) = progress.stored();
         self.deferred.remove(stream);
         self.parts.forget(host);
-        if let Some(left) = left {
-            self.forget_if_settled(left.stream);
+        if let Some(replaced_session) = replaced_session {
+            self.forget_if_stored(replaced_session.stream);
         }
         let aggregator = self.config.aggregator.clone();
         let (chain, process) = (last.map(|last| last.chain), last.and_then(|last| last.process));
         let window = self.window(host);
         let reply = ToAgent::Welcome { aggregator, stream, stored, chain, process, window };
-        HelloResult::Welcome { reply, missing, replaced, lacking, displaced }
+        HelloResult::Welcome { reply, missing, replaced, missing_previous, displaced }
     }
 
     /// Returns whether the host must wait for the writer, because its stream or its earlier streams have too many
     /// batches that are not stored.
-    fn has_too_many_unsettled(&self, host: HostId, stream: StreamId) -> bool {
+    fn has_too_many_unstored(&self, host: HostId, stream: StreamId) -> bool {
         let full = self.streams.get(&stream).is_some_and(Progress::is_full);
         let others = self.streams.iter().filter(|(id, progress)| progress.host == host && **id != stream);
-        full || others.count() >= MAX_UNSETTLED_STREAMS
+        full || others.count() >= MAX_UNSTORED_STREAMS
     }
 
     /// Decides about a batch. `intact` tells whether its bytes match its hash ([`super::codec::decode_batch_body`]). An intact
@@ -321,7 +329,8 @@ impl Receiving {
         self.parts.add(part)
     }
 
-    /// Returns the answer to a request for an echo, which is to be sent at once.
+    /// Returns the answer to a request for an echo. It is to be sent at once. `bytes` is the position of the request in the
+    /// connection.
     pub fn handle_echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
         self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
@@ -369,20 +378,21 @@ impl Receiving {
         self.parts.forget(host);
         if let Some(session) = self.hosts.remove(&host) {
             self.deferred.remove(session.stream);
-            self.forget_if_settled(session.stream);
+            self.forget_if_stored(session.stream);
         }
     }
 
     /// Records that the mark of a stream is on disk. Returns the message and its receiver: an acknowledgement, or a
     /// request for a hello if the agent holds other batches with these numbers.
     ///
-    /// Only batches that the connected agent is known to hold are acknowledged. Those that an earlier process sent may
-    /// differ from this one's batches with the same numbers, and an acknowledgement makes the agent delete these.
+    /// Only batches that the connected agent is known to hold are acknowledged. Batches that an earlier process sent may
+    /// differ from the connected agent's batches with the same numbers, and an acknowledgement makes the agent delete its
+    /// batches.
     pub fn handle_stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
-        let reply = self.streams.get_mut(&stream)?.settle(stream, mark, window);
+        let reply = self.streams.get_mut(&stream)?.record_stored(stream, mark, window);
         let listener = self.current_sender(stream);
-        self.forget_if_settled(stream);
+        self.forget_if_stored(stream);
         listener.zip(reply)
     }
 
@@ -392,7 +402,7 @@ impl Receiving {
     pub fn handle_failed_store(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
         let request = self.streams.get_mut(&stream)?.fail(stream);
         let listener = self.current_sender(stream);
-        self.forget_if_settled(stream);
+        self.forget_if_stored(stream);
         listener.map(|host| (host, request))
     }
 
@@ -404,12 +414,13 @@ impl Receiving {
     /// Ends sessions of hosts that were silent for longer than `silence`. They are asked for a hello when they return.
     pub fn forget_silent(&mut self, silence: Span, now: MonoTime) {
         let silent = self.hosts.iter().filter(|(_, session)| now - session.last_message_at > silence);
-        let gone: Vec<HostId> = silent.map(|(host, _)| *host).collect();
-        gone.into_iter().for_each(|host| self.handle_goodbye(host));
+        let silent_hosts: Vec<HostId> = silent.map(|(host, _)| *host).collect();
+        silent_hosts.into_iter().for_each(|host| self.handle_goodbye(host));
     }
 
-    /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the host's
-    /// own batch length only, so that a host that has or claims large batches does not slow down the others.
+    /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the number of
+    /// connected hosts and on the host's own batch length, not on the batch lengths of other hosts: a host that has or
+    /// claims large batches does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
         let batch = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
         // An equal share of the memory for each connected host, so that all of them together stay within the budget.
@@ -423,11 +434,11 @@ impl Receiving {
         self.hosts.get(&host).is_some_and(|session| session.stream == stream).then_some(host)
     }
 
-    /// Removes a stream from memory if no host sends it and no batch of it waits. Its mark is on disk.
-    fn forget_if_settled(&mut self, stream: StreamId) {
+    /// Removes a stream from memory if no host sends it and all its accepted batches are stored. Its mark is on disk.
+    fn forget_if_stored(&mut self, stream: StreamId) {
         if self.current_sender(stream).is_none() {
             self.deferred.remove(stream);
-            if self.streams.get(&stream).is_some_and(Progress::is_settled) {
+            if self.streams.get(&stream).is_some_and(Progress::is_all_stored) {
                 self.streams.remove(&stream);
             }
         }

@@ -15,7 +15,7 @@ const MAX_DAMAGED_ARRIVALS: u32 = 3;
 /// Largest number of batches that are accepted and not stored. An agent that respects its window needs half of it.
 const MAX_PENDING: usize = 2 * (MAX_IN_FLIGHT_BATCHES + 1);
 
-/// A position in a stream: number and chain of a batch, and the number of events up to it, where they are known.
+/// A position in a stream: number of a batch; its chain and the number of events up to it, if they are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Position {
     number: u64,
@@ -85,7 +85,7 @@ impl Progress {
             self.apply_mark(mark);
         }
         // Nothing of the stream is stored or waits, so the agent's present statement replaces an earlier one.
-        if self.mark.is_none() && self.is_settled() {
+        if self.mark.is_none() && self.is_all_stored() {
             *self = Self::new(hello, None);
         }
         if !same {
@@ -103,7 +103,7 @@ impl Progress {
         })
     }
 
-    /// Returns the number of the last stored batch, which is one before the first if none is, and the mark for the
+    /// Returns the number of the last stored batch (the number before the first batch if none is stored), and the mark for the
     /// agent to compare.
     pub(super) const fn stored(&self) -> (u64, Option<Mark>) {
         (self.stored.number, self.mark)
@@ -112,7 +112,7 @@ impl Progress {
     /// Decides about a batch of the stream from the connected agent.
     pub(super) fn handle_batch(&mut self, head: &BatchHead, intact: bool, window: u32) -> Arrival {
         let number = head.number;
-        if number <= self.settled() {
+        if number <= self.acknowledged_through() {
             Arrival::Duplicate(self.acknowledgement(head.stream, window))
         } else if number <= self.accepted.number {
             self.handle_repeated(head, window)
@@ -134,17 +134,17 @@ impl Progress {
     /// Handles a batch whose number was accepted before.
     fn handle_repeated(&mut self, head: &BatchHead, window: u32) -> Arrival {
         let number = head.number;
-        let known = self.pending.iter().find(|(pending, _)| *pending == number);
-        let Some((_, chain)) = known else {
+        let pending_batch = self.pending.iter().find(|(pending, _)| *pending == number);
+        let Some((_, chain)) = pending_batch else {
             return Arrival::Pending;
         };
         // The same number with other content: the spool is a copy or was restored. The hello compares both ends.
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
-        // The chain identifies every batch before it as well.
+        // The chain also identifies every batch before it.
         self.confirmed = self.confirmed.max(number);
-        self.drop_settled();
+        self.drop_acknowledged();
         match number <= self.stored.number {
             true => Arrival::Duplicate(self.acknowledgement(head.stream, window)),
             false => Arrival::Pending,
@@ -181,14 +181,14 @@ impl Progress {
         self.confirmed = number;
         self.pending.push_back((number, chain));
         (self.requested, self.damaged) = (None, None);
-        self.drop_settled();
+        self.drop_acknowledged();
     }
 
     /// Records that the mark is on disk. Returns the acknowledgement for the connected agent, if it advances.
-    pub(super) fn settle(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
-        let before = self.settled();
+    pub(super) fn record_stored(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
+        let before = self.acknowledged_through();
         self.apply_mark(mark);
-        (self.settled() > before).then(|| self.acknowledgement(stream, window))
+        (self.acknowledged_through() > before).then(|| self.acknowledgement(stream, window))
     }
 
     /// Applies a mark of the database.
@@ -205,7 +205,7 @@ impl Progress {
             }
             self.accepted = self.stored;
         }
-        self.drop_settled();
+        self.drop_acknowledged();
     }
 
     /// Records that storing failed. Returns the request to send the batches again.
@@ -222,7 +222,7 @@ impl Progress {
     /// Requests the next batch; `None` if that was done before.
     pub(super) fn request_next(&mut self, stream: StreamId) -> Option<ToAgent> {
         let from = self.next();
-        // One request per hole: each later batch in flight would otherwise cause another one.
+        // One request for each range of missing batches: otherwise each later batch in flight would cause another request.
         let is_new = self.requested != Some(from);
         self.requested = Some(from);
         is_new.then_some(ToAgent::Resend { stream, from })
@@ -234,13 +234,13 @@ impl Progress {
     }
 
     /// Returns whether no batch waits to be stored.
-    pub(super) const fn is_settled(&self) -> bool {
+    pub(super) const fn is_all_stored(&self) -> bool {
         self.accepted.number == self.stored.number
     }
 
     /// Returns whether a batch from another process waits to be stored.
-    pub(super) const fn has_unsettled_from_other_process(&self, process: u64) -> bool {
-        !self.is_settled() && self.process != process
+    pub(super) const fn has_unstored_from_other_process(&self, process: u64) -> bool {
+        !self.is_all_stored() && self.process != process
     }
 
     /// Returns whether the largest number of batches waits to be stored or confirmed.
@@ -253,18 +253,18 @@ impl Progress {
     }
 
     /// Returns the last batch that is stored and that the agent is known to hold.
-    fn settled(&self) -> u64 {
+    fn acknowledged_through(&self) -> u64 {
         self.stored.number.min(self.confirmed)
     }
 
-    fn drop_settled(&mut self) {
-        let settled = self.settled();
-        while self.pending.front().is_some_and(|(number, _)| *number <= settled) {
+    fn drop_acknowledged(&mut self) {
+        let acknowledged_through = self.acknowledged_through();
+        while self.pending.front().is_some_and(|(number, _)| *number <= acknowledged_through) {
             self.pending.pop_front();
         }
     }
 
     fn acknowledgement(&self, stream: StreamId, window: u32) -> ToAgent {
-        ToAgent::Ack { stream, through: self.settled(), window }
+        ToAgent::Ack { stream, through: self.acknowledged_through(), window }
     }
 }

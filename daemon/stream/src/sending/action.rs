@@ -23,7 +23,7 @@ pub enum Action {
         /// Totals up to the last of the batches.
         totals: Totals,
     },
-    /// Read batches from a number on: at least one, and further ones until their bodies exceed a number of bytes.
+    /// Read batches from a number on: at least one, and more until their bodies exceed a number of bytes.
     /// Answer: [`Sending::on_loaded`] or [`Sending::on_load_failed`].
     Load {
         /// Number of the first batch.
@@ -72,7 +72,7 @@ pub enum Notice {
         aggregator: Slug,
         /// Number of the last batch that it has stored.
         stored: u64,
-        /// `true` if it lacks batches that it acknowledged earlier: its database is new or an old copy.
+        /// `true` if batches that it acknowledged earlier are missing there: its database is new or an old copy.
         has_lost_batches: bool,
     },
     /// The aggregator refused the host; the agent tries again later.

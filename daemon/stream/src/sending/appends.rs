@@ -106,7 +106,7 @@ impl Appends {
     /// Ends the transaction successfully. Returns its result; `None` if no transaction is in progress.
     pub(super) fn finish(&mut self) -> Option<Appended> {
         let Appending { last, bytes, freed, totals, resolves } = self.job.finish()?;
-        // A transaction without this record keeps the one that the file has.
+        // A transaction without this record keeps the record in the file.
         let newest_sent = totals.newest_sent.or(self.written.newest_sent);
         self.written = Totals { newest_sent, ..totals };
         Some(Appended { last, bytes, freed, resolves })

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_link_is_spared_and_a_fast_one_is_not() {
+    fn only_slow_link_compresses_batches() {
         let mut compression_control = CompressionControl::new(Compression::Auto);
         let now = wait(&mut compression_control, 0, 5, 100 << 20);
         assert!(!compression_control.is_compressing());
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_configured_is_obeyed() {
+    fn configured_compression_overrides_measurements() {
         for (compression, compresses) in [(Compression::Always, true), (Compression::Never, false)] {
             let mut compression_control = CompressionControl::new(compression);
             let now = wait(&mut compression_control, 0, 3, 1 << 10);

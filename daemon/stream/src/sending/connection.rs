@@ -115,10 +115,10 @@ impl Sending {
     }
 
     fn ack_deadline(&self) -> Option<MonoTime> {
-        self.session.ack_deadline(self.spooler.backlog.oldest(), self.lane.progress())
+        self.session.ack_deadline(self.spooler.backlog.oldest(), self.lane.last_arrival_at())
     }
 
-    /// Schedules a hello: now, or after a pause if the last ones led to no progress.
+    /// Schedules a hello: now, or after a pause if the last hellos led to no progress.
     pub(super) fn schedule_hello(&mut self, now: MonoTime) {
         self.lane.reset_in_flight();
         self.session.schedule_hello(now);
@@ -177,7 +177,7 @@ impl Sending {
     fn handle_resend(&mut self, from: u64, now: MonoTime) {
         let ConnectionState::Up { next, last_progress } = self.session.state else { return };
         if from < self.spooler.backlog.oldest() {
-            // The aggregator lacks batches that are no longer here. The hello states so, and the aggregator records the
+            // Batches are missing at the aggregator that are no longer here. The hello states so, and the aggregator records the
             // gap.
             self.schedule_hello(now);
         } else {

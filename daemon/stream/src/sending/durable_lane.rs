@@ -97,13 +97,13 @@ impl DurableLane {
 
     /// Returns the next part of a batch if it fits into the allowance.
     fn next_part(&mut self, host: HostId, max_bytes: usize) -> Option<Vec<u8>> {
-        let rest = self.partial.as_mut()?;
-        if !self.flow.has_capacity(rest.len().min(max_bytes) + PartialBatch::OVERHEAD) {
+        let partial_batch = self.partial.as_mut()?;
+        if !self.flow.has_capacity(partial_batch.len().min(max_bytes) + PartialBatch::OVERHEAD) {
             return None;
         }
-        let frame = rest.next(host, max_bytes);
+        let frame = partial_batch.next(host, max_bytes);
         let end = self.flow.hand_over(frame.len() as u64);
-        if self.partial.take_if(|rest| rest.len() == 0).is_some() {
+        if self.partial.take_if(|partial_batch| partial_batch.len() == 0).is_some() {
             self.in_flight.record_handed_over(end);
         }
         Some(frame)
@@ -179,8 +179,8 @@ impl DurableLane {
     }
 
     /// Returns the time at which bytes of the lane last arrived.
-    pub(super) const fn progress(&self) -> MonoTime {
-        self.flow.progress()
+    pub(super) const fn last_arrival_at(&self) -> MonoTime {
+        self.flow.last_arrival_at()
     }
 
     /// Returns whether the live lane may hand over an update.

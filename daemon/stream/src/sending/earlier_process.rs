@@ -1,4 +1,4 @@
-//! The last batches of an earlier process, of which only the aggregator knows whether they are stored.
+//! The last batches of an earlier process. Only the aggregator knows whether they are stored.
 
 use super::super::unresolved::ResolvedBatches;
 use super::super::{Gap, SentUnspooled, Totals, UnresolvedBatches};
@@ -9,7 +9,7 @@ use super::super::{Gap, SentUnspooled, Totals, UnresolvedBatches};
 #[derive(Clone, Debug)]
 pub(super) struct EarlierProcess {
     unresolved: Option<UnresolvedBatches>,
-    /// Counts that the spool's totals contain in addition to those counted here.
+    /// Counts that the spool's totals contain in addition to the counts of this process.
     resolved: ResolvedBatches,
     /// Gaps that must still be written to the spool.
     unwritten: Option<Vec<Gap>>,
@@ -25,11 +25,11 @@ impl EarlierProcess {
     }
 
     /// Returns the gaps that must still be written to the spool.
-    pub(super) const fn unwritten(&self) -> Option<&Vec<Gap>> {
+    pub(super) const fn unwritten_gaps(&self) -> Option<&Vec<Gap>> {
         self.unwritten.as_ref()
     }
 
-    /// Returns the numbers of events that were submitted and dropped, including those of the earlier process.
+    /// Returns the numbers of events that were submitted and dropped, including the earlier process's events.
     pub(super) const fn add_to(&self, totals: &Totals) -> (u64, u64) {
         let ResolvedBatches { stored, lost, .. } = self.resolved;
         (totals.produced + stored + lost, totals.dropped + lost)

@@ -68,7 +68,7 @@ pub struct Sending {
 
 impl Sending {
     /// Creates the sending end of a host with its `secret`; `process` is a random number drawn at the start of the
-    /// process. Nothing is sent before [`connected`](Self::connected).
+    /// process. Nothing is sent before [`on_connected`](Self::on_connected).
     pub fn new(
         config: SendingConfig,
         host: HostDescription,
@@ -224,7 +224,7 @@ impl Sending {
     }
 
     /// Returns the batch that was sent last without being in the spool, because the spool cannot be written. It must be
-    /// recorded where it outlives the process before its frame is sent.
+    /// recorded outside of the process before its frame is sent.
     pub fn sent_unspooled(&self) -> Option<SentUnspooled> {
         self.spooler.sent_unspooled()
     }

@@ -98,7 +98,7 @@ impl Session {
             (ConnectionState::Down, None, AGENT_STREAM_VERSIONS.oldest());
     }
 
-    /// Schedules a hello: now, or after a pause if the last ones led to no progress.
+    /// Schedules a hello: now, or after a pause if the last hellos led to no progress.
     pub(super) fn schedule_hello(&mut self, now: MonoTime) {
         let first = self.config.first_pause;
         if let ConnectionState::Up { last_progress, .. } = self.state

@@ -45,7 +45,7 @@ impl EventSpooler {
     pub(super) fn new(config: SendingConfig, process: u64, budget: u64, spool: SpoolState) -> Self {
         let backlog = Backlog::new(&spool, budget);
         let Totals { produced, dropped, .. } = spool.totals;
-        // Events in the spool were produced, whatever its counts state.
+        // Events in the spool were produced, even if its counts state fewer.
         let produced = produced.max(dropped.saturating_add(backlog.waiting_usage().events));
         let totals = Totals {
             produced,
@@ -105,7 +105,7 @@ impl EventSpooler {
     pub(super) fn give_up(&mut self) -> Totals {
         let lost = self.backlog.give_up();
         self.intake.give_up(lost, &self.backlog.settled_totals().submitted.batched);
-        let unreported = self.earlier.unwritten().cloned();
+        let unreported = self.earlier.unwritten_gaps().cloned();
         Totals { unreported, ..self.persistent_totals().with(self.earlier.resolved()) }
     }
 
@@ -180,7 +180,7 @@ impl EventSpooler {
         self.intake.forget_run(run);
     }
 
-    /// Returns the totals without the events that are in memory only. They remain correct if those events are lost.
+    /// Returns the totals without the events that are in memory only. The totals remain correct if these events are lost.
     fn persistent_totals(&self) -> Totals {
         let (counted, settled) = (self.intake.totals(), self.backlog.settled_totals());
         let only_here = self.unspooled_events();
@@ -247,10 +247,10 @@ impl EventSpooler {
     /// Returns whether the spool may be moved to a new stream: stored batches are deleted, and the result for an
     /// earlier process in the old stream is written.
     pub(super) fn may_renew(&self) -> bool {
-        self.backlog.acknowledged().0 <= self.deletions.through() && self.earlier.unwritten().is_none()
+        self.backlog.acknowledged().0 <= self.deletions.through() && self.earlier.unwritten_gaps().is_none()
     }
 
-    /// Resolves the earlier process. The aggregator has stored everything up to `number_batches`, which `process` sent.
+    /// Resolves the earlier process. The aggregator has stored all batches up to `number`, which `process` sent.
     pub(super) fn resolve_earlier(&mut self, number: u64, process: Option<u64>) {
         let Some((unresolved, resolved)) = self.earlier.resolve(number, process) else { return };
         self.backlog.add_stored(resolved.stored);
@@ -282,7 +282,7 @@ impl EventSpooler {
         let appended = self.appends.finish()?;
         if appended.resolves {
             self.earlier.record_written();
-            self.intake.resolution_written();
+            self.intake.record_resolution_written();
         }
         if let Some((last, chain)) = appended.last {
             self.backlog.mark_appended(last, chain);
@@ -339,7 +339,7 @@ impl EventSpooler {
     /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: the spool may
     /// then contain no stored batch.
     pub(super) fn next(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
-        self.deletion(leaves_stream, now).or_else(|| self.append(now))
+        self.start_deletion(leaves_stream, now).or_else(|| self.append(now))
     }
 
     /// Returns whether a batch is to be deleted, now or later.
@@ -350,7 +350,7 @@ impl EventSpooler {
         through > self.deletions.through() && settled && self.deletions.may_be_scheduled()
     }
 
-    fn deletion(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
+    fn start_deletion(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
         if !(self.deletions.may_start(now) && self.may_delete()) {
             return None;
         }
@@ -373,7 +373,7 @@ impl EventSpooler {
             return None;
         }
         let (batches, totals) = self.next_append(now)?;
-        let unreported = self.earlier.unwritten().cloned();
+        let unreported = self.earlier.unwritten_gaps().cloned();
         self.appends.start(&batches, &totals, unreported.is_some(), now);
         let totals = Totals { unreported, ..totals.with(self.earlier.resolved()) };
         Some(Action::Append { batches, totals })
@@ -382,7 +382,7 @@ impl EventSpooler {
     /// Returns the batches and totals that are to be written now.
     fn next_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
         let (written, spooled) = (self.appends.written(), self.backlog.spooled());
-        let resolves = self.earlier.unwritten().is_some();
+        let resolves = self.earlier.unwritten_gaps().is_some();
         if resolves || self.is_accepted && !self.has_sent_record() {
             let newest_sent = self.newest_sent_record(spooled);
             return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));
@@ -404,7 +404,7 @@ impl EventSpooler {
         self.appends.losses_due(self.intake.totals().dropped)
     }
 
-    /// Returns the record that this process may send batches up to `number_batches`; `None` before the aggregator has accepted
+    /// Returns the record that this process may send batches up to `number`; `None` before the aggregator has accepted
     /// it.
     fn newest_sent_record(&self, number: u64) -> Option<NewestSentBatch> {
         self.is_accepted.then_some(NewestSentBatch { process: self.process, number })

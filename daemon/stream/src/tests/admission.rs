@@ -47,7 +47,7 @@ pub(super) fn welcomed(greeting: &HelloResult) -> (u64, Option<Chain>, u32) {
             reply: ToAgent::Welcome { stored, chain, window, .. },
             missing: None,
             replaced: None,
-            lacking: None,
+            missing_previous: None,
             displaced: None,
         } => (*stored, *chain, *window),
         other => panic!("expected a welcome, got {other:?}"),
@@ -65,7 +65,7 @@ fn message_without_session_requests_hello() {
 }
 
 #[test]
-fn numbers_that_cannot_be_are_refused() {
+fn hello_with_impossible_batch_numbers_is_refused() {
     let good = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
     for (first, oldest) in [(0, 0), (0, 1), (5, 4), (u64::MAX, u64::MAX), (1, u64::MAX), (1, 1 << 63)] {
         let bad = Hello { first, oldest, ..good.clone() };
@@ -102,7 +102,7 @@ fn a_goodbye_frees_name_and_host_id_at_once() {
 fn second_process_of_host_is_refused_while_first_lives() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
-    // A cloned machine has the same stream as well.
+    // A cloned machine also has the same stream.
     let copy = hello(id, "edge", 2, stream, 1);
     assert_eq!(end.handle_live(id, at(200).mono), None);
     assert_eq!(end.handle_hello(&copy, known(None), at(300).mono), HelloResult::Wait);
@@ -167,11 +167,11 @@ fn deleted_or_replaced_spool_is_reported_once() {
 }
 
 #[test]
-fn batches_lacking_in_older_database_are_reported_once() {
+fn batches_missing_in_older_database_are_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
-    let lacking = |greeting| match greeting {
-        HelloResult::Welcome { lacking, .. } => lacking,
+    let missing_previous = |greeting| match greeting {
+        HelloResult::Welcome { missing_previous, .. } => missing_previous,
         other => panic!("expected a welcome, got {other:?}"),
     };
     let renewed =
@@ -181,18 +181,22 @@ fn batches_lacking_in_older_database_are_reported_once() {
         |from| Some(MissingPreviousBatches { stream: old, from, through: 7, events: Some(8 - from) });
     for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
-        assert_eq!(lacking(end.handle_hello(&renewed, before, at(0).mono)), lacks);
-        assert_eq!(lacking(end.handle_hello(&renewed, before, at(1).mono)), None, "said");
+        assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(0).mono)), lacks);
+        assert_eq!(
+            missing_previous(end.handle_hello(&renewed, before, at(1).mono)),
+            None,
+            "reported already"
+        );
         end.handle_goodbye(id);
         let was_used = StreamRecord { was_used: true, ..before };
-        assert_eq!(lacking(end.handle_hello(&renewed, was_used, at(2).mono)), None, "recorded");
+        assert_eq!(missing_previous(end.handle_hello(&renewed, was_used, at(2).mono)), None, "recorded");
         end.handle_goodbye(id);
     }
     // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
     let renewed = Hello { events_before_first: Some(9), ..renewed };
     let before = previous(Some(mark(id, 7)));
     let expected = MissingPreviousBatches { stream: old, from: 8, through: 8, events: Some(2) };
-    assert_eq!(lacking(end.handle_hello(&renewed, before, at(3).mono)), Some(expected));
+    assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(3).mono)), Some(expected));
 }
 
 #[test]

@@ -8,7 +8,7 @@
 //! its actions; the connection is reopened; time passes until the next deadline. States that were reached before are
 //! not explored again: messages in flight count as a set, and a state is identified by a hash of 64 bits.
 //!
-//! Checks: in each state those of [`Simulation::check`]; at each deletion in the spool that all deleted batches are stored;
+//! Checks: in each state the checks of [`Simulation::check`]; at each deletion in the spool that all deleted batches are stored;
 //! at each commit that it continues its stream; and from each state without a move but faults, that both ends settle in
 //! bounded time with each spooled event in the database exactly once and in order.
 
@@ -162,14 +162,14 @@ fn simulation(batches: usize) -> Simulation {
 }
 
 #[test]
-fn one_batch_from_the_first_hello_with_two_faults() {
+fn one_batch_is_stored_once_despite_any_two_faults() {
     let (states, transitions, rests) = explore(simulation(1), 2);
     println!("{states} states, {transitions} transitions, {rests} brought to rest");
     assert!(states > 20_000, "{states} states");
 }
 
 #[test]
-fn two_batches_in_every_order_without_a_fault() {
+fn two_batches_are_stored_once_in_any_order() {
     let (states, transitions, rests) = explore(simulation(2), 0);
     println!("{states} states, {transitions} transitions, {rests} brought to rest");
     assert!(states > 100, "{states} states");

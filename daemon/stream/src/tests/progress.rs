@@ -72,7 +72,7 @@ fn batches_are_accepted_in_order_and_acknowledged_when_stored() {
 }
 
 #[test]
-fn hole_is_requested_once() {
+fn missing_batches_are_requested_once() {
     let mut end = End::with(0);
     let (first, second) = (end.resend(1), end.resend(2));
     assert_eq!(end.batch(2), Arrival::Rejected(Some(first)));
@@ -216,7 +216,7 @@ fn deferred_streams_are_requested_oldest_first() {
     // Batches that a hello brings again are not requested.
     end.handle_hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), known(None), at(1).mono);
     assert_eq!(end.request_deferred(2), []);
-    // A requested batch found no room once more.
+    // The queue had no capacity for a requested batch again.
     end.defer_batch(agents[2].1);
     assert_eq!(end.request_deferred(9), [request(2)]);
     end.defer_batch(agents[0].1);

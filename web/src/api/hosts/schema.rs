@@ -200,8 +200,8 @@ pub(crate) struct Stored {
 }
 
 impl Stored {
-    fn new(stored: peernet_store::Stored, arrivals: Arrivals) -> Self {
-        let peernet_store::Stored { events, nodes, gaps, missing, duplicates, quarantined } = stored;
+    fn new(stored: peernet_store::StoredCounts, arrivals: Arrivals) -> Self {
+        let peernet_store::StoredCounts { events, nodes, gaps, missing, duplicates, quarantined } = stored;
         let Arrivals { deferred, damaged } = arrivals;
         Self { events, nodes, gaps, missing, duplicates, quarantined, deferred, damaged }
     }

@@ -76,7 +76,7 @@ async fn list(
         }));
     }
     let after = query.after.unwrap_or(0).max(run.summary.nodes_from);
-    let filter = IterationFilter { after, limit, unsuccessful: query.unsuccessful };
+    let filter = IterationFilter { after, limit, without_answer: query.unsuccessful };
     let rows = app.store().iterations(number, &filter).await?;
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.number);
     Ok(Json(IterationList { iterations: rows.iter().map(IterationSummary::from).collect(), next }))

@@ -7,7 +7,7 @@ use uuid::Uuid;
 
 use super::{CountOwner, SHARED_MEMORY, open_owned_file, read_owner, remove};
 
-/// Removes the files of counts in which no process counts, and whose spool is gone or is `spool`.
+/// Removes the files of counts that no process uses, if their spool no longer exists or is `spool`.
 ///
 /// Files named in `needed`, which `spool` still needs, stay. So does a file without the identity of a spool.
 pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
@@ -31,12 +31,12 @@ pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
     if removed > 0 {
         tracing::info!(
             files = removed,
-            "removed event counts in {SHARED_MEMORY} that belong to no spool any more"
+            "removed event counts in {SHARED_MEMORY} whose spool no longer exists"
         );
     }
 }
 
-/// Returns whether a name is that of a file of counts.
+/// Returns whether a file with this name has counts.
 fn is_count_file_name(name: &str) -> bool {
     let id = name.strip_prefix("peernet-").and_then(|name| name.strip_suffix(".count"));
     id.is_some_and(|id| Uuid::try_parse(id).is_ok()) && Path::new(name).file_name().is_some()

@@ -15,7 +15,7 @@ const NUMBERS_BYTES: usize = 4 * 8 + 2;
 /// Path that identifies the mount namespace, within which paths have their meaning.
 const MOUNT_NAMESPACE: &str = "/proc/self/ns/mnt";
 
-/// Identity of a spool file. A copy of the spool has another one.
+/// Identity of a spool file. A copy of the spool has another identity.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct CountOwner {
     device: u64,
@@ -41,7 +41,7 @@ impl CountOwner {
         Ok(Self {
             device: metadata.dev(),
             inode: metadata.ino(),
-            created: created(&metadata),
+            created: creation_time_ns(&metadata),
             mount_namespace,
             path,
         })
@@ -60,7 +60,8 @@ impl CountOwner {
         }
         match fs::metadata(&self.path) {
             Ok(found) => {
-                found.dev() == self.device && (found.ino(), created(&found)) != (self.inode, self.created)
+                found.dev() == self.device
+                    && (found.ino(), creation_time_ns(&found)) != (self.inode, self.created)
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => self.nearest_folder_is_of_its_device(),
             // For example without permission to read the folder: then nothing is certain.
@@ -97,7 +98,7 @@ impl CountOwner {
     }
 }
 
-fn created(metadata: &Metadata) -> u64 {
+fn creation_time_ns(metadata: &Metadata) -> u64 {
     let since = metadata.created().ok().and_then(|created| created.duration_since(UNIX_EPOCH).ok());
     since.and_then(|since| u64::try_from(since.as_nanos()).ok()).unwrap_or_default()
 }

@@ -119,7 +119,7 @@ fn step_of_peers_clock_begins_window_and_is_named() {
     }
     let before = clock_state.latest_sample(&network(), now(250)).window;
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(250).raw);
-    // An exchange that was in flight when the step was announced is not used, however plausible it is.
+    // An exchange that was in flight when the step was announced is not used, even if it is plausible.
     let in_flight = ExchangeObservation { cloud_epoch: Some(1), ..exchange(300, 3000) };
     let ([up, down], changes) = clock_state.judge(&network(), &in_flight, WAYS, now(304));
     assert_eq!((up.value, down.value, changes.restart), (None, None, None));

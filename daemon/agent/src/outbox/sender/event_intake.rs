@@ -39,7 +39,8 @@ impl EventIntake {
         machine.offer(event, now);
     }
 
-    /// Passes all queued events to the state machine, and advances its time.
+    /// Passes all queued events to the state machine, records the events that did not fit into the queue, and advances the
+    /// state machine's time.
     pub(super) fn drain(&mut self, machine: &mut Sending, now: Stamp) {
         while let Ok(event) = self.receiver.queue.try_recv() {
             self.offer(machine, &event, now);
@@ -61,7 +62,7 @@ impl EventIntake {
         }
     }
 
-    /// Frees the counter's records of ended runs whose events are all settled.
+    /// Frees the counter's records of ended runs whose events are all in the spool, stored or dropped.
     pub(super) fn release_runs(&self, machine: &mut Sending) {
         for (run, events) in machine.settled_runs() {
             if self.receiver.counter.release(run, events) {
@@ -93,7 +94,7 @@ impl EventIntake {
         self.receiver.counter.total().is_some()
     }
 
-    /// Removes the counter if all events that it counted are settled.
+    /// Removes the counter if all events that it counted are in the spool, stored or dropped: `settled` is their number.
     pub(super) fn remove_counter(&self, settled: u64) {
         if self.receiver.counter.total() == Some(settled) {
             self.receiver.counter.remove();

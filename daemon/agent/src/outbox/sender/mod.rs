@@ -33,10 +33,12 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Longest wait for the aggregator's answer to the hello.
 const WELCOME_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Longest time for passing the last update and the goodbye to the socket, and again for sending them.
+/// Longest time for passing the last update and the goodbye to the socket; after that, the same time again for the socket
+/// to send them.
 const LAST_FRAMES_TIMEOUT: Duration = Duration::from_millis(250);
 
-/// Longest time for closing the spool. Its content is safe even if it is not closed.
+/// Longest time for recording losses, sending the last frames and closing the spool together. The spool's content is safe
+/// even if it is not closed.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// State of the outbox task.
@@ -92,8 +94,8 @@ impl Sender {
         stop: oneshot::Receiver<Instant>,
     ) -> Result<(), SpoolTaskError> {
         let mut polls = tokio::time::interval(POLL_INTERVAL);
-        let mut shows = tokio::time::interval(live::INTERVAL);
-        for ticks in [&mut polls, &mut shows] {
+        let mut live_updates = tokio::time::interval(live::INTERVAL);
+        for ticks in [&mut polls, &mut live_updates] {
             // After a stall one tick suffices, because each tick empties the queue completely.
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
@@ -113,7 +115,7 @@ impl Sender {
                     shutdown = Some(Shutdown::start(Instant::now(), deadline, self.machine.accounting().stored));
                     self.drain_queue();
                 }
-                _ = shows.tick() => {
+                _ = live_updates.tick() => {
                     self.live.mark_due();
                     self.intake.recreate_counter_if_deleted();
                     self.drain_queue();
@@ -228,21 +230,23 @@ impl Sender {
             }
             Ok(Err(reason)) => tracing::warn!("{reason}"),
             Err(_) => tracing::warn!(
-                "the spool's disk took too long to close it; the agent stopped without waiting"
+                "the spool was not closed in time, its disk is slow; the agent stopped without waiting any longer, and the \
+                 events in the spool are safe"
             ),
         }
     }
 
-    /// Returns the last frames of a session: a live update, then the goodbye. The aggregator shows the state of that
-    /// update until the host connects again, including the number of waiting events.
+    /// Returns the last frames of a session: a live update, then the goodbye. The aggregator shows the state of this update
+    /// until the host connects again, including the number of waiting events.
     fn last_frames(&mut self) -> Vec<Vec<u8>> {
         let update = || self.live.update(&self.machine, self.clock.wall(), self.current_accounting()).0;
         let update = self.machine.is_up().then(update);
         update.into_iter().chain(self.machine.goodbye()).collect()
     }
 
-    /// Handles events that are only in memory at the end: they are lost. Their number is written to the spool, and the
-    /// next start reports it.
+    /// Handles the events that are only in memory at the end. If some of them were sent, the aggregator may have stored
+    /// these, and the next start reports the others. Otherwise all are lost: their number is written to the spool, if it can
+    /// be written, and the next start reports it.
     async fn record_losses(&mut self, by: Instant) {
         if self.machine.is_spooled() {
             return;
@@ -263,7 +267,7 @@ impl Sender {
             tracing::warn!(
                 events = unspooled_events,
                 "stopped before these events were in the spool or known to be stored; after the next start a gap reports the \
-                 lost ones"
+                 lost events"
             );
             return;
         }

@@ -86,7 +86,7 @@ pub enum SpoolError {
 /// Defect of a spool that SQLite can read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDefect {
-    /// An earlier process found the file broken and created a mark file with the reason.
+    /// An earlier process found the file damaged and created the damage flag with the reason.
     #[error("{0}")]
     Condemned(String),
     /// The id of its stream cannot be read.
@@ -110,7 +110,7 @@ pub enum SpoolDefect {
 }
 
 impl SpoolError {
-    /// Returns whether the file itself is broken, so that a retry, other permissions or free disk space do not help.
+    /// Returns whether the file itself is damaged, so that a retry, other permissions or free disk space do not help.
     pub(super) fn is_damage(&self) -> bool {
         match self {
             Self::Damaged { .. } => true,
@@ -135,8 +135,8 @@ impl SpoolError {
 /// Error of an operation on an open spool.
 #[derive(Debug, thiserror::Error)]
 pub(in crate::outbox) enum SpoolFileError {
-    /// The path refers to another file or none. Batches that are written now would be lost when this process ends.
-    #[error("the spool {} was deleted, moved or replaced while it was in use; move it back. A restart of the agent creates a new spool; events in the old one that are not stored are then lost", .0.display())]
+    /// The path refers to another file or to no file. Batches that are written now would be lost when this process ends.
+    #[error("the spool {} was deleted, moved or replaced while it was in use; move it back. A restart of the agent creates a new spool; events in the old spool that are not stored are then lost", .0.display())]
     Moved(PathBuf),
     /// The disk is full.
     #[error("cannot {action} the spool {}: the disk is full; free some space; the agent retries", .path.display())]
@@ -146,7 +146,7 @@ pub(in crate::outbox) enum SpoolFileError {
         /// Path of the spool.
         path: PathBuf,
     },
-    /// The file is broken.
+    /// The file is damaged.
     #[error("cannot {action} the spool {}: {source}; restart the agent, which then quarantines the file and creates a new one", .path.display())]
     Corrupt {
         /// Verb that says what was tried.
@@ -183,12 +183,12 @@ pub(super) fn is_full(error: &sqlx::Error) -> bool {
     code(error) == Some(FULL)
 }
 
-/// Returns whether SQLite reports that the file is broken.
+/// Returns whether SQLite reports that the file is damaged.
 pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
     matches!(code(error), Some(CORRUPT | NOT_A_DATABASE))
 }
 
-/// Returns SQLite's primary result code, if the error is one of SQLite.
+/// Returns SQLite's primary result code; `None` if the error does not come from SQLite.
 fn code(error: &sqlx::Error) -> Option<i32> {
     let code: i32 = error.as_database_error()?.code()?.parse().ok()?;
     Some(code & 0xff)

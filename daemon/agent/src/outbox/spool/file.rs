@@ -38,7 +38,7 @@ pub(in crate::outbox) struct SpoolFile {
 /// Result of reading batches.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::outbox) struct Loaded {
-    /// Contiguous batches whose chains were checked. The first one cannot be checked if the previous batch is missing.
+    /// Contiguous batches whose chains were checked. The first batch cannot be checked if the previous batch is missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
     /// Damage that ends the list; `None` if it ends for another reason.
     pub(in crate::outbox) damage: Option<String>,
@@ -101,7 +101,7 @@ impl SpoolFile {
         Ok(())
     }
 
-    /// Reads batches from number `from` on: at least one, and further ones until their total length is `bytes` or more.
+    /// Reads batches from number `from` on: at least one, and more until their total length is `bytes` or more.
     pub(in crate::outbox) async fn load(
         &mut self,
         from: u64,
@@ -280,7 +280,7 @@ impl SpoolFile {
         let Some((since, events, kept, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
         let since = WallTime::from_unix_nanos(since);
         Ok(match chain(&kept) {
-            // A batch after a gap cannot be checked here; the one after it can.
+            // The first batch after a gap cannot be checked here; the next batch can.
             Ok(chain) if before.is_none_or(|before| before.next(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }
@@ -298,7 +298,7 @@ impl SpoolFile {
         synced.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
     }
 
-    /// Commits a transaction that succeeded, and rolls back one that failed.
+    /// Commits the transaction if it succeeded, and rolls it back if it failed.
     async fn end_transaction(
         &mut self,
         action: &'static str,

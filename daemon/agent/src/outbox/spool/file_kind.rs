@@ -47,7 +47,7 @@ impl FileKind {
         if !head.iter().zip(MAGIC).all(|(found, expected)| found == expected) {
             return Self::Other;
         }
-        // A header that is cut off is that of an SQLite file.
+        // A truncated header counts as the header of an SQLite file.
         let Some((id, cells)) = head.get(ID_AT..ID_AT + 4).zip(head.get(CELLS_AT..HEAD)) else {
             return Self::Spool;
         };
@@ -59,7 +59,7 @@ impl FileKind {
     }
 
     /// Returns why a file that the user configured cannot be used, and what to do; `None` if it can be used.
-    pub(crate) fn objection(self) -> Option<&'static str> {
+    pub(crate) fn refusal_reason(self) -> Option<&'static str> {
         match self {
             Self::Spool => None,
             Self::Database => Some(

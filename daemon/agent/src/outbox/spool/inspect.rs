@@ -49,7 +49,7 @@ pub struct Inspection {
 /// A kind of damage in a spool.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDamage {
-    /// SQLite finds the file broken.
+    /// SQLite finds the file damaged.
     #[error("the spool is damaged in {places} places; the first: {first}")]
     Pages {
         /// Number of findings, at most 100.
@@ -124,7 +124,7 @@ pub async fn inspect(path: &Path) -> Result<Inspection, InspectError> {
 /// # Errors
 /// When the spool cannot be read.
 pub async fn pending_events(path: &Path) -> Result<u64, SpoolReadError> {
-    let mut connection = reading(path).connect().await?;
+    let mut connection = read_only_options(path).connect().await?;
     let events: i64 =
         sqlx::query_scalar("SELECT COALESCE(SUM(events), 0) FROM batch").fetch_one(&mut connection).await?;
     connection.close().await?;
@@ -133,7 +133,7 @@ pub async fn pending_events(path: &Path) -> Result<u64, SpoolReadError> {
 
 /// Returns the number of events lost by killed agents; `None` if the agent that wrote the spool did not count them.
 async fn lost_when_killed(connection: &mut SqliteConnection) -> Result<Option<i64>, sqlx::Error> {
-    // Spools of earlier releases lack the column. Inspecting a file does not migrate it.
+    // Spools of earlier releases do not have the column, and inspecting a file does not migrate it.
     let column = "SELECT count(*) > 0 FROM pragma_table_info('stream') WHERE name = 'lost_when_killed'";
     if !sqlx::query_scalar(column).fetch_one(&mut *connection).await? {
         return Ok(None);
@@ -141,7 +141,7 @@ async fn lost_when_killed(connection: &mut SqliteConnection) -> Result<Option<i6
     sqlx::query_scalar("SELECT lost_when_killed FROM stream").fetch_optional(connection).await
 }
 
-fn reading(path: &Path) -> SqliteConnectOptions {
+fn read_only_options(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
         .read_only(true)
@@ -170,7 +170,7 @@ struct Batch {
 
 impl Inspection {
     async fn read(&mut self, path: &Path) -> Result<(), InspectError> {
-        let mut connection = reading(path).connect().await?;
+        let mut connection = read_only_options(path).connect().await?;
         // One transaction, so that concurrent writes of the agent do not look like damage.
         sqlx::query("BEGIN").execute(&mut connection).await?;
         let is_spool = check_is_spool(&mut connection).await;

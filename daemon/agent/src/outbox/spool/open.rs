@@ -38,12 +38,12 @@ pub(crate) struct OpenSpool {
     pub(in crate::outbox) state: SpoolState,
     /// Counter of the events that this process queues.
     pub(crate) counter: EventCounter,
-    /// The broken spool that was quarantined, if there was one.
+    /// The damaged spool that was quarantined, if any.
     pub(in crate::outbox) quarantined: Option<QuarantinedSpool>,
 }
 
 impl OpenSpool {
-    /// Opens the spool of a host, and creates it if missing. A broken spool is quarantined. At the default path
+    /// Opens the spool of a host, and creates it if missing. A damaged spool is quarantined. At the default path
     /// (`is_default_path`) a file that is not a spool is quarantined, too; at a configured path it is an error, because it
     /// may be other data.
     ///
@@ -70,14 +70,14 @@ impl OpenSpool {
         // Checked before SQLite opens the file, because SQLite may change it.
         let file_kind = FileKind::from_path(path).map_err(io("read", path))?;
         if !(is_default_path && file_kind == FileKind::Other)
-            && let Some(objection) = file_kind.objection()
+            && let Some(objection) = file_kind.refusal_reason()
         {
             return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
         }
         let mut reserve = Reserve::new(with_suffix(path, "-reserve"));
         let mut quarantined = None;
         let opened = match connect_despite_full_disk(path, host, &mut reserve).await {
-            // A broken spool must not prevent the robot from measuring. The file is not deleted, because a user may
+            // A damaged spool must not prevent the robot from measuring. The file is not deleted, because a user may
             // recover its events.
             Err(error) if error.is_damage() => {
                 let moved = quarantine(path, error.to_string(), clock.wall());
@@ -210,7 +210,7 @@ async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), Spo
     if id == APPLICATION_ID {
         return Ok(());
     }
-    if let (true, Some(objection)) = (id != 0 || tables != 0, FileKind::Database.objection()) {
+    if let (true, Some(objection)) = (id != 0 || tables != 0, FileKind::Database.refusal_reason()) {
         return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
     }
     let mark = AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"));

@@ -1,4 +1,7 @@
-//! Quarantines a broken spool: renames the file, so that a new spool can be created and the robot can measure.
+//! Quarantines a damaged spool: renames the file, so that a new spool can be created and the robot can measure.
+//!
+//! A damaged spool that is open is only flagged: the *damage flag* is a file beside the spool with the reason as its text.
+//! The next start quarantines a flagged spool.
 
 use std::ffi::OsString;
 use std::fs;
@@ -16,8 +19,8 @@ pub(in crate::outbox) struct QuarantinedSpool {
     pub(in crate::outbox) new_path: PathBuf,
 }
 
-/// Renames the spool and its SQLite companions, from which the `sqlite3` shell may recover data. The spool must not
-/// be open.
+/// Renames the spool with its log and its shared memory (`-wal`, `-shm`), from which the `sqlite3` shell may recover data.
+/// The spool must not be open.
 pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Result<QuarantinedSpool> {
     let unused_path = |seconds: i64| {
         let path = with_suffix(spool, &format!(".damaged-{seconds}"));
@@ -31,33 +34,34 @@ pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Res
             _ => {}
         }
     }
-    match fs::remove_file(mark_path(spool)) {
+    match fs::remove_file(damage_flag_path(spool)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(QuarantinedSpool { reason, new_path }),
     }
 }
 
-/// Marks an open spool as broken by creating a mark file. The next start quarantines the spool.
-pub(super) fn mark_broken(spool: &Path, reason: &str) {
-    if let Err(error) = fs::write(mark_path(spool), format!("{reason}\n")) {
-        tracing::warn!(%error, "cannot mark the spool {} as broken", spool.display());
+/// Creates the damage flag of an open spool.
+pub(super) fn flag_as_damaged(spool: &Path, reason: &str) {
+    if let Err(error) = fs::write(damage_flag_path(spool), format!("{reason}\n")) {
+        tracing::warn!(%error, "cannot flag the spool {} as damaged; the next start will not quarantine it", spool.display());
     }
 }
 
-/// Returns the reason why the spool is marked as broken; `None` if it is not marked. A mark file without a spool is
-/// removed: the spool was deleted, or its quarantine was interrupted.
+/// Returns the reason why the spool is flagged as damaged; `None` if it is not. A damage flag without a spool is removed:
+/// the spool was deleted, or its quarantine was interrupted.
 pub(super) fn quarantine_reason(spool: &Path) -> Option<String> {
-    let reason = fs::read_to_string(mark_path(spool)).ok()?;
+    let reason = fs::read_to_string(damage_flag_path(spool)).ok()?;
     if !spool.exists() {
-        if let Err(error) = fs::remove_file(mark_path(spool)) {
-            tracing::warn!(%error, "cannot remove {}, the mark of a broken spool that no longer exists", mark_path(spool).display());
+        if let Err(error) = fs::remove_file(damage_flag_path(spool)) {
+            tracing::warn!(%error, "cannot remove {}, the damage flag of a spool that no longer exists", damage_flag_path(spool).display());
         }
         return None;
     }
     Some(reason.trim().to_owned())
 }
 
-fn mark_path(spool: &Path) -> PathBuf {
+fn damage_flag_path(spool: &Path) -> PathBuf {
+    // The suffix stays as it is: an earlier version may have created the flag.
     with_suffix(spool, "-condemned")
 }
 

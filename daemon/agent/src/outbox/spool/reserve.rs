@@ -66,7 +66,7 @@ impl Reserve {
             Ok(()) => {}
             Err(Errno::OPNOTSUPP) => self.is_unsupported = true,
             Err(error) => {
-                tracing::debug!(%error, allocated = self.allocated, "the disk has no space for the spool's reserve {}", self.file.display());
+                tracing::debug!(%error, allocated = self.allocated, "cannot allocate all of the spool's reserve {}", self.file.display());
             }
         }
         if self.allocated == 0

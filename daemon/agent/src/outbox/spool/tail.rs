@@ -77,7 +77,7 @@ pub(super) async fn read_unreported(connection: &mut SqliteConnection) -> Result
 }
 
 /// Returns the unresolved batches of an earlier process, whose losses only the aggregator can determine. `None` if its
-/// file of counts no longer exists, after a restart of the machine, or belongs to the spool of which this one is a copy.
+/// file of counts no longer exists, after a restart of the machine, or belongs to the spool that was copied to this one.
 pub(super) async fn read_unresolved(
     connection: &mut SqliteConnection,
     owner: &CountOwner,
@@ -211,7 +211,7 @@ async fn write(
 
 async fn write_unreported(
     connection: &mut SqliteConnection,
-    mut told: u64,
+    mut reported: u64,
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
     // Losses that are in the table already were added when they were written.
@@ -226,12 +226,12 @@ async fn write_unreported(
     .await?;
     sqlx::query("DELETE FROM unreported").execute(&mut *connection).await?;
     for gap in unreported {
-        told += gap.count;
+        reported += gap.count;
         sqlx::query(
             "INSERT INTO unreported (told_through, pipeline, run, from_ns, to_ns, count, reason) \
              VALUES (?, ?, ?, ?, ?, ?, ?)",
         )
-        .bind(told.cast_signed())
+        .bind(reported.cast_signed())
         .bind(gap.pipeline.as_ref().map(ToString::to_string))
         .bind(gap.run.map(|run| run.to_string()))
         .bind(gap.from.unix_nanos())
@@ -247,11 +247,11 @@ async fn write_unreported(
 /// Records in the current transaction that the batches of the earlier process are resolved, and the losses to report.
 pub(super) async fn resolve(
     connection: &mut SqliteConnection,
-    told: u64,
+    reported_drops: u64,
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
     sqlx::query("DELETE FROM unresolved").execute(&mut *connection).await?;
-    write_unreported(connection, told, unreported).await
+    write_unreported(connection, reported_drops, unreported).await
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use tokio_util::task::AbortOnDropHandle;
 
 use super::error::SpoolFileError;
 use super::file::{Loaded, SpoolFile};
-use super::quarantine::mark_broken;
+use super::quarantine::flag_as_damaged;
 use super::range_log;
 use super::sync::Syncing;
 
@@ -56,7 +56,7 @@ pub(in crate::outbox) enum SpoolTaskError {
     #[error("the spool's disk does not answer in time")]
     Slow,
     /// The task panicked.
-    #[error(transparent)]
+    #[error("the spool's task panicked: {0}")]
     Panicked(#[from] JoinError),
 }
 
@@ -154,10 +154,10 @@ async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> D
     }
 }
 
-/// Marks the file as broken if SQLite reports damage, so that the next start quarantines it.
+/// Flags the file as damaged if SQLite reports damage, so that the next start quarantines it.
 fn mark_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
     if let Err(file_error @ SpoolFileError::Corrupt { .. }) = &result {
-        mark_broken(file.path(), &file_error.to_string());
+        flag_as_damaged(file.path(), &file_error.to_string());
     }
     Ok(result?)
 }

@@ -16,7 +16,7 @@ pub(super) struct TopicMessage {
     /// `header.stamp` in nanoseconds since the epoch of the publisher's clock; `None` if there is no header, or the
     /// stamp is 0.
     pub(super) stamp: Option<i64>,
-    /// `header.seq`: the publisher's number of the message, one more than that of the previous message.
+    /// `header.seq`: the publisher's number of the message, one more than the number of the previous message.
     pub(super) sequence: Option<i64>,
     /// Number of messages of the same publisher that are missing before it, according to their sequence numbers.
     pub(super) missing: u64,
@@ -49,7 +49,7 @@ pub(super) fn begins_with_header(definition: &str) -> bool {
 pub(super) fn read_header(form: WireForm, message: &Bytes) -> Option<Header> {
     let mut reader = Reader::new(form, message.clone()).ok()?;
     // In ROS 2 the fields of a type are unknown to the subscriber, so the bytes are checked for plausibility: the second
-    // field of a time is below 1e9 (nanoseconds of a second), that of another value rarely is.
+    // field of a time is below 1e9 (nanoseconds of a second); the second field of another value rarely is.
     Header::read(&mut reader).ok().filter(|header| header.stamp.nanosec < 1_000_000_000)
 }
 

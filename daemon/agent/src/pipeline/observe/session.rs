@@ -21,7 +21,7 @@ use crate::pipeline::context::PipelineContext;
 use crate::pipeline::run::Run;
 use crate::pipeline::runner::Runner;
 
-/// Largest number of unpaired messages of each topic: those of four seconds at 1 kHz.
+/// Maximum number of unpaired messages of each topic: the messages of four seconds at 1 kHz.
 const MAX_UNPAIRED: usize = 4096;
 /// Longest time between two checks of the publishers and of the end of the run.
 const CHECK_INTERVAL: Span = Span::from_seconds(1);

@@ -132,7 +132,7 @@ impl Source {
     /// # Errors
     /// When a topic's type has no header.
     pub(super) fn check_types(&self, pair_by: PairBy) -> Result<(), SourceError> {
-        // The sequence number is in the header as well.
+        // The sequence number is also in the header.
         if pair_by == PairBy::Order {
             return Ok(());
         }

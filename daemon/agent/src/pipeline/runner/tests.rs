@@ -1,4 +1,4 @@
-//! Tests of pipelines of which a part panics.
+//! Tests of pipelines with a part that panics.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;

@@ -1,4 +1,4 @@
-//! Tests of the identity of a cloud: the clock that matters is that of the process that serves the data.
+//! Tests of the identity of a cloud: delays are judged by the clock of the process that serves the data.
 
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_logger::HostId;

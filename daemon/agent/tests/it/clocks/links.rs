@@ -1,4 +1,4 @@
-//! Tests of the lifetime of a link, which is that of its sessions.
+//! Tests that a link exists as long as its sessions.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;

@@ -93,7 +93,7 @@ async fn key_only_at_edge_is_named_as_reason() {
     edge.until(|live| live.links.iter().any(|link| named(&link.probing))).await;
     edge.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-    // Probes that were in flight when the edge stopped are lost as well.
+    // Probes that were in flight when the edge stopped are also lost.
     let (mut sent, mut lost) = (0, 0);
     for sample in seen.clocks() {
         (sent, lost) = (sent + sample.probes.sent, lost + sample.probes.lost);

@@ -85,7 +85,7 @@ async fn named_foreign_reflector_gets_relation_of_its_own() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn garbage_of_named_reflector_is_counted_and_not_believed() {
+async fn garbage_from_configured_reflector_gives_no_offset() {
     let socket = UdpSocket::bind("127.0.0.1:0").await.expect("a port");
     let address = socket.local_addr().expect("bound");
     let garbage = tokio::spawn(async move {

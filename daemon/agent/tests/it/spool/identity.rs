@@ -1,4 +1,4 @@
-//! Tests of spools that are gone, broken, or those of another host.
+//! Tests of spools that are missing, are damaged, or belong to another host.
 
 use peernet_agent::StartError;
 use peernet_stream::IncidentKind;
@@ -23,7 +23,7 @@ async fn deleted_spool_begins_new_stream() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn broken_spool_is_quarantined_and_measuring_begins() {
+async fn damaged_spool_is_quarantined_and_measuring_starts() {
     let (aggregator, state) = (Aggregator::start().await, state());
     let file = state.path().join("spool.sqlite");
     std::fs::write(&file, b"not a database".repeat(100)).expect("written");

@@ -7,7 +7,7 @@ use peernet_stream::{Hello, HelloResult, HostSecret, Nonce, Proof, ProofResult, 
 
 use super::IngestSession;
 use crate::ingest::queue::AdmittedWork;
-use crate::live::{LiveEvent, bounds};
+use crate::live::{LiveEvent, limits};
 use crate::live_state::RefusedHost;
 use peernet_store::writing::{Introduction, Work};
 
@@ -16,7 +16,7 @@ impl IngestSession {
     pub(super) fn handle_hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
         // Cut to the size that is displayed, because it is kept before the host has proven its identity.
-        bounds::description(&mut hello.host, &mut 0);
+        limits::limit_description(&mut hello.host, &mut 0);
         let reason = Receiving::version_refusal(&hello)
             .or_else(|| self.routes.limit_refusal(from.connection, host))
             .or_else(|| self.hosts.limit_refusal(host));
@@ -62,19 +62,19 @@ impl IngestSession {
             self.refuse(from, &hello, reason, now);
             return;
         }
-        // Without room for the work that follows from it, the hello is treated as lost; the agent repeats it.
+        // If the queue has no capacity for the work that follows, the hello counts as lost; the agent repeats it.
         let (Some(introduction_slot), Some(gap_slot)) = (self.queue.reserve(0), self.queue.reserve(0)) else {
-            self.output.defer_greeting();
+            self.output.count_deferred_hello();
             return;
         };
         let record = self.store.streams.record(&hello, self.hosts.seniority(host));
-        // A welcome acknowledges everything up to the stream's mark. While the database is closed, it is unknown
-        // whether that is still stored, so the agent has to wait.
+        // A welcome acknowledges all batches up to the stream's mark. While the database is closed, it is unknown whether
+        // they are still stored, so the agent has to wait.
         if !self.store.is_open() && record.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
         match self.receiving.handle_hello(&hello, record, now.mono) {
-            HelloResult::Welcome { reply, missing, replaced, lacking, displaced } => {
+            HelloResult::Welcome { reply, missing, replaced, missing_previous, displaced } => {
                 let Hello { host: description, process, stream, previous, first, .. } = hello;
                 let name = &description.name;
                 if let Some(replaced) = replaced {
@@ -83,19 +83,20 @@ impl IngestSession {
                         "the spool of this host was deleted or replaced: its remaining events are lost"
                     );
                 }
-                if let Some(lacking) = lacking {
+                if let Some(missing_previous) = missing_previous {
                     tracing::warn!(
-                        host = %name, stream = %lacking.stream, from = lacking.from, through = lacking.through,
-                        events = lacking.events,
-                        "batches of this host were stored in a newer database than this one"
+                        host = %name, stream = %missing_previous.stream, from = missing_previous.from, through = missing_previous.through,
+                        events = missing_previous.events,
+                        "batches of this host are not in this database, which is an older copy of the one that stored them; \
+                         they are recorded as a gap"
                     );
                 }
                 if let Some(missing) = missing {
-                    // Not a loss: an agent deletes only acknowledged batches, so these were stored in another database.
+                    // Logged as information: an agent deletes only acknowledged batches, so another database has stored these.
                     tracing::info!(
                         host = %name, from = missing.from, through = missing.through, events = missing.events,
-                        "batches of this host are missing from this database for good: they were acknowledged by \
-                         another aggregator, or by this one with another database"
+                        "batches of this host are missing in this database and are recorded as a gap: another aggregator \
+                         acknowledged them, or this one did with another database"
                     );
                 }
                 tracing::info!(host = %name, id = %host, stored = record.mark.map(|mark| mark.stored), "a host connected");
@@ -106,10 +107,10 @@ impl IngestSession {
                     previous,
                     first,
                     replaced,
-                    lacking,
+                    missing_previous,
                     secret,
                 };
-                let gone = if self.hosts.is_stored(host) {
+                let dropped_newcomer = if self.hosts.is_stored(host) {
                     if let Some(secret) = &introduction.secret {
                         self.hosts.enrol(host, secret);
                     }
@@ -127,11 +128,11 @@ impl IngestSession {
                     drop((introduction_slot, gap_slot));
                     self.hosts.add_newcomer(introduction, missing)
                 };
-                if let Some(gone) = gone {
-                    self.end_dropped_newcomer(gone);
+                if let Some(dropped_newcomer) = dropped_newcomer {
+                    self.end_dropped_newcomer(dropped_newcomer);
                 }
                 if let Some(displaced) = displaced {
-                    tracing::warn!(host = %description.name, %displaced, "a host that has been stored for longer took its name back from another host");
+                    tracing::warn!(host = %description.name, id = %host, %displaced, "this host has been stored under this name for longer; another host with the name was disconnected");
                     // The displaced host sends its hello again and is refused with the reason.
                     self.routes.remove(displaced);
                     self.forget_newcomer(displaced);

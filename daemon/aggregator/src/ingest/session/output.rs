@@ -38,8 +38,8 @@ impl SessionOutput {
         self.live_events.push(event);
     }
 
-    /// Counts a hello that did not fit into the queue.
-    pub(super) const fn defer_greeting(&mut self) {
+    /// Counts a hello for whose work the queue had no capacity.
+    pub(super) const fn count_deferred_hello(&mut self) {
         self.rejected.deferred += 1;
     }
 

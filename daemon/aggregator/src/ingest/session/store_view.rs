@@ -12,7 +12,7 @@ const MAX_UNNAMED_RUNS: usize = 1_024;
 #[derive(Debug)]
 pub(super) struct StoreView {
     pub(super) streams: Streams,
-    /// Runs of which the database has iterations only, with their hosts.
+    /// Runs whose start is not in the database, but iterations are, with their hosts.
     unnamed: HashSet<(HostId, RunId)>,
     /// `true` while the writer has a database. While it has none, nothing is acknowledged.
     is_open: bool,
@@ -49,7 +49,7 @@ impl StoreView {
         self.unnamed.remove(&(host, run));
     }
 
-    /// Adds runs of which the database has iterations only; those beyond `MAX_UNNAMED_RUNS` are ignored.
+    /// Adds runs whose start is not in the database, but iterations are. Runs beyond `MAX_UNNAMED_RUNS` are ignored.
     pub(super) fn add_unnamed(&mut self, runs: impl IntoIterator<Item = (HostId, RunId)>) {
         let free = MAX_UNNAMED_RUNS.saturating_sub(self.unnamed.len());
         self.unnamed.extend(runs.into_iter().take(free));

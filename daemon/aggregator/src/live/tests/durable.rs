@@ -19,7 +19,7 @@ fn figures(testbed: &mut Testbed, backlog: bool) -> LiveState {
             };
             for batch in 0..200 {
                 let events = u64::try_from(step * 200 + batch).expect("positive");
-                let stored = Stored { events, nodes: 12 * events, ..Stored::default() };
+                let stored = StoredCounts { events, nodes: 12 * events, ..StoredCounts::default() };
                 testbed.live.apply(
                     LiveEvent::Stored(testbed.host, stored, Some(wall(-80_000.0 + 100.0 * at))),
                     now(at),
@@ -36,7 +36,7 @@ fn figures(testbed: &mut Testbed, backlog: bool) -> LiveState {
 }
 
 #[test]
-fn backlog_changes_no_figure_of_picture() {
+fn backlog_changes_no_live_pipeline_or_link() {
     let (mut calm, mut busy) = (Testbed::new(), Testbed::new());
     busy.host = calm.host;
     busy.live = LiveTracker::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
@@ -60,10 +60,14 @@ fn backlog_changes_no_figure_of_picture() {
 fn totals_hold_hosts_that_left_and_never_fall() {
     let mut testbed = Testbed::new();
     let (gone, stranger) = (HostId::random(), HostId::random());
-    let stored =
-        |events| Stored { events, nodes: 10 * events, quarantined: events / 100, ..Stored::default() };
+    let stored = |events| StoredCounts {
+        events,
+        nodes: 10 * events,
+        quarantined: events / 100,
+        ..StoredCounts::default()
+    };
     testbed.live.apply(LiveEvent::Stored(gone, stored(100), None), now(0.0));
-    assert_eq!(testbed.live.snapshot(now(0.0)).absent, 1, "it is known, and nothing was heard of it");
+    assert_eq!(testbed.live.snapshot(now(0.0)).absent, 1, "it is stored and has not connected");
     testbed.live.apply(LiveEvent::Hello(Box::new(description(gone, "gone")), 1), now(0.0));
     assert_eq!(testbed.live.snapshot(now(0.0)).absent, 0);
     testbed.live.apply(LiveEvent::Hello(Box::new(description(stranger, "stranger")), 1), now(0.0));
@@ -72,9 +76,13 @@ fn totals_hold_hosts_that_left_and_never_fall() {
     testbed.send(3_500.0, vec![]);
     testbed.live.expire(now(3_601.0));
     let snapshot = testbed.snapshot(3_601.0);
-    assert_eq!((snapshot.hosts.len(), snapshot.absent), (1, 1), "the others left the picture, one is known");
+    assert_eq!(
+        (snapshot.hosts.len(), snapshot.absent),
+        (1, 1),
+        "both hosts left the snapshot, one is stored"
+    );
     let expected = |events, damaged| Totals {
-        stored: Stored { quarantined: 1, ..stored(events) },
+        stored: StoredCounts { quarantined: 1, ..stored(events) },
         arrivals: Arrivals { deferred: 0, damaged },
         ..Totals::default()
     };

@@ -25,7 +25,7 @@ fn host_after_goodbye_is_not_away_before_last_commit() {
     for stored_first in [true, false] {
         let mut testbed = Testbed::new();
         testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Running, 41), now(1.0));
-        let stored = Stored { events: 100, ..Stored::default() };
+        let stored = StoredCounts { events: 100, ..StoredCounts::default() };
         let durable = LiveEvent::Stored(testbed.host, stored, Some(wall(1.2)));
         let live = update_in_state(&testbed, 1.2, PipelineState::Finished, 0);
         let goodbye = LiveEvent::Goodbye(testbed.host);

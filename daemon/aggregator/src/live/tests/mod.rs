@@ -19,7 +19,7 @@ use proptest::prelude::*;
 
 use super::{LiveEvent, LiveTracker, MAX_HOST_PIPELINES, MAX_NAMES, MAX_RUN_NUMBERS};
 use crate::live_state::{LiveState, RefusedFrames, RefusedHost};
-use peernet_store::Stored;
+use peernet_store::StoredCounts;
 
 /// Wall time of the tests' start, Unix seconds.
 const START: i64 = 1_750_000_000;
@@ -239,7 +239,7 @@ fn windows_follow_wrong_and_stepped_agent_clock() {
     let snapshot = testbed.snapshot(4.6);
     assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
     assert_eq!(snapshot.hosts[0].clock_ahead, Span::from_seconds(ahead));
-    // The clock is set back to the right time: later seconds are discarded, and new ones are shown at once.
+    // The clock is set back to the right time: later seconds are discarded, and new seconds are shown at once.
     testbed.live.apply(update(host, wall(6.5), line(6)), now(6.5));
     let snapshot = testbed.snapshot(6.5);
     assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [5, 5, 5]);
@@ -343,13 +343,13 @@ fn counts_of_host_and_database_are_shown() {
         ..Accounting::default()
     };
     testbed.live.apply(with(update(testbed.host, wall(30.0), vec![]), accounting.clone()), now(30.0));
-    let stored = Stored { events: 4, nodes: 80, ..Stored::default() };
+    let stored = StoredCounts { events: 4, nodes: 80, ..StoredCounts::default() };
     testbed.live.apply(LiveEvent::Stored(testbed.host, stored, Some(wall(12.0))), now(30.1));
     testbed.live.apply(LiveEvent::Duplicate(testbed.host), now(30.2));
     let snapshot = testbed.snapshot(30.2);
     assert_eq!(snapshot.hosts[0].behind, Some(Span::from_seconds(18)));
     assert_eq!(snapshot.hosts[0].newest_stored, Some(wall(12.0)));
-    assert_eq!(snapshot.hosts[0].stored, Stored { duplicates: 1, ..stored });
+    assert_eq!(snapshot.hosts[0].stored, StoredCounts { duplicates: 1, ..stored });
     let cut = Some("é".repeat(256));
     assert_eq!(snapshot.hosts[0].accounting, Accounting { trouble: cut, ..accounting });
     let idle = Accounting { waiting: 0, ..accounting };
@@ -417,7 +417,7 @@ fn refused_host_is_shown_once_for_ten_minutes() {
 fn host_without_stored_events_is_removed_early() {
     let mut live = LiveTracker::new(slug("base"), "tcp://127.0.0.1:1".into(), Span::from_seconds(86_400));
     let (known, stranger) = (HostId::random(), HostId::random());
-    let stored = Stored { events: 7, nodes: 70, ..Stored::default() };
+    let stored = StoredCounts { events: 7, nodes: 70, ..StoredCounts::default() };
     assert!(!live.apply(LiveEvent::Stored(known, stored, None), now(0.0)));
     live.apply(LiveEvent::Hello(Box::new(description(known, "known")), 1), now(1.0));
     live.apply(LiveEvent::Hello(Box::new(description(stranger, "stranger")), 1), now(1.0));

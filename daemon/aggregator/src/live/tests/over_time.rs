@@ -24,7 +24,7 @@ fn exact_p95(mut totals: Vec<f64>) -> f64 {
 }
 
 #[test]
-fn percentile_is_that_of_all_iterations_of_its_bucket() {
+fn percentile_covers_all_iterations_of_its_bucket() {
     // Eight iterations a second of 9 to 13 ms, and one of 1.4 s in second 25.
     let mut seconds: Vec<Vec<f64>> =
         (0..60).map(|at| (0..8).map(|n| 0.009 + 1e-4 * f64::from((7 * at + 5 * n) % 40)).collect()).collect();
@@ -59,7 +59,7 @@ fn slow_pipeline_gets_buckets_that_hold_sixty_iterations() {
 }
 
 #[test]
-fn bucket_under_way_has_a_percentile_from_sixty_iterations_on() {
+fn incomplete_bucket_has_percentile_from_sixty_iterations() {
     let mut testbed = Testbed::new();
     for at in 0..25 {
         testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
@@ -143,7 +143,7 @@ fn speed_while_sending_adds_up_bytes_and_times() {
 }
 
 #[test]
-fn rate_of_a_young_pipeline_is_over_the_time_since_its_begin() {
+fn rate_of_new_pipeline_covers_time_since_its_start() {
     let mut testbed = Testbed::new();
     for at in 0..5 {
         testbed.send(at as f64 + 0.5, vec![second(at, &[0.010; 8][..if at == 4 { 4 } else { 8 }], 0)]);

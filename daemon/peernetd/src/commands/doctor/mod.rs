@@ -58,7 +58,7 @@ struct Examined {
     unavailable: Vec<String>,
 }
 
-/// Examines databases and spools. The exit code is that of the worst finding.
+/// Examines databases and spools. The worst finding determines the exit code.
 pub(crate) fn doctor(arguments: Arguments) -> Exit {
     let _log = log::install_temporary();
     let (full, json, repair) = (arguments.full, arguments.json, arguments.repair);

@@ -47,10 +47,10 @@ fn print_database(report: &Report, now: WallTime) {
     say(format_args!(
         "database {}\n  {}, {} of it free for reuse; write-ahead log {}; free disk space {}",
         report.database.display(),
-        size(file.bytes),
-        size(file.free_bytes),
-        size(file.wal_bytes),
-        size(file.disk_free_bytes)
+        format_size(file.bytes),
+        format_size(file.free_bytes),
+        format_size(file.wal_bytes),
+        format_size(file.disk_free_bytes)
     ));
     if let Some(schema) = report.schema {
         say(format_args!("  schema {} (this program supports {})", schema.found, schema.known));
@@ -70,43 +70,55 @@ fn print_database(report: &Report, now: WallTime) {
         let about = if table.estimated { "about " } else { "" };
         vec![table.table.to_owned(), format!("{about}{}", fixed(table.rows as f64, 0))]
     });
-    section(&["table", "rows"], rows);
+    print_table(&["table", "rows"], rows);
     let rows = report.streams.iter().map(|stream| {
         let host = stream.host.clone().unwrap_or_else(|| "unknown".to_owned());
-        vec![host, stream.stream.clone(), fixed(stream.stored as f64, 0), ago(stream.last_seen_ns, now)]
+        vec![
+            host,
+            stream.stream.clone(),
+            fixed(stream.stored as f64, 0),
+            format_age(stream.last_seen_ns, now),
+        ]
     });
-    section(&["host", "stream", "stored up to batch", "last"], rows);
+    print_table(&["host", "stream", "stored up to batch", "last"], rows);
     let rows = report.rollups.iter().map(|extent| {
         let at = |second: Option<i64>| {
-            second.map_or_else(|| "—".to_owned(), |second| ago(second.saturating_mul(1_000_000_000), now))
+            second.map_or_else(
+                || "—".to_owned(),
+                |second| format_age(second.saturating_mul(1_000_000_000), now),
+            )
         };
         vec![format!("{} s", fixed(extent.resolution_s as f64, 0)), at(extent.oldest_s), at(extent.newest_s)]
     });
-    section(&["roll-ups of", "oldest starts", "newest starts"], rows);
+    print_table(&["roll-ups of", "oldest starts", "newest starts"], rows);
     let rows = report.gaps.iter().map(|gap| {
         let host = gap.host.clone().unwrap_or_else(|| "unknown".to_owned());
         let events = if gap.uncounted > 0 { format!("≥ {}", gap.events) } else { gap.events.to_string() };
-        vec![gap.reason.clone(), host, gap.gaps.to_string(), events, ago(gap.to_ns, now)]
+        vec![gap.reason.clone(), host, gap.gaps.to_string(), events, format_age(gap.to_ns, now)]
     });
-    section(&["reason of gaps", "host", "gaps", "events", "last"], rows);
+    print_table(&["reason of gaps", "host", "gaps", "events", "last"], rows);
     let rows = report.quarantine.iter().map(|group| {
         let host = group.host.clone().unwrap_or_else(|| "unknown".to_owned());
-        vec![group.reason.clone(), host, group.batches.to_string(), ago(group.last_ns, now)]
+        vec![group.reason.clone(), host, group.batches.to_string(), format_age(group.last_ns, now)]
     });
-    section(&["reason of quarantine", "host", "batches", "last"], rows);
+    print_table(&["reason of quarantine", "host", "batches", "last"], rows);
     let rows = report.open_runs.iter().map(|run| {
         let host = run.host.clone().unwrap_or_else(|| "unknown".to_owned());
-        vec![format!("#{}", run.number), format!("{host}/{}", run.pipeline), ago(run.last_seen_ns, now)]
+        vec![
+            format!("#{}", run.number),
+            format!("{host}/{}", run.pipeline),
+            format_age(run.last_seen_ns, now),
+        ]
     });
-    section(&["run without end", "pipeline", "host heard of"], rows);
+    print_table(&["run without end", "pipeline", "host heard of"], rows);
 }
 
 fn print_spool(report: &SpoolReport, now: WallTime) {
     say(format_args!(
         "spool {}\n  {}; free disk space {}",
         report.spool.display(),
-        size(report.file_bytes),
-        size(report.disk_free_bytes)
+        format_size(report.file_bytes),
+        format_size(report.disk_free_bytes)
     ));
     let found = &report.inspection;
     if found.stream.is_empty() {
@@ -124,15 +136,15 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
         (Some((first, last)), Some(oldest)) => say(format_args!(
             "  waiting: batches {first} to {last}, {} events, {}, the oldest from {}\n",
             fixed(found.events as f64, 0),
-            size(found.bytes),
-            ago(oldest, now)
+            format_size(found.bytes),
+            format_age(oldest, now)
         )),
         _ => say("  no events wait\n"),
     }
 }
 
 /// Prints a table with an empty line after it; prints nothing if there are no rows.
-fn section(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
+fn print_table(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     let rows: Vec<Vec<String>> = rows.collect();
     let Some(more) = (!rows.is_empty()).then(|| rows.len().saturating_sub(MAX_TABLE_LINES)) else { return };
     say(text(header, &rows[..rows.len() - more]));
@@ -142,12 +154,12 @@ fn section(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     say("");
 }
 
-fn size(length: u64) -> String {
+fn format_size(length: u64) -> String {
     bytes(length as f64).plain()
 }
 
 /// Formats an age in the largest unit that fits: `3 min ago`.
-fn ago(nanos: i64, now: WallTime) -> String {
+fn format_age(nanos: i64, now: WallTime) -> String {
     let seconds = (now - WallTime::from_unix_nanos(nanos)).seconds();
     let (value, unit) = match seconds.abs() {
         s if s < 100.0 => (s, "s"),

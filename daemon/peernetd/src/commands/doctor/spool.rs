@@ -95,7 +95,7 @@ impl SpoolReport {
     }
 }
 
-/// Returns the findings about lost events: those that were dropped for lack of space, and those that were lost with a
+/// Returns the findings about lost events: events that were dropped for lack of space, and events that were lost with a
 /// killed agent.
 fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
     let finding = |events: i64, how: &str, advice: &str| {
@@ -124,24 +124,27 @@ mod tests {
     use super::losses;
 
     #[test]
-    fn losses_are_told_by_their_cause() {
-        let told = |dropped, killed| -> Vec<_> {
+    fn losses_are_reported_by_cause() {
+        let reports = |dropped, killed| -> Vec<_> {
             losses(dropped, killed)
                 .into_iter()
                 .map(|finding| format!("{} → {}", finding.what, finding.advice))
                 .collect()
         };
-        assert!(told(0, Some(0)).is_empty() && told(0, None).is_empty());
-        let [killed] = &told(2, Some(2))[..] else { panic!("{:?}", told(2, Some(2))) };
+        assert!(reports(0, Some(0)).is_empty() && reports(0, None).is_empty());
+        let [killed] = &reports(2, Some(2))[..] else { panic!("{:?}", reports(2, Some(2))) };
         assert!(
             killed.starts_with("2 events were lost when the agent was killed")
                 && !killed.contains("limit_bytes"),
             "{killed}"
         );
-        let [room, killed] = &told(5, Some(2))[..] else { panic!("{:?}", told(5, Some(2))) };
-        assert!(room.starts_with("3 events") && room.contains("limit_bytes"), "{room}");
+        let [lack_of_space, killed] = &reports(5, Some(2))[..] else { panic!("{:?}", reports(5, Some(2))) };
+        assert!(
+            lack_of_space.starts_with("3 events") && lack_of_space.contains("limit_bytes"),
+            "{lack_of_space}"
+        );
         assert!(killed.starts_with("2 events"), "{killed}");
-        let [either] = &told(4, None)[..] else { panic!("{:?}", told(4, None)) };
+        let [either] = &reports(4, None)[..] else { panic!("{:?}", reports(4, None)) };
         assert!(either.contains("for lack of space, or") && either.contains("Incidents"), "{either}");
     }
 }

@@ -1,4 +1,4 @@
-//! Facts from the tables, without reading the large ones.
+//! Facts from the tables, without reading the large tables.
 
 use peernet_clock::{Span, WallTime};
 use sqlx::{AssertSqlSafe, SqliteConnection};

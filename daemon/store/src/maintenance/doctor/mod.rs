@@ -36,7 +36,7 @@ const RESTORE: &str = "stop the aggregator and replace the file by the newest ba
 #[derive(Debug, thiserror::Error)]
 pub enum DoctorError {
     /// The file does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// The log beside the database belongs to another database.
     #[error(transparent)]
@@ -148,7 +148,7 @@ impl Report {
         })
     }
 
-    /// Reads the sizes of the file, its log and its disk, and reports those that are a problem.
+    /// Reads the sizes of the file, its log and its disk, and reports problematic sizes.
     async fn check_sizes(&mut self, connection: &mut SqliteConnection, database: &Path) {
         let answer = sqlx::query_scalar(
             "SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size",
@@ -248,9 +248,9 @@ impl Report {
         }
     }
 
-    /// Compares the schema's version with that of this program. Returns whether they are equal.
+    /// Compares the schema's version with this program's version of the schema. Returns whether they are equal.
     async fn has_current_schema(&mut self, connection: &mut SqliteConnection) -> bool {
-        let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+        let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
         let answer = sqlx::query_as("SELECT max(version), min(success) FROM _sqlx_migrations");
         let answer: Result<(Option<i64>, Option<bool>), _> = answer.fetch_one(connection).await;
         let (found, whole) = match answer {
@@ -270,19 +270,20 @@ impl Report {
                 return false;
             }
         };
-        self.schema = Some(Schema { found, known });
+        self.schema = Some(Schema { found, known: supported });
         if !whole {
             let what = format!("bringing its schema up to {found} was interrupted");
             self.problem(what, "restore the backup from before the update");
-        } else if found > known {
-            let what =
-                format!("a newer version wrote it (its schema is {found}, this program supports {known})");
+        } else if found > supported {
+            let what = format!(
+                "a newer version wrote it (its schema is {found}, this program supports {supported})"
+            );
             self.problem(what, "update this program");
-        } else if found < known {
+        } else if found < supported {
             let what =
-                format!("an older version wrote it (its schema is {found}, this program's is {known})");
+                format!("an older version wrote it (its schema is {found}, this program's is {supported})");
             self.notice(what, "make a backup; the aggregator updates the schema at its next start, and the content can be examined after that");
         }
-        whole && found == known
+        whole && found == supported
     }
 }

@@ -84,7 +84,7 @@ pub struct Integrity {
     pub full: bool,
     /// Errors that it found, at most 100.
     pub problems: Vec<String>,
-    /// `true` if rows can be found at all, so that a repair can salvage some.
+    /// `true` if rows can be found, so that a repair can salvage some.
     #[serde(skip)]
     pub(super) has_table_list: bool,
 }
@@ -124,7 +124,7 @@ pub struct GapGroup {
     pub reason: String,
     /// Number of gaps.
     pub gaps: i64,
-    /// Number of events in them, as far as they could be counted.
+    /// Number of events in them; events that could not be counted are not included.
     pub events: i64,
     /// Number of gaps whose events could not be counted.
     pub uncounted: i64,

@@ -1,7 +1,7 @@
 //! Repair of a damaged database: everything that can be read is written to a new file, which takes its place.
 //!
 //! The trees are walked with the parser of the check, because SQLite's recovery extension is not in the bundled library. Rows are
-//! decoded and checked against the types of the columns; unreadable ones are omitted. [`reconcile`] then makes the tables agree
+//! decoded and checked against the types of the columns; unreadable rows are omitted. [`reconcile`] then makes the tables agree
 //! and records the gaps.
 
 mod reconcile;
@@ -22,7 +22,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 use tokio_util::sync::CancellationToken;
 
 use self::reconcile::Reconciliation;
-use self::rows::{CopiedTable, Table, Value, values};
+use self::rows::{CopiedTable, Table, Value, decode_values};
 use self::tree::{Item, Walk};
 use super::{BUSY_TIMEOUT, free_bytes};
 use crate::database::MIGRATIONS;
@@ -40,10 +40,10 @@ const MIGRATIONS_TABLE: &str = "_sqlx_migrations";
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
     /// The database does not exist.
-    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
     /// Another process has locked the database, most likely the aggregator.
-    #[error("cannot repair while another process may store: {0}")]
+    #[error("cannot repair the database while another process may write to it: {0}")]
     Lock(#[from] LockError),
     /// The log of another database lies beside the file.
     #[error(transparent)]
@@ -66,7 +66,7 @@ pub enum RepairError {
         /// Newest schema that this program supports.
         supported: i64,
     },
-    /// The disk has not enough room for the new file.
+    /// The disk has not enough space for the new file.
     #[error("{} has {free} bytes free, but the new file needs up to {needed}; free some space", folder.display())]
     NoRoom {
         /// The folder of the new file.
@@ -92,8 +92,8 @@ pub enum RepairError {
         /// SQLite's error.
         source: DatabaseError,
     },
-    /// The new file is damaged as well.
-    #[error("the new file {} is damaged as well: {what}; the disk or the memory of this machine is probably failing", path.display())]
+    /// The new file is damaged, too.
+    #[error("the new file {} is damaged, too: {what}; the disk or the memory of this machine is probably failing", path.display())]
     Failing {
         /// The new file.
         path: PathBuf,
@@ -109,7 +109,7 @@ pub struct Repaired {
     pub damaged: PathBuf,
     /// Result for each table, by name.
     pub tables: Vec<SalvagedTable>,
-    /// Number of lost iterations, as far as the counters of their runs and missing numbers show.
+    /// Number of lost iterations that the counters of their runs or missing numbers show.
     pub lost_iterations: u64,
     /// `true` if the log beside the database could not be taken over: the newest data is missing.
     pub without_log: bool,
@@ -122,7 +122,7 @@ pub struct SalvagedTable {
     pub table: String,
     /// Number of rows in the new file.
     pub rows: u64,
-    /// Number of places at which rows could not be read: one page or several adjacent ones.
+    /// Number of ranges of adjacent pages in which rows could not be read.
     pub unreadable: u64,
 }
 
@@ -189,7 +189,7 @@ impl OldFile {
         let mut roots = BTreeMap::new();
         for item in Walk::from(&file, 1, true) {
             let Item::Row(_, record) = item else { continue };
-            let columns = values(&record).unwrap_or_default();
+            let columns = decode_values(&record).unwrap_or_default();
             let [Value::Text(kind), Value::Text(name), _, Value::Integer(root), ..] = columns.as_slice()
             else {
                 continue;
@@ -203,7 +203,7 @@ impl OldFile {
         }
         let migrations = roots.get(MIGRATIONS_TABLE).map(|root| Walk::from(&file, *root, true));
         let versions = migrations.into_iter().flatten().filter_map(|item| match item {
-            Item::Row(_, record) => match values(&record)?.first()? {
+            Item::Row(_, record) => match decode_values(&record)?.first()? {
                 Value::Integer(version) => Some(*version),
                 _ => None,
             },
@@ -346,7 +346,7 @@ async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) ->
     let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
     for item in Walk::from(&old.file, *root, true) {
         let Item::Row(_, record) = item else { continue };
-        let row = values(&record).unwrap_or_default();
+        let row = decode_values(&record).unwrap_or_default();
         let [Value::Text(table), Value::Integer(last)] = row.as_slice() else { continue };
         sqlx::query("DELETE FROM sqlite_sequence WHERE name = ?1 AND seq < ?2")
             .bind(table)

@@ -48,7 +48,7 @@ struct IncompleteRun {
     nodes_from: i64,
     counted: i64,
     stored: i64,
-    /// Number of missing iterations between the first one that retention left and the last one.
+    /// Number of missing iterations between the first iteration that retention left and the last iteration.
     missing_numbers: i64,
     /// Number of events in the gaps that the run already has.
     known: i64,
@@ -72,7 +72,7 @@ const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, 
      FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
 
 impl Reconciliation<'_> {
-    /// Reconciles all tables. Returns the number of lost iterations, as far as it is known.
+    /// Reconciles all tables. Returns the known number of lost iterations.
     pub(super) async fn run(mut self) -> Result<i64, sqlx::Error> {
         if self.has_unreadable(&["host", "pipeline", "run", "link"]) {
             self.restore_references().await?;
@@ -145,7 +145,7 @@ impl Reconciliation<'_> {
         Ok(done.rows_affected())
     }
 
-    /// Inserts substitutes for lost rows to which measurements refer, and deletes other rows that refer to lost ones.
+    /// Inserts substitutes for lost rows to which measurements refer, and deletes other rows that refer to lost rows.
     ///
     /// A run of an unknown host gets another id: events that its agent still sends begin another run.
     async fn restore_references(&mut self) -> Result<(), sqlx::Error> {

@@ -133,7 +133,7 @@ impl Table {
             copied.unreadable.push(UnreadableRange { before: None, after: None });
             return Ok(copied);
         };
-        let most = MAX_VALUES / self.columns.len() - DELAYED_ROWS;
+        let max_rows = MAX_VALUES / self.columns.len() - DELAYED_ROWS;
         let mut rows: Vec<Row> = Vec::new();
         // The last row that was written.
         let mut written = None;
@@ -164,9 +164,9 @@ impl Table {
                 range.after = Some(self.key(&row));
             }
             rows.push(row);
-            if rows.len() == most + DELAYED_ROWS {
-                self.insert(connection, &rows[..most]).await?;
-                written = rows.drain(..most).next_back();
+            if rows.len() == max_rows + DELAYED_ROWS {
+                self.insert(connection, &rows[..max_rows]).await?;
+                written = rows.drain(..max_rows).next_back();
             }
         }
         self.insert(connection, &rows).await?;
@@ -199,7 +199,7 @@ impl Table {
     /// Decodes a record; `None` if a value is not of its column's type.
     fn decode(&self, record: &[u8], rowid: Option<i64>) -> Option<Row> {
         let mut row: Vec<Value> = self.columns.iter().map(|column| column.default.clone()).collect();
-        let values = values(record)?;
+        let values = decode_values(record)?;
         if values.len() > self.stored.len() {
             return None;
         }
@@ -264,7 +264,7 @@ impl Value {
 }
 
 /// Returns the values of a record, or `None` if it is malformed.
-pub(super) fn values(record: &[u8]) -> Option<Vec<Value>> {
+pub(super) fn decode_values(record: &[u8]) -> Option<Vec<Value>> {
     let (header, rest) = varint(record)?;
     let mut types = record.get(record.len() - rest.len()..usize::try_from(header).ok()?)?;
     let mut body = record.get(usize::try_from(header).ok()?..)?;

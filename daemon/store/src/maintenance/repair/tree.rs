@@ -1,4 +1,4 @@
-//! The rows of one b-tree in the order of their keys, without those that cannot be read.
+//! The readable rows of one b-tree in the order of their keys.
 
 use std::collections::HashSet;
 

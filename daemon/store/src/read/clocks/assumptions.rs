@@ -5,7 +5,7 @@ use sqlx::FromRow;
 
 use super::WHAT;
 use crate::error::StoreError;
-use crate::read::{known, sql};
+use crate::read::{sql, value_of_number};
 use crate::readers::Readers;
 use crate::types::{DelayAssumptions, LinkKey};
 
@@ -28,7 +28,8 @@ struct Window {
 
 impl Window {
     fn assumptions(&self) -> Result<DelayAssumptions, StoreError> {
-        let clocks = self.clocks.map(|number| known(WHAT, RelatedClocks::ALL, number)).transpose()?;
+        let clocks =
+            self.clocks.map(|number| value_of_number(WHAT, RelatedClocks::ALL, number)).transpose()?;
         Ok(DelayAssumptions {
             clocks: clocks.unwrap_or(RelatedClocks::Wall),
             max_drift_ppm: self.max_drift_ppm,
@@ -70,7 +71,7 @@ impl AssumedWindows {
     /// Returns the assumptions for a message between the edge and a cloud that was sent or received at a time of the edge's wall clock,
     /// or `None` if no window has samples of it.
     ///
-    /// If the edge's clock was set back, several windows may have that time; the one that arrived last counts.
+    /// If the edge's clock was set back, several windows may have that time; the window that arrived last counts.
     pub(in crate::read) fn at(
         &self,
         cloud: i64,

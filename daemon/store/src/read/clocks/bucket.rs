@@ -75,7 +75,7 @@ impl Bucket {
         let (newest, window) = self.newest?;
         let end = self.index.saturating_add(1).saturating_mul(i64::from(width) * 1_000_000_000);
         Some(ClockPoint {
-            // If a point is one second, the offset is the stored one.
+            // If a point is one second, it has the stored offset.
             at: if width == 1 { newest } else { wall(end) },
             window,
             offset: self.widest,

@@ -16,7 +16,7 @@ pub(super) use self::assumptions::AssumedWindows;
 pub(crate) use self::assumptions::of_link;
 use self::bucket::Bucket;
 use self::repeats::RepeatedTimes;
-use super::{corrupt, count, known, parse, sql, wall};
+use super::{corrupt_data, count, parse, sql, value_of_number, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::stored::ClockPoint;
@@ -136,7 +136,8 @@ pub(crate) async fn series(
             sqlx::query_scalar::<_, String>(sql::CLOCK_PARTS).bind(link).bind(parts(first, last, width)?);
         let mut parts = parts.fetch(&pool);
         while let Some(part) = parts.try_next().await.map_err(readers.failed(WHAT))? {
-            let mut rows: Vec<Row> = serde_json::from_str(&part).map_err(|error| corrupt(WHAT, error))?;
+            let mut rows: Vec<Row> =
+                serde_json::from_str(&part).map_err(|error| corrupt_data(WHAT, error))?;
             // The order of the table: SQLite does not promise to keep it within an aggregate.
             rows.sort_by_key(|row| (row.at_ns, row.window));
             rows.iter().try_for_each(|row| points.add(row))?;
@@ -155,7 +156,7 @@ fn parts(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
         [std::mem::replace(&mut from, through.saturating_add(1)), through]
     });
     let parts: Vec<[i64; 2]> = parts.collect();
-    serde_json::to_string(&parts).map_err(|error| corrupt(WHAT, error))
+    serde_json::to_string(&parts).map_err(|error| corrupt_data(WHAT, error))
 }
 
 /// Points under construction.
@@ -208,7 +209,8 @@ fn index(at_ns: i64, width: u32) -> i64 {
 
 impl Row {
     fn clocks(&self) -> Result<RelatedClocks, StoreError> {
-        self.clocks.map_or(Ok(RelatedClocks::Wall), |number| known(WHAT, RelatedClocks::ALL, number))
+        self.clocks
+            .map_or(Ok(RelatedClocks::Wall), |number| value_of_number(WHAT, RelatedClocks::ALL, number))
     }
 
     fn bounds(&self) -> Option<Interval> {
@@ -236,7 +238,7 @@ impl Row {
         else {
             return Ok(None);
         };
-        let source = known(WHAT, DelaySource::ALL, source)?;
+        let source = value_of_number(WHAT, DelaySource::ALL, source)?;
         let sources = match &self.offset_sources {
             Some(json) => sources(json)?,
             None => vec![(source, bounds)],
@@ -247,7 +249,7 @@ impl Row {
             bounds,
             source,
             sources,
-            verdict: known(WHAT, Verdict::ALL, verdict)?,
+            verdict: value_of_number(WHAT, Verdict::ALL, verdict)?,
             skew_ppm: self.skew_ppm,
             exchanges: count(self.exchanges.unwrap_or(0)),
             age: self.age_ns.map(Span::from_nanos),
@@ -257,11 +259,12 @@ impl Row {
 
 /// Returns the interval of each source alone, from the column `offset_sources`.
 pub(super) fn sources(json: &str) -> Result<Vec<(DelaySource, Interval)>, StoreError> {
-    let rows: Vec<(String, i64, i64)> = serde_json::from_str(json).map_err(|error| corrupt(WHAT, error))?;
+    let rows: Vec<(String, i64, i64)> =
+        serde_json::from_str(json).map_err(|error| corrupt_data(WHAT, error))?;
     rows.into_iter()
         .map(|(name, lo, hi)| {
             let source = DelaySource::from_name(&name);
-            let source = source.ok_or_else(|| corrupt(WHAT, format_args!("source {name:?}")))?;
+            let source = source.ok_or_else(|| corrupt_data(WHAT, format_args!("source {name:?}")))?;
             Ok((source, Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) }))
         })
         .collect()
@@ -283,5 +286,5 @@ fn delays(
         bounds,
         bits_per_second,
     });
-    Ok(Some(DelaySecond { count, median, verdict: known(WHAT, Verdict::ALL, verdict)? }))
+    Ok(Some(DelaySecond { count, median, verdict: value_of_number(WHAT, Verdict::ALL, verdict)? }))
 }

@@ -1,13 +1,13 @@
 //! Relations between the clocks of a run's edge and of each cloud, from stored samples.
 //!
-//! A window relates one pair of clocks: the times of free-running clocks and those of wall clocks are looked up separately.
+//! A window relates one pair of clocks: the times of free-running clocks and of wall clocks are looked up separately.
 
 use std::collections::{BTreeSet, HashMap};
 
 use peernet_clock::{RawTime, RelatedClocks, Relation, Span, WallTime};
 use sqlx::FromRow;
 
-use super::super::{known, sql};
+use super::super::{sql, value_of_number};
 use super::rolling::{RollingWindow, SPAN};
 use super::windows::{Extent, Timeline};
 use crate::column::count;
@@ -17,7 +17,7 @@ use crate::readers::Readers;
 const WHAT: &str = "clock samples";
 /// Upper limit of an iteration's duration.
 const MAX_ITERATION: Span = Span::from_seconds(600);
-/// Maximum number of windows of one link within a run; later ones are ignored.
+/// Maximum number of windows of one link within a run; later windows are ignored.
 const MAX_WINDOWS: u32 = 10_000;
 /// Maximum number of clouds of one run, and of relations of one cloud, in memory; beyond it, all are read again when needed.
 const MAX_CACHED: usize = 16;
@@ -53,7 +53,7 @@ struct Window {
 }
 
 impl Window {
-    /// Returns whether the difference of the edge's two clocks is that of the window. After another start of the machine it differs,
+    /// Returns whether the difference of the edge's two clocks is the same as in the window. After another start of the machine it differs,
     /// although the raw clock shows the same times again.
     fn matches_clocks(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
@@ -172,7 +172,10 @@ impl<'a> Clouds<'a> {
             .map_err(self.readers.failed(WHAT))?;
         let mut by_clocks: HashMap<RelatedClocks, Vec<Window>> = HashMap::new();
         for window in windows {
-            by_clocks.entry(known(WHAT, RelatedClocks::ALL, window.clocks)?).or_default().push(window);
+            by_clocks
+                .entry(value_of_number(WHAT, RelatedClocks::ALL, window.clocks)?)
+                .or_default()
+                .push(window);
         }
         let windows =
             by_clocks.into_iter().map(|(clocks, windows)| (clocks, Windows::new(windows))).collect();

@@ -1,7 +1,7 @@
 //! Judging of a run's one-way delays again, including the exchanges after them.
 //!
 //! The stored stamps and judgements do not change. The new bounds are the intersection of the bounds from the stored exchanges
-//! and of the earlier bounds, so none gets wider. A delay keeps its judgement where nothing can be added: both ends on one
+//! and of the earlier bounds, so none gets wider. A delay keeps its judgement if nothing can be added: both ends on one
 //! clock, near a step, or no samples of that time.
 
 mod clouds;
@@ -152,7 +152,7 @@ pub(crate) async fn rejudge_delays(
     }
 }
 
-/// Judges a delay again. The stamps of an observed system are those of two receivers, whose difference may be negative.
+/// Judges a delay again. Both stamps of an observed system come from receivers, so their difference may be negative.
 async fn rejudge(
     clouds: &mut Clouds<'_>,
     row: &Row,
@@ -204,8 +204,8 @@ fn combine(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
 }
 
 impl Row {
-    /// Returns the stamps by which the delay is judged, and their clocks: the free-running ones if both ends stamped by them, otherwise
-    /// the wall clocks. A cloud without raw stamps gave those of its wall clock instead.
+    /// Returns the stamps by which the delay is judged, and their clocks: the free-running clocks if both ends have their stamps, otherwise
+    /// the wall clocks. A cloud without raw stamps gave stamps of its wall clock instead.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
         let by_wall = RawStamps { sent: RawTime::from_wall(sent), received: RawTime::from_wall(received) };
         let Some((sent, received)) = self.sent_raw_ns.zip(self.received_raw_ns) else {

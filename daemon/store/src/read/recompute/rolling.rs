@@ -9,7 +9,7 @@ use peernet_clock::{
 use sqlx::FromRow;
 
 use super::super::clocks::sources;
-use super::super::{known, sql};
+use super::super::{sql, value_of_number};
 use crate::error::StoreError;
 use crate::readers::Readers;
 
@@ -52,7 +52,7 @@ pub(super) struct RollingWindow {
     /// The link and its window.
     key: (i64, i64),
     clocks: RelatedClocks,
-    /// Made with the first sample, whose drift limit is that of all.
+    /// Made with the first sample, whose drift limit all samples have.
     relation: Option<Relation>,
     /// Rows that were read but not learnt yet.
     ahead: VecDeque<Row>,
@@ -182,7 +182,8 @@ impl Row {
         if let Some(json) = &self.offset_sources {
             return Ok(sources(json)?.into_iter().find(|(source, _)| daemons(source)));
         }
-        let source = self.offset_source.map(|number| known(WHAT, DelaySource::ALL, number)).transpose()?;
+        let source =
+            self.offset_source.map(|number| value_of_number(WHAT, DelaySource::ALL, number)).transpose()?;
         let bounds = self.offset_lo_ns.zip(self.offset_hi_ns);
         let interval = |(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) };
         Ok(source.filter(daemons).zip(bounds.map(interval)))

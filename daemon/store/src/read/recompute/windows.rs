@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn hole_between_windows_belongs_to_none() {
+    fn time_between_windows_belongs_to_no_window() {
         let timeline = Timeline::new(&[window(300, 400), window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[95, 200, 201, 299, 300, 405]),

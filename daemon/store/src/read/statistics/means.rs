@@ -4,7 +4,7 @@ use peernet_logger::Name;
 
 use super::super::{sql, wall};
 use super::WHAT;
-use super::series::{NameIds, Stored};
+use super::series::{NameIds, StoredWidths};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{MeanBucket, StageMeans};
@@ -18,12 +18,12 @@ pub(crate) async fn stage_means(
     stages: &[Name],
     max_buckets: usize,
 ) -> Result<Vec<StageMeans>, StoreError> {
-    let (width_s, stored_s) = Stored::read(readers, run).await?.choose(max_buckets);
-    let known = NameIds::read(readers, stages).await?;
+    let (width_s, stored_s) = StoredWidths::read(readers, run).await?.choose(max_buckets);
+    let name_ids = NameIds::read(readers, stages).await?;
     let rows: Vec<Row> = sqlx::query_as(sql::SUMS_OVER_TIME)
         .bind(run)
         .bind(stored_s)
-        .bind(known.ids()?)
+        .bind(name_ids.ids()?)
         .bind(width_s)
         .fetch_all(&readers.pool())
         .await
@@ -31,7 +31,7 @@ pub(crate) async fn stage_means(
     // By name and point. A name with several kinds has several rows in one point.
     let mut sums: Vec<Vec<(i64, u64, f64)>> = vec![Vec::new(); stages.len()];
     for (name, point, count, sum) in rows {
-        let Some(points) = known.places.get(&name).and_then(|at| sums.get_mut(*at)) else { continue };
+        let Some(points) = name_ids.places.get(&name).and_then(|at| sums.get_mut(*at)) else { continue };
         let count = u64::try_from(count).unwrap_or_default();
         match points.last_mut() {
             Some((open, all, total)) if *open == point => (*all, *total) = (*all + count, *total + sum),

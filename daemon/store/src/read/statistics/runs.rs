@@ -6,7 +6,7 @@ use futures::TryStreamExt as _;
 use peernet_clock::Verdict;
 use peernet_logger::Name;
 
-use super::super::{corrupt, count, sql};
+use super::super::{corrupt_data, count, sql};
 use super::{RollupRow, WHAT, list};
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -33,7 +33,7 @@ pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<Ru
         .map_err(readers.failed(WHAT))?;
     for (run, text, number, times) in verdicts {
         let verdict = usize::try_from(number).ok().and_then(|at| Verdict::ALL.get(at).copied());
-        let verdict = verdict.ok_or_else(|| corrupt(WHAT, format_args!("verdict {number}")))?;
+        let verdict = verdict.ok_or_else(|| corrupt_data(WHAT, format_args!("verdict {number}")))?;
         found.entry(run).or_default().add_verdicts(Name::from(text), verdict, count(times));
     }
     let found: HashMap<i64, RunStatistics> =

@@ -7,7 +7,7 @@ use futures::TryStreamExt as _;
 use peernet_logger::Name;
 use peernet_statistics::Summary;
 
-use super::super::{corrupt, runs, sql, wall};
+use super::super::{corrupt_data, runs, sql, wall};
 use super::WHAT;
 use crate::error::StoreError;
 use crate::figures::Figures;
@@ -25,7 +25,7 @@ pub(crate) async fn series(
     stages: &[Name],
     max_points: usize,
 ) -> Result<Series, StoreError> {
-    let stored = Stored::read(readers, run).await?;
+    let stored = StoredWidths::read(readers, run).await?;
     let (width_s, stored_s) = stored.choose(max_points);
     let bucket_s = u32::try_from(width_s).unwrap_or(u32::MAX);
     let stages = points(readers, run, stages, (width_s, stored_s)).await?;
@@ -43,9 +43,9 @@ struct Width {
 }
 
 /// Stored widths of a run.
-pub(super) struct Stored([Width; WIDTHS_S.len()]);
+pub(super) struct StoredWidths([Width; WIDTHS_S.len()]);
 
-impl Stored {
+impl StoredWidths {
     pub(super) async fn read(readers: &Readers, run: i64) -> Result<Self, StoreError> {
         let trimmed: Vec<(i64, i64)> = sqlx::query_as(sql::TRIMMED)
             .bind(run)
@@ -78,17 +78,17 @@ impl Stored {
             extents.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
         };
         let (from, to) = whole.or_else(all).unwrap_or((0, 0));
-        let most = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
+        let max_points = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
         let hour = WIDTHS_S[WIDTHS_S.len() - 1];
         for width_s in POINTS_S {
-            let fits = to.div_euclid(width_s) - from.div_euclid(width_s) < most;
+            let fits = to.div_euclid(width_s) - from.div_euclid(width_s) < max_points;
             let stored = self.0.iter().rfind(|stored| width_s % stored.width_s == 0);
             if let Some(stored) = stored.filter(|stored| fits && (stored.whole || stored.width_s == hour)) {
                 return (width_s, stored.width_s);
             }
         }
         // It is longer than any run: a clock was wrong.
-        (((to - from) / most / DAY_S + 2) * DAY_S, hour)
+        (((to - from) / max_points / DAY_S + 2) * DAY_S, hour)
     }
 }
 
@@ -115,7 +115,7 @@ pub(crate) async fn stage_buckets(
     stages: &[Name],
     max_buckets: usize,
 ) -> Result<Vec<StageBuckets>, StoreError> {
-    let widths = Stored::read(readers, run).await?.choose(max_buckets);
+    let widths = StoredWidths::read(readers, run).await?.choose(max_buckets);
     let lines = lines(readers, run, stages, widths).await?;
     let courses = lines.into_iter().map(|line| StageBuckets {
         buckets: line.points.into_iter().map(|(_, summary)| summary).collect(),
@@ -132,10 +132,10 @@ async fn lines(
     stages: &[Name],
     (width_s, stored_s): (i64, i64),
 ) -> Result<Vec<SeriesBuilder>, StoreError> {
-    let known = NameIds::read(readers, stages).await?;
+    let name_ids = NameIds::read(readers, stages).await?;
     let line = |(at, stage): (usize, &Name)| SeriesBuilder {
         stage: stage.clone(),
-        unit: known.units[at].clone(),
+        unit: name_ids.units[at].clone(),
         width_s,
         points: Vec::new(),
     };
@@ -144,10 +144,10 @@ async fn lines(
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS_OVER_TIME)
         .bind(run)
         .bind(stored_s)
-        .bind(known.ids()?)
+        .bind(name_ids.ids()?)
         .fetch(&pool);
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
-        let line = known.places.get(&row.name).and_then(|at| lines.get_mut(*at));
+        let line = name_ids.places.get(&row.name).and_then(|at| lines.get_mut(*at));
         if let Some(line) = line {
             line.add(&row)?;
         }
@@ -167,24 +167,24 @@ impl NameIds {
     pub(super) async fn read(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
         let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
         let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
-            .bind(serde_json::to_string(&texts).map_err(|error| corrupt(WHAT, error))?)
+            .bind(serde_json::to_string(&texts).map_err(|error| corrupt_data(WHAT, error))?)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
-        let mut known = Self { places: HashMap::new(), units: vec![String::new(); stages.len()] };
+        let mut name_ids = Self { places: HashMap::new(), units: vec![String::new(); stages.len()] };
         for (id, text, unit) in names {
             if let Some(at) = texts.iter().position(|asked| *asked == text) {
-                known.units[at] = unit;
-                known.places.insert(id, at);
+                name_ids.units[at] = unit;
+                name_ids.places.insert(id, at);
             }
         }
-        Ok(known)
+        Ok(name_ids)
     }
 
     /// Returns the ids as a JSON array, in which form statements take them.
     pub(super) fn ids(&self) -> Result<String, StoreError> {
         let ids: Vec<i64> = self.places.keys().copied().collect();
-        serde_json::to_string(&ids).map_err(|error| corrupt(WHAT, error))
+        serde_json::to_string(&ids).map_err(|error| corrupt_data(WHAT, error))
     }
 }
 
@@ -210,7 +210,7 @@ struct SeriesBuilder {
 
 impl SeriesBuilder {
     fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
-        let summary = row.summary().map_err(|error| corrupt(WHAT, error))?;
+        let summary = row.summary().map_err(|error| corrupt_data(WHAT, error))?;
         let begin = bucket(row.bucket_s, self.width_s);
         match self.points.last_mut() {
             Some((open, all)) if *open == begin => all.merge(&summary),
@@ -227,8 +227,8 @@ mod tests {
     const WEEK_S: i64 = 7 * DAY_S;
 
     /// Makes a run from the start of an hour, of which only these widths were deleted.
-    fn stored(length_s: i64, deleted: &[i64]) -> Stored {
-        Stored(WIDTHS_S.map(|width_s| Width {
+    fn stored(length_s: i64, deleted: &[i64]) -> StoredWidths {
+        StoredWidths(WIDTHS_S.map(|width_s| Width {
             width_s,
             extent: Some((0, bucket(length_s - 1, width_s))),
             whole: !deleted.contains(&width_s),
@@ -260,8 +260,11 @@ mod tests {
         assert_eq!(stored(100, &[1]).choose(240), (10, 10));
         assert_eq!(stored(100, &[1, 10]).choose(240), (60, 60));
         assert_eq!(stored(7_200, &[1, 10, 60]).choose(240), (3_600, 3_600));
-        // Hours are deleted last: what is left of them is shown.
+        // Hours are deleted last: the remaining hours are shown.
         assert_eq!(stored(WEEK_S, &[1, 10, 60, 3_600]).choose(240), (3_600, 3_600));
-        assert_eq!(Stored(stored(0, &[]).0.map(|width| Width { extent: None, ..width })).choose(240), (1, 1));
+        assert_eq!(
+            StoredWidths(stored(0, &[]).0.map(|width| Width { extent: None, ..width })).choose(240),
+            (1, 1)
+        );
     }
 }

@@ -18,7 +18,7 @@ impl BatchBuilder {
             i64::try_from(iteration.number).map_err(|_| BatchError::IterationNumber(iteration.number))?;
         let tree = &iteration.tree;
         let [edge, others @ ..] = tree.anchors() else {
-            return Err(BatchError::NoHost(number));
+            return Err(BatchError::EmptyTree(number));
         };
         let run = self.run(iteration, edge.wall);
         let at = self.batch.iterations.len() as u32;

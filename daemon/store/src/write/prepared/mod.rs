@@ -22,7 +22,7 @@ pub(super) use self::rows::{AnchorRow, IterationRow, NodeRow, TransitRow};
 use self::summaries::Summaries;
 pub(super) use self::summaries::SummaryPart;
 use crate::extent::Extent;
-use crate::stored::Stored;
+use crate::stored::StoredCounts;
 
 pub(super) use self::iteration::position;
 
@@ -38,7 +38,7 @@ pub struct PreparedBatch {
     /// Work to be done one by one, in the order of the events.
     pub(super) steps: Vec<Step>,
     pub(super) runs: Vec<RunPart>,
-    /// Runs that its events name, of whatever kind.
+    /// Runs that its events of any kind name.
     pub(super) claimed: BTreeSet<RunId>,
     pub(super) names: Vec<NameKey>,
     /// Hosts in trees other than the edge.
@@ -51,7 +51,7 @@ pub struct PreparedBatch {
     /// Counts of verdicts: run, name, verdict, count.
     pub(super) verdicts: Vec<(u32, u32, u8, u64)>,
     /// Additions to the counters of its host.
-    pub(super) added: Stored,
+    pub(super) added: StoredCounts,
     /// Time of its newest event on its host's clock.
     pub(super) newest: Option<WallTime>,
 }
@@ -71,16 +71,16 @@ pub(super) struct RunPart {
     pub(super) id: RunId,
     pub(super) outcomes: OutcomeCounts,
     pub(super) warm_up: u64,
-    /// Starts that were skipped before its iterations, except those of the warm-up.
+    /// Starts that were skipped before its iterations, without the iterations of the warm-up.
     pub(super) skipped_starts: u64,
     /// Start of the last iteration.
     pub(super) last: WallTime,
     pub(super) numbers: Extent,
-    /// Range of seconds in which they began.
+    /// Range of the seconds in which the iterations started.
     pub(super) seconds: Extent,
 }
 
-/// Reason why a batch can never be stored, whatever the database holds.
+/// Reason why a batch can never be stored, in any database.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum BatchError {
     /// Its events cannot be decoded.
@@ -90,8 +90,8 @@ pub(crate) enum BatchError {
     #[error("iteration number {0} is too large")]
     IterationNumber(u64),
     /// The tree of an iteration is empty.
-    #[error("iteration {0} has no host")]
-    NoHost(i64),
+    #[error("the tree of iteration {0} is empty")]
+    EmptyTree(i64),
     /// An event is about a measurement of another host.
     #[error("an event was measured on another host, {0}")]
     OtherHost(HostId),
@@ -113,7 +113,7 @@ impl PreparedBatch {
         stored: &HashSet<(RunId, i64)>,
     ) -> Result<Self, BatchError> {
         let events = codec::decode_events(&body, head.events)?;
-        let mut preparing = BatchBuilder::new(Self::empty(head, body));
+        let mut preparing = BatchBuilder::new(Self::new_empty(head, body));
         for event in events {
             if let (false, Event::Iteration(it)) = (stored.is_empty(), &event)
                 && stored.contains(&(it.run, it.number.cast_signed()))
@@ -131,7 +131,7 @@ impl PreparedBatch {
         1 + self.steps.len() + self.nodes.len()
     }
 
-    fn empty(head: BatchHead, body: Bytes) -> Self {
+    fn new_empty(head: BatchHead, body: Bytes) -> Self {
         Self {
             head,
             body,
@@ -146,7 +146,7 @@ impl PreparedBatch {
             transits: Vec::new(),
             summaries: Vec::new(),
             verdicts: Vec::new(),
-            added: Stored { events: u64::from(head.events), ..Stored::default() },
+            added: StoredCounts { events: u64::from(head.events), ..StoredCounts::default() },
             newest: None,
         }
     }

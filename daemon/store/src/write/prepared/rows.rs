@@ -49,6 +49,7 @@ pub(in crate::write) struct TransitRow {
     pub(in crate::write) node: u32,
     pub(in crate::write) sent_ns: i64,
     pub(in crate::write) received_ns: Option<i64>,
+    /// Difference of the hosts' wall clocks; `None` if the delay was not judged.
     pub(in crate::write) raw_ns: Option<i64>,
     pub(in crate::write) source: Option<u8>,
     pub(in crate::write) verdict: Option<u8>,

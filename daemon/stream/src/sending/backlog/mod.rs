@@ -69,7 +69,7 @@ impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
         let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.before) };
-        // Without batches nothing is held, whatever the counts state.
+        // Without batches nothing is held, even if the counts state more.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
@@ -197,8 +197,8 @@ impl Backlog {
         self.pending.next_append(max_batches, max_bytes)
     }
 
-    /// Records that batches up to `through`, which has the chain `chain`, are in the file. Returns the bytes of those
-    /// that are held.
+    /// Records that batches up to `through`, which has the chain `chain`, are in the file. Returns the bytes of the held
+    /// batches among them.
     pub(super) fn mark_appended(&mut self, through: u64, chain: Chain) -> u64 {
         let mut bytes = 0;
         self.advance_file(through, chain);
@@ -208,7 +208,7 @@ impl Backlog {
             bytes += usage.bytes;
             // Batches in flight stay in memory, because they may have to be sent again at once.
             let is_wanted = self.ready.has_capacity(usage.bytes) || batch.number <= self.sent.newest();
-            // Ready batches are contiguous; a batch after one that is in the file only is read from there later.
+            // Ready batches are contiguous: if the previous batch is only in the file, this one is read from the file later.
             if batch.number == self.first_unloaded() && is_wanted {
                 self.ready.push(batch);
             }
@@ -223,19 +223,19 @@ impl Backlog {
         }
     }
 
-    /// Adds batches read from the file. Batches that do not follow the known ones are ignored. Returns how many were
+    /// Adds batches read from the file. Batches that do not follow the known batches are ignored. Returns how many were
     /// added.
     pub(super) fn add_loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
-        let known = self.ready.len();
+        let ready_before = self.ready.len();
         for batch in batches {
             if batch.number == self.first_unloaded() && batch.number <= self.spooled.0 {
                 self.ready.push(batch);
             }
         }
-        self.ready.len() - known
+        self.ready.len() - ready_before
     }
 
-    /// Returns a batch that is in memory: of the spooled ones only, or of all.
+    /// Returns a batch that is in memory: with `unspooled` any batch, otherwise only a spooled one.
     pub(super) fn get(&self, number: u64, unspooled: bool) -> Option<&SpooledBatch> {
         let index = number.checked_sub(self.oldest.number)?;
         let pending = || self.pending.get(number).filter(|_| unspooled).map(|pending| &pending.batch);
@@ -280,15 +280,14 @@ impl Backlog {
         Some((head, body))
     }
 
-    /// Returns the number of events in the batches from the oldest to the one before `number`, all of which are in
-    /// memory.
+    /// Returns the number of events in the batches from the oldest to the last before `number`. They must be in memory.
     fn events_before(&self, number: u64) -> u64 {
         let before = self.ready.iter().chain(self.pending.iter()).take_while(|batch| batch.number < number);
         before.map(|batch| u64::from(batch.events)).sum()
     }
 
-    /// Frees the batches up to `through`, which the aggregator stored. Either all of them are in memory, or `scanned`
-    /// contains the size of those in the file only and the chain of the last of them.
+    /// Frees the batches up to `through`, which the aggregator stored. If some of them are only in the file, `scanned`
+    /// contains their size and the chain of the last of them.
     ///
     /// Batches up to `writing` are being written to the file.
     pub(super) fn free(&mut self, through: u64, scanned: Option<ScanResult>, writing: u64) -> FreedBatches {
@@ -339,13 +338,13 @@ impl Backlog {
         SpoolScan::new(self.first_unloaded(), number.min(self.spooled.0))
     }
 
-    /// Skips the oldest batches up to the one before `resume`, which no longer exist. None of them is in memory.
+    /// Skips the batches before `resume`, which no longer exist. None of them is in memory.
     /// `before` is the chain of the last of them.
     pub(super) fn skip_to(&mut self, resume: u64, before: Chain) {
         self.oldest = OldestBatch { number: resume, before, since: None };
     }
 
-    /// Removes batches from the held ones that should be in the file and are not. This is known when no other batch is
+    /// Removes held batches that should be in the file and are not. This is known when no other batch is
     /// in the file only. Returns their size.
     pub(super) fn remove_missing(&mut self) -> Usage {
         if self.first_unloaded() <= self.spooled.0 {

@@ -9,7 +9,7 @@ use crate::spool::{SpooledBatch, Usage};
 pub(super) struct ReadyBatches {
     batches: VecDeque<SpooledBatch>,
     usage: Usage,
-    /// Number of bytes from which on the file is not read ahead.
+    /// Number of ready bytes at which reading ahead from the file stops.
     budget: u64,
 }
 

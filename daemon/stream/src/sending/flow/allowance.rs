@@ -30,7 +30,7 @@ const RATE_LIFETIME: Span = Span::from_seconds(5);
 /// Number of late echoes in a row after which the link counts as slow. A single one may be due to a lost packet.
 const LATE_ECHOES_OF_SLOW_LINK: u32 = 2;
 
-/// Allowance from which on the link no longer counts as slow.
+/// Lowest allowance of a link that no longer counts as slow.
 const FAST_LINK_BYTES: u64 = 64 << 10;
 
 /// Number of bytes that may be in flight.
@@ -84,8 +84,8 @@ impl Allowance {
         self.rates.add(rate, now, took > shortest + MAX_QUEUEING + MAX_QUEUEING);
         let best = self.rates.best();
         // A long path needs a longer queue, or bursts leave it empty.
-        let least = TARGET_QUEUEING.max(Span::from_nanos(shortest.nanos() / 2));
-        let queue = Span::from_seconds_f64(MIN_QUEUED_BYTES / best).max(least).min(MAX_QUEUEING);
+        let min_queueing = TARGET_QUEUEING.max(Span::from_nanos(shortest.nanos() / 2));
+        let queue = Span::from_seconds_f64(MIN_QUEUED_BYTES / best).max(min_queueing).min(MAX_QUEUEING);
         let aim = shortest + queue;
         let fair = |rate: f64| (rate * aim.seconds()) as u64;
         if took > aim {
@@ -115,7 +115,7 @@ struct DeliveryRates {
 }
 
 impl DeliveryRates {
-    /// Adds a rate; `discard_earlier` discards the earlier ones.
+    /// Adds a rate; `discard_earlier` discards the earlier rates.
     fn add(&mut self, rate: f64, now: MonoTime, discard_earlier: bool) {
         if discard_earlier {
             *self = Self { since: now, current: rate, previous: 0.0 };

@@ -14,7 +14,7 @@ const MAX_PENDING: usize = 64;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EchoRequest {
     /// Position of the request in the connection, which the aggregator sends back.
-    pub(super) bytes: u64,
+    pub(super) position: u64,
     /// Time at which it was sent.
     pub(super) at: MonoTime,
     /// Number of bytes in flight before it.
@@ -49,15 +49,15 @@ impl PendingEchoes {
         if self.requests.len() == MAX_PENDING {
             self.requests.pop_front();
         }
-        self.last = request.bytes;
+        self.last = request.position;
         self.requests.push_back(request);
     }
 
     /// Removes the requests up to a position. Returns the request with exactly this position.
-    pub(super) fn answer(&mut self, bytes: u64) -> Option<EchoRequest> {
+    pub(super) fn answer(&mut self, position: u64) -> Option<EchoRequest> {
         let mut found = None;
-        while let Some(request) = self.requests.pop_front_if(|request| request.bytes <= bytes) {
-            found = (request.bytes == bytes).then_some(request);
+        while let Some(request) = self.requests.pop_front_if(|request| request.position <= position) {
+            found = (request.position == position).then_some(request);
         }
         found
     }

@@ -1,4 +1,4 @@
-//! Counts of the bytes handed to the connection and of those known to have arrived.
+//! Counts of the bytes handed to the connection and of the bytes known to have arrived.
 
 use peernet_clock::MonoTime;
 
@@ -12,7 +12,7 @@ pub(super) struct InFlightBytes {
     /// Position after the last byte of the durable lane.
     durable_end: u64,
     /// Time at which bytes of the durable lane last arrived.
-    progress: MonoTime,
+    last_arrival_at: MonoTime,
 }
 
 impl InFlightBytes {
@@ -32,7 +32,7 @@ impl InFlightBytes {
     }
 
     /// Returns the time at which bytes of the durable lane last arrived.
-    pub(super) const fn progress(&self) -> MonoTime {
+    pub(super) const fn last_arrival_at(&self) -> MonoTime {
         self.progress
     }
 
@@ -48,14 +48,14 @@ impl InFlightBytes {
         self.durable_end
     }
 
-    /// Records that everything up to the position `bytes` has arrived. A position that was not handed over is ignored.
-    pub(super) const fn acknowledge(&mut self, bytes: u64, now: MonoTime) {
-        if bytes > self.arrived && bytes <= self.handed {
-            // Only then were bytes of the durable lane among those that arrived.
+    /// Records that everything up to a position has arrived. A position that was not handed over is ignored.
+    pub(super) const fn acknowledge(&mut self, position: u64, now: MonoTime) {
+        if position > self.arrived && position <= self.handed {
+            // If this is false, only bytes of the live lane and echo requests arrived.
             if self.arrived < self.durable_end {
-                self.progress = now;
+                self.last_arrival_at = now;
             }
-            self.arrived = bytes;
+            self.arrived = position;
         }
     }
 }

@@ -35,17 +35,18 @@ impl MinRoundTrip {
         }
     }
 
-    /// Adds the round trip of an echo. The echo of the probe replaces a shortest round trip that is too old.
-    pub(super) fn observe_echo(&mut self, bytes: u64, round_trip: Span, now: MonoTime) {
-        if self.probe.take_if(|probe| *probe <= bytes) == Some(bytes) && self.is_old(now) {
+    /// Adds the round trip of the echo of the request at a position. The echo of the probe replaces a shortest round trip
+    /// that is outdated.
+    pub(super) fn observe_echo(&mut self, position: u64, round_trip: Span, now: MonoTime) {
+        if self.probe.take_if(|probe| *probe <= position) == Some(position) && self.is_outdated(now) {
             self.shortest = Some((round_trip, now));
         }
         self.observe(round_trip, now);
     }
 
-    /// Returns whether a probe is due and none is in flight.
-    pub(super) fn is_due(&self, now: MonoTime) -> bool {
-        self.is_old(now) && self.probe.is_none()
+    /// Returns whether the shortest round trip is outdated and no probe is in flight.
+    pub(super) fn is_probe_due(&self, now: MonoTime) -> bool {
+        self.is_outdated(now) && self.probe.is_none()
     }
 
     /// Sets whether the durable lane waits until the path is nearly empty.
@@ -59,7 +60,7 @@ impl MinRoundTrip {
         self.probe = Some(position);
     }
 
-    fn is_old(&self, now: MonoTime) -> bool {
+    fn is_outdated(&self, now: MonoTime) -> bool {
         self.shortest.is_some_and(|(_, at)| now - at > LIFETIME)
     }
 }

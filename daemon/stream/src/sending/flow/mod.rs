@@ -7,9 +7,9 @@
 //! LEDBAT (RFC 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr): the allowance is the amount that
 //! crosses in the shortest round trip plus a short queue.
 //!
-//! Two connections with small socket buffers would be simpler but are not sufficient (`docs/measurements.md`). With
-//! `SO_SNDBUF` or `TCP_NOTSENT_LOWAT` alone, live figures become up to 15 s or 82 s old on 50 kbit/s, and the small
-//! buffer loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are equivalent only
+//! Two connections with small socket buffers would be simpler but are not sufficient (`docs/measurements.md`). On 50 kbit/s
+//! live figures become up to 15 s old with `SO_SNDBUF` alone, and up to 82 s old with `TCP_NOTSENT_LOWAT` alone. `SO_SNDBUF`
+//! also loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are equivalent only
 //! with `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's acknowledgement. The ZeroMQ
 //! library supports none of the three. This module can go when the library gives access to the socket; the protocol
 //! then needs a second connection that the same proof covers.
@@ -28,6 +28,10 @@ use self::min_round_trip::MinRoundTrip;
 
 /// Number of bytes that a request for an echo takes.
 const REQUEST_BYTES: u64 = 48;
+/// A probe is sent when at most this fraction of the allowance is in flight: 1/3.
+const PROBE_DIVISOR: u64 = 3;
+/// An echo is requested after this fraction of the allowance was handed over: 1/4.
+const ECHO_DIVISOR: u64 = 4;
 
 /// Bytes in flight, and the limit on them.
 #[derive(Clone, Debug)]
@@ -78,8 +82,8 @@ impl FlowControl {
     }
 
     /// Returns the time at which bytes of the durable lane last arrived.
-    pub(super) const fn progress(&self) -> MonoTime {
-        self.in_flight.progress()
+    pub(super) const fn last_arrival_at(&self) -> MonoTime {
+        self.in_flight.last_arrival_at()
     }
 
     /// Returns the largest number of bytes of a batch that are handed over at once.
@@ -90,7 +94,7 @@ impl FlowControl {
     /// Returns whether the durable lane may hand over `bytes`.
     pub(super) const fn has_capacity(&self, bytes: usize) -> bool {
         let bytes_in_flight = self.in_flight.len();
-        // With nothing in flight one message is always allowed, however large.
+        // With nothing in flight, one message of any size is allowed.
         bytes_in_flight == 0
             || !self.round_trip.is_draining() && bytes_in_flight + bytes as u64 <= self.allowance.bytes()
     }
@@ -118,8 +122,11 @@ impl FlowControl {
         self.durable_share = 0;
     }
 
-    /// Returns the position of an echo that is to be requested now. `is_waiting` is `true` if a frame does not fit into
-    /// the allowance yet, `starts_batch` if a batch is about to be handed over.
+    /// Returns the position of an echo that is to be requested now; `None` if no echo is due. `is_waiting` is `true` if a
+    /// frame does not fit into the allowance yet, `starts_batch` if a batch is about to be handed over.
+    ///
+    /// If the shortest round trip is outdated, the durable lane sends nothing until the path is nearly empty (it *drains*
+    /// the path). Then an echo request, the *probe*, measures the shortest round trip again.
     pub(super) fn request_echo(
         &mut self,
         is_waiting: bool,
@@ -127,28 +134,28 @@ impl FlowControl {
         now: MonoTime,
     ) -> Option<u64> {
         let bytes_in_flight = self.in_flight.len();
-        let unrequested = self.in_flight.handed() - self.echoes.last().max(self.in_flight.arrived());
-        let is_old = self.round_trip.is_due(now);
-        if is_old && is_waiting && !self.round_trip.is_draining() {
-            // A live update must not wait until the path is drained.
+        let bytes_since_request = self.in_flight.handed() - self.echoes.last().max(self.in_flight.arrived());
+        let is_probe_due = self.round_trip.is_probe_due(now);
+        if is_probe_due && is_waiting && !self.round_trip.is_draining() {
+            // The durable lane sends nothing while the path drains; live updates must not wait for its share.
             self.durable_share = 0;
         }
-        self.round_trip.set_draining(is_old && (is_waiting || self.round_trip.is_draining()));
-        let needs_probe = self.round_trip.is_draining() || starts_batch && is_old;
-        let is_probe = needs_probe && bytes_in_flight <= self.allowance() / 3;
-        let due = is_probe
-            || unrequested >= self.allowance() / 4
+        self.round_trip.set_draining(is_probe_due && (is_waiting || self.round_trip.is_draining()));
+        let needs_probe = self.round_trip.is_draining() || starts_batch && is_probe_due;
+        let is_probe = needs_probe && bytes_in_flight <= self.allowance() / PROBE_DIVISOR;
+        let is_echo_due = is_probe
+            || bytes_since_request >= self.allowance() / ECHO_DIVISOR
             || is_waiting && self.echoes.is_empty() && bytes_in_flight > 0
             || self.echo_retry_at().is_some_and(|at| now >= at);
-        if !due {
+        if !is_echo_due {
             return None;
         }
-        let bytes = self.in_flight.add(REQUEST_BYTES);
+        let position = self.in_flight.add(REQUEST_BYTES);
         if is_probe {
-            self.round_trip.begin_probe(bytes);
+            self.round_trip.begin_probe(position);
         }
-        self.echoes.push(EchoRequest { bytes, at: now, ahead: bytes_in_flight });
-        Some(bytes)
+        self.echoes.push(EchoRequest { position, at: now, ahead: bytes_in_flight });
+        Some(position)
     }
 
     /// Returns the time at which a missing echo is requested again.
@@ -157,18 +164,18 @@ impl FlowControl {
     }
 
     /// Records that everything up to a position has arrived.
-    pub(super) const fn record_arrival(&mut self, bytes: u64, now: MonoTime) {
-        self.in_flight.acknowledge(bytes, now);
+    pub(super) const fn record_arrival(&mut self, position: u64, now: MonoTime) {
+        self.in_flight.acknowledge(position, now);
     }
 
-    /// Records an echo, and updates the allowance.
-    pub(super) fn record_echo(&mut self, bytes: u64, now: MonoTime) {
-        let answered = self.echoes.answer(bytes);
-        self.record_arrival(bytes, now);
+    /// Records the echo of the request at a position, and updates the allowance.
+    pub(super) fn record_echo(&mut self, position: u64, now: MonoTime) {
+        let answered = self.echoes.answer(position);
+        self.record_arrival(position, now);
         let Some(EchoRequest { at, ahead, .. }) = answered else { return };
         let took = (now - at).max(Span::from_millis(1));
-        self.round_trip.observe_echo(bytes, took, now);
-        // An echo with nothing before it measures the path, but no rate.
+        self.round_trip.observe_echo(position, took, now);
+        // If nothing was in flight before the request, its echo measures the path, but no rate.
         if ahead > 0 {
             let shortest = self.round_trip.shortest().unwrap_or(took);
             self.allowance.observe(ahead, took, shortest, now);

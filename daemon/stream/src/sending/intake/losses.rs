@@ -92,7 +92,7 @@ impl Losses {
         due.map(|loss| loss.take_gap(now))
     }
 
-    /// Returns the next gap of the losses that end now: those of a run, or all. Records it as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all if it is `None`. Records the gap as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         let ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
         self.entries.iter_mut().find(ended).map(|loss| loss.take_gap(now))
@@ -114,8 +114,8 @@ impl Loss {
 
     fn take_gap(&mut self, now: MonoTime) -> Gap {
         self.reported = Some(now);
-        let left = Gap { count: 0, ..self.gap.clone() };
-        std::mem::replace(&mut self.gap, left)
+        let remaining_gap = Gap { count: 0, ..self.gap.clone() };
+        std::mem::replace(&mut self.gap, remaining_gap)
     }
 }
 
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_are_told_apart_until_there_are_too_many_and_none_goes_uncounted() {
+    fn losses_are_separated_by_run_up_to_limit_and_all_counted() {
         let mut losses = Losses::default();
         for n in 0..200 {
             losses.add(None, Some(RunId::random()), at(n), 2, "full".into());
@@ -138,7 +138,7 @@ mod tests {
         assert_eq!(gaps.iter().map(|gap| gap.count).sum::<u64>(), 400);
         assert_eq!(gaps[MAX_LOSSES - 1].to, at(199).wall);
         assert_eq!((losses.len(), losses.next_report_at()), (0, None));
-        // Reported losses make room for others.
+        // Reported losses free capacity for other losses.
         losses.add(None, None, at(300), 1, "another".into());
         assert_eq!(losses.take_ended(None, at(300).mono).expect("a gap").reason, "another");
     }

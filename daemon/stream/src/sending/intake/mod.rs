@@ -23,7 +23,7 @@ const GAP_REPORT: Usage = Usage { events: 1, bytes: 512 };
 /// Longest event: the largest tree and the fields around it.
 const MAX_EVENT_BYTES: usize = MAX_BYTES + 16 * 1024;
 
-/// Longest batch, whatever is configured, because the aggregator must be able to read its frame.
+/// Maximum length of a batch. A larger configured value has no effect, because the aggregator must be able to read its frame.
 const MAX_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
 
 /// State machine that accepts events, counts them, and groups them into batches without numbers.
@@ -76,7 +76,7 @@ impl EventCapacity {
         usage.fits(self.memory) && usage.bytes <= self.spool_bytes
     }
 
-    fn shortage(&self, usage: Usage) -> &'static str {
+    fn drop_reason(&self, usage: Usage) -> &'static str {
         match () {
             () if usage.bytes > self.spool_bytes => "the agent's spool was full",
             () if self.spool_fails => "the agent's spool could not be written and its memory was full",
@@ -174,7 +174,7 @@ impl Intake {
             return Some(format!("the event is longer than {MAX_EVENT_BYTES} bytes"));
         }
         let wanted = self.usage() + more + self.report_usage();
-        (!capacity.fits(wanted)).then(|| capacity.shortage(wanted).to_owned())
+        (!capacity.fits(wanted)).then(|| capacity.drop_reason(wanted).to_owned())
     }
 
     /// Returns the capacity that is reserved for events other than iterations.
@@ -186,7 +186,7 @@ impl Intake {
         Usage { events, bytes: if events > 0 { bytes } else { 0 } }
     }
 
-    /// Reports the due gaps in place of the lost events, as far as there is capacity.
+    /// Reports the due gaps in place of the lost events, while there is capacity.
     pub(super) fn report_losses(&mut self, capacity: &EventCapacity, now: Stamp) {
         while self.has_capacity_for_report(capacity)
             && let Some(gap) = self.losses.take_due(now.mono)
@@ -215,13 +215,13 @@ impl Intake {
     }
 
     /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports. They
-    /// are reported after the spool contains them ([`Self::resolution_written`]).
+    /// are reported after the spool contains them ([`Self::record_resolution_written`]).
     pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
         self.losses.resolve(unresolved, resolved)
     }
 
-    pub(super) const fn resolution_written(&mut self) {
-        self.losses.resolution_written();
+    pub(super) const fn record_resolution_written(&mut self) {
+        self.losses.record_resolution_written();
     }
 
     fn report(&mut self, gap: Gap, now: Stamp) {
@@ -236,8 +236,8 @@ impl Intake {
 
     /// Adds the current event to the batch.
     fn append_event(&mut self, nodes: usize, now: Stamp) {
-        let most = self.config.batch_bytes.min(MAX_BATCH_BYTES);
-        let full = self.open.body.len() + self.encoded.len() > most
+        let max_bytes = self.config.batch_bytes.min(MAX_BATCH_BYTES);
+        let full = self.open.body.len() + self.encoded.len() > max_bytes
             || self.open.nodes + nodes > self.config.batch_nodes;
         if full {
             self.close_batch();

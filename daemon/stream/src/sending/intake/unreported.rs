@@ -1,4 +1,4 @@
-//! Losses of this process and of earlier ones that no gap reports yet.
+//! Losses of this process and of earlier processes that no gap reports yet.
 
 use std::collections::VecDeque;
 
@@ -9,7 +9,7 @@ use super::losses::Losses;
 use crate::unresolved::ResolvedBatches;
 use crate::{Gap, UnresolvedBatches};
 
-/// Losses to be reported, those of earlier processes first.
+/// Losses to be reported; losses of earlier processes come first.
 #[derive(Clone, Debug)]
 pub(super) struct UnreportedLosses {
     losses: Losses,
@@ -17,7 +17,7 @@ pub(super) struct UnreportedLosses {
     earlier_gaps: VecDeque<Gap>,
     /// Number of events that an earlier process dropped and did not report.
     earlier_drops: u64,
-    /// `true` until the result for an earlier process is known. No loss is reported before.
+    /// `true` until it is known which batches of an earlier process the aggregator stored. No loss is reported before.
     is_unresolved: bool,
 }
 
@@ -42,7 +42,8 @@ impl UnreportedLosses {
         self.losses.add_gap(gap, now);
     }
 
-    /// Adds the events that were dropped before the start; once, with the first event after it.
+    /// Adds the events that earlier processes dropped and did not report. Only the first call after [`resolve`](Self::resolve)
+    /// adds any.
     pub(super) fn add_earlier_drops(&mut self, now: Stamp) {
         if self.is_unresolved {
             return;
@@ -77,21 +78,21 @@ impl UnreportedLosses {
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_due(now))
     }
 
-    /// Returns the next gap of the losses that end now: those of a run, or all. Records it as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all if it is `None`. Records the gap as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
-        // Losses of earlier processes come first: from the number of reported events the spool knows which of them are
-        // reported.
+        // The spool stores only the number of reported events, so the order is fixed: losses of earlier processes first.
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_ended(run, now))
     }
 
-    /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports.
+    /// Records which batches of an earlier process the aggregator stored. Returns the losses of all earlier processes that
+    /// no gap reports.
     pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
-        unresolved.unreported(resolved, &mut self.earlier_gaps, &mut self.earlier_drops);
+        unresolved.update_unreported(resolved, &mut self.earlier_gaps, &mut self.earlier_drops);
         self.earlier_gaps.iter().cloned().collect()
     }
 
     /// Records that the spool contains the gaps that [`resolve`](Self::resolve) returned.
-    pub(super) const fn resolution_written(&mut self) {
+    pub(super) const fn record_resolution_written(&mut self) {
         self.is_unresolved = false;
     }
 

@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn a_batch_is_cut_by_nodes_by_bytes_and_by_age() {
+fn batch_is_complete_at_max_nodes_bytes_or_age() {
     let mut agent = Agent::up(SendingConfig { batch_nodes: 3, ..config() });
     agent.offer(7);
     assert_eq!(agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(), [3, 3]);
@@ -29,7 +29,7 @@ fn a_batch_is_cut_by_nodes_by_bytes_and_by_age() {
 }
 
 #[test]
-fn batches_follow_one_another_and_are_in_the_file_when_they_are_sent() {
+fn batches_are_consecutive_and_spooled_before_sending() {
     let mut agent = Agent::up(config());
     agent.cut(3);
     assert_eq!(agent.numbers(), [1, 2, 3]);
@@ -80,7 +80,7 @@ fn many_batches_are_written_at_once_while_the_disk_is_slow() {
 }
 
 #[test]
-fn a_stop_leaves_nothing_in_memory() {
+fn stop_leaves_no_event_in_memory() {
     let mut agent = Agent::new(SendingConfig { batch_nodes: 100, ..config() });
     agent.offer(5);
     assert!(!agent.sending.is_spooled());

@@ -22,7 +22,7 @@ fn in_memory(agent: &Agent) -> u64 {
 }
 
 #[test]
-fn a_backlog_stays_in_the_file() {
+fn backlog_is_not_kept_in_memory() {
     let agent = backlog(200);
     assert!(in_memory(&agent) <= 6 * LONG as u64, "{} bytes in memory", in_memory(&agent));
     let is = agent.accounting();
@@ -53,14 +53,14 @@ fn backlog_is_delivered_in_order_before_new_events() {
 }
 
 #[test]
-fn the_file_is_read_while_batches_are_under_way() {
+fn file_is_read_while_batches_are_in_flight() {
     let mut agent = backlog(40).restart();
     agent.connect();
     agent.welcome(0, None);
     let mut waited = 0;
     while !agent.sending.is_idle() {
         let Some(last) = agent.numbers().last().copied() else { panic!("nothing is sent") };
-        // The answers of the disk come one round later than those of the aggregator.
+        // The answers of the disk come one round later than the answers of the aggregator.
         let (stream, now) = (agent.stream(), agent.now());
         agent.sending.on_message(&ToAgent::Ack { stream, through: last, window: 3 }, now);
         let mut jobs = Vec::new();
@@ -79,7 +79,7 @@ fn the_file_is_read_while_batches_are_under_way() {
 }
 
 #[test]
-fn a_spool_that_cannot_be_read_is_tried_again() {
+fn unreadable_spool_is_read_again() {
     let mut agent = backlog(20).restart();
     agent.broken = true;
     agent.connect();

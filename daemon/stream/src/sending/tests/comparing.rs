@@ -60,7 +60,7 @@ fn nothing_is_deleted_and_nothing_sent_before_the_comparison() {
 }
 
 #[test]
-fn a_spool_that_lost_its_end_sends_nothing_twice() {
+fn spool_that_lost_its_end_sends_no_batch_twice() {
     // Ten batches were sent, acknowledged and not deleted yet. The aggregator has five more from the same process.
     let mut agent = held(10, 0);
     agent.cut(2);
@@ -78,7 +78,7 @@ fn a_spool_that_lost_its_end_sends_nothing_twice() {
 }
 
 #[test]
-fn what_was_written_out_of_contact_is_told_from_what_was_sent() {
+fn unsent_batches_are_distinguished_from_sent_ones_after_restart() {
     // The same situation after a process without a connection.
     let mut agent = held(10, 3).restart();
     agent.cut(2);
@@ -133,7 +133,7 @@ fn a_mark_without_a_chain_deletes_nothing() {
 }
 
 #[test]
-fn aggregator_lacking_acknowledged_batches_is_reported() {
+fn aggregator_without_acknowledged_batches_is_reported() {
     // A new database, an older copy of it, and one from the time of an earlier process.
     for (stored, chain, process) in [(0, None, None), (5, OTHER, Some(2)), (2, OTHER, Some(1))] {
         let mut agent = lacked();

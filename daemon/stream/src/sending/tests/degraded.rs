@@ -58,14 +58,14 @@ fn failure_and_recovery_are_reported_once() {
     assert!(agent.asked(|action| matches!(action, Action::Append { .. })) > 10);
     agent.broken = false;
     agent.pass(1_000);
-    let told = |agent: &Agent| {
+    let reported = |agent: &Agent| {
         agent.notices.iter().filter(|notice| !matches!(notice, Notice::Welcomed { .. })).count()
     };
-    assert_eq!(told(&agent), 2, "{:?}", agent.notices);
+    assert_eq!(reported(&agent), 2, "{:?}", agent.notices);
 }
 
 #[test]
-fn an_acknowledgement_that_comes_during_the_write_is_not_forgotten() {
+fn acknowledgement_during_write_deletes_batch_after_write() {
     for fails in [false, true] {
         let mut agent = failing();
         agent.cut(2);
@@ -146,7 +146,7 @@ fn events_beyond_disk_and_memory_are_counted_as_dropped() {
 }
 
 /// Returns the number of events that the gaps in the file report.
-fn told(file: &File) -> u64 {
+fn reported(file: &File) -> u64 {
     let gap = |event: &Event| match event {
         Event::Gap(gap) => gap.count,
         _ => 0,
@@ -176,7 +176,7 @@ fn losses_are_counted_while_disk_is_full() {
     let mut agent = agent.restart();
     agent.cut(1);
     let is = agent.accounting();
-    assert_eq!((is.produced, is.waiting, is.dropped, told(&agent.file)), (18, 4, 14, 14));
+    assert_eq!((is.produced, is.waiting, is.dropped, reported(&agent.file)), (18, 4, 14, 14));
 }
 
 #[test]
@@ -189,7 +189,7 @@ fn events_lost_with_memory_are_reported_after_restart() {
     agent.offer(8);
     agent.broken = false;
     (0..2).for_each(|_| agent.pass(1_000));
-    assert_eq!(told(&agent.file), 2);
+    assert_eq!(reported(&agent.file), 2);
     agent.full = true;
     agent.offer(8);
     agent.sending.flush(agent.now().wall);
@@ -208,5 +208,5 @@ fn events_lost_with_memory_are_reported_after_restart() {
     assert_eq!(is.dropped, before.produced - is.waiting, "{is:?}");
     let mut agent = agent.restart();
     agent.cut(1);
-    assert_eq!((agent.accounting().dropped, told(&agent.file)), (is.dropped, is.dropped));
+    assert_eq!((agent.accounting().dropped, reported(&agent.file)), (is.dropped, is.dropped));
 }

@@ -35,7 +35,7 @@ fn stored(setting: LinkSettings) -> u64 {
 }
 
 #[test]
-fn a_fast_link_carries_what_the_store_takes() {
+fn fast_link_is_limited_by_store_only() {
     // Bytes per second; then in milliseconds the one-way delay, the duration of a commit, and the time per second in
     // which the aggregator's host is busy with other work.
     for (bytes_per_s, one_way, commit, deaf) in

@@ -69,7 +69,7 @@ pub(super) struct Link {
     pub(super) up: OneWayPath<SentMessage>,
     receiving: Receiving,
     down: OneWayPath<ToAgent>,
-    /// Batches that wait for the next commit; those of the current commit and its end.
+    /// Batches that wait for the next commit; batches of the current commit, and its end.
     waiting: Vec<BatchHead>,
     committing: (Vec<BatchHead>, i64),
     pub(super) stored: u64,

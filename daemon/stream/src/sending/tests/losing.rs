@@ -5,7 +5,7 @@ use super::*;
 use peernet_logger::RunId;
 
 #[test]
-fn a_full_spool_drops_the_newest_and_a_gap_takes_their_place() {
+fn full_spool_drops_newest_events_and_reports_gap() {
     let mut agent = Agent::new(SendingConfig { spool_bytes: 4_000, ..config() });
     agent.offer(200);
     let is = agent.accounting();
@@ -42,7 +42,7 @@ fn events_wait_in_memory_for_slow_disk() {
 }
 
 #[test]
-fn totals_go_on_after_a_restart() {
+fn totals_continue_after_restart() {
     let mut agent = Agent::up(SendingConfig { spool_bytes: 4_000, ..config() });
     agent.sending.on_disconnected();
     agent.offer(200);
@@ -63,7 +63,7 @@ fn totals_go_on_after_a_restart() {
 }
 
 #[test]
-fn the_end_of_a_run_reports_what_it_lost() {
+fn run_end_reports_lost_events_of_run() {
     let run = RunId::random();
     let memory = Usage { events: 4, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, batch_nodes: 100, ..config() });

@@ -232,7 +232,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
     #[test]
-    fn what_survives_in_the_file_is_stored_once(steps in prop::collection::vec(step(), 1..80)) {
+    fn events_in_file_are_stored_once(steps in prop::collection::vec(step(), 1..80)) {
         let mut simulation = Simulation::new();
         for step in steps {
             match step {

@@ -10,7 +10,7 @@ fn challenge(agent: &Agent, stream: StreamId, enrol: bool) -> ToAgent {
 }
 
 #[test]
-fn secret_is_told_only_when_asked_for() {
+fn secret_is_sent_only_when_requested() {
     let mut agent = Agent::new(SendingConfig::default());
     agent.connect();
     let stream = agent.hellos[0].stream;

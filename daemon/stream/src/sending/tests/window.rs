@@ -9,7 +9,7 @@ fn allow(agent: &mut Agent, through: u64, window: u32) {
 }
 
 #[test]
-fn no_more_is_under_way_than_both_ends_allow() {
+fn batches_in_flight_respect_windows_of_both_ends() {
     let mut agent = Agent::up(config());
     agent.cut(10);
     assert_eq!(agent.numbers(), [1, 2, 3], "by the agent's own window");
@@ -24,7 +24,7 @@ fn no_more_is_under_way_than_both_ends_allow() {
 }
 
 #[test]
-fn small_batches_are_under_way_in_greater_number() {
+fn more_small_batches_than_large_ones_are_in_flight() {
     let config = SendingConfig { batch_bytes: 64 * 1_024, ..config() };
     let mut agent = Agent::up(config);
     agent.cut(300);
@@ -36,7 +36,7 @@ fn small_batches_are_under_way_in_greater_number() {
     let stream = agent.stream();
     agent.receive(&ToAgent::Resend { stream, from: 150 });
     assert_eq!(agent.numbers(), (150..=194).collect::<Vec<_>>());
-    // Their number is limited however small they are.
+    // The number of batches is limited, even if they are small.
     let mut agent = Agent::up(SendingConfig { batch_bytes: 1 << 20, ..config });
     agent.cut(1_100);
     assert_eq!(agent.numbers().len(), MAX_IN_FLIGHT_BATCHES);
@@ -60,12 +60,12 @@ fn requested_batch_is_sent_again() {
     assert_eq!(
         (agent.hellos.len(), agent.hellos[hellos].oldest),
         (hellos + 1, 3),
-        "what is gone is told by the hello"
+        "the hello reports the missing batches"
     );
 }
 
 #[test]
-fn without_an_answer_the_greeting_is_repeated() {
+fn unanswered_hello_is_repeated() {
     let mut agent = Agent::up(config());
     agent.cut(2);
     assert_eq!(agent.numbers(), [1, 2]);
@@ -86,7 +86,7 @@ fn without_an_answer_the_greeting_is_repeated() {
 }
 
 #[test]
-fn refused_greeting_is_repeated_later() {
+fn refused_hello_is_repeated_later() {
     let mut agent = Agent::new(config());
     agent.connect();
     agent.receive(&ToAgent::Refused { reason: "the name is taken".into() });
@@ -98,7 +98,7 @@ fn refused_greeting_is_repeated_later() {
 }
 
 #[test]
-fn greetings_that_lead_to_nothing_become_rare() {
+fn hellos_without_progress_become_rare() {
     let mut agent = Agent::up(config());
     agent.cut(1);
     for _ in 0..100 {

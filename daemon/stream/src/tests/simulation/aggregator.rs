@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use bytes::Bytes;
 
 use super::super::*;
-use super::{SECRET, names, told};
+use super::{SECRET, missing_reported, names};
 
 /// Work for the writer.
 #[derive(Clone, Debug)]
@@ -24,7 +24,7 @@ enum Work {
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Entry {
     /// A batch and its events.
-    Batch { number: u64, names: Vec<u64>, told: u64 },
+    Batch { number: u64, names: Vec<u64>, missing_reported: u64 },
     /// A batch that was quarantined.
     Damaged { number: u64, chain: Chain },
     /// Batches that neither end had, and their number of events.
@@ -54,7 +54,7 @@ pub(in super::super) struct Aggregator {
     capacity: usize,
     /// Connection with the host's session.
     route: Option<u64>,
-    /// Streams that the host used, including those in the queue, and the last one.
+    /// Streams that the host used, including streams in the queue, and the last stream.
     seen: BTreeSet<StreamId>,
     last: Option<StreamId>,
     /// Number of welcomes that reported missing batches.
@@ -156,10 +156,10 @@ impl Aggregator {
             seniority: None,
         };
         match self.receiving.handle_hello(hello, known, now) {
-            HelloResult::Welcome { reply, missing, replaced, lacking, .. } => {
+            HelloResult::Welcome { reply, missing, replaced, missing_previous, .. } => {
                 self.route = Some(connection);
                 self.missing += u32::from(missing.is_some());
-                self.queue.push(Work::Hello(hello.stream, replaced, lacking));
+                self.queue.push(Work::Hello(hello.stream, replaced, missing_previous));
                 self.queue.extend(missing.map(Work::MissingBatches));
                 self.last = Some(hello.stream);
                 self.seen.insert(hello.stream);
@@ -227,11 +227,11 @@ impl Database {
     /// Applies a work. Returns the stored entry and its stream.
     fn apply(&mut self, work: Work) -> Option<(StreamId, Entry)> {
         let (stream, mark, entry) = match work {
-            Work::Hello(stream, replaced, lacking) => {
+            Work::Hello(stream, replaced, missing_previous) => {
                 self.last = Some(stream);
                 if self.seen.insert(stream) {
                     self.replaced.extend(replaced);
-                    if let Some(MissingPreviousBatches { stream, from, through, events }) = lacking {
+                    if let Some(MissingPreviousBatches { stream, from, through, events }) = missing_previous {
                         let gap = Entry::Gap { from, through, events };
                         self.entries.entry(stream).or_default().push(gap);
                     }
@@ -245,8 +245,9 @@ impl Database {
                     assert_eq!(head.before, before.chain, "stored behind another batch than its own");
                 }
                 assert_eq!(head.chain, head.before.next(head.events, &body));
-                let (names, told) = (names(head.events, &body), told(head.events, &body));
-                let entry = Entry::Batch { number: head.number, names, told };
+                let (names, missing_reported) =
+                    (names(head.events, &body), missing_reported(head.events, &body));
+                let entry = Entry::Batch { number: head.number, names, missing_reported };
                 (head.stream, Mark::from(head), entry)
             }
             Work::Damaged(head) => {

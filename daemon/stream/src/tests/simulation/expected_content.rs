@@ -6,7 +6,7 @@ use bytes::Bytes;
 
 use super::super::*;
 use super::aggregator::{Aggregator, Database, Entry};
-use super::{SpoolFile, names, told};
+use super::{SpoolFile, missing_reported, names};
 
 #[derive(Clone, Debug, Default)]
 pub(in super::super) struct ExpectedContent {
@@ -44,7 +44,11 @@ impl ExpectedContent {
         let Some(head) = codec::decode_batch_head(frame) else { return };
         let body = codec::decode_batch_body(frame.clone()).expect("a batch is intact when it is sent");
         self.sizes.insert((head.stream, head.number), head.events.into());
-        if self.contents.insert(head.chain, (names(head.events, &body), told(head.events, &body))).is_none() {
+        if self
+            .contents
+            .insert(head.chain, (names(head.events, &body), missing_reported(head.events, &body)))
+            .is_none()
+        {
             self.bodies.push((head.events, body));
         }
     }
@@ -123,8 +127,10 @@ impl ExpectedContent {
         for entry in entries {
             stored += self.events(entry).len() as u64;
             missing += match entry {
-                Entry::Batch { told, .. } => *told,
-                Entry::Damaged { chain, .. } => self.contents.get(chain).map_or(0, |(_, told)| *told),
+                Entry::Batch { missing_reported, .. } => *missing_reported,
+                Entry::Damaged { chain, .. } => {
+                    self.contents.get(chain).map_or(0, |(_, missing_reported)| *missing_reported)
+                }
                 Entry::Gap { .. } => 0,
             };
         }
@@ -140,15 +146,15 @@ impl ExpectedContent {
             let Entry::Gap { from, through, events } = entry else { continue };
             let held = (*from..=*through).map(|number| self.sizes.get(&(*stream, number)));
             if let (false, Some(held)) = (self.copied, held.sum::<Option<u64>>()) {
-                // A restored database may also lack batches after the last one in a spool.
+                // Batches after the last one in a spool may also be missing in a restored database.
                 let is_right = *events == Some(held) || self.restored && *events > Some(held);
                 assert!(is_right, "{events:?} events of batches {from} to {through}, which held {held}");
             }
         }
     }
 
-    /// Returns whether an event that a restored database lacks is covered by a gap, or its spool was deleted. With two
-    /// copies the database may lack different batches with the same numbers.
+    /// Returns whether an event that is missing in a restored database is covered by a gap, or its spool was deleted. With two
+    /// copies, different batches with the same numbers may be missing in the database.
     fn is_accounted(&self, name: u64, database: &Database) -> bool {
         self.places.get(&name).into_iter().flatten().any(|(stream, number)| {
             let entries = database.entries.get(stream).into_iter().flatten();

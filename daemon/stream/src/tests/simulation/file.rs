@@ -73,9 +73,9 @@ impl SpoolFile {
 
     /// Sets the losses to be reported.
     fn tell(&mut self, unreported: &[Gap]) {
-        let mut told = self.totals.reported_drops;
-        let told_through = |gap: &Gap| (told += gap.count, (told, gap.clone())).1;
-        self.unreported = unreported.iter().map(told_through).collect();
+        let mut reported = self.totals.reported_drops;
+        let with_reported_through = |gap: &Gap| (reported += gap.count, (reported, gap.clone())).1;
+        self.unreported = unreported.iter().map(with_reported_through).collect();
     }
 
     /// Records a batch that is sent without being in the file.
@@ -88,7 +88,7 @@ impl SpoolFile {
     }
 
     pub(super) fn append(&mut self, batches: &[SpooledBatch], mut totals: Totals) {
-        self.unreported.retain(|(told_through, _)| *told_through > totals.reported_drops);
+        self.unreported.retain(|(with_reported_through, _)| *with_reported_through > totals.reported_drops);
         for batch in batches {
             let (newest, chain) = self.newest;
             assert_eq!(batch.number, newest + 1, "numbers in the spool are contiguous");

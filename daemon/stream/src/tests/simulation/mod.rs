@@ -222,11 +222,11 @@ impl Simulation {
         *frame = Bytes::from(damaged);
     }
 
-    /// Commits `count` works. Unless `told`, the aggregator is killed between commit and acknowledgement.
-    pub(super) fn commit(&mut self, count: usize, told: bool) {
+    /// Commits `count` works. Unless `is_acknowledged`, the aggregator is killed between commit and acknowledgement.
+    pub(super) fn commit(&mut self, count: usize, is_acknowledged: bool) {
         let stored = self.aggregator.commit(count);
         stored.iter().for_each(|(stream, entry)| self.expected_content.committed(*stream, entry));
-        if told {
+        if is_acknowledged {
             let replies = self.aggregator.committed(stored.into_iter().map(|(stream, _)| stream).collect());
             self.down.extend(replies);
         } else {
@@ -270,7 +270,7 @@ impl Simulation {
         self.expected_content.copied = true;
     }
 
-    /// Kills the agent and starts that of the next machine, which has a copy of an older spool.
+    /// Kills the agent and starts the next machine's agent, which has a copy of an older spool.
     pub(super) fn go_to_the_next(&mut self, done: usize) {
         self.start_agent((self.site + 1) % self.sites.len(), done);
     }
@@ -278,7 +278,7 @@ impl Simulation {
     /// Stops the agent and deletes its spool.
     pub(super) fn delete_spool(&mut self) {
         self.jobs.clear();
-        // Late hellos of a dead process would count its stream as another one that was left.
+        // A late hello of a dead process would count its stream as another abandoned stream.
         self.up.retain(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let file = SpoolFile::new(StreamId::random());
         let old = std::mem::replace(&mut self.sites[self.site], file);
@@ -358,7 +358,7 @@ impl Simulation {
 }
 
 /// Returns the number of missing events that the gaps in a body report.
-fn told(events: u32, body: &[u8]) -> u64 {
+fn missing_reported(events: u32, body: &[u8]) -> u64 {
     let events = codec::decode_events(body, events).expect("our own events");
     let count = |event| match event {
         Event::Gap(gap) => gap.count,

@@ -1,4 +1,4 @@
-//! Tests of broken files and broken rows.
+//! Tests of damaged files and rows.
 
 use std::fs;
 use std::io::{Seek, SeekFrom, Write};
@@ -8,90 +8,98 @@ use sqlx::ConnectOptions;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
 
 use super::*;
-use crate::outbox::spool::quarantine::{mark_broken, quarantine_reason, with_suffix};
+use crate::outbox::spool::quarantine::{flag_as_damaged, quarantine_reason, with_suffix};
 
 #[tokio::test]
 async fn invalid_database_is_quarantined_and_replaced() {
-    let place = Place::new();
-    fs::write(place.path(), b"this is no database at all, and long enough to be seen as none".repeat(100))
-        .expect("written");
-    let OpenSpool { mut file, state, quarantined, .. } = place.open().await.expect("opens");
+    let spool_folder = SpoolFolder::new();
+    fs::write(
+        spool_folder.path(),
+        b"this is no database at all, and long enough to be seen as none".repeat(100),
+    )
+    .expect("written");
+    let OpenSpool { mut file, state, quarantined, .. } = spool_folder.open().await.expect("opens");
     let quarantined = quarantined.expect("put quarantined");
-    assert_eq!(quarantined.new_path, place.folder.path().join("spool.sqlite.damaged-5"));
+    assert_eq!(quarantined.new_path, spool_folder.folder.path().join("spool.sqlite.damaged-5"));
     assert!(quarantined.reason.contains("spool.sqlite"), "{}", quarantined.reason);
     assert!(fs::read(&quarantined.new_path).expect("kept").starts_with(b"this is no database"));
     file.append(&batches(Chain::START, 1..=2, 10), &totals(6)).await.expect("appends");
     drop(file.close().await);
 
-    let (file, again) = place.sound().await;
+    let (file, again) = spool_folder.open_undamaged().await;
     assert_eq!((again.stream, again.newest.0), (state.stream, 2));
     drop(file.close().await);
-    fs::write(place.path(), b"once more").expect("written");
-    let second = place.open().await.expect("opens").quarantined.expect("put quarantined");
-    assert_eq!(second.new_path, place.folder.path().join("spool.sqlite.damaged-6"), "none is overwritten");
+    fs::write(spool_folder.path(), b"once more").expect("written");
+    let second = spool_folder.open().await.expect("opens").quarantined.expect("put quarantined");
+    assert_eq!(
+        second.new_path,
+        spool_folder.folder.path().join("spool.sqlite.damaged-6"),
+        "none is overwritten"
+    );
 }
 
 #[tokio::test]
 async fn file_of_another_program_is_kept() {
-    let place = Place::new();
-    let notes = place.folder.path().join("notes");
+    let spool_folder = SpoolFolder::new();
+    let notes = spool_folder.folder.path().join("notes");
     fs::write(&notes, "not for you").expect("written");
     let refused = OpenSpool::open(&notes, host(), false, &clock()).await.expect_err("no spool").to_string();
     assert!(refused.contains("notes is not a spool") && refused.contains("[spool] file"), "{refused}");
     assert_eq!(fs::read(&notes).expect("there"), b"not for you");
 
     // The database of another program is refused, also at the default path, and also while all of it is in its log.
-    let options = SqliteConnectOptions::new().filename(place.path()).create_if_missing(true);
+    let options = SqliteConnectOptions::new().filename(spool_folder.path()).create_if_missing(true);
     let options = options.journal_mode(SqliteJournalMode::Wal);
     let mut other = options.connect().await.expect("opens");
     sqlx::query("CREATE TABLE theirs (id)").execute(&mut other).await.expect("makes a table");
     for _ in 0..2 {
-        let refused = place.open().await.expect_err("no spool").to_string();
+        let refused = spool_folder.open().await.expect_err("no spool").to_string();
         assert!(refused.contains("another program"), "{refused}");
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut other).await.expect("moves the log");
     }
     let tables: Vec<String> =
         sqlx::query_scalar("SELECT name FROM sqlite_schema").fetch_all(&mut other).await.expect("reads");
     assert_eq!(tables, ["theirs"]);
-    assert_eq!(names(place.folder.path()), ["notes", "spool.sqlite"]);
+    assert_eq!(names(spool_folder.folder.path()), ["notes", "spool.sqlite"]);
 }
 
 #[tokio::test]
 async fn spool_that_is_only_in_log_is_recognised() {
-    let place = Place::new();
-    let (file, state) = place.sound().await;
-    let killed = Place::new();
+    let spool_folder = SpoolFolder::new();
+    let (file, state) = spool_folder.open_undamaged().await;
+    let killed = SpoolFolder::new();
     for ending in ["", "-wal"] {
-        fs::copy(with_suffix(&place.path(), ending), with_suffix(&killed.path(), ending)).expect("copied");
+        fs::copy(with_suffix(&spool_folder.path(), ending), with_suffix(&killed.path(), ending))
+            .expect("copied");
     }
     drop(file);
-    let (_, again) = killed.sound().await;
+    let (_, again) = killed.open_undamaged().await;
     assert_eq!(again, state);
 }
 
 #[tokio::test]
 async fn file_with_broken_tables_is_quarantined() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     file.append(&batches(Chain::START, 1..=20, 1000), &totals(60)).await.expect("appends");
     drop(file.close().await);
     // All pages but the first, which has the header.
-    let length = fs::metadata(place.path()).expect("there").len();
-    let mut broken = fs::File::options().write(true).open(place.path()).expect("opens");
+    let length = fs::metadata(spool_folder.path()).expect("there").len();
+    let mut broken = fs::File::options().write(true).open(spool_folder.path()).expect("opens");
     broken.seek(SeekFrom::Start(4096)).expect("seeks");
     broken.write_all(&vec![0xa5; (length - 4096) as usize]).expect("written");
     drop(broken);
 
-    let OpenSpool { state, quarantined, .. } = place.open().await.expect("opens");
+    let OpenSpool { state, quarantined, .. } = spool_folder.open().await.expect("opens");
     assert!(quarantined.is_some());
     assert_eq!(state.newest, (0, Chain::START));
-    assert_eq!(names(place.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
+    assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
 
 #[tokio::test]
 async fn damaged_batch_ends_list_and_is_named() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=5, 100);
     file.append(&written, &totals(15)).await.expect("appends");
     sqlx::query("UPDATE batch SET body = zeroblob(100) WHERE number = 3")
@@ -109,8 +117,8 @@ async fn damaged_batch_ends_list_and_is_named() {
 
 #[tokio::test]
 async fn missing_batch_ends_list() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=5, 100);
     file.append(&written, &totals(15)).await.expect("appends");
     sqlx::query("DELETE FROM batch WHERE number = 3").execute(file.connection()).await.expect("changed");
@@ -120,14 +128,14 @@ async fn missing_batch_ends_list() {
     assert!(loaded.damage.expect("said").contains("batch 3"), "named");
     assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what is behind it");
     drop(file.close().await);
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.oldest, state.newest.0, state.waiting_usage.events), (1, 5, 12));
 }
 
 #[tokio::test]
 async fn spool_of_newer_version_is_refused_and_kept() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     sqlx::query(
         "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time)
          VALUES (9, 'future', TRUE, x'00', 0)",
@@ -136,47 +144,47 @@ async fn spool_of_newer_version_is_refused_and_kept() {
     .await
     .expect("changed");
     drop(file.close().await);
-    let refused = place.open().await.expect_err("too new").to_string();
+    let refused = spool_folder.open().await.expect_err("too new").to_string();
     assert!(refused.contains("newer version") && refused.contains('9'), "{refused}");
-    assert_eq!(names(place.folder.path()), ["spool.sqlite"]);
+    assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite"]);
 }
 
 #[tokio::test]
 async fn damaged_page_loses_only_its_batches() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=200, 2000);
     file.append(&written, &totals(600)).await.expect("appends");
     for statement in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA shrink_memory"] {
         sqlx::query(statement).execute(file.connection()).await.expect("brings all to the file");
     }
-    let mut broken = fs::File::options().write(true).open(place.path()).expect("opens");
+    let mut broken = fs::File::options().write(true).open(spool_folder.path()).expect("opens");
     broken.seek(SeekFrom::Start(50 * 4096)).expect("seeks");
     broken.write_all(&[0xa5; 4096]).expect("written");
 
-    let (mut sound, mut damaged, mut next) = (Vec::new(), 0, 1);
+    let (mut open_undamaged, mut damaged, mut next) = (Vec::new(), 0, 1);
     while next <= 200 {
         let loaded = file.load(next, usize::MAX).await.expect("what can be read is read");
         next += loaded.batches.len() as u64;
-        sound.extend(loaded.batches);
+        open_undamaged.extend(loaded.batches);
         if loaded.damage.is_some() {
             (damaged, next) = (damaged + 1, next + 1);
         }
     }
     assert!(
-        (1..=3).contains(&damaged) && sound.len() == 200 - damaged,
+        (1..=3).contains(&damaged) && open_undamaged.len() == 200 - damaged,
         "{} sound, {damaged} not",
-        sound.len()
+        open_undamaged.len()
     );
-    assert!(sound.iter().all(|batch| written.contains(batch)));
+    assert!(open_undamaged.iter().all(|batch| written.contains(batch)));
 }
 
 #[tokio::test]
-async fn mark_without_spool_allows_new_spool() {
-    let place = Place::new();
-    mark_broken(&place.path(), "a page was broken");
-    let (_, state) = place.sound().await;
+async fn damage_flag_without_spool_is_removed() {
+    let spool_folder = SpoolFolder::new();
+    flag_as_damaged(&spool_folder.path(), "a page was broken");
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!(state.newest, (0, Chain::START));
-    assert_eq!(quarantine_reason(&place.path()), None);
-    assert!(!with_suffix(&place.path(), "-condemned").exists());
+    assert_eq!(quarantine_reason(&spool_folder.path()), None);
+    assert!(!with_suffix(&spool_folder.path(), "-condemned").exists());
 }

@@ -16,9 +16,9 @@ async fn limit(file: &mut SpoolFile, more: i64) {
 }
 
 #[tokio::test]
-async fn full_disk_refuses_whole_appends_until_there_is_room() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+async fn appends_are_refused_whole_while_disk_is_full() {
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=40, 10_000);
     file.append(&written[..2], &totals(6)).await.expect("appends");
     limit(&mut file, 10).await;
@@ -32,23 +32,23 @@ async fn full_disk_refuses_whole_appends_until_there_is_room() {
     file.append(&written[4..6], &totals(18)).await.expect("there is room again");
     assert_eq!(file.load(3, usize::MAX).await.expect("loads").batches, written[2..6]);
     drop(file.close().await);
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.oldest, state.newest.0, state.totals), (3, 6, totals(18)));
 }
 
 #[tokio::test]
 async fn reserve_for_deleting_survives_restart() {
-    let place = Place::new();
+    let spool_folder = SpoolFolder::new();
     let reserve = || {
-        let held = fs::metadata(place.folder.path().join("spool.sqlite-reserve"));
+        let held = fs::metadata(spool_folder.folder.path().join("spool.sqlite-reserve"));
         // `None` on a file system that cannot allocate space.
         held.ok().map(|held| (held.ino(), held.blocks()))
     };
-    let (file, _) = place.sound().await;
+    let (file, _) = spool_folder.open_undamaged().await;
     let held = reserve();
     drop(file);
     assert_eq!(reserve(), held);
-    let (file, _) = place.sound().await;
+    let (file, _) = spool_folder.open_undamaged().await;
     assert_eq!(reserve(), held, "given free and taken again: another program may have been faster");
     file.close().await.expect("closes");
     assert_eq!(reserve(), held);
@@ -56,27 +56,27 @@ async fn reserve_for_deleting_survives_restart() {
 
 #[tokio::test]
 async fn moved_file_is_not_written_until_it_is_back() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=2, 10);
     file.append(&written[..1], &totals(3)).await.expect("appends");
-    let away = place.folder.path().join("away");
-    fs::rename(place.path(), &away).expect("moved");
+    let away = spool_folder.folder.path().join("away");
+    fs::rename(spool_folder.path(), &away).expect("moved");
     let refused = file.append(&written[1..], &totals(6)).await.expect_err("moved").to_string();
     assert!(refused.contains("deleted, moved or replaced"), "{refused}");
     file.delete_through(1, written[0].chain).await.expect_err("moved");
-    fs::write(place.path(), b"something else").expect("written");
+    fs::write(spool_folder.path(), b"something else").expect("written");
     file.append(&written[1..], &totals(6)).await.expect_err("replaced");
-    fs::rename(&away, place.path()).expect("moved back");
+    fs::rename(&away, spool_folder.path()).expect("moved back");
     file.append(&written[1..], &totals(6)).await.expect("appends");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written);
 }
 
 #[tokio::test]
 async fn folder_that_cannot_be_created_is_named() {
-    let place = Place::new();
-    fs::write(place.folder.path().join("file"), b"").expect("written");
-    let path = place.folder.path().join("file").join("spool.sqlite");
+    let spool_folder = SpoolFolder::new();
+    fs::write(spool_folder.folder.path().join("file"), b"").expect("written");
+    let path = spool_folder.folder.path().join("file").join("spool.sqlite");
     let refused = OpenSpool::open(&path, host(), true, &clock()).await.expect_err("no folder").to_string();
     assert!(refused.contains("cannot create") && refused.contains("[spool] file"), "{refused}");
 }

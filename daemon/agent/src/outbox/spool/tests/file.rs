@@ -6,8 +6,8 @@ use super::*;
 
 #[tokio::test]
 async fn new_spool_is_empty_and_keeps_its_stream() {
-    let place = Place::new();
-    let (file, fresh) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (file, fresh) = spool_folder.open_undamaged().await;
     assert_eq!(
         (fresh.first, fresh.oldest, fresh.before, fresh.newest),
         (1, 1, Chain::START, (0, Chain::START))
@@ -17,23 +17,23 @@ async fn new_spool_is_empty_and_keeps_its_stream() {
         (None, None, Usage::default(), Totals::default())
     );
     file.close().await.expect("closes");
-    let (_, again) = place.sound().await;
+    let (_, again) = spool_folder.open_undamaged().await;
     assert_eq!(again, fresh);
-    let (_, other) = Place::new().sound().await;
+    let (_, other) = SpoolFolder::new().open_undamaged().await;
     assert_ne!(other.stream, fresh.stream);
 }
 
 #[tokio::test]
 async fn batches_totals_and_deletions_survive_reopening() {
-    let place = Place::new();
-    let (mut file, fresh) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, fresh) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=9, 100);
     file.append(&written[..4], &totals(12)).await.expect("appends");
     file.append(&written[4..], &totals(29)).await.expect("appends");
     file.delete_through(3, written[2].chain).await.expect("deletes");
     file.close().await.expect("closes");
 
-    let (mut file, state) = place.sound().await;
+    let (mut file, state) = spool_folder.open_undamaged().await;
     assert_eq!(
         (state.stream, state.first, state.oldest, state.before),
         (fresh.stream, 1, 4, written[2].chain)
@@ -51,13 +51,13 @@ async fn batches_totals_and_deletions_survive_reopening() {
 
 #[tokio::test]
 async fn emptied_spool_keeps_its_position() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=2, 10);
     file.append(&written, &totals(6)).await.expect("appends");
     file.delete_through(2, written[1].chain).await.expect("deletes");
     drop(file.close().await);
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.oldest, state.before), (3, written[1].chain));
     assert_eq!(
         (state.newest, state.since, state.waiting_usage),
@@ -67,39 +67,39 @@ async fn emptied_spool_keeps_its_position() {
 }
 
 #[tokio::test]
-async fn batches_stored_without_spool_leave_no_hole() {
+async fn batches_stored_without_spool_leave_no_gap() {
     // While the disk failed, batches 3 to 5 were sent from memory and acknowledged.
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let made = batches(Chain::START, 1..=7, 10);
     file.append(&made[..2], &totals(6)).await.expect("appends");
     file.delete_through(5, made[4].chain).await.expect("deletes");
     file.append(&made[5..], &totals(21)).await.expect("appends");
     assert_eq!(file.load(6, usize::MAX).await.expect("loads").batches, made[5..]);
     drop(file.close().await);
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.oldest, state.before, state.newest), (6, made[4].chain, (7, made[6].chain)));
 }
 
 #[tokio::test]
-async fn renewed_spool_keeps_its_batches_in_another_stream() {
-    let place = Place::new();
-    let (mut file, fresh) = place.sound().await;
+async fn renewed_spool_keeps_its_batches_under_new_stream_id() {
+    let spool_folder = SpoolFolder::new();
+    let (mut file, fresh) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=3, 10);
     file.append(&written, &totals(9)).await.expect("appends");
     file.delete_through(1, written[0].chain).await.expect("deletes");
     let renewed = StreamId::random();
     file.renew(renewed, fresh.stream, (2, 3)).await.expect("renews");
     drop(file.close().await);
-    let (mut file, state) = place.sound().await;
+    let (mut file, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.stream, state.previous, state.first), (renewed, Some(fresh.stream), 2));
     assert_eq!(file.load(2, usize::MAX).await.expect("loads").batches, written[1..]);
 }
 
 #[tokio::test]
 async fn senders_from_file_are_remembered() {
-    let place = Place::new();
-    let (mut file, fresh) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, fresh) = spool_folder.open_undamaged().await;
     assert_eq!(fresh.newest_sent, []);
     let written = batches(Chain::START, 1..=6, 10);
     let by = |process, number| {
@@ -112,21 +112,21 @@ async fn senders_from_file_are_remembered() {
     file.append(&written[2..4], &as_second).await.expect("appends");
     file.append(&written[4..], &totals(18)).await.expect("appends out of contact");
     file.close().await.expect("closes");
-    let (mut file, state) = place.sound().await;
+    let (mut file, state) = spool_folder.open_undamaged().await;
     assert_eq!(state.newest_sent, [second, first]);
     for process in 100..200 {
         file.append(&[], &by(process, 6).1).await.expect("appends");
     }
     file.delete_through(6, written[5].chain).await.expect("deletes");
     file.close().await.expect("closes");
-    let reached = place.sound().await.1.newest_sent;
+    let reached = spool_folder.open_undamaged().await.1.newest_sent;
     assert!(reached.len() == 64 && reached.iter().all(|reached| reached.number == 6), "{reached:?}");
 }
 
 #[tokio::test]
 async fn repeated_append_replaces_batches() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=2, 10);
     file.append(&written[..1], &totals(3)).await.expect("appends");
     file.append(&written, &totals(6)).await.expect("appends what seemed to have failed");
@@ -135,14 +135,16 @@ async fn repeated_append_replaces_batches() {
 
 #[tokio::test]
 async fn second_agent_and_other_hosts_spool_are_refused() {
-    let place = Place::new();
-    let (file, _) = place.sound().await;
-    let refused = place.open().await.expect_err("one has it").to_string();
+    let spool_folder = SpoolFolder::new();
+    let (file, _) = spool_folder.open_undamaged().await;
+    let refused = spool_folder.open().await.expect_err("one has it").to_string();
     assert!(refused.contains("another agent uses") && refused.contains("spool.sqlite"), "{refused}");
     drop(file.close().await);
     let other = HostId::from_bytes([8; 16]);
-    let refused =
-        OpenSpool::open(&place.path(), other, true, &clock()).await.expect_err("another host's").to_string();
+    let refused = OpenSpool::open(&spool_folder.path(), other, true, &clock())
+        .await
+        .expect_err("another host's")
+        .to_string();
     assert!(refused.contains(&host().to_string()) && refused.contains(&other.to_string()), "{refused}");
-    place.open().await.expect("nothing was changed");
+    spool_folder.open().await.expect("nothing was changed");
 }

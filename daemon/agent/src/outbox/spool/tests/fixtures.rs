@@ -69,15 +69,15 @@ async fn as_of_version(new: &Path, old: &Path, version: i64) {
 #[tokio::test]
 #[ignore = "writes the files of new migrations"]
 async fn write_missing_fixtures() {
-    let place = Place::new();
-    let (mut file, state) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, state) = spool_folder.open_undamaged().await;
     let batch = batch(&clock(), state, &WAITING.map(event));
     file.append(&[batch], &Totals { produced: 4, ..Totals::default() }).await.expect("appends");
     file.close().await.expect("closes");
     fs::create_dir_all(fixtures()).expect("a folder");
     for migration in MIGRATIONS.iter().filter(|migration| !fixture(migration.version).exists()) {
-        let old = place.folder.path().join(format!("{}.sqlite", migration.version));
-        as_of_version(&place.path(), &old, migration.version).await;
+        let old = spool_folder.folder.path().join(format!("{}.sqlite", migration.version));
+        as_of_version(&spool_folder.path(), &old, migration.version).await;
         let dump = Command::new("sqlite3").arg(&old).arg(".dump").output().expect("sqlite3 is installed");
         assert!(dump.status.success(), "{}", String::from_utf8_lossy(&dump.stderr));
         let text = String::from_utf8(dump.stdout).expect("SQL is text");
@@ -91,12 +91,12 @@ async fn spool_of_each_migration_is_readable() {
     for migration in MIGRATIONS.iter() {
         let text = fs::read_to_string(fixture(migration.version));
         let text = text.unwrap_or_else(|error| panic!("the fixture of {}: {error}", migration.version));
-        let place = Place::new();
-        let mut connection = connect(&place.path()).await;
+        let spool_folder = SpoolFolder::new();
+        let mut connection = connect(&spool_folder.path()).await;
         sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");
         connection.close().await.expect("closes");
 
-        let (mut file, state) = place.sound().await;
+        let (mut file, state) = spool_folder.open_undamaged().await;
         assert_eq!((state.oldest, state.newest.0, state.waiting_usage.events), (1, 1, 4));
         assert_eq!(state.totals.produced, 4);
         let loaded = file.load(1, usize::MAX).await.expect("reads");

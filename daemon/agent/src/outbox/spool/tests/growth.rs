@@ -14,8 +14,8 @@ async fn pages(file: &mut SpoolFile) -> u64 {
 
 #[tokio::test]
 async fn file_size_follows_content_and_shrinks_after_backlog() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=40, MIB as usize);
     for some in written.chunks(8) {
         file.append(some, &totals(120)).await.expect("appends");
@@ -35,13 +35,13 @@ async fn file_size_follows_content_and_shrinks_after_backlog() {
     assert!(rest <= 12 * MIB, "{rest}");
     assert_eq!(file.load(40, usize::MAX).await.expect("loads").batches, written[39..]);
     file.close().await.expect("closes");
-    assert!(std::fs::metadata(place.path()).expect("there").len() <= 12 * MIB);
+    assert!(std::fs::metadata(spool_folder.path()).expect("there").len() <= 12 * MIB);
 }
 
 #[tokio::test]
-async fn settings_are_those_of_the_durability_promise() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+async fn sqlite_settings_keep_durability_promise() {
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     for (pragma, expected) in [("auto_vacuum", "2"), ("journal_mode", "wal"), ("synchronous", "1")] {
         let query = format!("SELECT CAST({pragma} AS TEXT) FROM pragma_{pragma}");
         let found: String =

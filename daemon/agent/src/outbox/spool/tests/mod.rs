@@ -27,11 +27,11 @@ fn host() -> HostId {
 }
 
 /// A folder for a spool.
-struct Place {
+struct SpoolFolder {
     folder: TempDir,
 }
 
-impl Place {
+impl SpoolFolder {
     fn new() -> Self {
         Self { folder: tempfile::tempdir().expect("a folder") }
     }
@@ -44,8 +44,8 @@ impl Place {
         OpenSpool::open(&self.path(), host(), true, &clock()).await
     }
 
-    /// Opens a spool that must not be broken.
-    async fn sound(&self) -> (SpoolFile, SpoolState) {
+    /// Opens a spool that must not be damaged.
+    async fn open_undamaged(&self) -> (SpoolFile, SpoolState) {
         let OpenSpool { file, state, quarantined, counter } = self.open().await.expect("opens");
         assert_eq!(quarantined, None);
         // The counter's file is left behind only by a process that is killed.
@@ -82,7 +82,7 @@ fn totals(produced: u64) -> Totals {
     Totals { produced, dropped: 2, gaps: 1, reported_drops: 2, ..Totals::default() }
 }
 
-/// Returns the names of the files in a folder, without those that SQLite and the agent keep beside an open spool.
+/// Returns the names of the files in a folder, without the files that SQLite and the agent keep beside an open spool.
 fn names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).expect("can be listed");
     let name = |entry: std::io::Result<std::fs::DirEntry>| {

@@ -47,8 +47,8 @@ pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) ->
 
 #[tokio::test]
 async fn each_iteration_of_batch_is_in_one_range() {
-    let (clock, place) = (clock(), Place::new());
-    let (_, state) = place.sound().await;
+    let (clock, spool_folder) = (clock(), SpoolFolder::new());
+    let (_, state) = spool_folder.open_undamaged().await;
     let mut runs = [RunId::random(), RunId::random()];
     runs.sort();
     let [first, second] = runs;

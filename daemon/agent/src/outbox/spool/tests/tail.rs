@@ -25,8 +25,8 @@ fn settled(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
 
 #[tokio::test]
 async fn losses_of_killed_process_stay_until_reported() {
-    let (place, run) = (Place::new(), RunId::random());
-    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
+    let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     hand_in(&counter, run, 10);
     file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
         .await
@@ -34,21 +34,21 @@ async fn losses_of_killed_process_stay_until_reported() {
     drop((file, counter));
 
     let second = RunId::random();
-    let OpenSpool { file, state, counter, .. } = place.open().await.expect("opens");
+    let OpenSpool { file, state, counter, .. } = spool_folder.open().await.expect("opens");
     let lost = |state: &SpoolState| -> Vec<_> {
         state.unreported.iter().map(|gap| (gap.run, gap.count, gap.reason.clone())).collect()
     };
     assert_eq!((state.totals.produced, state.totals.dropped, state.totals.reported_drops), (10, 4, 0));
     assert_eq!(lost(&state), [(Some(run), 4, KILLED_REASON.to_owned())]);
     assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
-    // Killed again before it could report that, with an event of its own.
+    // The second process is killed, too, before it could report the loss. It lost one event itself.
     hand_in(&counter, second, 1);
     drop((file, counter));
 
-    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     let both = [(Some(run), 4, KILLED_REASON.to_owned()), (Some(second), 1, KILLED_REASON.to_owned())];
     assert_eq!((lost(&state), state.totals.dropped), (both.to_vec(), 5));
-    assert_eq!(place.lost_when_killed().await, Some(5));
+    assert_eq!(spool_folder.lost_when_killed().await, Some(5));
     let third = RunId::random();
     hand_in(&counter, third, 3);
     file.append(&batches(state.newest.1, 3..=3, 10), &settled(third, 3, 4, &state.totals))
@@ -56,15 +56,15 @@ async fn losses_of_killed_process_stay_until_reported() {
         .expect("appends");
     drop((file, counter));
 
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!(lost(&state), both[1..], "what was told is not told again");
-    assert_eq!(place.lost_when_killed().await, Some(5), "what was told stays counted");
+    assert_eq!(spool_folder.lost_when_killed().await, Some(5), "what was told stays counted");
 }
 
 #[tokio::test]
 async fn unspooled_sends_stay_open_until_resolved() {
-    let (place, run) = (Place::new(), RunId::random());
-    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
+    let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     hand_in(&counter, run, 10);
     file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
         .await
@@ -78,7 +78,7 @@ async fn unspooled_sends_stay_open_until_resolved() {
     });
     drop((file, counter));
 
-    let OpenSpool { file, state, counter, .. } = place.open().await.expect("opens");
+    let OpenSpool { file, state, counter, .. } = spool_folder.open().await.expect("opens");
     let unresolved = state.unresolved.expect("batch 3 may be stored");
     assert_eq!((unresolved.counted.total, unresolved.settled.events.events_of(run)), (10, 6));
     assert_eq!((unresolved.settled.batched, unresolved.events), (6, 6));
@@ -87,7 +87,7 @@ async fn unspooled_sends_stay_open_until_resolved() {
     hand_in(&counter, run, 1);
     drop((file, counter));
 
-    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     assert_eq!(state.unresolved.as_ref(), Some(&unresolved));
     assert_eq!((state.totals.dropped, state.unreported.len()), (1, 1));
     let mut lost = state.unreported[0].clone();
@@ -96,48 +96,48 @@ async fn unspooled_sends_stay_open_until_resolved() {
     file.append(&[], &resolved).await.expect("appends");
     drop((file, counter));
 
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.unresolved, state.unreported, state.totals.dropped), (None, vec![lost], 3));
-    assert_eq!(place.lost_when_killed().await, Some(3));
+    assert_eq!(spool_folder.lost_when_killed().await, Some(3));
 }
 
 #[tokio::test]
-async fn lost_counter_proves_nothing() {
-    let (place, run) = (Place::new(), RunId::random());
-    let OpenSpool { file, counter, .. } = place.open().await.expect("opens");
+async fn missing_counter_file_reports_no_loss() {
+    let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
+    let OpenSpool { file, counter, .. } = spool_folder.open().await.expect("opens");
     hand_in(&counter, run, 10);
     counter.remove();
     drop((file, counter));
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.totals, state.unreported), (Totals::default(), Vec::new()));
 }
 
 #[tokio::test]
 async fn copied_spool_leaves_count_to_original() {
-    let (place, copy, run) = (Place::new(), Place::new(), RunId::random());
-    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    let (spool_folder, copy, run) = (SpoolFolder::new(), SpoolFolder::new(), RunId::random());
+    let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
         .await
         .expect("appends");
     for name in ["spool.sqlite", "spool.sqlite-wal"] {
-        std::fs::copy(place.folder.path().join(name), copy.folder.path().join(name)).expect("copied");
+        std::fs::copy(spool_folder.folder.path().join(name), copy.folder.path().join(name)).expect("copied");
     }
     hand_in(&counter, run, 10);
 
-    let (_, of_copy) = copy.sound().await;
+    let (_, of_copy) = copy.open_undamaged().await;
     assert_eq!((of_copy.unreported, of_copy.totals.dropped), (Vec::new(), 0));
     drop((file, counter));
 
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.unreported.len(), state.totals.dropped), (1, 4), "the first reports what it lost");
 }
 
 #[tokio::test]
 async fn counts_of_deleted_spools_are_removed_by_the_next_start() {
-    let (gone, place) = (Place::new(), Place::new());
+    let (gone, spool_folder) = (SpoolFolder::new(), SpoolFolder::new());
     let OpenSpool { file, counter, .. } = gone.open().await.expect("opens");
     let count = Path::new("/dev/shm").join(counter.name().expect("counts"));
     drop((file, counter, gone));
-    place.sound().await;
+    spool_folder.open_undamaged().await;
     assert!(!count.exists());
 }

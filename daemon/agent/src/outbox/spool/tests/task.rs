@@ -12,8 +12,8 @@ const HOUR: Duration = Duration::from_secs(3600);
 
 #[tokio::test]
 async fn orders_are_done_in_sequence_and_answered() {
-    let place = Place::new();
-    let (file, fresh) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (file, fresh) = spool_folder.open_undamaged().await;
     let mut task = SpoolTask::start(file, HOUR);
     let written = batches(Chain::START, 1..=3, 10);
     task.order(Order::Append { batches: written.clone(), totals: totals(9) }).expect("takes it");
@@ -28,27 +28,27 @@ async fn orders_are_done_in_sequence_and_answered() {
     assert!(matches!(task.next_result().await, Some(Done::Deleted(Ok(())))));
     assert!(matches!(task.next_result().await, Some(Done::Renewed(Ok(())))));
     task.close().await.expect("closes");
-    let (_, state) = place.sound().await;
+    let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.stream, state.oldest, state.newest.0), (stream, 2, 3));
 }
 
 #[tokio::test]
 async fn last_order_is_done_before_closing() {
-    let place = Place::new();
-    let (file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (file, _) = spool_folder.open_undamaged().await;
     let task = SpoolTask::start(file, HOUR);
     let written = batches(Chain::START, 1..=3, 10);
     task.order(Order::Append { batches: written, totals: totals(9) }).expect("takes it");
     task.close().await.expect("closes");
-    assert_eq!(place.sound().await.1.newest.0, 3);
+    assert_eq!(spool_folder.open_undamaged().await.1.newest.0, 3);
 }
 
 #[tokio::test]
 async fn error_names_the_moved_file() {
-    let place = Place::new();
-    let (file, _) = place.sound().await;
+    let spool_folder = SpoolFolder::new();
+    let (file, _) = spool_folder.open_undamaged().await;
     let mut task = SpoolTask::start(file, HOUR);
-    std::fs::rename(place.path(), place.folder.path().join("away")).expect("moved");
+    std::fs::rename(spool_folder.path(), spool_folder.folder.path().join("away")).expect("moved");
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
     let Some(Done::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
@@ -57,9 +57,9 @@ async fn error_names_the_moved_file() {
 }
 
 #[tokio::test]
-async fn file_found_broken_is_quarantined_at_next_start() {
-    let place = Place::new();
-    let (mut file, _) = place.sound().await;
+async fn file_found_damaged_is_quarantined_at_next_start() {
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
     // Damage that SQLite itself detects: the tree of the table leads to a page of another table.
     sqlx::raw_sql(
         "PRAGMA writable_schema = ON;
@@ -75,7 +75,7 @@ async fn file_found_broken_is_quarantined_at_next_start() {
     let Some(Done::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
     assert!(error.to_string().contains("quarantines the file"), "{error}");
     drop(task.close().await);
-    let quarantined = place.open().await.expect("opens").quarantined.expect("put quarantined");
+    let quarantined = spool_folder.open().await.expect("opens").quarantined.expect("put quarantined");
     assert!(quarantined.reason.contains("append"), "{}", quarantined.reason);
-    assert_eq!(names(place.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
+    assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }

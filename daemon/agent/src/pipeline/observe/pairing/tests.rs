@@ -97,7 +97,7 @@ fn topic_events() -> impl Strategy<Value = Vec<(i64, TopicEvent)>> {
 /// Keys and reception times of the messages of a topic, by number.
 type Sent = BTreeMap<u32, (Option<i64>, MonoTime)>;
 
-/// Removes the messages of a resolution from those that wait, and checks that the resolution is allowed.
+/// Removes the messages of a resolution from the waiting messages, and checks that the resolution is allowed.
 fn settle(
     resolution: &Numbered,
     now: MonoTime,

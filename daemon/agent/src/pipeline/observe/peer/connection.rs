@@ -291,7 +291,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn earlier_release_of_peer_is_told_to_update() {
+    fn refusal_by_earlier_release_advises_update() {
         let refused = |reason: String| {
             let address = "tcp://rack:5551".parse().expect("an address");
             with_advice(OpenError::Refused { address, reason }.to_string())

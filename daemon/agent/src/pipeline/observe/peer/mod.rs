@@ -50,7 +50,7 @@ pub(super) struct SettledPair {
 
 /// The observer's end of the task that queries the peer.
 pub(super) struct PeerStamps {
-    /// Channel of pairs to query; `None` once no more are queried.
+    /// Channel of pairs to query; `None` once no further pairs are queried.
     queries: Option<mpsc::Sender<(i64, Pair)>>,
     settled: mpsc::Receiver<SettledPair>,
     /// Number of pairs that were sent to the task and are not settled.
@@ -139,7 +139,9 @@ impl PeerStamps {
     pub(super) async fn close(mut self) {
         self.queries = None;
         if self.task.await.is_err() {
-            tracing::error!("the task that queries the peer for stamps panicked; see the log for the place");
+            tracing::error!(
+                "the task that queries the peer for stamps panicked; see the log for the location in the code"
+            );
         }
     }
 }

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn given_up_pair_comes_with_what_the_peer_knew() {
+    fn abandoned_pair_has_stamps_that_peer_knew() {
         let mut pending = PendingPairs::new(Span::from_millis(500));
         pending.add(7, "seven", at(0));
         pending.add(8, "eight", at(100));

@@ -18,11 +18,11 @@ const PEER_OUTPUT_MISSING: Name = Name::from_static("peer-output-missing");
 /// Name of the count of iterations for which the peer was not queried or did not answer.
 const PEER_UNANSWERED: Name = Name::from_static("peer-unanswered");
 
-/// Index of the peer in the tree's list of hosts; there is no other one.
+/// Index of the peer in the tree's list of hosts: 0 is this host, 1 the peer.
 const PEER: HostIndex = HostIndex(1);
 
 /// Returns the tree of a pair of messages with the peer's stamps, and the time at which the iteration ended. `judge`
-/// judges the delays of the input message and, where both stamps are known, of the output message.
+/// judges the delays of the input message and, if both stamps are known, of the output message.
 pub(in crate::pipeline::observe) fn answered_by_peer(
     (clock, host): (&SharedClock, HostId),
     peer: HostId,
@@ -33,7 +33,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     let (input, output) = (&pair.input, &pair.output);
     let (started, ended) = start_and_end(input, output);
     let total = ended.mono - started.mono;
-    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
+    let mut recorder = Recorder::starting_at(SharedClock::clone(clock), host, started);
     let mut transport = None;
     if let Some(arrived) = seen.input() {
         let up = Crossing { sender: input.received.at, receiver: arrived };
@@ -41,12 +41,12 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
         let return_path =
             seen.output().zip(seen.elapsed()).map(|(departed, elapsed)| (down(departed), elapsed));
         let [up_delay, down_delay] = judge(&up, return_path.as_ref().map(|(down, _)| down));
-        let upload = log.start_transit(stage::UPLOAD, started);
+        let upload = recorder.start_transit(stage::UPLOAD, started);
         let nodes = return_path.map(|(down, elapsed)| peer_nodes(&down, elapsed, down_delay));
         // The sum of both directions needs no clock relation: this host's waiting time minus the peer's elapsed time,
         // each by its own monotonic clock.
         transport = return_path.map(|(_, elapsed)| total - elapsed);
-        let base = u32::try_from(log.tree().nodes().len()).unwrap_or(u32::MAX);
+        let base = u32::try_from(recorder.tree().nodes().len()).unwrap_or(u32::MAX);
         let delta = TreeDelta {
             base,
             anchor: Anchor { host: peer, wall: arrived.wall },
@@ -54,9 +54,9 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
             closed: (upload, arrived.wall),
             nodes: nodes.into_iter().flatten().collect(),
         };
-        match log.tree_mut().apply_delta(delta) {
+        match recorder.tree_mut().apply_delta(delta) {
             Ok(()) => {
-                if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(upload) {
+                if let Some(Measure::Transit(transit)) = recorder.tree_mut().measure_mut(upload) {
                     **transit = up.transit(up_delay);
                 }
             }
@@ -68,9 +68,9 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     }
     let missing = [(PEER_INPUT_MISSING, seen.input()), (PEER_OUTPUT_MISSING, seen.output())];
     for (name, _) in missing.into_iter().filter(|(_, stamp): &(Name, Option<HostStamp>)| stamp.is_none()) {
-        count(log.tree_mut(), name, total, 1);
+        count(recorder.tree_mut(), name, total, 1);
     }
-    close(log, pair, ended, transport)
+    close(recorder, pair, ended, transport)
 }
 
 /// Returns the tree of a pair of messages without stamps of the peer, and the time at which the iteration ended.
@@ -79,14 +79,14 @@ pub(in crate::pipeline::observe) fn answered_without_peer(
     pair: &Pair,
 ) -> (Tree, Stamp) {
     let (started, ended) = start_and_end(&pair.input, &pair.output);
-    let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
-    count(log.tree_mut(), PEER_UNANSWERED, ended.mono - started.mono, 1);
-    close(log, pair, ended, None)
+    let mut recorder = Recorder::starting_at(SharedClock::clone(clock), host, started);
+    count(recorder.tree_mut(), PEER_UNANSWERED, ended.mono - started.mono, 1);
+    close(recorder, pair, ended, None)
 }
 
 /// Returns the nodes `inference` and `download`, which the peer's stamps determine.
 fn peer_nodes(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node; 2] {
-    // The observed node may receive the input before the peer's agent does.
+    // Negative if the observed node answered before the peer's agent received the input.
     let elapsed = elapsed.max(Span::ZERO);
     let node = |name, start, measure| Node { parent: Some(NodeId::ROOT), name, host: PEER, start, measure };
     [
@@ -96,13 +96,19 @@ fn peer_nodes(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [No
 }
 
 /// Closes the tree. `transport` is the sum of upload and download; without it the sum of the stages is unknown.
-fn close(mut log: Recorder, pair: &Pair, ended: Stamp, transport: Option<Span>) -> (Tree, Stamp) {
+fn close(mut recorder: Recorder, pair: &Pair, ended: Stamp, transport: Option<Span>) -> (Tree, Stamp) {
     let started = pair.input.received.message.received;
-    add_topics(log.tree_mut(), &pair.input, &pair.output, ended.mono - started.mono, pair.unpaired_counts);
+    add_topics(
+        recorder.tree_mut(),
+        &pair.input,
+        &pair.output,
+        ended.mono - started.mono,
+        pair.unpaired_counts,
+    );
     let pending_iteration = pending(pair.input.position, started);
     let tree = match transport {
-        Some(_) => iteration::close(log, &pending_iteration, ended.mono, true, transport),
-        None => iteration::close_without_stages(log, &pending_iteration, ended.mono),
+        Some(_) => iteration::close(recorder, &pending_iteration, ended.mono, true, transport),
+        None => iteration::close_without_stages(recorder, &pending_iteration, ended.mono),
     };
     (tree, ended)
 }

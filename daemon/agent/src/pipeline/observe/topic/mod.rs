@@ -114,7 +114,7 @@ impl Topic {
     pub(super) fn dropped(&self) -> u64 {
         match self {
             Self::Ros1(topic) => topic.dropped(),
-            // In ROS 2 newer messages replace those that were not read. They are counted as missing by their sequence
+            // In ROS 2 newer messages replace unread ones. The replaced messages are counted as missing by their sequence
             // numbers.
             Self::Ros2(_) => 0,
         }

@@ -122,7 +122,7 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
 
     let all = test_store.store.iterations(1, &IterationFilter::default()).await.expect("answers");
     assert_eq!(all.iter().map(|row| row.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
-    let filter = IterationFilter { unsuccessful: true, after: 3, limit: 10 };
+    let filter = IterationFilter { without_answer: true, after: 3, limit: 10 };
     let bad = test_store.store.iterations(1, &filter).await.expect("answers");
     let failures: Vec<_> =
         bad.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Returns an agent with a file of ten batches that lacks some.
+/// Returns an agent with a file from which these of its ten batches are missing.
 fn without(numbers: &[u64]) -> Agent {
     let mut agent = Agent::new(config());
     agent.cut(10);
@@ -20,7 +20,7 @@ fn without(numbers: &[u64]) -> Agent {
 }
 
 #[test]
-fn hole_is_skipped_counted_and_reported() {
+fn missing_batches_are_skipped_counted_and_reported() {
     let mut agent = without(&[4, 5]);
     agent.connect();
     agent.welcome(0, None);
@@ -41,7 +41,7 @@ fn hole_is_skipped_counted_and_reported() {
 }
 
 #[test]
-fn hole_up_to_end_is_skipped() {
+fn missing_batches_at_end_are_skipped() {
     let mut agent = without(&[8, 9, 10]);
     agent.connect();
     agent.welcome(0, None);
@@ -53,7 +53,7 @@ fn hole_up_to_end_is_skipped() {
 }
 
 #[test]
-fn a_file_without_any_of_its_batches_ends_nothing() {
+fn agent_continues_if_all_batches_are_missing() {
     let mut agent = without(&(2..=10).collect::<Vec<_>>());
     agent.file.batches.clear();
     agent.connect();
@@ -67,7 +67,7 @@ fn a_file_without_any_of_its_batches_ends_nothing() {
 }
 
 #[test]
-fn several_holes_are_passed_one_after_the_other() {
+fn missing_batches_at_several_positions_are_skipped() {
     let mut agent = without(&[2, 5, 8]);
     agent.connect();
     let mut delivered = Vec::new();
@@ -84,7 +84,7 @@ fn several_holes_are_passed_one_after_the_other() {
 }
 
 #[test]
-fn hole_in_compared_batches_deletes_no_unstored_batch() {
+fn missing_compared_batches_delete_no_unstored_batch() {
     let mut agent = without(&[6]);
     agent.connect();
     agent.welcome(6, Some(Chain::from_bytes([9; 16])));
