@@ -33,7 +33,7 @@ impl InFlightBytes {
 
     /// Returns the time at which bytes of the durable lane last arrived.
     pub(super) const fn last_arrival_at(&self) -> MonoTime {
-        self.progress
+        self.last_arrival_at
     }
 
     /// Counts bytes of the live lane or of an echo request. Returns the position after them.
