@@ -5,7 +5,7 @@
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
-use peernet_store::{Figures, IterationDetail};
+use peernet_store::{IterationDetail, QuantityStatistics};
 
 /// A node with a duration, placed on the edge's time line. Times are in seconds.
 #[derive(Clone, Debug, PartialEq)]
@@ -140,7 +140,13 @@ impl Timeline {
         self.nodes = keyed.into_iter().map(|(_, node)| node).collect();
     }
 
-    fn add_children(&mut self, tree: &Tree, parent: NodeId, depth: u8, figures: &[(Name, Figures)]) {
+    fn add_children(
+        &mut self,
+        tree: &Tree,
+        parent: NodeId,
+        depth: u8,
+        figures: &[(Name, QuantityStatistics)],
+    ) {
         for (id, node) in tree.children(parent) {
             let sum = matches!(node.name.as_str(), "total" | "stages-total" | "unattributed");
             if depth == 0 && sum {
@@ -164,7 +170,7 @@ impl Timeline {
         }
     }
 
-    fn place(&self, node: &Node, depth: u8, figures: &[(Name, Figures)]) -> Option<Placed> {
+    fn place(&self, node: &Node, depth: u8, figures: &[(Name, QuantityStatistics)]) -> Option<Placed> {
         let zero = self.zero(node.host);
         let median = figures.iter().find(|(name, _)| *name == node.name).map(|(_, figures)| figures.p50);
         let start = zero.map(|zero| zero + node.start.seconds());

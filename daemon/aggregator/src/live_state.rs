@@ -13,7 +13,7 @@ use peernet_stream::{
 };
 use serde::Serialize;
 
-use peernet_store::{Bound, ClockPoint, Figures, StoredCounts};
+use peernet_store::{ClockPoint, DelayAccuracy, QuantityStatistics, StoredCounts};
 
 /// Snapshot of all agents.
 #[derive(Clone, Debug, Serialize)]
@@ -240,11 +240,11 @@ pub struct Window {
     /// [`transfers`] has.
     ///
     /// [`transfers`]: Window::transfers
-    pub values: Vec<(Name, Figures)>,
+    pub values: Vec<(Name, QuantityStatistics)>,
     /// Amounts of data and transfer times of both directions.
     pub transfers: Transfers,
     /// Half-widths of the bounds of the one-way delays: `upload`, `download`.
-    pub bounds: Vec<Bound>,
+    pub bounds: Vec<DelayAccuracy>,
 }
 
 /// One second of one pipeline, a point of the live charts.
@@ -266,7 +266,7 @@ pub struct LiveSecond {
 
 impl Window {
     /// Returns the figures of a node name.
-    pub fn value(&self, name: &str) -> Option<&Figures> {
+    pub fn value(&self, name: &str) -> Option<&QuantityStatistics> {
         self.values.iter().find(|(known, _)| known == name).map(|(_, figures)| figures)
     }
 }

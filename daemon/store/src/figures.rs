@@ -16,7 +16,9 @@ pub const MIN_P99_SAMPLES: u64 = MIN_VALUES_FOR_P99 as u64;
 // The REST API sends this type as it is: these comments are its documentation, where an absent number is null.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 #[expect(missing_docs, reason = "the names of the other fields say what they are")]
-pub struct Figures {
+// The schema's name in the REST API stays.
+#[schema(as = Figures)]
+pub struct QuantityStatistics {
     /// Samples.
     pub count: u64,
     pub mean: f64,
@@ -31,7 +33,7 @@ pub struct Figures {
     pub max: f64,
 }
 
-impl Figures {
+impl QuantityStatistics {
     /// Returns the statistics of a summary; `None` if it has no values.
     pub fn from_summary(summary: &Summary) -> Option<Self> {
         let moments = &summary.moments;
@@ -51,11 +53,11 @@ impl Figures {
 
 /// Accuracy of the delays of one direction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Bound {
+pub struct DelayAccuracy {
     /// `upload` or `download`.
     pub stage: Name,
     /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
-    pub half_width: Option<Figures>,
+    pub half_width: Option<QuantityStatistics>,
     /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are omitted.
     pub verdicts: Vec<(Verdict, u64)>,
 }
@@ -91,12 +93,12 @@ mod tests {
     #[test]
     fn quantiles_need_enough_samples() {
         let mut summary = Summary::default();
-        assert_eq!(Figures::from_summary(&summary), None);
+        assert_eq!(QuantityStatistics::from_summary(&summary), None);
         let figures_at = |summary: &mut Summary, count: u64| {
             while summary.count() < count {
                 summary.record(0.001);
             }
-            Figures::from_summary(summary).expect("has samples")
+            QuantityStatistics::from_summary(summary).expect("has samples")
         };
         let one = figures_at(&mut summary, 1);
         assert_eq!((one.p50, one.std, one.p95), (0.001, None, None));

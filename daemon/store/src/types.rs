@@ -21,7 +21,7 @@ use peernet_stream::{
 };
 use serde::Serialize;
 
-use crate::figures::Figures;
+use crate::figures::QuantityStatistics;
 use crate::stored::{ClockPoint, StoredCounts};
 
 /// Selection of the runs to list, newest first.
@@ -77,7 +77,7 @@ pub struct RunSummary {
     /// Iterations that missed the deadline; `None` without a deadline.
     pub misses: Option<Misses>,
     /// Figures of `total`, seconds; successful iterations only.
-    pub total: Option<Figures>,
+    pub total: Option<QuantityStatistics>,
     /// `true` if the clock of one of its hosts was made wrong on purpose.
     pub has_clock_fault: bool,
     /// `true` if retention keeps it whole at any age.
@@ -149,7 +149,7 @@ pub struct Histogram {
     /// Samples above the last edge.
     pub beyond: u64,
     /// Figures of all samples.
-    pub figures: Figures,
+    pub figures: QuantityStatistics,
 }
 
 /// Several node names over the time of a run.
@@ -311,7 +311,7 @@ pub struct IterationDetail {
     /// The successful iteration one place faster; `None` without a `rank`.
     pub faster: Option<u64>,
     /// Figures of the run per node name, for comparison; in the order of tables.
-    pub run_figures: Vec<(Name, Figures)>,
+    pub run_figures: Vec<(Name, QuantityStatistics)>,
 }
 
 /// Which incidents to list, newest first.
@@ -475,9 +475,9 @@ pub struct RecomputedStage {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Judgement {
     /// Figures of the delays that have a value, seconds.
-    pub delay: Option<Figures>,
+    pub delay: Option<QuantityStatistics>,
     /// Figures of half the width of their bounds, seconds.
-    pub half_width: Option<Figures>,
+    pub half_width: Option<QuantityStatistics>,
     /// Number of delays per verdict.
     pub verdicts: Vec<(Verdict, u64)>,
 }

@@ -12,7 +12,7 @@ use peernet_logger::{Slug, stage};
 use peernet_statistics::number::{
     NONE, SPACE, count, duration, length, percent, rate, share, short_duration,
 };
-use peernet_store::{Figures, RunFilter, RunSummary};
+use peernet_store::{QuantityStatistics, RunFilter, RunSummary};
 use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
 
@@ -174,7 +174,7 @@ fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
 
 fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     let total = window.value(&stage::TOTAL);
-    let time = |name, of: fn(&Figures) -> Option<f64>| {
+    let time = |name, of: fn(&QuantityStatistics) -> Option<f64>| {
         let value = total.and_then(of).map(short_duration);
         let (number, unit) = value.map_or((NONE.to_owned(), ""), |value| (value.number, value.unit));
         Stat { name, number, unit, title: if unit.is_empty() { TOO_FEW.to_owned() } else { String::new() } }

@@ -11,7 +11,9 @@ use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
 };
 use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
-use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, StoredCounts};
+use peernet_store::{
+    ClockPoint, DelayAccuracy, IncidentRow, IterationDetail, IterationRow, QuantityStatistics, StoredCounts,
+};
 use peernet_stream::{
     Accounting, ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics,
     Hardware, HostClock, HostDescription, HostMetrics, LinkLive, NetworkInterface, NetworkName,
@@ -50,8 +52,8 @@ pub(crate) async fn app() -> (App, tempfile::TempDir) {
     (AppState::new(&config, running.handle, clock, stop), folder)
 }
 
-pub(crate) fn figures(mean: f64, count: u64) -> Figures {
-    Figures {
+pub(crate) fn figures(mean: f64, count: u64) -> QuantityStatistics {
+    QuantityStatistics {
         count,
         mean,
         std: (count > 1).then_some(mean * 0.07),
@@ -93,12 +95,12 @@ pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Win
     let crossing = |name: &str| matches!(name, "upload" | "download");
     let known = verdict != Verdict::Unsynchronised;
     let values = MEANS.iter().filter(|(name, _)| ok > 0 && (known || !crossing(name)));
-    let mut values: Vec<(Name, Figures)> =
+    let mut values: Vec<(Name, QuantityStatistics)> =
         values.map(|(name, mean)| (Name::from(*name), figures(mean * scale, ok))).collect();
     if known && ok > 0 {
         values.push((stage::UPLOAD_THROUGHPUT, figures(1.9e8 / scale, ok)));
     }
-    let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| Bound {
+    let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| DelayAccuracy {
         stage,
         half_width: known.then(|| figures(0.00065, ok.max(1))),
         verdicts: vec![(verdict, ok)],

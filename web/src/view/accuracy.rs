@@ -2,15 +2,15 @@
 
 use peernet_analysis::accuracy::Accuracy;
 use peernet_statistics::number::{SPACE, share};
-use peernet_store::Figures;
+use peernet_store::QuantityStatistics;
 
 /// Returns the accuracy that the figures of a score tell.
-pub(crate) fn of(scores: &Figures) -> Option<Accuracy> {
+pub(crate) fn of(scores: &QuantityStatistics) -> Option<Accuracy> {
     Accuracy::from_mean(scores.mean, scores.count, scores.count)
 }
 
 /// Returns the 95 % interval in percent: `79.1 – 88.2`.
-pub(crate) fn interval(scores: &Figures) -> Option<String> {
+pub(crate) fn interval(scores: &QuantityStatistics) -> Option<String> {
     let (lo, hi) = of(scores)?.interval;
     Some(format!("{}{SPACE}–{SPACE}{}", share(lo), share(hi)))
 }
@@ -23,7 +23,7 @@ mod tests {
     #[test]
     fn interval_is_told_in_percent() {
         // Newcombe 1998, table I: 81 of 263 is 0.2553 to 0.3662.
-        let scores = Figures { mean: 81.0 / 263.0, ..samples::figures(1.0, 263) };
+        let scores = QuantityStatistics { mean: 81.0 / 263.0, ..samples::figures(1.0, 263) };
         assert_eq!(interval(&scores).as_deref(), Some("25.5\u{202f}–\u{202f}36.6"));
     }
 }

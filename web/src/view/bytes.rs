@@ -3,7 +3,7 @@
 use peernet_clock::Verdict;
 use peernet_logger::{Measure, Name, Node, NodeId};
 use peernet_statistics::number::{NONE, SPACE, bytes, figure, throughput, throughput_between, times};
-use peernet_store::{Figures, IterationDetail};
+use peernet_store::{IterationDetail, QuantityStatistics};
 
 use crate::view::units::shown_in;
 
@@ -33,7 +33,7 @@ fn value(detail: &IterationDetail, name: &str) -> Option<f64> {
     detail.tree.nodes().iter().find(|node| node.name == *name).and_then(|node| node.measure.value())
 }
 
-fn median<'a>(figures: &'a [(Name, Figures)], name: &str) -> Option<&'a Figures> {
+fn median<'a>(figures: &'a [(Name, QuantityStatistics)], name: &str) -> Option<&'a QuantityStatistics> {
     figures.iter().find(|(known, _)| known == name).map(|(_, figures)| figures)
 }
 

@@ -2,7 +2,7 @@
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::bound_ms;
-use peernet_store::Bound;
+use peernet_store::DelayAccuracy;
 use peernet_stream::PlacementKind;
 
 use super::chip::Chip;
@@ -21,7 +21,7 @@ pub(crate) struct ClockCell {
 }
 
 /// Returns the verdict on the delays of one direction.
-pub(crate) fn verdict(bound: &Bound) -> Option<Verdict> {
+pub(crate) fn verdict(bound: &DelayAccuracy) -> Option<Verdict> {
     Verdict::prevailing(bound.verdicts.iter().copied())
 }
 
@@ -51,7 +51,7 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
 
 impl ClockCell {
     /// Returns the cell for both directions together: the larger bound and the worse verdict.
-    pub(crate) fn of(kind: PlacementKind, bounds: &[Bound]) -> Self {
+    pub(crate) fn of(kind: PlacementKind, bounds: &[DelayAccuracy]) -> Self {
         if kind != PlacementKind::Remote {
             let title = "one host: nothing crosses between clocks";
             return Self { bound: None, chip: None, words: "one host", title };
@@ -84,8 +84,8 @@ mod tests {
 
     use super::*;
 
-    fn bound(verdicts: &[(Verdict, u64)]) -> Bound {
-        Bound { stage: stage::UPLOAD, half_width: None, verdicts: verdicts.to_vec() }
+    fn bound(verdicts: &[(Verdict, u64)]) -> DelayAccuracy {
+        DelayAccuracy { stage: stage::UPLOAD, half_width: None, verdicts: verdicts.to_vec() }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use peernet_clock::Verdict;
 use peernet_logger::Name;
 use peernet_statistics::number::{self, duration, interval_ms};
-use peernet_store::{Bound, Figures};
+use peernet_store::{DelayAccuracy, QuantityStatistics};
 
 use super::chip::Chip;
 use super::clocks;
@@ -22,8 +22,11 @@ pub(crate) struct Note {
 }
 
 /// Returns the notes on one-way delays whose verdicts are not `ok`: chip and sentence.
-pub(crate) fn delay_notes(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>) -> Vec<(Chip, String)> {
-    let unsure: Vec<(&Bound, Verdict)> = bounds
+pub(crate) fn delay_notes(
+    bounds: &[DelayAccuracy],
+    of: impl Fn(&Name) -> Option<QuantityStatistics>,
+) -> Vec<(Chip, String)> {
+    let unsure: Vec<(&DelayAccuracy, Verdict)> = bounds
         .iter()
         .filter_map(|bound| Some((bound, clocks::verdict(bound)?)))
         .filter(|(_, verdict)| *verdict != Verdict::Ok)
@@ -59,8 +62,8 @@ impl Note {
         subject: &str,
         href: &str,
         link: Option<&str>,
-        bounds: &[Bound],
-        of: impl Fn(&Name) -> Option<Figures>,
+        bounds: &[DelayAccuracy],
+        of: impl Fn(&Name) -> Option<QuantityStatistics>,
     ) -> Vec<Self> {
         let notes = delay_notes(bounds, of).into_iter().map(|(chip, text)| Self {
             chip,

@@ -4,7 +4,7 @@ use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, percent, rate, stage_ms, total_ms};
-use peernet_store::Figures;
+use peernet_store::QuantityStatistics;
 use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
@@ -101,7 +101,11 @@ pub(crate) fn trouble(state: &PipelineState) -> Option<String> {
 }
 
 /// Returns a quantile of `total`.
-fn quantile(total: Option<&Figures>, needs: u64, of: fn(&Figures) -> Option<f64>) -> (Option<f64>, Cell) {
+fn quantile(
+    total: Option<&QuantityStatistics>,
+    needs: u64,
+    of: fn(&QuantityStatistics) -> Option<f64>,
+) -> (Option<f64>, Cell) {
     let value = total.and_then(of);
     let cell = value.map_or_else(
         || {

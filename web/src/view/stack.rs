@@ -6,7 +6,7 @@ use peernet_figures::drawing::{StageBar, StagePart};
 use peernet_figures::scale::Scale;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{duration, figure};
-use peernet_store::{Bound, Figures, IterationRow, StageStatistics};
+use peernet_store::{DelayAccuracy, IterationRow, QuantityStatistics, StageStatistics};
 
 use crate::look;
 use crate::picture::Picture;
@@ -17,7 +17,7 @@ pub(crate) struct Stack {
     /// Parts in the order of [`look::STACK`].
     pub parts: Vec<StagePart>,
     /// Figures of `total`.
-    pub total: Option<Figures>,
+    pub total: Option<QuantityStatistics>,
 }
 
 impl Stack {
@@ -28,13 +28,13 @@ impl Stack {
     }
 
     /// Returns the stack of a stored run.
-    pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[Bound]) -> Self {
+    pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Self {
         let find = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
         Self::new(!bounds.is_empty(), find).bounded(bounds)
     }
 
     /// Adds the error bars of the one-way delays.
-    fn bounded(mut self, bounds: &[Bound]) -> Self {
+    fn bounded(mut self, bounds: &[DelayAccuracy]) -> Self {
         for bound in bounds {
             if let Some(part) = self.parts.iter_mut().find(|part| part.name == bound.stage.as_str()) {
                 part.bound = bound.half_width.map(|width| width.p50).filter(|width| *width > 0.0);
@@ -43,7 +43,7 @@ impl Stack {
         self
     }
 
-    fn new(crossed: bool, of: impl Fn(&str) -> Option<Figures>) -> Self {
+    fn new(crossed: bool, of: impl Fn(&str) -> Option<QuantityStatistics>) -> Self {
         let parts = parts(crossed, |name| of(name).map(|figures| (figures.count, figures.mean)));
         Self { parts, total: of("total") }
     }
@@ -165,8 +165,8 @@ mod tests {
 
     use super::*;
 
-    fn figures(mean: f64, count: u64) -> Figures {
-        Figures { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean }
+    fn figures(mean: f64, count: u64) -> QuantityStatistics {
+        QuantityStatistics { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use peernet_aggregator::Window;
 use peernet_figures::drawing::{StagePart, share_bar};
 use peernet_statistics::number::{self, NONE, bound_ms, fixed, stage_ms};
-use peernet_store::{Bound, Figures, StageStatistics, rank};
+use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, rank};
 
 use super::chip::{Chip, Sign};
 use super::clocks;
@@ -40,9 +40,15 @@ pub(crate) struct BoundCell {
 pub(crate) const TOO_FEW: &str = "too few iterations: p95 needs 60, p99 needs 300";
 
 impl StageRow {
-    fn new(name: &str, figures: Option<&Figures>, bound: Option<&Bound>, share: Option<f64>) -> Self {
-        let text =
-            |of: fn(&Figures) -> Option<f64>| figures.and_then(of).map_or_else(|| NONE.to_owned(), stage_ms);
+    fn new(
+        name: &str,
+        figures: Option<&QuantityStatistics>,
+        bound: Option<&DelayAccuracy>,
+        share: Option<f64>,
+    ) -> Self {
+        let text = |of: fn(&QuantityStatistics) -> Option<f64>| {
+            figures.and_then(of).map_or_else(|| NONE.to_owned(), stage_ms)
+        };
         Self {
             look: look::class(name),
             depth: u8::from(matches!(name, "capture" | "transform" | look::LATENESS)),
@@ -78,7 +84,7 @@ impl StageRow {
     }
 
     /// Returns the rows of a stored run: the stages, the unattributed time, the total.
-    pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[Bound]) -> Vec<Self> {
+    pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Vec<Self> {
         let shown = |stage: &&StageStatistics| {
             stage.unit == "s"
                 && stage.stage != "stages-total"
@@ -144,7 +150,7 @@ impl StageRow {
 }
 
 impl BoundCell {
-    fn of(name: &str, bound: Option<&Bound>) -> Self {
+    fn of(name: &str, bound: Option<&DelayAccuracy>) -> Self {
         let (Some(bound), true) = (bound, look::is_one_way(name)) else {
             return Self {
                 text: NONE.to_owned(),
@@ -162,7 +168,7 @@ impl BoundCell {
 }
 
 /// Formats the verdicts of both directions of a run, for its summary.
-pub(crate) fn directions(bounds: &[Bound]) -> Vec<(String, Chip)> {
+pub(crate) fn directions(bounds: &[DelayAccuracy]) -> Vec<(String, Chip)> {
     let known = bounds.iter().filter_map(|bound| Some((bound, clocks::verdict(bound)?)));
     known.map(|(bound, verdict)| (bound.stage.to_string(), Chip::verdict(verdict))).collect()
 }

@@ -134,7 +134,7 @@ mod tests {
         minute.values.push((Name::from(name.to_owned()), figures(mean, minute.counts.ok)));
     }
 
-    fn total(minute: &mut Window) -> &mut peernet_store::Figures {
+    fn total(minute: &mut Window) -> &mut peernet_store::QuantityStatistics {
         minute
             .values
             .iter_mut()

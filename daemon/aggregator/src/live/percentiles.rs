@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_statistics::{Moments, Sketch, Summary};
-use peernet_store::{Figures, MIN_P95_SAMPLES};
+use peernet_store::{MIN_P95_SAMPLES, QuantityStatistics};
 
 use crate::live_state::{PercentilePoint, PercentileSeries};
 
@@ -104,7 +104,7 @@ impl Percentiles {
         for second in self.seconds.range(from..from.saturating_add(length)).map(|(_, second)| second) {
             sum.merge(&second.unpack());
         }
-        let figures = Figures::from_summary(&sum)?;
+        let figures = QuantityStatistics::from_summary(&sum)?;
         Some(PercentilePoint { at: from, count: figures.count, p95: figures.p95? })
     }
 

@@ -10,7 +10,7 @@ use peernet_stream::{OutcomeCounts, Second};
 
 use super::MAX_NAMES;
 use crate::live_state::{LiveSecond, Window};
-use peernet_store::{Bound, Figures, rank};
+use peernet_store::{DelayAccuracy, QuantityStatistics, rank};
 
 /// Figures of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
@@ -56,7 +56,8 @@ impl SecondFigures {
             .map(|(name, summary)| (name.clone(), summary.moments.mean))
             .collect();
         means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        let total_p95 = self.total().and_then(Figures::from_summary).and_then(|figures| figures.p95);
+        let total_p95 =
+            self.total().and_then(QuantityStatistics::from_summary).and_then(|figures| figures.p95);
         let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());
         LiveSecond { at, counts: self.counts, means, total_p95, transfers, verdicts }
     }
@@ -72,9 +73,10 @@ impl SecondFigures {
     /// Returns the figures of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
     pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
         let total = self.counts.total();
-        let figures =
-            |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::from_summary(summary)?));
-        let mut values: Vec<(Name, Figures)> = self.values.iter().filter_map(figures).collect();
+        let figures = |(name, summary): &(Name, Summary)| {
+            Some((name.clone(), QuantityStatistics::from_summary(summary)?))
+        };
+        let mut values: Vec<(Name, QuantityStatistics)> = self.values.iter().filter_map(figures).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
         // A second without any answer lists the name without samples.
         let late = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
@@ -94,12 +96,13 @@ impl SecondFigures {
     }
 
     /// Returns the clock bounds of both directions.
-    fn delay_bounds(&self) -> Vec<Bound> {
+    fn delay_bounds(&self) -> Vec<DelayAccuracy> {
         [stage::UPLOAD, stage::DOWNLOAD]
             .into_iter()
             .filter_map(|stage| {
                 let half_width = self.bounds.iter().find(|(name, _)| *name == stage);
-                let half_width = half_width.and_then(|(_, summary)| Figures::from_summary(summary));
+                let half_width =
+                    half_width.and_then(|(_, summary)| QuantityStatistics::from_summary(summary));
                 let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
                 for known in Verdict::ALL {
                     let given =
@@ -109,7 +112,7 @@ impl SecondFigures {
                         verdicts.push((*known, count));
                     }
                 }
-                (half_width.is_some() || !verdicts.is_empty()).then_some(Bound {
+                (half_width.is_some() || !verdicts.is_empty()).then_some(DelayAccuracy {
                     stage,
                     half_width,
                     verdicts,

@@ -13,7 +13,7 @@ use sqlx::FromRow;
 
 use super::{corrupt_data, count, sql};
 use crate::error::StoreError;
-use crate::figures::Figures;
+use crate::figures::QuantityStatistics;
 use crate::readers::Readers;
 use crate::types::{Histogram, NameSummary};
 
@@ -108,12 +108,15 @@ pub(crate) async fn histogram(
 }
 
 /// Medians of the figures of a run.
-pub(super) fn medians(figures: &[(Name, Figures)]) -> Medians {
+pub(super) fn medians(figures: &[(Name, QuantityStatistics)]) -> Medians {
     Medians(figures.iter().map(|(name, figures)| (name.clone(), figures.p50)).collect())
 }
 
 /// Figures of all names of a run, in the order of tables.
-pub(super) async fn figures(readers: &Readers, run: i64) -> Result<Vec<(Name, Figures)>, StoreError> {
+pub(super) async fn figures(
+    readers: &Readers,
+    run: i64,
+) -> Result<Vec<(Name, QuantityStatistics)>, StoreError> {
     let found = statistics(readers, &[run]).await?;
     Ok(found.into_iter().flat_map(|run| run.stages).map(|known| (known.stage, known.figures)).collect())
 }

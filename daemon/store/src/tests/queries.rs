@@ -7,7 +7,7 @@ use peernet_statistics::Summary;
 use peernet_stream::{EndReason, Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
 
 use super::{TestStore, generate};
-use crate::figures::Figures;
+use crate::figures::QuantityStatistics;
 use crate::types::{IncidentFilter, IterationFilter, RunFilter, RunStatistics};
 
 /// Returns the values of one name in the iterations of [`TestStore::run_of`].
@@ -409,8 +409,10 @@ fn merged_summary_equals_summary_of_whole() {
         }
         parts.merge(&part);
     }
-    let (whole, parts) =
-        (Figures::from_summary(&whole).expect("some"), Figures::from_summary(&parts).expect("some"));
+    let (whole, parts) = (
+        QuantityStatistics::from_summary(&whole).expect("some"),
+        QuantityStatistics::from_summary(&parts).expect("some"),
+    );
     assert_eq!(
         (whole.count, whole.p50, whole.p95, whole.max),
         (parts.count, parts.p50, parts.p95, parts.max)

@@ -9,7 +9,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::Summary;
 use serde::Serialize;
 
-use crate::figures::{Bound, Figures, rank};
+use crate::figures::{DelayAccuracy, QuantityStatistics, rank};
 
 /// Statistics of one node name over whole runs; successful iterations only, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -21,11 +21,11 @@ pub struct StageStatistics {
     /// `true` if it is one of the stages that add up to `stages-total`.
     pub is_stage: bool,
     /// The figures.
-    pub figures: Figures,
+    pub figures: QuantityStatistics,
     /// Its sum divided by the sum of `total`, 0 to 1, for durations. The share of a child is also part of its parent's.
     pub share: Option<f64>,
     /// Accuracy of one-way delays; `None` for other names.
-    pub bound: Option<Bound>,
+    pub bound: Option<DelayAccuracy>,
 }
 
 /// Statistics of a whole run, or of several taken together.
@@ -35,7 +35,7 @@ pub struct RunStatistics {
     pub stages: Vec<StageStatistics>,
     /// Accuracy of the one-way delays: `upload`, `download`. Also present if no delay had a value and `stages` lacks the
     /// name.
-    pub bounds: Vec<Bound>,
+    pub bounds: Vec<DelayAccuracy>,
     /// The mergeable sums from which `stages` and `bounds` were made.
     pub kept: Arc<MergeableStatistics>,
 }
@@ -86,8 +86,8 @@ impl NameSummary {
         Self { unit: unit.to_owned(), summary: Summary::default() }
     }
 
-    pub(crate) fn figures(&self) -> Option<Figures> {
-        Figures::from_summary(&self.summary)
+    pub(crate) fn figures(&self) -> Option<QuantityStatistics> {
+        QuantityStatistics::from_summary(&self.summary)
     }
 }
 
@@ -147,21 +147,25 @@ impl MergeableStatistics {
         stages
     }
 
-    fn bounds(&self) -> Vec<Bound> {
+    fn bounds(&self) -> Vec<DelayAccuracy> {
         let more = self.half_widths.keys().filter(|name| !self.verdicts.contains_key(*name));
-        let mut bounds: Vec<Bound> =
+        let mut bounds: Vec<DelayAccuracy> =
             self.verdicts.keys().chain(more).filter_map(|name| self.bound(name)).collect();
         bounds.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
         bounds
     }
 
     /// Returns the accuracy of a one-way delay, or `None` for other names.
-    pub fn bound(&self, stage: &Name) -> Option<Bound> {
+    pub fn bound(&self, stage: &Name) -> Option<DelayAccuracy> {
         let (half_width, verdicts) = (self.half_widths.get(stage), self.verdicts.get(stage));
         (half_width.is_some() || verdicts.is_some()).then(|| {
             let mut verdicts = verdicts.cloned().unwrap_or_default();
             verdicts.sort_by_key(|(one, _)| Verdict::ALL.iter().position(|known| known == one));
-            Bound { stage: stage.clone(), half_width: half_width.and_then(Figures::from_summary), verdicts }
+            DelayAccuracy {
+                stage: stage.clone(),
+                half_width: half_width.and_then(QuantityStatistics::from_summary),
+                verdicts,
+            }
         })
     }
 }

@@ -1,7 +1,7 @@
 //! Schema of comparisons and experiments.
 
 use peernet_analysis::deadline::Misses;
-use peernet_store::{self as store, Figures};
+use peernet_store::{self as store, QuantityStatistics};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -105,7 +105,7 @@ pub(crate) struct ComparedStage {
     /// Unit: `s`, `B`, `bit/s` or user-defined.
     pub unit: String,
     #[serde(flatten)]
-    pub figures: Figures,
+    pub figures: QuantityStatistics,
 }
 
 /// A setting with its value in each configuration.

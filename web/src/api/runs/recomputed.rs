@@ -3,7 +3,7 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_store::{self as store, Figures};
+use peernet_store::{self as store, QuantityStatistics};
 use serde::Serialize;
 use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
@@ -46,9 +46,9 @@ pub(crate) struct RecomputedStage {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Judgement {
     /// Delays that have a value, seconds.
-    pub delay: Option<Figures>,
+    pub delay: Option<QuantityStatistics>,
     /// Half widths of their bounds, seconds.
-    pub half_width: Option<Figures>,
+    pub half_width: Option<QuantityStatistics>,
     pub verdicts: Vec<VerdictCount>,
 }
 

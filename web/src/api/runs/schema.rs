@@ -1,7 +1,7 @@
 //! Schema of stored runs.
 
 use peernet_analysis::deadline::Misses;
-use peernet_store::{self as store, Figures};
+use peernet_store::{self as store, QuantityStatistics};
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -47,7 +47,7 @@ pub(crate) struct Run {
     /// before the first iteration.
     pub miss_rate: Option<f64>,
     /// Statistics of `total`, seconds; successful iterations only.
-    pub total: Option<Figures>,
+    pub total: Option<QuantityStatistics>,
     /// `true` if clock faults were injected on one of its hosts.
     #[serde(rename = "rehearsed")]
     pub has_clock_fault: bool,

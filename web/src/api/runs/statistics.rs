@@ -5,7 +5,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_analysis::transfer;
 use peernet_logger::stage;
-use peernet_store::{self as store, Figures};
+use peernet_store::{self as store, QuantityStatistics};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 use utoipa_axum::router::OpenApiRouter;
@@ -144,7 +144,7 @@ pub(crate) struct Stage {
     /// `true` if it is one of the stages that add up to `stages-total`.
     pub is_stage: bool,
     #[serde(flatten)]
-    pub figures: Figures,
+    pub figures: QuantityStatistics,
     /// Share of `total`, 0 to 1; for durations only.
     pub share: Option<f64>,
     pub bound: Option<Bound>,
@@ -174,7 +174,7 @@ pub(crate) struct Histogram {
     pub counts: Vec<u64>,
     /// Number of samples above the last edge.
     pub beyond: u64,
-    pub figures: Figures,
+    pub figures: QuantityStatistics,
 }
 
 impl From<store::Histogram> for Histogram {

@@ -1,7 +1,7 @@
 //! Figures of nodes, bounds, counts and placements.
 
 use peernet_logger::Name;
-use peernet_store::{self as store, Figures};
+use peernet_store::{self as store, QuantityStatistics};
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -13,11 +13,11 @@ pub(crate) struct NodeFigures {
     /// describe the ratios of single iterations. Their mean is not the speed over all iterations.
     pub name: String,
     #[serde(flatten)]
-    pub figures: Figures,
+    pub figures: QuantityStatistics,
 }
 
 impl NodeFigures {
-    pub(crate) fn from_values(values: &[(Name, Figures)]) -> Vec<Self> {
+    pub(crate) fn from_values(values: &[(Name, QuantityStatistics)]) -> Vec<Self> {
         values.iter().map(|(name, figures)| Self { name: name.to_string(), figures: *figures }).collect()
     }
 }
@@ -28,7 +28,7 @@ pub(crate) struct Bound {
     /// `upload` or `download`.
     pub stage: String,
     /// Half the width of the interval that contains the delay, seconds; null if no delay had an interval.
-    pub half_width: Option<Figures>,
+    pub half_width: Option<QuantityStatistics>,
     pub verdicts: Vec<VerdictCount>,
 }
 
@@ -40,8 +40,8 @@ pub(crate) struct VerdictCount {
     pub count: u64,
 }
 
-impl From<&store::Bound> for Bound {
-    fn from(bound: &store::Bound) -> Self {
+impl From<&store::DelayAccuracy> for Bound {
+    fn from(bound: &store::DelayAccuracy) -> Self {
         let verdicts = bound.verdicts.iter();
         Self {
             stage: bound.stage.to_string(),

@@ -43,7 +43,7 @@ use std::sync::Arc;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::trust::Starts;
 use peernet_statistics::Summary;
-use peernet_store::{Bound, Figures, MergeableStatistics, RunSummary, StageStatistics};
+use peernet_store::{DelayAccuracy, MergeableStatistics, QuantityStatistics, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;
 
 use crate::error::WebError;
@@ -97,7 +97,7 @@ pub(crate) struct Configuration {
     /// Statistics of all its runs together.
     pub stages: Vec<StageStatistics>,
     /// Accuracy of the one-way delays.
-    pub bounds: Vec<Bound>,
+    pub bounds: Vec<DelayAccuracy>,
     /// All stored statistics of its runs together.
     pub kept: Arc<MergeableStatistics>,
     /// `false` if its model is an echo model.
@@ -106,7 +106,7 @@ pub(crate) struct Configuration {
 
 impl Configuration {
     /// Returns the figures of a node by its name.
-    pub(crate) fn figures(&self, name: &str) -> Option<&Figures> {
+    pub(crate) fn figures(&self, name: &str) -> Option<&QuantityStatistics> {
         self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
     }
 
@@ -116,7 +116,7 @@ impl Configuration {
     }
 
     /// Returns the figures of `total`, seconds, or of `sensing` for a pipeline that only senses.
-    pub(crate) fn total(&self) -> Option<&Figures> {
+    pub(crate) fn total(&self) -> Option<&QuantityStatistics> {
         self.figures("total").or_else(|| self.figures("sensing"))
     }
 

@@ -6,7 +6,7 @@ use peernet_figures::plot::Axis;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{SPACE, bytes, duration, figure, interval_ms, within_ms};
-use peernet_store::Figures;
+use peernet_store::QuantityStatistics;
 
 use super::names::in_words;
 use super::{Comparison, Configuration};
@@ -121,7 +121,7 @@ pub(super) fn name_in(comparison: &Comparison, groups: &[Group<'_>], one: &Confi
 /// precision.
 pub(super) fn line(group: &Group<'_>, name: &str) -> Option<(Fit, (f64, f64))> {
     let known = group.iter().filter_map(|(one, size)| {
-        let Figures { count, mean, std, .. } = *one.figures(name)?;
+        let QuantityStatistics { count, mean, std, .. } = *one.figures(name)?;
         Some(MeanAtSize { size: *size, count, mean, std })
     });
     let known: Vec<MeanAtSize> = known.collect();

@@ -2,7 +2,7 @@
 
 use peernet_logger::stage;
 use peernet_statistics::number::{Estimate, NONE, bytes, count, duration, mean_std_ms, percent, share};
-use peernet_store::Figures;
+use peernet_store::QuantityStatistics;
 
 use super::{Comparison, Configuration, Differences, StageDifference};
 use crate::look;
@@ -78,7 +78,8 @@ impl Table {
             accuracies: accuracies
                 .iter()
                 .map(|(name, _)| {
-                    let shown = |figures: &Figures| (share(figures.mean), accuracy::interval(figures));
+                    let shown =
+                        |figures: &QuantityStatistics| (share(figures.mean), accuracy::interval(figures));
                     one.figures(name).map_or_else(|| (NONE.to_owned(), None), shown)
                 })
                 .collect(),

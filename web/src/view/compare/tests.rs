@@ -1,6 +1,6 @@
 use peernet_clock::{Span, Verdict};
 use peernet_logger::{HostId, Name, RunId, stage};
-use peernet_store::{Bound, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
+use peernet_store::{DelayAccuracy, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
 use peernet_stream::{EndReason, OutcomeCounts, Placement};
 
 use super::series::{RunCourse, RunCourses};
@@ -33,9 +33,9 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
     }
 }
 
-pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<Bound>) {
+pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<DelayAccuracy>) {
     let window = samples::window(60, 5.0, scale, Verdict::Ok);
-    let statistics = |(name, figures): &(Name, Figures)| StageStatistics {
+    let statistics = |(name, figures): &(Name, QuantityStatistics)| StageStatistics {
         stage: name.clone(),
         unit: if name.ends_with("throughput") { "bit/s" } else { "s" }.to_owned(),
         is_stage: stage::ORDER.contains(name),

@@ -3,7 +3,7 @@
 use peernet_clock::{OneWayDelay, Verdict};
 use peernet_statistics::Summary;
 
-use crate::figures::Figures;
+use crate::figures::QuantityStatistics;
 use crate::types::Judgement;
 
 /// Sums over the delays of one direction.
@@ -35,8 +35,8 @@ impl DelaySums {
     pub(super) fn judgement(&self) -> Judgement {
         let verdicts = Verdict::ALL.iter().copied().zip(self.verdicts);
         Judgement {
-            delay: Figures::from_summary(&self.delay),
-            half_width: Figures::from_summary(&self.half_width),
+            delay: QuantityStatistics::from_summary(&self.delay),
+            half_width: QuantityStatistics::from_summary(&self.half_width),
             verdicts: verdicts.filter(|(_, times)| *times > 0).collect(),
         }
     }

@@ -10,7 +10,7 @@ use peernet_statistics::Summary;
 use super::super::{corrupt_data, runs, sql, wall};
 use super::WHAT;
 use crate::error::StoreError;
-use crate::figures::Figures;
+use crate::figures::QuantityStatistics;
 use crate::readers::Readers;
 use crate::rollups::{RollupRow, WIDTHS_S, bucket};
 use crate::types::{Series, SeriesPoint, StageBuckets, StageSeries};
@@ -190,7 +190,7 @@ impl NameIds {
 
 /// Converts a bucket for pages; `None` without samples.
 fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
-    Figures::from_summary(summary).map(|figures| SeriesPoint {
+    QuantityStatistics::from_summary(summary).map(|figures| SeriesPoint {
         at: wall(begin.saturating_mul(1_000_000_000)),
         count: figures.count,
         mean: figures.mean,

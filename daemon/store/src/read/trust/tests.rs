@@ -6,7 +6,7 @@ use peernet_logger::{HostId, Name, RunId};
 use peernet_stream::{Grade, OutcomeCounts, Placement, PlacementKind};
 
 use super::*;
-use crate::figures::Figures;
+use crate::figures::QuantityStatistics;
 use crate::types::{GapRow, StageStatistics};
 
 const NOW: WallTime = WallTime::from_unix_nanos(1_800_000_000_000_000_000);
@@ -45,7 +45,8 @@ fn summary(reason: &str) -> RunSummary {
 
 /// Returns the statistics of a node name.
 fn node(name: &str, count: u64, mean: f64) -> StageStatistics {
-    let figures = Figures { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean };
+    let figures =
+        QuantityStatistics { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean };
     let (stage, unit) = (Name::from(name), "s".to_owned());
     StageStatistics { stage, unit, is_stage: false, figures, share: None, bound: None }
 }

@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use peernet_logger::{Name, stage};
 use peernet_statistics::SplitMix64;
-use peernet_store::{Figures, MergeableStatistics};
+use peernet_store::{MergeableStatistics, QuantityStatistics};
 use peernet_stream::PlacementKind::Remote;
 
 use super::super::tests::{comparison, configuration};
@@ -18,7 +18,7 @@ pub(crate) fn talking(at: usize, name: &str, points: &[(f64, f64)]) -> Configura
     });
     let mut length = one.stages[0].clone();
     (length.stage, length.unit) = (Name::from(name), String::new());
-    length.figures = Figures::from_summary(&x).expect("lengths");
+    length.figures = QuantityStatistics::from_summary(&x).expect("lengths");
     one.stages.push(length);
     let mut kept = MergeableStatistics::default();
     kept.add(Name::from(name), "", &x);
