@@ -94,7 +94,7 @@ fn backup_of_busy_aggregator_is_consistent() {
 
     let again = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(again.code(), 69, "{}", again.log);
-    assert!(again.log.contains("exists already"), "{}", again.log);
+    assert!(again.log.contains("already exists"), "{}", again.log);
     let nowhere = run(&deployment, &["backup", "--database", "none.sqlite", "other.sqlite"]);
     assert_eq!(nowhere.code(), 69, "{}", nowhere.log);
     assert!(

@@ -233,7 +233,7 @@ fn observed_pipeline_refuses_keys_of_active_one() {
     assert_eq!(ended.code(), 78, "{}", ended.log);
     for part in [
         "pipeline[0].sensor: a pipeline that observes does not use sensor",
-        "pipeline[0].load: a system that is only observed",
+        "pipeline[0].load: a pipeline that observes does not use load",
         "pipeline[0].placement.output: output is the same topic as input",
     ] {
         assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);

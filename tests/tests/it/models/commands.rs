@@ -84,7 +84,7 @@ fn a_model_is_measured_stage_by_stage() {
 #[test]
 fn impossible_model_commands_fail_with_exit_code() {
     for (arguments, code, told) in [
-        (&["show", "efficientnet_v2_xl"] as &[&str], 66, "there is efficientnet_v2_s, quality-control"),
+        (&["show", "efficientnet_v2_xl"] as &[&str], 66, "the folders contain efficientnet_v2_s, quality-control"),
         (&["list", "--models-dir", "/nowhere"], 66, "there is no folder /nowhere"),
         (&["check", "quality-control", "--device", "gpu"], 64, "is not a device"),
         (&["check", "quality-control", "--device", "cuda:0"], 69, "CUDAExecutionProvider"),

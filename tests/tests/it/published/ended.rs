@@ -190,7 +190,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     let _ = killed.kill();
     assert_eq!(names(&temporary).len(), 1, "nobody was there to remove it");
     let compared = start("compare").wait_for_end();
-    assert!(compared.log.contains("a run is under way there or was killed"), "{}", compared.log);
+    assert!(compared.log.contains("a run is in progress there or was killed"), "{}", compared.log);
 
     let next = client(6).wait_for_end();
     assert!(next.code() == 0 && next.log.contains("killed.csv"), "{}", next.log);
@@ -214,7 +214,7 @@ fn a_second_signal_does_not_wait() {
     client.wait_for("Ctrl-C again");
     // A second SIGINT within half a second would count as the same signal.
     client.signal(Signal::TERM);
-    client.wait_for("left alone");
+    client.wait_for("work in progress was abandoned");
     let ended = client.wait_for_end();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("before the first measurement"), "{}", ended.log);

@@ -7,7 +7,6 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use peernet_imaging::{Filter, Orientation};
-use peernet_sample::normalized_label;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
@@ -302,9 +301,9 @@ impl Output {
         if self.labels.is_empty() || self.top_k == Some(0) {
             return Err(CardError::NoLabels);
         }
-        // Labels are compared without regard to case and spaces, so that two labels must not differ in these alone.
+        // Labels that differ in case alone are allowed: ImageNet has `cardigan`, a garment, and `Cardigan`, a dog.
         let mut seen = HashSet::new();
-        if let Some(label) = self.labels.iter().find(|label| !seen.insert(normalized_label(label))) {
+        if let Some(label) = self.labels.iter().find(|label| !seen.insert(label.as_str())) {
             return Err(CardError::DuplicateLabel(label.clone()));
         }
         match self.top_k {
