@@ -58,5 +58,5 @@ fn slow_readers_do_not_block_dashboard() {
     let ended = aggregator.stop();
     assert_eq!(ended.code(), 0);
     // The reason is logged once, then as a count.
-    assert_eq!(ended.log.matches("closed a connection").count(), 1, "{}", ended.log);
+    assert_eq!(ended.log.matches("closed a new connection").count(), 1, "{}", ended.log);
 }
