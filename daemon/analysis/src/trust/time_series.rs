@@ -12,7 +12,7 @@ const MIN_BEGINNING_VALUES: u64 = 20;
 /// Maximum number of blocks that a run is cut into; the first block is its beginning.
 const MAX_BLOCKS: u64 = 200;
 /// Change of the median between the halves, as a share of the first, that is mentioned.
-const MIN_NOTABLE_CHANGE: f64 = 0.05;
+pub(super) const MIN_NOTABLE_CHANGE: f64 = 0.05;
 /// Factor from the median distance from the median to the standard deviation of a normal distribution.
 const MAD_TO_STD: f64 = 1.4826;
 /// Distances above the median, in such deviations, from which on a value is an outlier (Iglewicz and Hoaglin 1993).

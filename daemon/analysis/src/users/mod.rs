@@ -78,7 +78,7 @@ impl Users {
     /// Returns the users of runs, one run for each edge. Edges that were measured at the same time are found by their records. `None` if
     /// every edge was alone.
     pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
-        let runs = concurrent_edges::runs(runs);
+        let runs = concurrent_edges::concurrent_groups(runs);
         runs.iter().any(|edges| edges.len() > 1).then_some(())?;
         let place = |edges: &[&Loaded]| -> Vec<(String, String)> {
             let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());
