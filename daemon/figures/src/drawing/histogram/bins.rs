@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn one_stall_does_not_hide_a_short_run() {
+    fn few_outliers_of_a_short_run_stay_outside_of_the_bins() {
         let run = |count: u32| (0..count).map(|i| 1.3 + f64::from(i) * 0.01);
         for count in [15, 72, 150] {
             let stalled = bins(run(count).chain([101.0])).expect("there are values");

@@ -95,11 +95,11 @@ fn each_distribution_has_its_count() {
 }
 
 #[test]
-fn what_leaves_a_shape_is_counted() {
+fn values_beyond_the_shape_are_counted() {
     let late = hill(20.0, 400).values().iter().copied().chain([90.0]).collect();
     let figure = paired(vec![vec![hill(50.0, 400), late]]);
     assert!(has(&figure.svg(), "+1"), "{:?}", texts(&figure.svg()));
-    assert!(figure.words().contains("+ above: so many values are larger than shown"), "{}", figure.words());
+    assert!(figure.words().contains("+ and a number: number of values above the axis"), "{}", figure.words());
 }
 
 /// Returns the height of a text.
@@ -178,7 +178,7 @@ fn a_hundred_thousand_points_are_a_small_file() {
 }
 
 #[test]
-fn odd_points_are_drawn_too() {
+fn empty_single_equal_and_non_finite_points_give_a_valid_figure() {
     for points in
         [vec![], vec![(3.0, 4.0)], vec![(3.0, 4.0); 90], vec![(-3.0, f64::NAN), (1.0, -2.0), (2.0, 1.0)]]
     {

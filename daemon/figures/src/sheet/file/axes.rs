@@ -6,7 +6,7 @@ use super::{EDGE, GAP, LINE, SMALL, TEXT, WIDTH};
 use crate::look::{INK, INK_2, Style};
 use crate::plot::{Anchor, Axis, Marks, Plot};
 use crate::svg::Writer;
-use crate::text::{shorten, shorten_apart, width};
+use crate::text::{shorten, shorten_distinctly, width};
 
 /// Length of a mark below the horizontal axis, points.
 const MARK: f64 = 1.8;
@@ -60,7 +60,7 @@ fn draw_rows(svg: &mut Writer, plot: &Plot, area: &Area) {
     let names: Vec<&str> = ticks.iter().map(|tick| tick.text.as_str()).collect();
     let room = area.left - EDGE - GAP;
     let names = if is_named {
-        shorten_apart(&names, size, room + 0.1)
+        shorten_distinctly(&names, size, room + 0.1)
     } else {
         names.into_iter().map(str::to_owned).collect()
     };
