@@ -1,7 +1,7 @@
 //! `peernet recompute`
 
 use crate::exit::Failure;
-use crate::output::say;
+use crate::output::print_to_stdout;
 use peernet_analysis::table::text;
 use peernet_statistics::number::{bound_ms, column_decimals, fixed};
 use peernet_stream::FaultyHost;
@@ -80,14 +80,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = format!("/api/v1/runs/{}/recomputed", arguments.run);
     if arguments.json {
         let answer: Value = arguments.api.compute(&path)?;
-        say(format_args!("{answer:#}"));
+        print_to_stdout(format_args!("{answer:#}"));
         return Ok(());
     }
     let recomputed: Recomputed = arguments.api.compute(&path)?;
     let run: Run = arguments.api.get(&format!("/api/v1/runs/{}", arguments.run))?;
-    say(describe(arguments.run, &recomputed));
+    print_to_stdout(describe(arguments.run, &recomputed));
     if let Some(clock_fault) = clock_fault(&run.facts) {
-        say(format_args!(
+        print_to_stdout(format_args!(
             "\nCLOCK FAULT INJECTION: run {} was made with a clock that was wrong on purpose: {clock_fault}",
             arguments.run
         ));

@@ -3,7 +3,7 @@
 mod clock_fault;
 
 use crate::exit::Failure;
-use crate::output::say;
+use crate::output::print_to_stdout;
 use chrono::{DateTime, SecondsFormat};
 use peernet_analysis::table::text;
 use peernet_statistics::number;
@@ -100,7 +100,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Links { links } = arguments.api.get("/api/v1/links")?;
     let faulty = faulty_clocks(&hosts, &links);
     if pipelines.is_empty() {
-        say("no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one");
+        print_to_stdout(
+            "no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one",
+        );
     } else {
         let header = [
             "pipeline",
@@ -115,22 +117,28 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "inference ms",
             "download ms",
         ];
-        say(text(&header, &pipelines.iter().map(|one| pipeline_row(one, &faulty)).collect::<Vec<_>>()));
-        say(format_args!(
+        print_to_stdout(text(
+            &header,
+            &pipelines.iter().map(|one| pipeline_row(one, &faulty)).collect::<Vec<_>>(),
+        ));
+        print_to_stdout(format_args!(
             "the last {WINDOW_S} s; missed: later than their deadline or without an answer; p50 and p95 are quantiles of the total, the stages are means"
         ));
         // Printed below the table: a reason is a sentence and would widen its column.
         for pipeline in &pipelines {
             if let Some(reason) = &pipeline.reason {
-                say(format_args!("{}/{} is {}: {reason}", pipeline.host, pipeline.name, pipeline.state));
+                print_to_stdout(format_args!(
+                    "{}/{} is {}: {reason}",
+                    pipeline.host, pipeline.name, pipeline.state
+                ));
             }
         }
     }
-    say("");
+    print_to_stdout("");
     let header = ["host", "state", "CPU %", "waiting", "lost"];
-    say(text(&header, &hosts.iter().map(|one| host_row(one, &faulty)).collect::<Vec<_>>()));
+    print_to_stdout(text(&header, &hosts.iter().map(|one| host_row(one, &faulty)).collect::<Vec<_>>()));
     for (name, how) in &faulty {
-        say(format_args!(
+        print_to_stdout(format_args!(
             "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}); its delays should not move"
         ));
     }

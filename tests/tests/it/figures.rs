@@ -76,7 +76,7 @@ fn plot_errors_are_named() {
         (&["all", "--kind", "paired"], 65, "two places"),
         (&["all/small", "--kind", "histograms", "--x", "nonsense"], 65, "the column nonsense"),
         (&["nowhere"], 66, "no results in nowhere"),
-        (&["all", "--y", "total"], 64, "name the kind"),
+        (&["all", "--y", "total"], 64, "use one of these kinds"),
     ];
     for (arguments, code, text) in cases {
         let done = plot(&deployment, arguments);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use anyhow::anyhow;
 use peernet_analysis::loaded::Loaded;
 use peernet_results::{FolderError, ResultFolder};
@@ -48,7 +48,7 @@ pub(crate) fn collect(
     let SelectedResults { paths, unselected } = chosen;
     let numbers = (0..paths.len()).filter(|at| contains_place(&baseline_paths, &paths[*at]));
     let baseline_numbers: Vec<usize> = numbers.collect();
-    unselected.iter().for_each(|runs| complain(&runs.remark));
+    unselected.iter().for_each(|runs| print_to_stderr(&runs.remark));
     let mut notes: Vec<String> = unselected.into_iter().map(|runs| runs.what).collect();
     if paths.is_empty() {
         let places: Vec<String> = places.iter().map(|place| place.display().to_string()).collect();
@@ -63,12 +63,12 @@ pub(crate) fn collect(
     let excluded = Excluded::new(&runs, &baseline_numbers, &named, &experiments);
     let unknown = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
     for note in unknown.into_iter().chain(excluded.notes(&runs)) {
-        complain(&note);
+        print_to_stderr(&note);
         notes.push(sentence(&note));
     }
     let is_kept = |at: usize| !excluded.contains(at);
     let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
-    kept.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(complain);
+    kept.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(print_to_stderr);
     let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
     let baseline_runs =
         (0..order.len()).filter(|at| baseline_numbers.contains(&order[*at])).collect::<Vec<_>>();

@@ -9,7 +9,7 @@ mod selected_results;
 use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_analysis::compare::{
@@ -24,8 +24,8 @@ pub(crate) use collect::{Collected, collect, distinct_places};
 /// Arguments of `peernet compare`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
-    /// those of the published program as well.
+    /// Result folders, folders that contain result folders at any depth (such as an experiment), or files data.csv,
+    /// also of the published program.
     #[arg(required = true, value_name = "RUN|DIR")]
     runs: Vec<PathBuf>,
     /// Format of the table.
@@ -34,12 +34,12 @@ pub(crate) struct Arguments {
     /// Write to this file instead of the terminal.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Baseline of the comparison, stage by stage: the folder of a run, or its file of rows, for that run only; or a
-    /// folder with several runs of one configuration, which are pooled [default: the first of two lines; the best of
-    /// more, without the stages]. With --format csv the table of differences replaces the other table.
+    /// Baseline of the comparison stage by stage: a run's folder or its data.csv, or a folder with several runs of one
+    /// configuration, which are pooled [default: the first line if there are two; if there are more, the best line,
+    /// without the stages]. With --format csv the table of differences replaces the other table.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
-    /// Give each repeat of a configuration a line of its own.
+    /// Give each repeat of a configuration a separate line.
     #[arg(long)]
     apart: bool,
     /// Seed of the bootstrap for the intervals of medians: the same seed gives the same numbers.
@@ -80,10 +80,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         let line = line_of(&comparison, &baseline)?;
         let said = baseline_sentence(&comparison.lines[line]);
         if arguments.format == Format::Csv {
-            complain(&said);
+            print_to_stderr(&said);
         }
         comparison.caveats.push(said);
-        missing_comparison_reason(&comparison).iter().for_each(complain);
+        missing_comparison_reason(&comparison).iter().for_each(print_to_stderr);
         Some(line)
     };
     let differences = differences(&comparison, &runs, first, arguments.seed);
@@ -97,7 +97,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let text = text.trim_end();
     let Some(path) = &arguments.out else {
-        say(text);
+        print_to_stdout(text);
         return Ok(());
     };
     std::fs::write(path, format!("{text}\n"))

@@ -32,7 +32,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::exit::{Exit, Failure};
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
 use peernet_agent::{Agent, AgentConfig, IdentityError, RunningAgent, StartError};
@@ -98,7 +98,7 @@ impl Ready {
             return Err(Failure::new(Exit::Configuration, anyhow!("{}", problems.join("\n"))));
         }
         if let Some(faults) = clock.injected_faults() {
-            complain(format_args!(
+            print_to_stderr(format_args!(
                 "CLOCK FAULT INJECTION: this host's clocks are made wrong on purpose ({faults})"
             ));
         }
@@ -165,13 +165,13 @@ async fn watch<E: RunObserver>(
     };
     observer.end_decided();
     if is_interrupted {
-        complain("stopping; work in progress may take some seconds, press Ctrl-C again to abandon it");
+        print_to_stderr("stopping; work in progress may take some seconds, press Ctrl-C again to abandon it");
     }
     stop.cancel();
     let missed = running.events_missed_by_tap();
     tokio::select! {
         joined = running.join() => joined.map_err(|error| Failure::new(Exit::Software, error))?,
-        () = signals.next() => complain("work in progress was abandoned"),
+        () = signals.next() => print_to_stderr("work in progress was abandoned"),
     }
     // Events of work that was in progress at the end.
     while let Ok(event) = events.try_recv() {

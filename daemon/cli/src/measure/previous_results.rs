@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use anyhow::Context;
 use peernet_results::ResultFolder;
 use tempfile::TempDir;
@@ -70,7 +70,7 @@ impl PreviousResultsGuard {
         folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
         let Some(kept) = folders.first() else { return Ok(()) };
         for other in &folders[1..] {
-            complain(format_args!("other previous results are in {}", other.display()));
+            print_to_stderr(format_args!("other previous results are in {}", other.display()));
         }
         let failed = |error: std::io::Error| {
             let text = format!("cannot restore the results of {}", kept.display());
@@ -78,7 +78,7 @@ impl PreviousResultsGuard {
         };
         if results_dir.join(RECORD).is_file() {
             std::fs::remove_dir_all(kept).map_err(failed)?;
-            complain(format_args!(
+            print_to_stderr(format_args!(
                 "a killed run had replaced the results in {}; the rest of the previous results was removed",
                 results_dir.display()
             ));
@@ -91,7 +91,7 @@ impl PreviousResultsGuard {
         };
         move_back(kept, results_dir).and_then(|()| std::fs::remove_dir_all(kept)).map_err(failed)?;
         let measured = measured.map_or_else(String::new, |name| format!("; its rows are in {name}"));
-        complain(format_args!(
+        print_to_stderr(format_args!(
             "a run that was to replace the results in {} was killed: the previous results are restored{measured}",
             results_dir.display()
         ));
@@ -103,7 +103,7 @@ impl PreviousResultsGuard {
     pub(super) fn keep_rows(&self) -> Option<String> {
         self.kept.as_ref()?;
         keep_measured(&self.results_dir, UNFINISHED).unwrap_or_else(|error| {
-            complain(format_args!("cannot rename the new data.csv: {error}"));
+            print_to_stderr(format_args!("cannot rename the new data.csv: {error}"));
             None
         })
     }
@@ -129,7 +129,7 @@ impl PreviousResultsGuard {
         let closed = self.kept.take().map_or(Ok(()), TempDir::close);
         let removed = rows_without_results(&self.results_dir).into_iter().try_for_each(remove_file);
         if let Err(error) = closed.and(removed) {
-            complain(format_args!("cannot remove all of the replaced results: {error}"));
+            print_to_stderr(format_args!("cannot remove all of the replaced results: {error}"));
         }
     }
 }
@@ -140,11 +140,11 @@ impl Drop for PreviousResultsGuard {
         if std::thread::panicking() {
             // New rows may be in their place by now.
             let folder = kept.keep();
-            return complain(format_args!("the previous results are in {}", folder.display()));
+            return print_to_stderr(format_args!("the previous results are in {}", folder.display()));
         }
         if let Err(error) = move_back(kept.path(), &self.results_dir) {
             let folder = kept.keep();
-            complain(format_args!("the previous results are in {}: {error}", folder.display()));
+            print_to_stderr(format_args!("the previous results are in {}: {error}", folder.display()));
         }
     }
 }

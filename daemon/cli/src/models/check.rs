@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use anyhow::anyhow;
 use peernet_inference::InferenceError;
 use peernet_sample::{Sample, normalized_label};
@@ -39,19 +39,19 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Ok(card) = &found.card
         && let Some(text) = other_file(card, &found.hash().map_err(failure)?)
     {
-        complain(text);
+        print_to_stderr(text);
     }
     let classes = found.card.as_ref().map(|card| card.labels.as_slice()).unwrap_or_default();
     let classes: HashSet<String> = classes.iter().map(|class| normalized_label(class)).collect();
     let running = Running::load(&found, &arguments.options)?;
     let pool = running.pool();
-    say(format_args!(
+    print_to_stdout(format_args!(
         "loaded on {} in {} s and run on zeros",
         pool.device(),
         fixed(pool.load_duration().seconds(), 2)
     ));
     let Some(input) = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())? else {
-        say("no test pictures: none in its folder `pictures`, none named with --pictures");
+        print_to_stdout("no test pictures: none in its folder `pictures`, none named with --pictures");
         return Ok(());
     };
     let (mut right, mut labelled, mut foreign, mut failed) = (0, 0, 0, 0);
@@ -62,7 +62,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         let answer = running.infer(sample).0.map_err(AnswerError::from).and_then(|answer| read(&answer));
         match answer {
             Err(error) => {
-                complain(error);
+                print_to_stderr(error);
                 failed += 1;
             }
             Ok(answer) => {
@@ -76,7 +76,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
                     None => {}
                 }
                 if alone {
-                    say(format_args!("{source}: {} ({})", answer.label, fixed(answer.score, 3)));
+                    print_to_stdout(format_args!("{source}: {} ({})", answer.label, fixed(answer.score, 3)));
                 }
             }
         }
@@ -88,7 +88,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         foreign => format!("; {foreign} labels are no classes of the model"),
     };
     let of = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };
-    say(format_args!("answered {of}{}{accuracy}{unknown}", input.what));
+    print_to_stdout(format_args!("answered {of}{}{accuracy}{unknown}", input.what));
     if failed > 0 {
         let were = if failed == 1 { "was" } else { "were" };
         let error = anyhow!("{} {were} not answered; the lines above say why", counted(failed, "picture"));

@@ -1,7 +1,7 @@
 //! `peernet models show`
 
 use crate::exit::Failure;
-use crate::output::say;
+use crate::output::print_to_stdout;
 use peernet_sample::printable_line;
 use peernet_statistics::number;
 use serde_json::json;
@@ -29,7 +29,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let card = found.card.map_err(failure)?;
     let other_file = other_file(&card, &hash);
     if arguments.json {
-        say(
+        print_to_stdout(
             json!({ "model": name.to_string(), "folder": folder.display().to_string(), "bytes": size, "sha256": hash, "card": card }),
         );
         return Ok(());
@@ -56,7 +56,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     lines.extend(other_file.map(|text| ("but".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
         let value = value.lines().map(str::trim).collect::<Vec<_>>().join(" ");
-        say(format_args!("{:<14}{}", printable_line(key), printable_line(value.trim())));
+        print_to_stdout(format_args!("{:<14}{}", printable_line(key), printable_line(value.trim())));
     }
     Ok(())
 }

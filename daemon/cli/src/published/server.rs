@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use crate::exit::{Exit, Failure};
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use anyhow::anyhow;
 use peernet_agent::config::ServeConfig;
 use peernet_networks::{Address, SessionSettings};
@@ -41,7 +41,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         Failure::new(exit, error.context(format!("cannot serve at {}", place(&devices.address, &file))))
     })?;
     if serving.has_answers() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
-        complain(serving.summary());
+        print_to_stderr(serving.summary());
     }
     match watched.ended {
         Ended::Finished => match serving.shortfall() {

@@ -142,7 +142,7 @@ impl Serving {
                             .map(ToString::to_string)
                             .collect::<Vec<_>>()
                             .join(", ");
-                        self.progress.say(format_args!(
+                        self.progress.print_line(format_args!(
                             "serving {} on all interfaces at {at}; ends after {} answers or with Ctrl-C",
                             self.model, self.answers.wanted
                         ));

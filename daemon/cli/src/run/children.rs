@@ -123,7 +123,7 @@ pub(super) async fn execute(
             }
             () = ending.expired() => {
                 show(ChildEvent::Ending("killing the processes that did not end in time"));
-                send(&pids, ending.kill());
+                send(&pids, ending.take_kill_signal());
             }
         }
     }

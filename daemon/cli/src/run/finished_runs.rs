@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use peernet_analysis::loaded::RowsDamage;
 use peernet_analysis::record::{Counts, RunRecord};
 use peernet_results::{FolderError, ResultFolder};
@@ -27,12 +27,12 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
                 run_records.iter().filter_map(|run_record| external_files.changed_since(run_record, &run)),
             ),
             Err(why) => {
-                complain(format_args!("run {} is repeated: {why}", run.number));
+                print_to_stderr(format_args!("run {} is repeated: {why}", run.number));
                 record.forget(&run);
             }
         }
     }
-    changed.iter().for_each(complain);
+    changed.iter().for_each(print_to_stderr);
 }
 
 /// Returns a note if an experiment was started by another version and runs remain.

@@ -35,7 +35,7 @@ use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
 use crate::experiment::Stage;
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
 use peernet_clock::{ClockIdentity, SharedClock};
@@ -84,9 +84,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.check {
         let runs = table::count(plan.runs.len(), "run");
         let configurations = table::count(plan.configurations.len(), "configuration");
-        remarks.iter().for_each(|remark| complain(format_args!("not on this machine: {remark}")));
-        base_hint_if_missing(remarks.iter().map(String::as_str)).iter().for_each(complain);
-        say(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
+        remarks.iter().for_each(|remark| print_to_stderr(format_args!("not on this machine: {remark}")));
+        base_hint_if_missing(remarks.iter().map(String::as_str)).iter().for_each(print_to_stderr);
+        print_to_stdout(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
     }
     let record = match before {
@@ -119,7 +119,7 @@ async fn execute_experiment(
         check_finished_runs(folder, &mut record, external_files);
     }
     let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
-    version_change_note(&record, &to_do, VERSION).iter().for_each(complain);
+    version_change_note(&record, &to_do, VERSION).iter().for_each(print_to_stderr);
     let _agent_state_dirs =
         match folder.as_ref().map(|_| AgentStateDirs::acquire(&record.plan, &to_do)).transpose() {
             Ok(agent_state_dirs) => agent_state_dirs,
@@ -138,12 +138,15 @@ async fn execute_experiment(
         }
     };
     let estimates = estimates(&record, &tried);
-    say(table::runs(&record, &estimates));
+    print_to_stdout(table::runs(&record, &estimates));
     let place = path.display().to_string();
     let place = printable_line(&place);
-    say(format_args!("\n{}; results in {place}", table::describe_plan(&to_do, &record, &estimates)));
+    print_to_stdout(format_args!(
+        "\n{}; results in {place}",
+        table::describe_plan(&to_do, &record, &estimates)
+    ));
     for condition in &tried.conditions {
-        complain(remark(condition));
+        print_to_stderr(remark(condition));
     }
     if let Some(failure) = missing(&tried, &arguments.file) {
         discard(folder, &record);
@@ -169,15 +172,15 @@ async fn execute_experiment(
     };
     let interrupted = execution.all(&to_do, &mut signals).await?;
     let report_text = report::write(&folder, &record, external_files.plots)?;
-    say(format_args!("\n{report_text}"));
-    say(format_args!("\n{place}: {}", summary(&record)));
+    print_to_stdout(format_args!("\n{report_text}"));
+    print_to_stdout(format_args!("\n{place}: {}", summary(&record)));
     let waiting = undelivered_events(&record.plan).await?;
     for aggregator in aggregators(&record.plan) {
         let runs = format_args!("the runs of experiment {}", record.plan.name);
         let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
-        say(dashboard_hint(runs, aggregator, has_all));
+        print_to_stdout(dashboard_hint(runs, aggregator, has_all));
     }
-    waiting.iter().for_each(complain);
+    waiting.iter().for_each(print_to_stderr);
     // Runs that were finished before count as well, so that the same command gives the same result.
     let wanted: Vec<Run> = record
         .runs()
@@ -194,7 +197,7 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
         // Its runs are unknown then; they are replaced one by one.
-        Err(failure) => complain(failure),
+        Err(failure) => print_to_stderr(failure),
     }
     Ok(())
 }

@@ -93,7 +93,7 @@ impl Kind {
         matches!(self, Self::Histograms | Self::Cumulative | Self::Series | Self::Length)
     }
 
-    /// Returns whether results of every kind have the data for it, so that a note is due if all figures are drawn and it is missing.
+    /// Returns whether all results have the data for the figure. If all figures are requested, a missing one is reported only then.
     pub const fn is_expected(self) -> bool {
         matches!(self, Self::Series | Self::Stacked)
     }

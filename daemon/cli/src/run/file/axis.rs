@@ -93,7 +93,10 @@ pub(super) enum AxisError {
     Field(#[from] FieldError),
     #[error("there is no field {0}: a path begins with {tables}, such as pipeline.placement.model", tables = VARIABLE_TABLES.join(", "))]
     UnknownTable(String),
-    #[error("{0} is the same for all runs; of [experiment] only {own} may differ", own = VARIABLE_KEYS.join(", "))]
+    #[error(
+        "{0} cannot be the field of an axis, because it applies to all runs; of [experiment] only {keys} can",
+        keys = VARIABLE_KEYS.join(", ")
+    )]
     SameForAll(String),
 }
 
@@ -219,12 +222,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told() {
+    fn invalid_axes_are_refused_with_the_reason() {
         for (text, message) in [
             ("name = 'a'", "either field"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1]\n[[value]]\nlabel = 'b'", "either field"),
             ("name = 'a'\nfield = 'pipelin.x'\nvalues = [1]", "there is no field pipelin.x"),
-            ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "the same for all runs"),
+            ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "it applies to all runs"),
             ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "has no text for tables"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1, 1]", "labelled 1"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [\"b\\nc\"]", r#"the label "b\nc" holds a control"#),
