@@ -52,7 +52,7 @@ const fn chip(grade: Grade) -> Chip {
     match grade {
         Grade::Good => Chip::new(Tone::Ok, "ok", "good"),
         Grade::Unknown => Chip::new(Tone::Quiet, "unknown", "not known"),
-        Grade::Doubtful => Chip::new(Tone::Warn, "remark", "to be said"),
+        Grade::Doubtful => Chip::new(Tone::Warn, "remark", "doubtful"),
         Grade::Bad => Chip::new(Tone::Bad, "failed", "bad"),
     }
 }

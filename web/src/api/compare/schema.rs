@@ -177,7 +177,7 @@ impl Comparison {
             differences: differences_to_baseline.collect(),
             doubts: compare::caveats(comparison),
             left_out: comparison.left_out.iter().map(left_out).collect(),
-            cut: comparison.cut,
+            cut: comparison.is_truncated,
         }
     }
 }

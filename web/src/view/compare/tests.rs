@@ -69,9 +69,18 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let kept = |one: &Configuration| {
         one.runs.iter().map(|run| (run.number, Arc::clone(&one.kept))).collect::<Vec<_>>()
     };
-    let kept = configurations.iter().flat_map(kept).collect();
-    let (settings, also, left_out) = (Vec::new(), Vec::new(), Vec::new());
-    Comparison { experiment, axes, settings, also, configurations, kept, left_out, cut: false }
+    let statistics_by_run = configurations.iter().flat_map(kept).collect();
+    let (settings, long_settings, left_out) = (Vec::new(), Vec::new(), Vec::new());
+    Comparison {
+        experiment,
+        axes,
+        settings,
+        long_settings,
+        configurations,
+        statistics_by_run,
+        left_out,
+        is_truncated: false,
+    }
 }
 
 /// Samples with the means that stages have.
