@@ -12,8 +12,8 @@ const DROPPED_SAMPLES_SUFFIX: &str = "dropped-samples";
 
 /// Periods and jitter of a sensor, from the samples of a run. Seconds, and samples per second.
 ///
-/// A sample's moment is when it was ready: the start of its iteration plus its `sensing`. A period lies between the moments of two samples
-/// that follow each other; warm-up is left out. The jitter of a period is its distance from the median period, in either direction.
+/// The time of a sample is the time at which it was ready: the start of its iteration plus its `sensing`. A period is the time between two
+/// consecutive samples, without the warm-up. The jitter of a period is its absolute difference from the median period.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorStudy {
     /// Samples that the sensor returned.
@@ -24,13 +24,13 @@ pub struct SensorStudy {
     pub rate: f64,
     /// Mean period.
     pub period: f64,
-    /// Sample standard deviation of the periods; `None` below two.
+    /// Sample standard deviation of the periods; `None` for a single period.
     pub period_std: Option<f64>,
     /// Median period.
     pub median: f64,
-    /// Percentiles of the jitter; `None` below 60 and 300 periods.
+    /// 95th percentile of the jitter; `None` below 60 periods.
     pub jitter_p95: Option<f64>,
-    /// 99th percentile of the jitter, like `jitter_p95`.
+    /// 99th percentile of the jitter; `None` below 300 periods.
     pub jitter_p99: Option<f64>,
     /// Median jitter.
     pub jitter_median: f64,
@@ -38,13 +38,13 @@ pub struct SensorStudy {
     pub longest_gap: f64,
     /// Iteration that ended this gap.
     pub longest_gap_at: u64,
-    /// Median time from asking for a sample to having it.
+    /// Median time from the request for a sample until it was ready.
     pub sensing: f64,
     /// Samples that the sensor reports as dropped; `None` without such a report.
     pub dropped: Option<u64>,
 }
 
-/// Sample of the sensor: its iteration and its moment.
+/// Iteration and time of a sample of the sensor.
 #[derive(Clone, Copy, Debug)]
 struct SampleTime {
     iteration: u64,
@@ -55,19 +55,19 @@ impl SensorStudy {
     /// Returns the study of these rows, in any order; `None` with fewer than two samples that follow each other.
     pub fn from_rows(rows: &Rows) -> Option<Self> {
         let measured = || rows.iter().filter(|row| !row.warm_up());
-        let mut taken: Vec<SampleTime> = measured().filter_map(taken).collect();
-        taken.sort_unstable_by_key(|taken| taken.iteration);
-        let follow = |pair: &&[SampleTime]| pair[1].iteration == pair[0].iteration + 1;
+        let mut sample_times: Vec<SampleTime> = measured().filter_map(sample_time).collect();
+        sample_times.sort_unstable_by_key(|sample| sample.iteration);
+        let are_consecutive = |pair: &&[SampleTime]| pair[1].iteration == pair[0].iteration + 1;
         let length = |pair: &[SampleTime]| pair[1].at - pair[0].at;
-        let periods: SortedValues = taken.windows(2).filter(follow).map(length).collect();
+        let periods: SortedValues = sample_times.windows(2).filter(are_consecutive).map(length).collect();
         let median = periods.median()?;
         let mut moments = Moments::default();
         periods.values().iter().for_each(|period| moments.record(*period));
         let jitter: SortedValues = periods.values().iter().map(|period| (period - median).abs()).collect();
-        let gap = taken.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
+        let gap = sample_times.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
         let sensing: SortedValues = measured().filter_map(|row| row.value("sensing")).collect();
         Some(Self {
-            samples: taken.len() as u64,
+            samples: sample_times.len() as u64,
             failed: measured().filter(|row| row.outcome() != Outcome::Ok).count() as u64,
             rate: 1.0 / moments.mean,
             period: moments.mean,
@@ -79,7 +79,7 @@ impl SensorStudy {
             longest_gap: length(gap),
             longest_gap_at: gap[1].iteration,
             sensing: sensing.median()?,
-            dropped: dropped(rows),
+            dropped: dropped_samples(rows),
         })
     }
 
@@ -95,14 +95,14 @@ impl SensorStudy {
         let tail = self.jitter_p99.map(|p99| ("99", p99)).or(self.jitter_p95.map(|p95| ("95", p95)));
         said.push(match tail {
             Some((percent, value)) => format!(
-                "Its period was within {} ms of the median ({} ms) for half of the samples, and within {} ms for {percent} %.",
+                "Half of its periods were within {} ms of the median ({} ms), and {percent} % within {} ms.",
                 milliseconds(self.jitter_median),
                 milliseconds(self.median),
                 milliseconds(value),
             ),
             None => format!(
-                "Its period was within {} ms of the median ({} ms) for half of the samples; {MIN_VALUES_FOR_P95} are needed to \
-                 say more.",
+                "Half of its periods were within {} ms of the median ({} ms); the 95th percentile needs {MIN_VALUES_FOR_P95} \
+                 periods.",
                 milliseconds(self.jitter_median),
                 milliseconds(self.median),
             ),
@@ -113,7 +113,9 @@ impl SensorStudy {
             self.longest_gap_at
         ));
         said.push(match self.dropped {
-            None => "It does not number its samples, so whether it dropped any is not known.".to_owned(),
+            None => {
+                "It does not report dropped samples, so it is not known whether it dropped any.".to_owned()
+            }
             Some(0) => "It dropped no sample.".to_owned(),
             Some(dropped) => {
                 let share = dropped as f64 / (dropped + self.samples) as f64 * 100.0;
@@ -131,7 +133,7 @@ impl SensorStudy {
         format!("{}\n\n{}", self.sentences().join("\n"), self.table().text())
     }
 
-    /// Returns the table of figures.
+    /// Returns the table of all quantities.
     pub fn table(&self) -> Table {
         let unknown = || "—".to_owned();
         let ms = |value: Option<f64>| value.map_or_else(unknown, milliseconds);
@@ -159,18 +161,20 @@ impl SensorStudy {
     }
 }
 
-fn taken(row: RowRef<'_>) -> Option<SampleTime> {
+/// Returns the time at which the sample of an iteration was ready; `None` if the iteration has none.
+fn sample_time(row: RowRef<'_>) -> Option<SampleTime> {
     let at = row.value("at").filter(|_| row.outcome() == Outcome::Ok)?;
-    // An iteration with a planned start begins late by its lateness; one without a plan has none.
+    // `at` is the scheduled start; the sensor is asked `lateness` later. Without a schedule there is no lateness.
     let at = at + row.value("lateness").unwrap_or(0.0) + row.value("sensing")?;
     Some(SampleTime { iteration: row.iteration(), at })
 }
 
-fn dropped(rows: &Rows) -> Option<u64> {
+/// Returns the sum of the reported dropped samples; `None` if no column reports any.
+fn dropped_samples(rows: &Rows) -> Option<u64> {
     let columns = rows.names().iter().filter(|column| column.ends_with(DROPPED_SAMPLES_SUFFIX));
     let measured = || rows.iter().filter(|row| !row.warm_up());
-    let told = columns.flat_map(|column| measured().filter_map(move |row| row.value(column)));
-    told.reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)
+    let reported = columns.flat_map(|column| measured().filter_map(move |row| row.value(column)));
+    reported.reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)
 }
 
 #[cfg(test)]
@@ -178,7 +182,7 @@ mod tests {
     use super::*;
     use crate::rows::Row;
 
-    /// Returns a sample each 20 ms, every fourth one 8 ms late, ready 5 ms after its request.
+    /// Returns a sample every 20 ms, ready 5 ms after its request. Every fourth sample is 8 ms late.
     fn rows(count: u64) -> Vec<Row> {
         let row = |iteration: u64| {
             let late = if iteration.is_multiple_of(4) { 0.008 } else { 0.0 };

@@ -1,7 +1,7 @@
 //! `peernet completions`
 
 use crate::exit::{Exit, Failure};
-use crate::output::say;
+use crate::output::print_to_stdout;
 use anyhow::Context;
 use clap::CommandFactory;
 use clap_complete::Shell;
@@ -23,6 +23,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Cli::command(), "peernet", &mut script);
     let script = String::from_utf8(script).context("the script is not text");
-    say(script.map_err(|error| Failure::new(Exit::Software, error))?.trim_end());
+    print_to_stdout(script.map_err(|error| Failure::new(Exit::Software, error))?.trim_end());
     Ok(())
 }

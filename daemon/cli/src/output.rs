@@ -13,11 +13,11 @@ use crate::short;
 /// `true` if a part of the result could not be written.
 static IS_OUTPUT_LOST: AtomicBool = AtomicBool::new(false);
 
-/// Prints a result that the user asked for to standard output.
+/// Prints a result to standard output.
 ///
 /// If the reader has closed the pipe, as `head` does after its lines, the rest is dropped without an error. Any other error is printed
 /// once and changes the exit code ([`with_output_errors`]).
-pub fn say(text: impl Display) {
+pub fn print_to_stdout(text: impl Display) {
     record_write(write(&mut io::stdout().lock(), &text));
 }
 
@@ -30,7 +30,7 @@ pub fn report_parser_message(error: clap::Error) -> Exit {
             // If standard error cannot be written to, the error cannot be reported.
             Cow::Borrowed(_) => drop(error.print()),
             // The check of the value has repeated it, so the text is shortened.
-            Cow::Owned(short) => complain(short.trim_end()),
+            Cow::Owned(short) => print_to_stderr(short.trim_end()),
         }
         return Exit::Usage;
     }
@@ -61,7 +61,7 @@ pub fn report_result(done: Result<(), Failure>) -> Exit {
     match done {
         Ok(()) => with_output_errors(Exit::Ok),
         Err(failure) => {
-            complain(&failure);
+            print_to_stderr(&failure);
             failure.exit
         }
     }
@@ -75,12 +75,12 @@ pub fn with_output_errors(exit: Exit) -> Exit {
 fn record_write(written: io::Result<()>) {
     let Err(error) = written else { return };
     if !IS_OUTPUT_LOST.swap(true, Ordering::Relaxed) {
-        complain(format_args!("cannot write the result: {error}"));
+        print_to_stderr(format_args!("cannot write the result: {error}"));
     }
 }
 
-/// Prints an error to standard error, before or after the log exists. The middle of overlong lines is left out.
-pub fn complain(text: impl Display) {
+/// Prints a line to standard error, also before the log exists. Overlong lines are shortened in the middle.
+pub fn print_to_stderr(text: impl Display) {
     // If standard error cannot be written to, the error cannot be reported.
     let _ = write(&mut io::stderr().lock(), &short::lines(&text.to_string()));
 }

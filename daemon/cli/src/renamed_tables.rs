@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use toml::Table;
 
-use crate::output::complain;
+use crate::output::print_to_stderr;
 
 /// A table of a configuration file that was renamed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +42,7 @@ pub(crate) fn current_name(table: &str) -> &str {
     static IS_ANNOUNCED: AtomicBool = AtomicBool::new(false);
     let Some(renamed) = RENAMED_TABLES.iter().find(|renamed| renamed.former == table) else { return table };
     if !IS_ANNOUNCED.swap(true, Ordering::Relaxed) {
-        complain(format_args!("deprecated: {}", renamed.deprecation()));
+        print_to_stderr(format_args!("deprecated: {}", renamed.deprecation()));
     }
     renamed.current
 }

@@ -3,7 +3,7 @@
 mod clock_fault;
 
 use crate::exit::Failure;
-use crate::output::say;
+use crate::output::print_to_stdout;
 use chrono::{DateTime, SecondsFormat};
 use peernet_analysis::table::text;
 use peernet_statistics::number;
@@ -100,7 +100,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Links { links } = arguments.api.get("/api/v1/links")?;
     let faulty = faulty_clocks(&hosts, &links);
     if pipelines.is_empty() {
-        say("no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one");
+        print_to_stdout(
+            "no pipeline yet: start an agent with a [[pipeline]], and set its [agent] aggregator to this aggregator's address",
+        );
     } else {
         let header = [
             "pipeline",
@@ -115,22 +117,28 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "inference ms",
             "download ms",
         ];
-        say(text(&header, &pipelines.iter().map(|one| pipeline_row(one, &faulty)).collect::<Vec<_>>()));
-        say(format_args!(
+        print_to_stdout(text(
+            &header,
+            &pipelines.iter().map(|one| pipeline_row(one, &faulty)).collect::<Vec<_>>(),
+        ));
+        print_to_stdout(format_args!(
             "the last {WINDOW_S} s; missed: later than their deadline or without an answer; p50 and p95 are quantiles of the total, the stages are means"
         ));
         // Printed below the table: a reason is a sentence and would widen its column.
         for pipeline in &pipelines {
             if let Some(reason) = &pipeline.reason {
-                say(format_args!("{}/{} is {}: {reason}", pipeline.host, pipeline.name, pipeline.state));
+                print_to_stdout(format_args!(
+                    "{}/{} is {}: {reason}",
+                    pipeline.host, pipeline.name, pipeline.state
+                ));
             }
         }
     }
-    say("");
+    print_to_stdout("");
     let header = ["host", "state", "CPU %", "waiting", "lost"];
-    say(text(&header, &hosts.iter().map(|one| host_row(one, &faulty)).collect::<Vec<_>>()));
+    print_to_stdout(text(&header, &hosts.iter().map(|one| host_row(one, &faulty)).collect::<Vec<_>>()));
     for (name, how) in &faulty {
-        say(format_args!(
+        print_to_stdout(format_args!(
             "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}); its delays should not move"
         ));
     }
@@ -155,9 +163,9 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         format!("{}/{}", pipeline.host, pipeline.name),
         place,
         with_clock_fault_mark(&pipeline.state, is_faulty),
-        known(window.map(|window| number::rate(window.rate_hz))),
-        known(window.and_then(|window| window.lost_fraction).map(number::share)),
-        known(window.and_then(|window| window.miss_rate).map(number::share)),
+        or_dash(window.map(|window| number::rate(window.rate_hz))),
+        or_dash(window.and_then(|window| window.lost_fraction).map(number::share)),
+        or_dash(window.and_then(|window| window.miss_rate).map(number::share)),
         milliseconds(total.and_then(|figures| figures.p50)),
         milliseconds(total.and_then(|figures| figures.p95)),
         mean("upload"),
@@ -176,9 +184,9 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
     vec![
         host.name.clone(),
         with_clock_fault_mark(&state, faulty.contains_key(&host.name)),
-        known(now.and_then(|now| now.cpu).map(number::share)),
-        known(now.map(|now| now.events.waiting.to_string())),
-        known(now.map(|now| now.events.dropped.to_string())),
+        or_dash(now.and_then(|now| now.cpu).map(number::share)),
+        or_dash(now.map(|now| now.events.waiting.to_string())),
+        or_dash(now.map(|now| now.events.dropped.to_string())),
     ]
 }
 
@@ -189,10 +197,10 @@ fn to_the_second(moment: &str) -> String {
 }
 
 fn milliseconds(seconds: Option<f64>) -> String {
-    known(seconds.map(number::stage_ms))
+    or_dash(seconds.map(number::stage_ms))
 }
 
-fn known(figure: Option<String>) -> String {
+fn or_dash(figure: Option<String>) -> String {
     figure.unwrap_or_else(|| number::NONE.to_owned())
 }
 

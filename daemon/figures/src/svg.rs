@@ -202,7 +202,7 @@ impl Attributes<'_> {
         }
     }
 
-    /// Leaves the element open for nested ones, until [`Writer::close`].
+    /// Leaves the element open for nested elements, until [`Writer::close`].
     pub fn open(self) {
         self.writer.out.push('>');
         self.writer.open.push(self.tag);
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn no_text_is_markup() {
+    fn markup_in_text_is_escaped() {
         let mut svg = Writer::default();
         svg.element(Tag::Div).set("class", "\"><script>").open();
         svg.words("<b>&\u{7}");

@@ -7,7 +7,7 @@ use std::path::Path;
 use peernet_analysis::Passage;
 use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
 
-/// Columns of a `data.csv`: the fixed ones, then those of this run.
+/// Columns of a `data.csv`: the fixed columns, then the columns of this run.
 #[derive(Clone, Debug)]
 pub struct Header {
     names: Vec<Column>,
@@ -46,7 +46,7 @@ impl Header {
         }
     }
 
-    /// Returns the columns after the fixed ones.
+    /// Returns the columns after the fixed columns.
     pub(crate) fn run_columns(&self) -> &[Column] {
         self.names.get(FIXED_COLUMNS.len()..).unwrap_or_default()
     }
@@ -59,7 +59,7 @@ impl Header {
     /// Appends the line of a row to `out`; values without a column are left out.
     pub fn write_row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
-            ColumnKind::Place => position_cell(row, name),
+            ColumnKind::Position => position_cell(row, name),
             ColumnKind::Delay => delay_cell(row, name),
             ColumnKind::Node => number_cell(row.value(name)),
         });

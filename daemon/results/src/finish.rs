@@ -118,7 +118,7 @@ fn write_rows(path: &Path, rows: &Rows) -> std::io::Result<()> {
     out.flush()
 }
 
-/// Writes a file that other users cannot read: arguments of programs may contain secrets.
+/// Writes a file that users outside of its group cannot read, because arguments of programs may contain secrets.
 fn write_private(path: &Path, content: &[u8]) -> std::io::Result<()> {
     let mut file = File::options().create(true).truncate(true).write(true).mode(0o640).open(path)?;
     // An existing file keeps its mode when it is opened. A file system without permissions, such as FAT, has none to

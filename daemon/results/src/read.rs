@@ -12,9 +12,10 @@ use super::FolderError;
 use super::file_names::{DATA, RECORD};
 use super::parse::RowParser;
 
-/// Number of rows at the beginning that the published figures leave out.
+/// Number of first rows that the published figures leave out.
 const PUBLISHED_WARM_UP_ROWS: usize = 5;
 
+/// Reads results, with the columns that `wanted` accepts.
 pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
     let (folder, data) = if path.is_file() {
         (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
@@ -31,6 +32,7 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     let (rows, has_warm_up_flags) =
         RowParser::read_rows(&data, warm_up, wanted).map_err(read_error(&data))?;
     let record = record.unwrap_or_else(|| {
+        // Only our `data.csv` has warm-up flags. Such a run without `run.json` has not ended or was killed.
         let reason = if has_warm_up_flags && data.ends_with(DATA) { NO_RECORD } else { "" };
         RunRecord { reason: reason.into(), ..record_without_file(path, &rows, has_warm_up_flags) }
     });
@@ -57,7 +59,7 @@ fn record_without_file(path: &Path, rows: &Rows, has_warm_up_flags: bool) -> Run
     let warm_up = if has_warm_up_flags {
         String::new()
     } else {
-        format!("the first {PUBLISHED_WARM_UP_ROWS} rows, as the published figures leave them out")
+        format!("the first {PUBLISHED_WARM_UP_ROWS} rows, which the published figures leave out")
     };
     RunRecord {
         title: name.clone(),

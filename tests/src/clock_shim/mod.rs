@@ -1,7 +1,7 @@
 //! Clocks with a simulated faulty oscillator, which a preloaded library shows to a process.
 //!
-//! The process cannot detect this. The test schedules each change of the error, and knows the error at each time to the
-//! nanosecond.
+//! The process cannot detect the error. The test schedules each change of the error, and knows the error at each time to
+//! the nanosecond.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -11,18 +11,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::{Clock, ClockIdentity, RawTime, Span, SystemClock};
 
-/// Time from writing a change to its start. A process that reads a clock after the start has then already seen the
-/// change.
+/// Time from writing a change to its start. It is long enough that the change is written before a process reads a clock
+/// after the start.
 const CHANGE_LEAD_TIME: Span = Span::from_millis(200);
 
-/// Length of a segment in the file, bytes.
+/// Size of a segment in the file, bytes.
 const SEGMENT_BYTES: usize = 32;
-/// Length of the number of segments, which precedes the first segment, bytes.
+/// Size of the field with the number of segments, at the start of the file, bytes.
 const COUNT_BYTES: usize = 8;
 /// Maximum number of segments that the library reads.
 const MAX_SEGMENTS: usize = 255;
 
-/// Error of the clocks from the time `begin` on.
+/// Error of the clocks from `begin` to the beginning of the next segment.
 #[derive(Clone, Copy, Debug)]
 struct Segment {
     begin: RawTime,
@@ -123,7 +123,7 @@ impl ClockShim {
     }
 
     /// Returns the environment variables for a process that should see these clocks. Waits for the start of the first
-    /// change, so that no process sees the clocks without error.
+    /// change, if one is scheduled, so that the process does not see the clocks without it.
     ///
     /// # Panics
     /// If the folder's name is not Unicode.
@@ -183,9 +183,10 @@ mod tests {
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         let shim = ClockShim::new(folder.path());
         let shown = || {
-            let seconds = "import time; print(time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW))";
+            let print_raw_clock = "import time; print(time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW))";
             let before = shim.now();
-            let output = Command::new("python3").args(["-c", seconds]).envs(shim.environment()).output();
+            let output =
+                Command::new("python3").args(["-c", print_raw_clock]).envs(shim.environment()).output();
             let output = output.expect("python3 is installed").stdout;
             let shown: i64 = String::from_utf8_lossy(&output).trim().parse().expect("a number");
             let truths = shim.errors().truths(RawTime::from_nanos(shown));

@@ -1,9 +1,9 @@
 //! Hosts in network namespaces, and the links between them.
 //!
 //! A [`Network`] contains an edge and a cloud. The measured path between them is a plain veth pair, a router with two veth
-//! pairs, or a simulated wire with delay and loss. Each host has a second interface to the namespace of the tests. It
-//! carries the event stream, so that reporting does not disturb the measured path. All namespaces of a machine share the
-//! kernel's clock, with which reported delays are compared.
+//! pairs, or a simulated wire with delay and loss. Edge and cloud have a second interface to the namespace of the tests.
+//! It carries the event stream, so that reporting does not disturb the measured path. All namespaces of a machine share
+//! the kernel's clock, with which reported delays are compared.
 //!
 //! A test must declare the network before its processes, because values are dropped in reverse order. A test that panics
 //! removes its network, too. The next test removes the network of a killed test.
@@ -34,14 +34,17 @@ pub const DATA_INTERFACE: &str = "data";
 /// Name of the interface to the namespace of the tests, on edge and cloud.
 pub const CONTROL_INTERFACE: &str = "home";
 
+/// Host part of the address of a host without an address on a link. It is the host part of the subnet's address, so no host has it.
+const NO_ADDRESS: u8 = 0;
+
 /// Properties of one direction of a wire.
 #[derive(Clone, Copy, Debug)]
 pub struct WireProperties {
     /// Delay, milliseconds.
     pub delay_ms: u32,
-    /// Largest deviation from the delay in both directions, milliseconds.
+    /// Largest deviation from the delay, earlier or later, milliseconds.
     pub jitter_ms: u32,
-    /// Lost packets, percent.
+    /// Share of lost packets, percent.
     pub loss_percent: u32,
 }
 
@@ -91,8 +94,8 @@ impl Network {
             veth(router, port, host, DATA_INTERFACE);
             router.set_up(port, gateway, 30);
             host.set_up(DATA_INTERFACE, host.address, 30);
-            let rest = format!("{}/24", network.slot.address(0));
-            ip(&["-n", &host.namespace, "route", "add", &rest, "via", &gateway.to_string()]);
+            let subnet = format!("{}/24", network.slot.address(0));
+            ip(&["-n", &host.namespace, "route", "add", &subnet, "via", &gateway.to_string()]);
         }
         network
     }
@@ -103,9 +106,9 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
-        // `wirefilter` keeps one order for packets of both directions, so that a packet of the fast direction waits for one of
-        // the slow direction. Keeping the order is therefore enabled only with jitter, which would reorder packets otherwise.
-        Self::new_wire(folder, up, down, up.jitter_ms + down.jitter_ms == 0)
+        // With a FIFO, `wirefilter` makes packets of the fast direction wait for packets of the slow direction. So a FIFO is
+        // used only with jitter, which would reorder packets without it.
+        Self::new_wire(folder, up, down, up.jitter_ms + down.jitter_ms > 0)
     }
 
     /// Connects edge and cloud by a wire on which packets overtake each other if the delay varies.
@@ -113,10 +116,10 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn reordering_wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
-        Self::new_wire(folder, up, down, true)
+        Self::new_wire(folder, up, down, false)
     }
 
-    fn new_wire(folder: &Path, up: WireProperties, down: WireProperties, reorders: bool) -> Self {
+    fn new_wire(folder: &Path, up: WireProperties, down: WireProperties, with_fifo: bool) -> Self {
         let mut network = Self::create_hosts(false);
         let start_switch = |host: &Host| {
             let socket = folder.join(&host.namespace).display().to_string();
@@ -134,15 +137,15 @@ impl Network {
         let (up_delay, down_delay) = (up.delay("LR"), down.delay("RL"));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
-        let order: &[&str] = if reorders { &["--nofifo"] } else { &[] };
+        let fifo: &[&str] = if with_fifo { &[] } else { &["--nofifo"] };
         let commands = folder.join("wire");
         let managed = ["--daemon", "-M", &commands.display().to_string()];
-        network.edge.run("wirefilter", &[&["-v", &plugs], &delays[..], order, &managed].concat());
+        network.edge.run("wirefilter", &[&["-v", &plugs], &delays[..], fifo, &managed].concat());
         network.wire = Some(commands);
         network
     }
 
-    /// Changes the delays of a wire; packets on their way keep their delay.
+    /// Changes delay and jitter of a wire. The loss is not changed, and packets on their way keep their delay.
     ///
     /// # Panics
     /// If this is not a [`wire`](Self::wire), or if it does not answer.
@@ -163,8 +166,8 @@ impl Network {
         }
     }
 
-    /// Connects edge and cloud by a router that translates addresses. A third host is behind it as well, and the
-    /// cloud sees both at one address.
+    /// Connects edge and cloud by a router that translates addresses. A third host is behind the router, too, and the
+    /// cloud sees both hosts at the same address.
     ///
     /// # Panics
     /// As [`direct`](Self::direct).
@@ -183,8 +186,8 @@ impl Network {
         veth(router, "third", &third, DATA_INTERFACE);
         router.set_up("third", gateway, 30);
         third.set_up(DATA_INTERFACE, third.address, 30);
-        let rest = format!("{}/24", network.slot.address(0));
-        ip(&["-n", &third.namespace, "route", "add", &rest, "via", &gateway.to_string()]);
+        let subnet = format!("{}/24", network.slot.address(0));
+        ip(&["-n", &third.namespace, "route", "add", &subnet, "via", &gateway.to_string()]);
         router.run("nft", &["add", "table", "ip", "translation"]);
         let chain = ["add", "chain", "ip", "translation", "out"];
         router.run("nft", &[&chain[..], &["{ type nat hook postrouting priority 100 ; }"]].concat());
@@ -199,7 +202,7 @@ impl Network {
         let third = Host {
             namespace: self.slot.name("third"),
             address: self.slot.address(98),
-            test_address: self.slot.address(0),
+            test_address: self.slot.address(NO_ADDRESS),
         };
         ip(&["netns", "add", &third.namespace]);
         ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
@@ -223,7 +226,7 @@ impl Network {
         self.slot.address(97)
     }
 
-    /// Creates the namespaces, each with its interface to the namespace of the tests.
+    /// Creates the namespaces, and the interfaces of edge and cloud to the namespace of the tests.
     fn create_hosts(with_router: bool) -> Self {
         let slot = Slot::acquire();
         let host = |role: &str, address: u8, test_address: u8| {
@@ -241,7 +244,7 @@ impl Network {
         let network = Self {
             edge: host("edge", 18, 65),
             cloud: host("cloud", if with_router { 34 } else { 19 }, 69),
-            router: with_router.then(|| host("router", 0, 0)),
+            router: with_router.then(|| host("router", NO_ADDRESS, NO_ADDRESS)),
             third: None,
             wire: None,
             slot,

@@ -6,7 +6,7 @@ use peernet_tests::{LoopbackDeployment, Process, ProcessEnd, program};
 
 use crate::results::of_the_published_program;
 
-/// Returns a deployment with results in which one upload took very long.
+/// Returns a deployment with results in which one upload took 9 s and all others about 18 ms.
 fn deployment() -> LoopbackDeployment {
     of_the_published_program(|n| if n == 90 { 9.0 } else { 0.0175 + f64::from(n % 13) * 1e-4 })
 }
@@ -21,7 +21,7 @@ fn read(path: &Path) -> String {
 }
 
 #[test]
-fn the_published_figures_stand_beside_published_results() {
+fn plot_writes_the_papers_figures_into_results_of_the_published_commands() {
     let deployment = deployment();
     let done = plot(&deployment, &["all/small", "--kind", "histograms"]);
     assert_eq!(done.code(), 0, "{}", done.log);
@@ -76,7 +76,7 @@ fn plot_errors_are_named() {
         (&["all", "--kind", "paired"], 65, "two places"),
         (&["all/small", "--kind", "histograms", "--x", "nonsense"], 65, "the column nonsense"),
         (&["nowhere"], 66, "no results in nowhere"),
-        (&["all", "--y", "total"], 64, "name the kind"),
+        (&["all", "--y", "total"], 64, "use one of these kinds"),
     ];
     for (arguments, code, text) in cases {
         let done = plot(&deployment, arguments);

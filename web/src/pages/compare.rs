@@ -52,13 +52,14 @@ struct Compare {
     /// Subject of the comparison.
     crumb: String,
     facts: Vec<String>,
-    cut: Option<u32>,
+    /// Maximum number of compared runs, if the experiment has more runs.
+    truncated_to: Option<u32>,
     left_out: Vec<ExcludedRun>,
     table: Table,
     /// Caveats about the means.
     doubts: Option<(Chip, String)>,
     /// Names of further differences, which the table does not show.
-    also: String,
+    long_settings: String,
     /// Remarks on samples without a score.
     unknown: Vec<String>,
     stacks: Vec<StackRow>,
@@ -168,13 +169,13 @@ fn assemble(
         title: title(comparison, &differences),
         crumb,
         facts,
-        cut: comparison.cut.then_some(MAX_EXPERIMENT_RUNS),
+        truncated_to: comparison.is_truncated.then_some(MAX_EXPERIMENT_RUNS),
         left_out: comparison.left_out.clone(),
         table: Table::of(comparison, &differences),
         doubts: Some(caveats(comparison).join(" "))
             .filter(|said| !said.is_empty())
             .map(|said| (Chip::new(Tone::Warn, "remark", "caveat"), said)),
-        also: comparison.also.join(", "),
+        long_settings: comparison.long_settings.join(", "),
         unknown: unknown_labels(comparison),
         stacks,
         axes,

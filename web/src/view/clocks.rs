@@ -12,7 +12,7 @@ use super::chip::Chip;
 pub(crate) struct ClockCell {
     /// Bound, such as `±0.65`; `None` without a one-way delay or without a known bound.
     pub bound: Option<String>,
-    /// Worst verdict.
+    /// The worse of the two directions' prevailing verdicts.
     pub chip: Option<Chip>,
     /// Text that is shown if there is no bound.
     pub words: &'static str,
@@ -29,7 +29,7 @@ pub(crate) fn verdict(bound: &DelayAccuracy) -> Option<Verdict> {
 pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Ok => {
-            "the interval that contains the true delay is narrower than half of it: take the figure as it is"
+            "the interval that contains the true delay is narrower than half the delay: take the figure as it is"
         }
         Verdict::Limited => {
             "sound, but the interval is wider than half the delay: read it as an interval, not as a figure"
@@ -41,7 +41,9 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
         Verdict::Unsynchronised => {
             "nothing related the two hosts' clocks at that time, so the directions cannot be told apart; their sum is exact"
         }
-        Verdict::Stepped => "a clock was stepped or drifted too fast at that time: leave these delays out",
+        Verdict::Stepped => {
+            "a clock was stepped or drifted faster than the limit at that time: leave these delays out"
+        }
         Verdict::Inconsistent => {
             "what is known of the clocks contradicts itself, so a source is wrong or the clocks drift faster than the limit: \
              trust neither direction, only their sum"

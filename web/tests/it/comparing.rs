@@ -70,7 +70,7 @@ fn distributions(page: &str) -> &str {
 }
 
 #[tokio::test]
-async fn an_experiment_is_compared_with_its_repeats_together() {
+async fn repeats_of_an_experiment_are_combined() {
     let (dashboard, mut factory) =
         TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
     assert_eq!(dashboard.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));
@@ -283,7 +283,8 @@ async fn repeated_run_after_interruption_counts_once() {
     let named = dashboard.get(&format!("/api/v1/compare?runs={first},{}", first + 1)).await.json();
     assert_eq!(named["configurations"].as_array().map(Vec::len), Some(2), "{named}");
     assert_eq!(named["left_out"], serde_json::json!([]));
-    let remark = format!("Named, and so compared, though not measured to the end: #{first} (interrupted).");
+    let remark =
+        format!("Not measured to the end, but compared because you selected them: #{first} (interrupted).");
     assert_eq!(named["doubts"], serde_json::json!([remark]));
 
     factory.store_attempts(50, &["stopped"]).await;

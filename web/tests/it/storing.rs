@@ -156,7 +156,7 @@ async fn pinned_run_is_marked_until_it_is_unpinned() {
 }
 
 #[tokio::test]
-async fn other_sites_and_reads_change_nothing() {
+async fn run_is_pinned_only_by_requests_of_the_same_origin() {
     let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
     for site in ["cross-site", "same-site"] {
         let answer = pin(&dashboard, Method::PUT, "1", Some(site)).await;
@@ -165,6 +165,11 @@ async fn other_sites_and_reads_change_nothing() {
     }
     assert_eq!(pin(&dashboard, Method::GET, "1", None).await.status, StatusCode::METHOD_NOT_ALLOWED);
     assert_eq!(dashboard.get("/api/v1/runs/1").await.json()["pinned"], json!(false));
+}
+
+#[tokio::test]
+async fn pin_of_unknown_run_is_refused() {
+    let (dashboard, _factory) = TestDashboard::with_pipelines(vec![Line::local()]).await;
     for (run, status) in [("77", StatusCode::NOT_FOUND), ("one", StatusCode::BAD_REQUEST)] {
         for method in [Method::PUT, Method::DELETE] {
             let answer = pin(&dashboard, method, run, None).await;

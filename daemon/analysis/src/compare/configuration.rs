@@ -36,7 +36,8 @@ impl Configurations {
 
     /// Returns the configurations, and sentences about their other differences.
     pub(super) fn with_other_differences(runs: &[Loaded]) -> (Self, Vec<String>) {
-        let places: Vec<Vec<(String, String)>> = runs.iter().map(|run| place(&run.record)).collect();
+        let places: Vec<Vec<(String, String)>> =
+            runs.iter().map(|run| declared_labels(&run.record)).collect();
         let names =
             |place: &Vec<(String, String)>| place.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
         let same_axes = places.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
@@ -65,7 +66,7 @@ impl Configurations {
     fn from_records(runs: &[Loaded], places: &[Vec<(String, String)>]) -> (Self, Vec<String>) {
         let groups = groups(runs);
         let pairs = runs.iter().zip(places).zip(executions(runs)).map(|((run, place), execution)| {
-            [place.clone(), vec![("execution".to_owned(), execution)], found(&run.record)].concat()
+            [place.clone(), vec![("execution".to_owned(), execution)], detected_labels(&run.record)].concat()
         });
         let all = Self::tabulate(&pairs.collect::<Vec<_>>());
         let column = |(at, axis): (usize, String)| {
@@ -107,7 +108,7 @@ impl Configurations {
     }
 
     /// Returns all names in the order of their first appearance, with the label of each run. The field `Model` of an experiment and the
-    /// `model` of a run outside of it are one column.
+    /// `model` of a run outside of experiments are the same column.
     fn tabulate(pairs: &[Vec<(String, String)>]) -> Self {
         let mut axes: Vec<String> = Vec::new();
         for (axis, _) in pairs.iter().flatten() {
@@ -185,12 +186,12 @@ fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
 }
 
 /// Returns the fields of a run's experiment.
-fn place(record: &RunRecord) -> Vec<(String, String)> {
+fn declared_labels(record: &RunRecord) -> Vec<(String, String)> {
     record.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
 }
 
 /// Returns the facts in a run's record about its configuration, the paper's columns first.
-fn found(record: &RunRecord) -> Vec<(String, String)> {
+fn detected_labels(record: &RunRecord) -> Vec<(String, String)> {
     let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
     let model = record.model.as_ref();
     let mut pairs = vec![
@@ -256,8 +257,7 @@ fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     distinct.join(" + ")
 }
 
-/// Returns the names of the groups: their folders, or the files of rows outside of a result folder, without the prefix that all of them
-/// share.
+/// Returns the names of the groups: their folders, or their files if these are outside of a result folder, without the common prefix.
 fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
         // A file of rows without a record is named after itself.

@@ -5,15 +5,15 @@ use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal};
 use super::{CONFIDENCE, Estimate, Fit, Point, can_be_fitted};
 use crate::order::SortedValues;
 
-/// Halvings of the range of slopes: more than a double has bits.
+/// Maximum number of steps of the bisection. It is larger than the 64 bits of an `f64`, so the bisection always ends by itself.
 const HALVINGS: usize = 80;
 
 /// Returns the line whose slope is the median of the slopes of all pairs of points with different x (Theil 1950), and whose intercept is
 /// the median of the residuals of y. `None` when there are fewer than three points or all have the same x.
 ///
 /// The slope's interval is that of Sen 1968, with his correction for equal x: the pairs' slopes at the ranks that Kendall's statistic
-/// allows. The intercept's interval joins the slope's uncertainty and the median's (sign test), each at half the risk (Bonferroni), so that
-/// it is valid for any common distribution of deviations.
+/// allows. The intercept's interval combines the uncertainty of the slope and of the median (sign test), each at half the risk
+/// (Bonferroni). It is valid for any distribution of deviations that all points share.
 ///
 /// Each count of the pairs takes O(n log n) time, and the pairs are not stored, so that 100,000 samples are possible.
 pub fn theil_sen(points: &[Point]) -> Option<Fit> {
@@ -23,15 +23,17 @@ pub fn theil_sen(points: &[Point]) -> Option<Fit> {
     let pairs = Pairs::new(points);
     let (below, above) = ((pairs.count - 1) / 2, pairs.count / 2);
     let slope = f64::midpoint(pairs.slope(below), pairs.slope(above));
-    let left = |slope: f64| points.iter().map(|point| point.y - slope * point.x).collect::<SortedValues>();
-    let intercept = left(slope).median()?;
+    let residuals =
+        |slope: f64| points.iter().map(|point| point.y - slope * point.x).collect::<SortedValues>();
+    let intercept = residuals(slope).median()?;
 
-    let half_risk = f64::midpoint(1.0, CONFIDENCE);
-    let interval = pairs.interval(half_risk).zip(median_ranks(points.len(), half_risk));
-    let intercept_interval = interval.map(|((flat, steep), (low, high))| {
-        let (one, other) = (left(flat), left(steep));
+    let confidence_at_half_risk = f64::midpoint(1.0, CONFIDENCE);
+    let slopes_and_ranks =
+        pairs.interval(confidence_at_half_risk).zip(median_ranks(points.len(), confidence_at_half_risk));
+    let intercept_interval = slopes_and_ranks.map(|((low_slope, high_slope), (low_rank, high_rank))| {
+        let (one, other) = (residuals(low_slope), residuals(high_slope));
         let (one, other) = (one.values(), other.values());
-        (one[low].min(other[low]), one[high].max(other[high]))
+        (one[low_rank].min(other[low_rank]), one[high_rank].max(other[high_rank]))
     });
     Some(Fit {
         intercept: Estimate { value: intercept, standard_error: None, interval: intercept_interval },
@@ -40,13 +42,13 @@ pub fn theil_sen(points: &[Point]) -> Option<Fit> {
     })
 }
 
-/// All pairs of points with different x, without a list of them.
+/// All pairs of points with different x. The pairs themselves are not stored.
 struct Pairs {
-    /// The points by x; the y of each x in order.
+    /// The points by x; the y of each x in ascending order.
     groups: Vec<(f64, Vec<f64>)>,
     /// Number of pairs.
     count: u64,
-    /// The flattest and the steepest slope.
+    /// The lowest and the highest slope, with their signs.
     range: (f64, f64),
 }
 
@@ -60,7 +62,8 @@ impl Pairs {
             .collect();
         let choose = |n: usize| (n as u64) * (n as u64).saturating_sub(1) / 2;
         let count = choose(points.len()) - groups.iter().map(|(_, group)| choose(group.len())).sum::<u64>();
-        // A slope over several groups is an average of slopes between neighbours, so the extremes are among those.
+        // A slope over several groups is an average of slopes between neighbours. The lowest and the highest slope are therefore slopes
+        // between neighbours.
         let slopes = groups.windows(2).flat_map(|pair| {
             let ((x, low), (to, high)) = (&pair[0], &pair[1]);
             let rise =
@@ -73,8 +76,8 @@ impl Pairs {
 
     /// Returns the slope of rank `rank`, from 0.
     ///
-    /// Found by bisection of the range of slopes: the number of pairs that are no steeper than a slope is the number of pairs that do not
-    /// rise after subtracting the slope from all points, and a merge sort counts these as inversions.
+    /// The range of slopes is bisected. Pairs with at most a given slope are counted in O(n log n): after the slope was subtracted from all
+    /// points, they are the pairs that do not rise, and a merge sort counts these as inversions.
     fn slope(&self, rank: u64) -> f64 {
         let (mut lo, mut hi) = self.range;
         for _ in 0..HALVINGS {
@@ -82,14 +85,16 @@ impl Pairs {
             if middle <= lo || middle >= hi {
                 break;
             }
-            if self.count_not_steeper(middle) > rank { hi = middle } else { lo = middle }
+            if self.count_not_above(middle) > rank { hi = middle } else { lo = middle }
         }
         f64::midpoint(lo, hi)
     }
 
-    fn count_not_steeper(&self, slope: f64) -> u64 {
-        let level = |(x, group): &(f64, Vec<f64>)| group.iter().map(|y| y - slope * x).collect::<Vec<_>>();
-        let mut runs: Vec<Vec<f64>> = self.groups.iter().map(level).collect();
+    /// Returns the number of pairs whose slope is at most `slope`.
+    fn count_not_above(&self, slope: f64) -> u64 {
+        let residuals =
+            |(x, group): &(f64, Vec<f64>)| group.iter().map(|y| y - slope * x).collect::<Vec<_>>();
+        let mut runs: Vec<Vec<f64>> = self.groups.iter().map(residuals).collect();
         let mut count = 0;
         while runs.len() > 1 {
             let merged = runs.chunks(2).map(|pair| match pair {
@@ -101,16 +106,16 @@ impl Pairs {
         count
     }
 
-    /// Returns the interval of the median slope: ranks around the middle, at the distance that Kendall's statistic allows. `None` when that
-    /// exceeds the number of slopes.
+    /// Returns the interval of the median slope: the slopes of two ranks, whose distance from the middle rank follows from Kendall's
+    /// statistic. `None` if there is no slope of such a rank.
     fn interval(&self, confidence: f64) -> Option<(f64, f64)> {
         let sum = |n: f64| n * (n - 1.0) * (2.0 * n + 5.0);
         let points: usize = self.groups.iter().map(|(_, group)| group.len()).sum();
         let equal: f64 = self.groups.iter().map(|(_, group)| sum(group.len() as f64)).sum();
         let deviation = ((sum(points as f64) - equal) / 18.0).sqrt();
-        let away = deviation * Normal::standard().inverse_cdf(f64::midpoint(1.0, confidence));
+        let width = deviation * Normal::standard().inverse_cdf(f64::midpoint(1.0, confidence));
         // Sen's ranks M1 and M2 + 1, counted from 1.
-        let (low, high) = ((self.count as f64 - away) / 2.0, (self.count as f64 + away) / 2.0);
+        let (low, high) = ((self.count as f64 - width) / 2.0, (self.count as f64 + width) / 2.0);
         if low.round() < 1.0 {
             return None;
         }
@@ -133,17 +138,17 @@ fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     merged
 }
 
-/// Returns the ranks, from 0, of the two of `n` values that contain the median between them with this confidence (sign test); `None` when
-/// all of them would not suffice.
+/// Returns the ranks (from 0) of two of `n` sorted values between which the median lies with this confidence (sign test). `None` if not
+/// even the smallest and the largest value reach the confidence.
 fn median_ranks(n: usize, confidence: f64) -> Option<(usize, usize)> {
-    let heads = Binomial::new(0.5, n as u64).ok()?;
+    let values_below_median = Binomial::new(0.5, n as u64).ok()?;
     let risk = (1.0 - confidence) / 2.0;
     // Above a thousand values the normal approximation is accurate and much faster.
     let outside = if n > 1000 {
-        let away = Normal::standard().inverse_cdf(1.0 - risk) * (n as f64).sqrt() / 2.0;
-        (n as f64 / 2.0 - away).floor() as usize
+        let half_width = Normal::standard().inverse_cdf(1.0 - risk) * (n as f64).sqrt() / 2.0;
+        (n as f64 / 2.0 - half_width).floor() as usize
     } else {
-        (0..n).take_while(|rank| heads.cdf(*rank as u64) <= risk).count()
+        (0..n).take_while(|rank| values_below_median.cdf(*rank as u64) <= risk).count()
     };
     Some((outside.checked_sub(1)?, n - outside))
 }

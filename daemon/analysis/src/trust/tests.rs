@@ -28,7 +28,7 @@ fn drift_is_reported_with_size_and_stage() {
         let report = judged(&rows(totals));
         let (found, text) = about(&report, "stationarity");
         assert_eq!(found, grade, "{rise}: {text}");
-        assert_eq!(text.contains("most of it in `inference`"), grade > Grade::Good, "{text}");
+        assert_eq!(text.contains("`inference` changed most"), grade > Grade::Good, "{text}");
         assert!(text.contains("higher"), "{text}");
     }
     // A step down in the middle is a trend as well.
@@ -88,7 +88,8 @@ fn run_in_two_buckets_is_not_called_short() {
         let (grade, text) = about(&report, subject);
         assert!(grade == Grade::Unknown && !text.contains("too short"), "{text}");
         assert!(
-            text.contains("its 894 iterations lie in too few time buckets") && text.contains("clock was set"),
+            text.contains("the run's 894 iterations lie in too few time buckets")
+                && text.contains("clock was set"),
             "{text}"
         );
     }
@@ -173,8 +174,8 @@ fn iterations_delayed_by_restart_are_named() {
         judged(&rows)
     };
     let slow = judged("restart", 2_000, 2.0);
-    let text = "The model's process was restarted in 1 iteration (number 9), which waited 2,000\u{202f}ms for it: \
-                17\u{202f}% of the sum of all totals.";
+    let text = "The model's process was restarted in 1 iteration (number 9). The wait for it was 2,000\u{202f}ms in all, \
+                17\u{202f}% of the time of all iterations.";
     assert_eq!(about(&slow, "restarts"), (Grade::Doubtful, text));
     let quick = judged("capture_capture-restart", 100, 0.001);
     let (grade, text) = about(&quick, "restarts");

@@ -1,30 +1,32 @@
-//! Edges that were measured at the same time, and the share of each of them.
+//! Edges that measured at the same time, and the share of each edge.
 
 use super::EdgeShare;
 use crate::loaded::Loaded;
 use crate::order::SortedValues;
 use crate::rows::RowRef;
 
-/// Returns the edges of each run, in the order of the input: those of one repeat of one configuration of an experiment.
-pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
-    let mut runs: Vec<Vec<&Loaded>> = Vec::new();
+/// Groups the edges that measured at the same time: those of one repeat of one configuration of an experiment. Keeps the order of the
+/// input.
+pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
+    let mut groups: Vec<Vec<&Loaded>> = Vec::new();
     for edge in edges {
-        let belongs = |run: &&mut Vec<&Loaded>| {
-            let same = edge.record.experiment.is_some() && edge.record.experiment == run[0].record.experiment;
-            // A copy of an edge's results is not a further edge.
-            same && run.iter().all(|other| other.record.edge.name != edge.record.edge.name)
+        let belongs = |group: &&mut Vec<&Loaded>| {
+            let is_same_repeat =
+                edge.record.experiment.is_some() && edge.record.experiment == group[0].record.experiment;
+            // A copy of an edge's results is not a further edge of the group; it becomes a separate group.
+            is_same_repeat && group.iter().all(|other| other.record.edge.name != edge.record.edge.name)
         };
-        match runs.iter_mut().find(belongs) {
-            Some(run) => run.push(edge),
-            None => runs.push(vec![edge]),
+        match groups.iter_mut().find(belongs) {
+            Some(group) => group.push(edge),
+            None => groups.push(vec![edge]),
         }
     }
-    runs
+    groups
 }
 
 /// Returns each edge's share and all totals, from the time in which all edges were measuring; `None` if there is no such time. For an edge
 /// alone this is its whole run: all its totals count.
-pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
+pub(super) fn shares_and_totals(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(|row| row.is_counted()).collect()).collect();
     let first = |rows: &Vec<RowRef<'_>>| rows.iter().map(|row| row.at()).reduce(f64::min);
@@ -33,13 +35,13 @@ pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
     let to = rows.iter().map(last).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)?;
     (to > from).then_some(())?;
     let is_alone = edges.len() == 1;
-    // The number of intervals is one less than the number of starts: the window begins with a start and ends with one.
+    // An iteration starts at `from` and another at `to`. Without the start at `to`, n starts span n periods.
     let within = |row: &RowRef<'_>| (from..to).contains(&row.at());
-    let of = |rows: &Vec<RowRef<'_>>| {
+    let starts_and_totals = |rows: &Vec<RowRef<'_>>| {
         let totals = rows.iter().filter(|row| is_alone || within(row)).filter_map(|row| row.value("total"));
         (rows.iter().filter(|row| within(row)).count(), totals.collect())
     };
-    let totals: Vec<(usize, Vec<f64>)> = rows.iter().map(of).collect();
+    let totals: Vec<(usize, Vec<f64>)> = rows.iter().map(starts_and_totals).collect();
     let share = |(count, totals): &(usize, Vec<f64>)| EdgeShare {
         rate: *count as f64 / (to - from),
         median: totals.iter().copied().collect::<SortedValues>().median(),

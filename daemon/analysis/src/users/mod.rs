@@ -78,7 +78,7 @@ impl Users {
     /// Returns the users of runs, one run for each edge. Edges that were measured at the same time are found by their records. `None` if
     /// every edge was alone.
     pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
-        let runs = concurrent_edges::runs(runs);
+        let runs = concurrent_edges::concurrent_groups(runs);
         runs.iter().any(|edges| edges.len() > 1).then_some(())?;
         let place = |edges: &[&Loaded]| -> Vec<(String, String)> {
             let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());
@@ -104,7 +104,7 @@ impl Users {
         }
         let line = |(labels, group): (Vec<String>, Vec<&[&Loaded]>)| {
             let shared: Vec<(Vec<EdgeShare>, Vec<f64>)> =
-                group.iter().filter_map(|edges| concurrent_edges::shared(edges)).collect();
+                group.iter().filter_map(|edges| concurrent_edges::shares_and_totals(edges)).collect();
             let totals: SortedValues = shared.iter().flat_map(|(_, totals)| totals).copied().collect();
             let repeats: Vec<Vec<EdgeShare>> = shared.into_iter().map(|(shares, _)| shares).collect();
             UsersLine::new(labels, group[0].len(), &repeats, Totals::from_values(&totals))
@@ -114,7 +114,7 @@ impl Users {
 }
 
 impl UsersLine {
-    /// Returns a configuration with `edges` edges, from the share of each of them in each repeat.
+    /// Returns a configuration with `edges` edges, from the share of each edge in each repeat.
     pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<EdgeShare>], totals: Totals) -> Self {
         let rates = |shares: &Vec<EdgeShare>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
         let rates: Vec<Vec<f64>> = repeats.iter().map(rates).collect();

@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
     /// An agent's configuration whose tables [clock], [probes] and [clock_fault] also apply here.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// Kind of network: zmq-tcp, zmq-udp or ros [default: that of the address; of a host, zmq-tcp].
+    /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the address; zmq-tcp if that is only a host].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,
     /// Do not show the progress.
@@ -50,7 +50,7 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-/// Checks the address or host. Its network may be named by another option.
+/// Checks the address or host. The option `--network` may name the network of a host.
 fn peer(text: &str) -> Result<String, AddressError> {
     address(text, DEFAULT_PORT, NetworkKind::default()).map(|_| text.to_owned())
 }
@@ -67,12 +67,12 @@ impl Arguments {
     }
 }
 
-/// A text that is no number of repeats.
+/// Reason why a text is not a number of repeats.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 enum RepeatsError {
     #[error("not a whole number")]
     NotANumber(#[from] ParseIntError),
-    #[error("at least 1")]
+    #[error("must be at least 1")]
     Zero,
 }
 
@@ -80,14 +80,14 @@ fn repeats(text: &str) -> Result<NonZeroU64, RepeatsError> {
     NonZeroU64::new(text.parse::<u64>()?).ok_or(RepeatsError::Zero)
 }
 
-/// A text that is no size of a payload.
+/// Reason why a text is not the size of a payload.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 enum SizeError {
     #[error("{0:?} is not a unit; write B, kB, MB, GB, KiB, MiB or GiB")]
     Unit(String),
     #[error("{digits:?} is not a number")]
     NotANumber { digits: String, source: ParseFloatError },
-    #[error("from 1 B to 1 GB")]
+    #[error("must be from 1 B to 1 GB")]
     OutOfRange,
 }
 
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_have_units() {
+    fn sizes_are_read_with_and_without_unit_and_invalid_ones_refused() {
         assert_eq!(
             ["100", "100B", "1kB", "1.2MB", " 4 MB"].map(size),
             [100, 100, 1_000, 1_200_000, 4_000_000].map(Ok)

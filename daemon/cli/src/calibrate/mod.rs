@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use crate::VERSION;
 use crate::exit::{Exit, Failure};
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use anyhow::{Context, anyhow};
 use peernet_analysis::WriteError;
 use peernet_analysis::calibration::{Setting, Study};
@@ -88,15 +88,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let study = Study::new(setting, observed.samples, &observed.clocks);
     // Printed first: a full disk must not prevent the result from being shown.
-    say(study.text());
+    print_to_stdout(study.text());
     let written = write(&study, folder.path()).map_err(|error| {
         let message = "the result is shown above, but not all of its files were written";
         Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(message))
     })?;
     let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
-    say(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
+    print_to_stdout(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
     if missed > 0 {
-        complain(format_args!("{missed} iterations were not recorded: this machine is too busy"));
+        print_to_stderr(format_args!("{missed} iterations were not recorded: this machine is too busy"));
     }
     match failed {
         Some(failure) => Err(failure),

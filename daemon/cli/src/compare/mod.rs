@@ -9,7 +9,7 @@ mod selected_results;
 use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_analysis::compare::{
@@ -19,13 +19,13 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::CaptionedTable;
 use peernet_statistics::number::counted;
 
-pub(crate) use collect::{Collected, collect, distinct_places};
+pub(crate) use collect::{Collected, collect, distinct_paths};
 
 /// Arguments of `peernet compare`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
-    /// those of the published program as well.
+    /// Result folders, folders that contain result folders at any depth (such as an experiment), or files data.csv,
+    /// also of the published program.
     #[arg(required = true, value_name = "RUN|DIR")]
     runs: Vec<PathBuf>,
     /// Format of the table.
@@ -34,12 +34,12 @@ pub(crate) struct Arguments {
     /// Write to this file instead of the terminal.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Baseline of the comparison, stage by stage: the folder of a run, or its file of rows, for that run only; or a
-    /// folder with several runs of one configuration, which are pooled [default: the first of two lines; the best of
-    /// more, without the stages]. With --format csv the table of differences replaces the other table.
+    /// Baseline of the comparison stage by stage: a run's folder or its data.csv, or a folder with several runs of one
+    /// configuration, which are pooled [default: the first line if there are two; if there are more, the best line,
+    /// without the stages]. With --format csv the table of differences replaces the other table.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
-    /// Give each repeat of a configuration a line of its own.
+    /// Give each repeat of a configuration a separate line.
     #[arg(long)]
     apart: bool,
     /// Seed of the bootstrap for the intervals of medians: the same seed gives the same numbers.
@@ -60,7 +60,7 @@ enum Format {
     Latex,
 }
 
-/// Prints the table, and the differences: of two lines or from a baseline stage by stage, else from the best line.
+/// Prints the table and the differences. With two lines or a baseline these are differences stage by stage, otherwise from the best line.
 ///
 /// # Errors
 /// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
@@ -80,10 +80,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         let line = line_of(&comparison, &baseline)?;
         let said = baseline_sentence(&comparison.lines[line]);
         if arguments.format == Format::Csv {
-            complain(&said);
+            print_to_stderr(&said);
         }
         comparison.caveats.push(said);
-        missing_comparison_reason(&comparison).iter().for_each(complain);
+        missing_comparison_reason(&comparison).iter().for_each(print_to_stderr);
         Some(line)
     };
     let differences = differences(&comparison, &runs, first, arguments.seed);
@@ -97,17 +97,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let text = text.trim_end();
     let Some(path) = &arguments.out else {
-        say(text);
+        print_to_stdout(text);
         return Ok(());
     };
     std::fs::write(path, format!("{text}\n"))
         .map_err(|error| Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display())))
 }
 
-/// The line of a baseline's runs.
+/// Returns the line that has the runs of a baseline.
 ///
 /// # Errors
-/// When they have several lines.
+/// When several lines have runs of the baseline.
 fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure> {
     let holds = |line: &Line| line.runs.iter().any(|run| baseline.contains(run));
     let lines: Vec<usize> =
@@ -117,7 +117,7 @@ fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure
         lines => Err(Failure::new(
             Exit::Usage,
             anyhow!(
-                "--baseline: its folder holds {}, which have {} lines in the table; name the folder of one of them",
+                "--baseline: the folder contains {} that have {} lines in the table; give the folder of a run of one line",
                 counted(baseline.len() as u64, "run"),
                 lines.len()
             ),
@@ -149,7 +149,7 @@ pub(crate) fn first_of_two(comparison: &Comparison) -> Option<usize> {
     (comparison.lines.len() == 2).then_some(0)
 }
 
-/// Each other line against the first, stage by stage.
+/// Returns the differences of each other line from the line `first`, stage by stage.
 pub(crate) fn differences(
     comparison: &Comparison,
     runs: &[Loaded],
@@ -164,7 +164,7 @@ pub(crate) fn differences(
         .collect()
 }
 
-/// The tables that stand below the paper's: these differences, or, without them, those from the best line.
+/// Returns the tables below the table of the paper: these differences, or if there are none, the differences from the best line.
 pub(crate) fn difference_tables(comparison: &Comparison, differences: &[Differences]) -> Vec<CaptionedTable> {
     if differences.is_empty() {
         return differences_to_best(comparison).into_iter().collect();
@@ -174,7 +174,7 @@ pub(crate) fn difference_tables(comparison: &Comparison, differences: &[Differen
     told.map(Differences::captioned).collect()
 }
 
-/// Tables in one text.
+/// Joins tables to one text.
 pub(crate) fn join_texts(first: String, others: impl Iterator<Item = String>) -> String {
     std::iter::once(first)
         .chain(others)

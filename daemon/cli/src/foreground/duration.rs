@@ -6,7 +6,7 @@ const FEW_DAYS: u64 = 10 * DAY;
 /// Limit from which durations are given in years.
 const FEW_YEARS: u64 = 3 * 365 * DAY;
 
-/// Formats a duration as people say it.
+/// Formats a duration with one or two units that grow with it. Minutes are rounded up; hours, days and years are rounded down.
 pub(crate) fn duration(seconds: f64) -> String {
     // It would be rounded to zero.
     if seconds > 0.0 && seconds < 0.5 {
@@ -26,7 +26,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn waiting_time_is_described_in_round_units() {
+    fn units_grow_with_the_duration() {
         assert_eq!([90.4, 7199.0, 7300.0].map(duration), ["90 s", "120 min", "2 h 1 min"]);
         let day = 86_400.0;
         assert_eq!(

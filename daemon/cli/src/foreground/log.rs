@@ -8,7 +8,7 @@ use std::io::{self, Write};
 
 use crate::exit::{Exit, Failure};
 use crate::log::{Line, VARIABLE};
-use crate::output::say;
+use crate::output::print_to_stdout;
 use peernet_agent::REMARK_LOG_TARGET;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Subscriber};
@@ -32,7 +32,7 @@ pub(crate) enum LogDestination {
     Parent,
 }
 
-/// Installs the log: it passes output of users' code and remarks on connections, and other lines only as `PEERNET_LOG` says.
+/// Installs the log. Unless `PEERNET_LOG` sets another level, it has only output of users' code and remarks on connections.
 ///
 /// # Errors
 /// When the variable holds no level (78).
@@ -64,7 +64,7 @@ impl Write for LogWriter {
             LogDestination::StandardError => without_progress_bar(|| io::stderr().lock().write(bytes)),
             LogDestination::Parent => {
                 let text = String::from_utf8_lossy(bytes);
-                say(serde_json::Value::from(text.trim_end()));
+                print_to_stdout(serde_json::Value::from(text.trim_end()));
                 Ok(bytes.len())
             }
         }

@@ -32,7 +32,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::exit::{Exit, Failure};
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
 use peernet_agent::{Agent, AgentConfig, IdentityError, RunningAgent, StartError};
@@ -51,17 +51,17 @@ pub(crate) trait RunObserver {
     /// Reasons to end besides those of [`Ended`].
     type OwnReason;
 
-    /// Processes an event; returns the reason if the agent is to end. Without `running` the end was decided before.
+    /// Processes an event. Returns a reason if the agent is to end. `running` is `None` if the end was decided before.
     fn handle_event(
         &mut self,
         event: Event,
         running: Option<&RunningAgent>,
     ) -> Option<Ended<Self::OwnReason>>;
 
-    /// Reads the agent's state, several times a second and after every answer to a peer; returns the reason if it is to end.
+    /// Reads the agent's state, several times a second and after every answer to a peer. Returns a reason if the agent is to end.
     fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended<Self::OwnReason>>;
 
-    /// Notes that the end is decided; work in progress is still waited for.
+    /// Handles the decision to end. Work in progress is still waited for.
     fn end_decided(&mut self) {}
 }
 
@@ -70,7 +70,7 @@ pub(crate) struct Ready {
     config: AgentConfig,
     /// This machine's clock.
     pub(crate) truth: SharedClock,
-    /// The clock that `[clock_fault]` makes of it.
+    /// The clock that the agent reads: `truth` with the errors of `[clock_fault]`.
     pub(crate) clock: SharedClock,
 }
 
@@ -98,7 +98,7 @@ impl Ready {
             return Err(Failure::new(Exit::Configuration, anyhow!("{}", problems.join("\n"))));
         }
         if let Some(faults) = clock.injected_faults() {
-            complain(format_args!(
+            print_to_stderr(format_args!(
                 "CLOCK FAULT INJECTION: this host's clocks are made wrong on purpose ({faults})"
             ));
         }
@@ -165,13 +165,13 @@ async fn watch<E: RunObserver>(
     };
     observer.end_decided();
     if is_interrupted {
-        complain("stopping; work in progress may take some seconds, press Ctrl-C again to abandon it");
+        print_to_stderr("stopping; work in progress may take some seconds, press Ctrl-C again to abandon it");
     }
     stop.cancel();
     let missed = running.events_missed_by_tap();
     tokio::select! {
         joined = running.join() => joined.map_err(|error| Failure::new(Exit::Software, error))?,
-        () = signals.next() => complain("work in progress was abandoned"),
+        () = signals.next() => print_to_stderr("work in progress was abandoned"),
     }
     // Events of work that was in progress at the end.
     while let Ok(event) = events.try_recv() {

@@ -4,16 +4,16 @@ use std::fmt::Display;
 use std::io::IsTerminal;
 use std::sync::{Mutex, PoisonError};
 
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_clock::{MonoTime, Span};
 
-/// Time between two lines without a terminal.
-const LINE: Span = Span::from_seconds(5);
+/// Time between two lines if standard error is not a terminal.
+const LINE_INTERVAL: Span = Span::from_seconds(5);
 /// Number of steps of the bar.
 const STEPS: u64 = 1000;
 
-/// The bar on the terminal, for writers that do not know of it: the whole program has one log.
+/// The bar on the terminal. It is global, because the log writes to the same terminal and must hide the bar.
 static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 /// Writes to standard error with the bar hidden, if there is one.
@@ -42,7 +42,7 @@ enum Shown {
 }
 
 impl Progress {
-    /// Makes a display in which nothing is done yet.
+    /// Creates a display at 0 %.
     pub(crate) fn new(quiet: bool, now: MonoTime) -> Self {
         let shown = match (quiet, std::io::stderr().is_terminal()) {
             (true, _) => Shown::Nothing,
@@ -58,7 +58,7 @@ impl Progress {
         Self { shown, printed_at: now, troubled: false, last_reason: None }
     }
 
-    /// Shows the state at `now` and the share that is done, 0 to 1, or in its place what is waited for.
+    /// Shows the text and the share (0 to 1) that `state` returns. If there is `trouble`, it replaces the text.
     pub(crate) fn show(
         &mut self,
         now: MonoTime,
@@ -74,20 +74,20 @@ impl Progress {
                 bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
                 bar.set_message(trouble.unwrap_or(text));
             }
-            Shown::Lines if now - self.printed_at < LINE && !is_news => {}
+            Shown::Lines if now - self.printed_at < LINE_INTERVAL && !is_news => {}
             Shown::Lines => {
                 let trouble = trouble.map(|trouble| without_repeated_reason(trouble, &mut self.last_reason));
-                complain(trouble.unwrap_or_else(|| state().0));
+                print_to_stderr(trouble.unwrap_or_else(|| state().0));
                 self.printed_at = now;
             }
         }
     }
 
-    /// Prints a line that stays, above the bar.
-    pub(crate) fn say(&self, text: impl Display) {
+    /// Prints a line that stays visible. A bar stays below it.
+    pub(crate) fn print_line(&self, text: impl Display) {
         match &self.shown {
-            Shown::Bar(bar) => bar.suspend(|| complain(text)),
-            Shown::Lines | Shown::Nothing => complain(text),
+            Shown::Bar(bar) => bar.suspend(|| print_to_stderr(text)),
+            Shown::Lines | Shown::Nothing => print_to_stderr(text),
         }
     }
 
@@ -100,7 +100,7 @@ impl Progress {
     }
 }
 
-/// Removes the reason in brackets from the text if it was printed before: printed lines stay visible.
+/// Removes the reason in brackets from the text if the last printed reason was the same, because printed lines stay visible.
 fn without_repeated_reason(trouble: String, last_reason: &mut Option<String>) -> String {
     let Some((what, rest)) = trouble.split_once(" (") else { return trouble };
     let Some((reason, wait)) = rest.rsplit_once(");") else { return trouble };
@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_do_not_repeat_reason() {
+    fn repeated_reason_is_printed_once() {
         let mut last_reason = None;
         let mut line = |reason: &str, wait: &str| {
             without_repeated_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut last_reason)

@@ -4,7 +4,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use crate::small_file;
 use anyhow::{Context, anyhow};
 use rustix::process::{Signal, set_parent_process_death_signal};
@@ -29,8 +29,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
-    let order: Order = serde_json::from_str(&text)
-        .map_err(|error| Failure::new(Exit::Configuration, anyhow!("cannot parse the order: {error}")))?;
+    let order: Order = serde_json::from_str(&text).map_err(|error| {
+        Failure::new(Exit::Configuration, anyhow!("cannot parse the description of the measurement: {error}"))
+    })?;
     let measured = measure(&order, &mut JsonProgress)?;
     measured.failure().map_or(Ok(()), Err)
 }
@@ -38,18 +39,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Ends this process together with its experiment: otherwise it could write into a folder that is given to another run.
 fn exit_with_parent() {
     if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
-        complain(format_args!("this run may outlive its experiment: {error}"));
+        print_to_stderr(format_args!("this run may outlive its experiment: {error}"));
     }
 }
 
 fn read(file: &Path) -> anyhow::Result<String> {
     if file == Path::new("-") {
         let mut text = String::new();
-        std::io::stdin().read_to_string(&mut text).context("cannot read the order from standard input")?;
+        std::io::stdin()
+            .read_to_string(&mut text)
+            .context("cannot read the description of the measurement from standard input")?;
         return Ok(text);
     }
     small_file::read(file, small_file::MAX_BYTES)
-        .with_context(|| format!("cannot read the order {}", file.display()))
+        .with_context(|| format!("cannot read the description of the measurement from {}", file.display()))
 }
 
 /// Display that prints the state to standard output.
@@ -58,7 +61,7 @@ struct JsonProgress;
 impl ProgressDisplay for JsonProgress {
     fn show(&mut self, report: &ProgressReport) {
         match serde_json::to_string(report) {
-            Ok(line) => say(line),
+            Ok(line) => print_to_stdout(line),
             // JSON cannot represent some numbers. The next update says more.
             Err(error) => tracing::debug!(%error, "cannot write the progress report"),
         }

@@ -52,11 +52,11 @@ pub(crate) struct Measured {
     pub(crate) rows: Rows,
     /// Everything else about the run.
     pub(crate) record: RunRecord,
-    /// Folder of its results: the ordered one, or a temporary one if that could not be written.
+    /// Folder of its results: the requested folder, or a temporary one if the requested folder could not be written.
     pub(crate) folder: PathBuf,
     /// Files in the folder.
     pub(crate) files: Vec<PathBuf>,
-    /// Reason for which the results are not in the ordered folder.
+    /// Reason for which the results are not in the requested folder.
     trouble: Option<String>,
 }
 

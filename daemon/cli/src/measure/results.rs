@@ -23,7 +23,7 @@ pub(super) struct Results {
 pub(super) struct Written {
     pub(super) folder: PathBuf,
     pub(super) files: Vec<PathBuf>,
-    /// Reason for which they are not in the ordered folder, and their place.
+    /// Reason for which they are not in the requested folder, and the path to them.
     pub(super) trouble: Option<String>,
 }
 

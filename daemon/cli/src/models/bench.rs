@@ -4,14 +4,14 @@ use std::num::NonZeroU64;
 use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
-use crate::output::say;
+use crate::output::print_to_stdout;
 use peernet_analysis::order::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, SortedValues};
 use peernet_analysis::table::text;
 use peernet_logger::Tree;
 use peernet_statistics::number::{bytes, counted, milliseconds};
 use serde_json::{Value, json};
 
-use super::Wanted;
+use super::WantedModel;
 use super::input::Input;
 use super::running::{Options, Running};
 use crate::foreground::Progress;
@@ -26,7 +26,7 @@ const QUANTILES: [(&str, f64, usize); 3] =
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    wanted: Wanted,
+    wanted: WantedModel,
     #[command(flatten)]
     options: Options,
     /// Number of measured samples; p99 needs 300, p95 60.
@@ -73,7 +73,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         peak: memory("VmHWM:"),
     };
     if arguments.json {
-        say(object(found.name.as_str(), &measured));
+        print_to_stdout(object(found.name.as_str(), &measured));
     } else {
         show(found.name.as_str(), arguments, &measured);
     }
@@ -118,26 +118,26 @@ fn quantile(values: &SortedValues, (_, p, fewest): (&str, f64, usize)) -> Option
 
 fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     let threads = arguments.options.intra_threads;
-    say(format_args!(
+    print_to_stdout(format_args!(
         "{name} on {}, {} within an operator, one sample at a time",
         measured.device,
         counted(threads.get() as u64, "thread")
     ));
-    say(format_args!(
+    print_to_stdout(format_args!(
         "{} samples after {} of warm-up: {}",
         arguments.iterations, arguments.warm_up, measured.input
     ));
-    say("");
+    print_to_stdout("");
     let row = |(stage, values): &(&str, SortedValues)| {
         let cells = QUANTILES.map(|one| quantile(values, one).map_or_else(|| "–".to_owned(), milliseconds));
         [vec![(*stage).to_owned()], cells.into()].concat()
     };
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
-    say(text(&header, &measured.stages.iter().map(row).collect::<Vec<_>>()));
+    print_to_stdout(text(&header, &measured.stages.iter().map(row).collect::<Vec<_>>()));
     let size_text =
         |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64).plain());
-    say(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
-    say(format_args!(
+    print_to_stdout(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
+    print_to_stdout(format_args!(
         "memory of this process: {} before, {} with the model, {} at most; an accelerator's own is not in it",
         size_text(measured.memory[0]),
         size_text(measured.memory[1]),

@@ -1,44 +1,44 @@
 //! `peernet models list`
 
 use crate::exit::Failure;
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use peernet_analysis::table::text;
 use peernet_inference::bank::ModelOnDisk;
 use peernet_sample::printable_line;
 use serde_json::{Value, json};
 
-use super::Places;
+use super::SearchedFolders;
 
 /// Arguments of `peernet models list`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    places: Places,
+    searched: SearchedFolders,
     /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let folders = arguments.places.folders()?;
+    let folders = arguments.searched.folders()?;
     for error in folders.check() {
-        complain(error);
+        print_to_stderr(error);
     }
     let found = folders.list();
     if arguments.json {
-        say(Value::from_iter(found.iter().map(object)));
+        print_to_stdout(Value::from_iter(found.iter().map(object)));
         return Ok(());
     }
     if found.is_empty() {
-        let places: Vec<String> = folders.paths().iter().map(|place| place.display().to_string()).collect();
-        say(format_args!(
+        let paths: Vec<String> = folders.paths().iter().map(|path| path.display().to_string()).collect();
+        print_to_stdout(format_args!(
             "no model in {}; export one with models/export_torchvision.py, or name a folder with --models-dir",
-            places.join(", ")
+            paths.join(", ")
         ));
         return Ok(());
     }
     let header = ["model", "task", "input", "size", "version", "folder", "wrong"];
-    say(text(&header, &found.iter().map(row).collect::<Vec<_>>()));
+    print_to_stdout(text(&header, &found.iter().map(row).collect::<Vec<_>>()));
     Ok(())
 }
 

@@ -1,40 +1,39 @@
 //! `peernet plot`: results as figures.
 
-mod places;
+mod figure_folders;
 
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_analysis::loaded::Loaded;
 use peernet_figures::{self as figures, Columns, PlotError};
 use peernet_statistics::number::counted;
 
-use crate::compare::{Collected, collect, distinct_places};
-use places::Places;
+use crate::compare::{Collected, collect, distinct_paths};
+use figure_folders::FigureFolders;
 
 /// Arguments of `peernet plot`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
-    /// those of the published program as well.
+    /// Result folders, folders that contain result folders at any depth (such as an experiment), or files data.csv, also
+    /// of the published program.
     #[arg(required = true, value_name = "RUN|DIR")]
     runs: Vec<PathBuf>,
     /// Figures to draw.
     #[arg(long, value_enum, default_value_t = Kind::All)]
     kind: Kind,
-    /// Folder for the figures. With several runs, each run gets a folder in it [default: beside the results: figures of
-    /// one run in its folder, figures of several runs in the folder on the command line, or in the current folder if
-    /// there are several].
+    /// Folder for the figures. With several runs, each run gets a folder in it [default: figures of one run in the run's
+    /// folder; figures of several runs in the folder on the command line, or in the current folder if there are several].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Column of data.csv along the horizontal axis: the length for --kind length (else tokens, or download-bytes); for
-    /// --kind histograms and --kind cumulative the one column to draw.
+    /// Column of data.csv on the horizontal axis. For --kind length: the length [default: tokens, or download-bytes
+    /// without tokens]. For --kind histograms and --kind cumulative: the only column to draw.
     #[arg(long, value_name = "COLUMN")]
     x: Option<String>,
-    /// Column of data.csv along the vertical axis, for --kind length and --kind paired: a latency (else inference).
+    /// Column of data.csv on the vertical axis, for --kind length and --kind paired: a latency [default: inference].
     #[arg(long, value_name = "COLUMN")]
     y: Option<String>,
 }
@@ -44,7 +43,7 @@ pub(crate) struct Arguments {
 enum Kind {
     /// All for which there is data.
     All,
-    /// Of each run: the six of the published program, sensing-time to download-throughput.
+    /// Of each run: the six histograms of the published program, sensing-time to download-throughput.
     Histograms,
     /// Of each run: the share of iterations up to each latency, of the total and its longest stages.
     Cumulative,
@@ -67,7 +66,7 @@ enum Kind {
 }
 
 impl Kind {
-    fn drawn(self) -> Vec<figures::Kind> {
+    fn figures(self) -> Vec<figures::Kind> {
         match self {
             Self::All => figures::Kind::ALL.to_vec(),
             Self::Histograms => vec![figures::Kind::Histograms],
@@ -91,16 +90,16 @@ impl Kind {
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
-    let named = distinct_places(&arguments.runs);
+    let named = distinct_paths(&arguments.runs);
     let Collected { runs, .. } = collect(&named, None, &|_| true)?;
-    let places = Places::choose(&named, &runs, arguments.out.as_deref());
+    let folders = FigureFolders::choose(&named, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut lacking = Vec::new();
     let mut files = Vec::new();
-    let mut one = |kind: figures::Kind, runs: &[Loaded], folder: &Path| -> Result<(), Failure> {
+    let mut draw_kind = |kind: figures::Kind, runs: &[Loaded], folder: &Path| -> Result<(), Failure> {
         match figures::draw(kind, runs, &columns, folder) {
             Ok(written) => {
-                written.missing.iter().for_each(complain);
+                written.missing.iter().for_each(print_to_stderr);
                 files.extend(written.files);
             }
             Err(error @ PlotError::Lacking(..)) => lacking.push((folder.to_owned(), error)),
@@ -108,28 +107,29 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         Ok(())
     };
-    for kind in arguments.kind.drawn() {
+    for kind in arguments.kind.figures() {
         if kind.is_of_one_run() {
-            for (run, folder) in runs.iter().zip(&places.runs) {
-                one(kind, std::slice::from_ref(run), folder)?;
+            for (run, folder) in runs.iter().zip(&folders.runs) {
+                draw_kind(kind, std::slice::from_ref(run), folder)?;
             }
         } else if arguments.kind != Kind::All || kind.is_worth_drawing(&runs) {
-            one(kind, &runs, &places.together)?;
+            draw_kind(kind, &runs, &folders.together)?;
         }
     }
     if arguments.kind == Kind::All {
-        // With all kinds, some usually lack their data.
+        // Without --kind, only figures that every result can show are reported as missing.
         lacking.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
     } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&lacking)) {
         // A single kind that cannot be drawn is a failure.
         return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
     }
-    lacking.iter().for_each(|(folder, error)| complain(format_args!("{}: {error}", folder.display())));
-    files.iter().for_each(|file| say(file.display()));
+    lacking.iter().for_each(|(folder, error)| print_to_stderr(format_args!("{}: {error}", folder.display())));
+    files.iter().for_each(|file| print_to_stdout(file.display()));
     Ok(())
 }
 
-/// Describes the reasons why nothing was drawn, each once with its number of runs. `None` if there is none.
+/// Describes the reasons why nothing was drawn, each once with its number of runs. A single reason has no number. `None` if there is no
+/// reason.
 fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for (_, error) in lacking {
@@ -147,7 +147,7 @@ fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     (!reasons.is_empty()).then(|| descriptions.collect::<Vec<_>>().join("; "))
 }
 
-/// Checks that the options have a meaning together.
+/// Checks that the kind of figure uses the given options.
 fn check(arguments: &Arguments) -> Result<(), Failure> {
     let usage = |text: &str| Err(Failure::new(Exit::Usage, anyhow!("{text}")));
     match arguments.kind {
@@ -156,7 +156,7 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
         Kind::Histograms | Kind::Cumulative if arguments.y.is_none() => Ok(()),
         _ if arguments.x.is_none() && arguments.y.is_none() => Ok(()),
         _ => usage(
-            "--x is for --kind length, --kind histograms and --kind cumulative, --y for --kind length and --kind paired: name the kind",
+            "--x is for --kind length, histograms and cumulative, --y for --kind length and paired: use one of these kinds",
         ),
     }
 }

@@ -29,15 +29,15 @@ pub(crate) struct Arguments {
     /// This device's name in the network configuration.
     #[arg(long, value_name = "DEVICE")]
     pub(super) name: Slug,
-    /// Kind of network: zmq-tcp, zmq-udp or ros [default: that of the server's address in the network
-    /// configuration; of a host name, zmq-tcp].
+    /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the server's address; zmq-tcp if that is only a
+    /// host name].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,
     /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` name of the device that serves,
     /// and optionally `start_port:` [default: 5551].
     #[arg(long, value_name = "FILE")]
     pub(super) network_config: PathBuf,
-    /// Number of iterations: rows in the results of a client, answers of a server.
+    /// Number of iterations: for a client the rows of its results, for a server its answers.
     #[arg(long, value_name = "N", value_parser = iterations, allow_negative_numbers = true)]
     pub(super) iterations: NonZeroU64,
 
@@ -51,14 +51,15 @@ pub(crate) struct Arguments {
     /// as `exec:COMMAND`.
     #[arg(long, value_name = "OBJECT")]
     pub(super) sensor_object: Option<String>,
-    /// Send Python values without a wire format of their own as pickles, and unpickle received values. Unpickling runs
-    /// code of the sender. Both ends need this option.
+    /// Pickle Python values that have no wire format in PEERNet, and unpickle received values. Unpickling runs code of
+    /// the sender. Both ends need this option.
     #[arg(long)]
     pub(super) pickle: bool,
-    /// Encoding of pictures that are sent: `pixels` as published, `file` for the unchanged file, `jpeg:QUALITY` to compress them again.
+    /// Encoding of sent pictures: `pixels`, as in the published program; `file`, the unchanged file; `jpeg:QUALITY`, to
+    /// compress them again.
     #[arg(long, default_value = "pixels", value_name = "HOW", value_parser = Encoding::read)]
     pub(super) encoding: Encoding,
-    /// Characters of each sample of `random string`, bytes of each of `synthetic`.
+    /// Size of each sample: characters for `random string`, bytes for `synthetic`.
     #[arg(long, default_value = "1000", value_name = "N", allow_negative_numbers = true)]
     pub(super) text_size: usize,
     /// Folder for the client's results [default: results, or a new folder in it].
@@ -104,14 +105,14 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-/// A text that is no number of iterations.
+/// Reason why a text is not a number of iterations.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 enum IterationsError {
     #[error("not a whole number")]
     NotANumber(#[source] ParseIntError),
-    #[error("nothing would be measured; at least 1")]
+    #[error("must be at least 1")]
     TooFew,
-    #[error("at most {}", u64::MAX)]
+    #[error("must be at most {}", u64::MAX)]
     TooMany(#[source] TryFromIntError),
 }
 

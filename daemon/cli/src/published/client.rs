@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::clock;
 use crate::exit::{Exit, Failure};
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use anyhow::Context;
 use peernet_agent::config::{HostConfig, PipelineConfig};
 use peernet_analysis::summary::Summary;
@@ -28,7 +28,7 @@ const WARM_UP: u64 = 5;
 const TIMEOUT_MS: u64 = 75_000;
 /// Timeout of connecting in milliseconds, in which the server may load its model.
 const OPEN_TIMEOUT_MS: u64 = 60_000;
-/// Folder for results without a given place.
+/// Default folder for results.
 const RESULTS: &str = "results";
 
 /// Measures and writes the results.
@@ -48,7 +48,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     measured.failure().map_or(Ok(()), Err)
 }
 
-/// Makes the order of the measurement.
+/// Returns the description of the measurement.
 fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     let (sensor, transforms) = sensor::from_arguments(arguments)?;
     let session = arguments.session(SessionSettings {
@@ -98,15 +98,15 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     })
 }
 
-/// Prints the results and their place.
+/// Prints the results, their folder and their files.
 fn print_results(measured: &Measured) {
-    say(summary::text(&Summary::from_rows(&measured.rows).with_record(&measured.record)));
+    print_to_stdout(summary::text(&Summary::from_rows(&measured.rows).with_record(&measured.record)));
     if let Some(trust) = &measured.record.trust {
-        say(format_args!("\n{}", trust.text()));
+        print_to_stdout(format_args!("\n{}", trust.text()));
     }
     let files: Vec<_> = measured.files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     let folder = measured.folder.display().to_string();
-    say(format_args!("\n{}: {}", printable_line(&folder), files.join(", ")));
+    print_to_stdout(format_args!("\n{}: {}", printable_line(&folder), files.join(", ")));
 }
 
 /// Prints where the streamed run can be seen, and which events still wait for an aggregator, of this run or of others.
@@ -123,8 +123,8 @@ fn print_streaming_state(
     let waiting = runtime.block_on(undelivered(state_dir.folder()));
     let name = &arguments.name;
     let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
-    say(dashboard_hint(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
-    waiting.iter().for_each(complain);
+    print_to_stdout(dashboard_hint(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
+    waiting.iter().for_each(print_to_stderr);
     Ok(())
 }
 

@@ -22,7 +22,7 @@ impl ProgressDisplay for ClientProgress {
     /// Prints conditions that impair the figures while the run can still be restarted; the rest is in the report.
     fn begun(&mut self, conditions: &[Condition]) {
         for condition in conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful) {
-            self.progress.say(remark(condition));
+            self.progress.print_line(remark(condition));
         }
     }
 

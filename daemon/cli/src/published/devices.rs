@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::exit::{Exit, Failure};
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_analysis::record::NetworkConfig;
@@ -46,7 +46,7 @@ impl File {
         let read: Self = serde_saphyr::from_str(text).map_err(|error| anyhow!("{file}: {error}"))?;
         if !read.other.is_empty() {
             let keys: Vec<&str> = read.other.keys().map(String::as_str).collect();
-            complain(format_args!(
+            print_to_stderr(format_args!(
                 "{file}: passing over {}; there is devices, server, start_port, ros_version and ros2",
                 keys.join(", ")
             ));

@@ -1,4 +1,4 @@
-//! The published commands: `peernet --server …` on the device that serves, `peernet --client …` on the one that senses.
+//! The published commands: `peernet --server …` on the device that serves, `peernet --client …` on the device that senses.
 //!
 //! They run the daemon's pipeline code in the foreground, configured by the published options.
 
@@ -16,7 +16,7 @@ pub(crate) use arguments::Arguments;
 pub(crate) use devices::{DeviceAddresses, addresses};
 
 use crate::exit::{Exit, Failure};
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use anyhow::anyhow;
 
 use devices::Devices;
@@ -31,7 +31,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let devices = Devices::read(&arguments.network_config, arguments.network)?;
     let serves = !arguments.client;
     devices.check(&arguments.name, serves)?;
-    complain("plain mode: no encryption and no authentication; use it only in trusted networks");
+    print_to_stderr("plain mode: no encryption and no authentication; use it only in trusted networks");
     start_log(LogDestination::StandardError)?;
     if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
 }

@@ -1,4 +1,4 @@
-//! Time limits for processes that were asked to end. A suspended process reacts to SIGKILL only.
+//! Time limits for processes that the user asked to end. A suspended process reacts to SIGKILL only.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ const SECOND_TIMEOUT: Duration = Duration::from_secs(10);
 #[derive(Debug, Default)]
 pub(super) struct Ending {
     requests: u32,
-    until: Option<Instant>,
+    deadline: Option<Instant>,
 }
 
 impl Ending {
@@ -24,9 +24,9 @@ impl Ending {
     pub(super) fn request(&mut self, now: Instant) -> (Signal, String) {
         self.requests += 1;
         let mut within = |time: Duration| {
-            let until = self.until.map_or(now + time, |until| until.min(now + time));
-            self.until = Some(until);
-            duration((until - now).as_secs_f64())
+            let deadline = self.deadline.map_or(now + time, |deadline| deadline.min(now + time));
+            self.deadline = Some(deadline);
+            duration((deadline - now).as_secs_f64())
         };
         // The signals differ, so that a process cannot take the second one for a repetition of the first.
         match self.requests {
@@ -44,21 +44,21 @@ impl Ending {
                     within(SECOND_TIMEOUT)
                 ),
             ),
-            _ => (self.kill(), "the processes were killed".to_owned()),
+            _ => (self.take_kill_signal(), "the processes were killed".to_owned()),
         }
     }
 
     /// Waits until the deadline; does not return if there is none.
     pub(super) async fn expired(&self) {
-        match self.until {
-            Some(until) => tokio::time::sleep_until(until).await,
+        match self.deadline {
+            Some(deadline) => tokio::time::sleep_until(deadline).await,
             None => std::future::pending().await,
         }
     }
 
-    /// Returns the signal that ends even a suspended process.
-    pub(super) const fn kill(&mut self) -> Signal {
-        self.until = None;
+    /// Returns SIGKILL, which ends even a suspended process, and removes the deadline.
+    pub(super) const fn take_kill_signal(&mut self) -> Signal {
+        self.deadline = None;
         Signal::KILL
     }
 
@@ -79,15 +79,15 @@ mod tests {
         assert!(!ending.is_requested());
         let (signal, message) = ending.request(at(0));
         assert!(signal == Signal::INT && message.contains("60 s"), "{message}");
-        assert_eq!((ending.is_requested(), ending.until), (true, Some(at(60))));
+        assert_eq!((ending.is_requested(), ending.deadline), (true, Some(at(60))));
         let (signal, message) = ending.request(at(53));
         assert!(
             signal == Signal::TERM && message.contains("within 7 s"),
             "not more than was promised: {message}"
         );
-        assert_eq!(ending.until, Some(at(60)));
+        assert_eq!(ending.deadline, Some(at(60)));
         assert_eq!(ending.request(at(54)).0, Signal::KILL);
-        assert_eq!(ending.until, None);
+        assert_eq!(ending.deadline, None);
     }
 
     #[test]
@@ -95,6 +95,6 @@ mod tests {
         let (mut ending, began) = (Ending::default(), Instant::now());
         ending.request(began);
         ending.request(began + Duration::from_secs(1));
-        assert_eq!(ending.until, Some(began + Duration::from_secs(11)));
+        assert_eq!(ending.deadline, Some(began + Duration::from_secs(11)));
     }
 }

@@ -31,16 +31,16 @@ impl Execution<'_> {
     ///
     /// # Errors
     /// When the progress cannot be recorded (73).
-    pub(super) async fn all(&mut self, runs: &[Run], signals: &mut Signals) -> Result<bool, Failure> {
+    pub(super) async fn execute_all(&mut self, runs: &[Run], signals: &mut Signals) -> Result<bool, Failure> {
         for (done, run) in runs.iter().enumerate() {
-            if self.one(runs, done, run, signals).await? {
+            if self.execute_run(runs, done, run, signals).await? {
                 return Ok(true);
             }
         }
         Ok(false)
     }
 
-    async fn one(
+    async fn execute_run(
         &mut self,
         runs: &[Run],
         done: usize,
@@ -62,14 +62,14 @@ impl Execution<'_> {
         let later = self.remaining_s(&runs[done + 1..]);
         let (share, own) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
         if !self.quiet {
-            progress.say(format_args!("{name}: begins"));
+            progress.print_line(format_args!("{name}: begins"));
         }
         let ended = children::execute(&orders, signals, |news| {
             let report = match news {
                 ChildEvent::Line(user, line) if orders.len() > 1 => {
-                    return progress.say(format_args!("user {}: {line}", user + 1));
+                    return progress.print_line(format_args!("user {}: {line}", user + 1));
                 }
-                ChildEvent::Line(_, line) | ChildEvent::Ending(line) => return progress.say(line),
+                ChildEvent::Line(_, line) | ChildEvent::Ending(line) => return progress.print_line(line),
                 ChildEvent::ProgressReport(reports) => combine(reports),
             };
             let Some(report) = report else { return };
@@ -95,7 +95,11 @@ impl Execution<'_> {
         }
         let why = ended.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
         if !self.quiet || ended.stage != Stage::Finished || !why.is_empty() {
-            progress.say(format_args!("{name}: {} after {}{why}", ended.stage.name(), duration(seconds)));
+            progress.print_line(format_args!(
+                "{name}: {} after {}{why}",
+                ended.stage.name(),
+                duration(seconds)
+            ));
         }
         self.record.end_run(run, ended);
         self.folder.save(self.record)?;

@@ -1,9 +1,9 @@
-//! Check of finished runs: those whose results are unusable are measured again.
+//! Check of finished runs. A run whose results are unusable is measured again.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use crate::output::complain;
+use crate::output::print_to_stderr;
 use peernet_analysis::loaded::RowsDamage;
 use peernet_analysis::record::{Counts, RunRecord};
 use peernet_results::{FolderError, ResultFolder};
@@ -27,12 +27,12 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
                 run_records.iter().filter_map(|run_record| external_files.changed_since(run_record, &run)),
             ),
             Err(why) => {
-                complain(format_args!("run {} is repeated: {why}", run.number));
+                print_to_stderr(format_args!("run {} is repeated: {why}", run.number));
                 record.forget(&run);
             }
         }
     }
-    changed.iter().for_each(complain);
+    changed.iter().for_each(print_to_stderr);
 }
 
 /// Returns a note if an experiment was started by another version and runs remain.
@@ -59,14 +59,14 @@ pub(super) enum UnusableResults {
     Mismatched { folder: PathBuf, mismatch: Mismatch },
 }
 
-/// Difference between `run.json` and that of a finished run.
+/// Reason why `run.json` does not belong to this finished run.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(super) enum Mismatch {
     #[error("run.json does not say that the run was finished")]
     Unfinished,
     #[error("run.json counts no iterations")]
     NoIterations,
-    #[error("run.json is that of another run")]
+    #[error("run.json belongs to another run")]
     OtherRun,
 }
 
@@ -102,6 +102,6 @@ fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismat
     if run_record.counts == Counts::default() {
         return Some(Mismatch::NoIterations);
     }
-    let place = record.plan.place(run, &record.id);
+    let place = record.plan.experiment_place(run, &record.id);
     (run_record.experiment.as_ref() != Some(&place)).then_some(Mismatch::OtherRun)
 }

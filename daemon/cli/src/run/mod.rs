@@ -35,7 +35,7 @@ use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
 use crate::experiment::Stage;
-use crate::output::{complain, say};
+use crate::output::{print_to_stderr, print_to_stdout};
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
 use peernet_clock::{ClockIdentity, SharedClock};
@@ -46,7 +46,7 @@ use crate::foreground::{Signals, dashboard_hint, remark};
 use agent_state_dirs::{AgentStateDirs, undelivered_events};
 use arguments::RunSelection;
 use children::Exited;
-use estimate::{Estimates, expected};
+use estimate::{Estimates, expected_duration};
 use execute::Execution;
 use external_files::ExternalFiles;
 use file::File;
@@ -57,7 +57,7 @@ use relative_paths::base_hint_if_missing;
 use state::Record;
 use trial::TrialResults;
 
-/// Folder for experiments without a given place.
+/// Default folder for experiments.
 const DEFAULT_PARENT: &str = "results";
 
 /// Executes an experiment, or continues one.
@@ -78,20 +78,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
-    if let Some(unknown) = RunSelection::unknown(&arguments.only, &plan) {
+    if let Some(unknown) = RunSelection::describe_unknown(&arguments.only, &plan) {
         return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
     }
     if arguments.check {
         let runs = table::count(plan.runs.len(), "run");
         let configurations = table::count(plan.configurations.len(), "configuration");
-        remarks.iter().for_each(|remark| complain(format_args!("not on this machine: {remark}")));
-        base_hint_if_missing(remarks.iter().map(String::as_str)).iter().for_each(complain);
-        say(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
+        remarks.iter().for_each(|remark| print_to_stderr(format_args!("not on this machine: {remark}")));
+        base_hint_if_missing(remarks.iter().map(String::as_str)).iter().for_each(print_to_stderr);
+        print_to_stdout(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
     }
     let record = match before {
         Some(record) => {
-            folder::unchanged(&record, &plan)?;
+            folder::ensure_unchanged(&record, &plan)?;
             record
         }
         None => Record::new(plan, id(), arguments.file.display().to_string(), VERSION.to_owned()),
@@ -119,7 +119,7 @@ async fn execute_experiment(
         check_finished_runs(folder, &mut record, external_files);
     }
     let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
-    version_change_note(&record, &to_do, VERSION).iter().for_each(complain);
+    version_change_note(&record, &to_do, VERSION).iter().for_each(print_to_stderr);
     let _agent_state_dirs =
         match folder.as_ref().map(|_| AgentStateDirs::acquire(&record.plan, &to_do)).transpose() {
             Ok(agent_state_dirs) => agent_state_dirs,
@@ -138,14 +138,17 @@ async fn execute_experiment(
         }
     };
     let estimates = estimates(&record, &tried);
-    say(table::runs(&record, &estimates));
+    print_to_stdout(table::runs(&record, &estimates));
     let place = path.display().to_string();
     let place = printable_line(&place);
-    say(format_args!("\n{}; results in {place}", table::describe_plan(&to_do, &record, &estimates)));
+    print_to_stdout(format_args!(
+        "\n{}; results in {place}",
+        table::describe_plan(&to_do, &record, &estimates)
+    ));
     for condition in &tried.conditions {
-        complain(remark(condition));
+        print_to_stderr(remark(condition));
     }
-    if let Some(failure) = missing(&tried, &arguments.file) {
+    if let Some(failure) = unavailable_configurations(&tried, &arguments.file) {
         discard(folder, &record);
         return Err(failure);
     }
@@ -167,18 +170,18 @@ async fn execute_experiment(
         external_files,
         quiet: arguments.quiet,
     };
-    let interrupted = execution.all(&to_do, &mut signals).await?;
+    let interrupted = execution.execute_all(&to_do, &mut signals).await?;
     let report_text = report::write(&folder, &record, external_files.plots)?;
-    say(format_args!("\n{report_text}"));
-    say(format_args!("\n{place}: {}", summary(&record)));
+    print_to_stdout(format_args!("\n{report_text}"));
+    print_to_stdout(format_args!("\n{place}: {}", summary(&record)));
     let waiting = undelivered_events(&record.plan).await?;
     for aggregator in aggregators(&record.plan) {
         let runs = format_args!("the runs of experiment {}", record.plan.name);
         let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
-        say(dashboard_hint(runs, aggregator, has_all));
+        print_to_stdout(dashboard_hint(runs, aggregator, has_all));
     }
-    waiting.iter().for_each(complain);
-    // Runs that were finished before count as well, so that the same command gives the same result.
+    waiting.iter().for_each(print_to_stderr);
+    // Runs that were finished by an earlier command count, too, so that repeating a command gives the same exit code.
     let wanted: Vec<Run> = record
         .runs()
         .map(|(run, _)| run.clone())
@@ -194,14 +197,14 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
         // Its runs are unknown then; they are replaced one by one.
-        Err(failure) => complain(failure),
+        Err(failure) => print_to_stderr(failure),
     }
     Ok(())
 }
 
 fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
     let expected = record.plan.configurations.iter().zip(&tried.paces).map(|(configuration, pace)| {
-        configuration.agent.pipelines.first().and_then(|pipeline| expected(pipeline, *pace))
+        configuration.agent.pipelines.first().and_then(|pipeline| expected_duration(pipeline, *pace))
     });
     let mut estimates = Estimates::new(expected.collect());
     for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
@@ -210,8 +213,8 @@ fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
     estimates
 }
 
-/// Makes the failure for everything that the trials lacked: each reason with its configurations.
-fn missing(tried: &TrialResults, file: &Path) -> Option<Failure> {
+/// Returns a failure with the reasons of all failed trials and their configurations; `None` if no trial failed.
+fn unavailable_configurations(tried: &TrialResults, file: &Path) -> Option<Failure> {
     let (_, first) = tried.missing.first()?;
     let is_wrong = |exit: &Exited| exit.code == Some(i32::from(Exit::Configuration as u8));
     let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };

@@ -44,10 +44,10 @@ struct Trial {
     configurations: Vec<usize>,
 }
 
-/// Tries the configurations at these indexes; those with equal trials are tried once.
+/// Tries the configurations at these indexes. Configurations with equal trials are tried once.
 ///
 /// # Errors
-/// When there is no place for files (69) or the user ended it (130).
+/// When no temporary folder can be created (69) or the user ended the trial (130).
 pub(super) async fn configurations(
     plan: &Plan,
     wanted: &BTreeSet<usize>,
@@ -74,20 +74,20 @@ pub(super) async fn configurations(
         let peer = peer(order);
         if let Some((address, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
-                progress.say(format_args!("{state}: skipped, {address} is unreachable"));
+                progress.print_line(format_args!("{state}: skipped, {address} is unreachable"));
             }
             tried.missing.extend(words().map(|words| (words, exit.clone())));
             continue;
         }
         if !quiet {
-            progress.say(&state);
+            progress.print_line(&state);
         }
         let at = folder.path().join(done.to_string());
         let began = clock.mono();
         let orders = [Order { folder: at.clone(), ..order.clone() }];
         let share = done as f64 / trials.len() as f64;
         let mut ended = children::execute(&orders, signals, |news| match news {
-            ChildEvent::Line(_, line) | ChildEvent::Ending(line) => progress.say(line),
+            ChildEvent::Line(_, line) | ChildEvent::Ending(line) => progress.print_line(line),
             ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
                     (clock.mono(), reports.iter().flatten().find_map(|report| report.trouble.clone()));

@@ -12,11 +12,11 @@ impl Rgb {
         Self((value >> 16) as u8, (value >> 8) as u8, value as u8)
     }
 
-    /// Returns the colour with a share of it on white, as if it were transparent: files need no transparency if nothing lies below.
+    /// Returns the colour mixed with white, as if drawn on white with this opacity, so that files need no transparency.
     #[must_use]
-    pub fn tint(self, share: f64) -> Self {
-        let part = |part: u8| (f64::from(part) * share + 255.0 * (1.0 - share)).round() as u8;
-        Self(part(self.0), part(self.1), part(self.2))
+    pub fn tint(self, opacity: f64) -> Self {
+        let mix = |part: u8| (f64::from(part) * opacity + 255.0 * (1.0 - opacity)).round() as u8;
+        Self(mix(self.0), mix(self.1), mix(self.2))
     }
 
     /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance).

@@ -155,7 +155,7 @@ impl Style {
         Self::area("band", Fill::of(INK.light)).opacity(0.25)
     }
 
-    /// Returns the style of a stretch that is left out, such as warm-up.
+    /// Returns the style of a period that is excluded, such as warm-up.
     pub fn shade() -> Self {
         Self::area("warm-up", Fill::of(SHADE))
     }
@@ -197,7 +197,7 @@ impl TextStyle {
     pub const QUIET: Self = Self { class: "", colour: INK_3.light, halo: false };
 }
 
-/// Look of one of several series: runs, places, configurations.
+/// Look of one of several series: runs, placements, configurations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Series {
     /// Ink or a grey.

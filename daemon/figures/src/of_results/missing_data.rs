@@ -46,22 +46,23 @@ pub enum MissingData {
         /// The column of lengths.
         x: String,
     },
-    /// All runs with the column have the same place.
+    /// All runs with the column have the same placement.
     #[error(
-        "it needs the {column} of runs in two places, such as a local and a remote one of the same model"
+        "it needs the {column} of runs at two placements, such as a local and a remote run of the same model"
     )]
     SecondPlace {
         /// The column to be compared.
         column: String,
     },
-    /// There are more models or places than fit.
+    /// There are more models or placements than fit.
     #[error(
-        "{models} models in {places} places are too many for one picture ({MOST_GROUPS} and {MOST_SIDES}); name fewer runs"
+        "{models} models at {places} placements are too many for one figure (at most {MOST_GROUPS} models and {MOST_SIDES} \
+         placements); name fewer runs"
     )]
     TooManyModels {
         /// Number of models.
         models: usize,
-        /// Number of places in which they ran.
+        /// Number of placements at which they ran.
         places: usize,
     },
     /// The sizes of the messages do not vary.
@@ -80,7 +81,9 @@ pub enum MissingData {
     #[error("it needs runs of an experiment with several edges at once: set experiment.users")]
     Users,
     /// The edges of a run did not measure at the same time.
-    #[error("no total that can be drawn was measured while all edges of a run were measuring")]
+    #[error(
+        "the edges of each run measured at different times, so there is no total to draw; run the edges together"
+    )]
     CommonTotal,
 }
 

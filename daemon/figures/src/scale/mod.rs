@@ -13,10 +13,10 @@ pub use step::round_step;
 use peernet_statistics::number::{fixed, significant};
 
 /// Largest magnitude of an end of a scale, and the smallest that is not zero.
-const MOST: f64 = 1e150;
-const LEAST: f64 = 1e-150;
-/// Room beyond the values of a scale from zero, as a share of their range.
-const ROOM: f64 = 0.04;
+const MAX_MAGNITUDE: f64 = 1e150;
+const MIN_MAGNITUDE: f64 = 1e-150;
+/// Margin beyond the values of a scale from zero, as a share of their range.
+const MARGIN: f64 = 0.04;
 /// Room at both ends of a logarithmic scale of sizes, for the names of points: this power of the range.
 const ENDS: f64 = 0.06;
 /// Ratio of the largest to the smallest value above which a scale of sizes is logarithmic.
@@ -38,38 +38,38 @@ pub struct Scale {
     hi: f64,
     spread: Spread,
     /// Smallest distance between two ticks.
-    least: f64,
+    min_tick_distance: f64,
     /// Distance between two ticks of a scale that ends at ticks.
     step: Option<f64>,
     signed: bool,
 }
 
-/// Marked place of a scale.
+/// Mark on a scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tick {
     /// The value.
     pub value: f64,
-    /// Place, from 0 to 1.
+    /// Position, from 0 to 1.
     pub at: f64,
     /// Label of the mark.
     pub text: String,
 }
 
 impl Scale {
-    /// Returns a linear scale that ends exactly at these values. A single value gets room on both sides.
+    /// Returns a linear scale that ends exactly at these values. A single value lies in the middle of the scale.
     pub fn linear(values: (f64, f64)) -> Self {
-        let (lo, hi) = held(values);
-        let (lo, hi) = if hi > lo { (lo, hi) } else { room_around(lo) };
-        Self { lo, hi, spread: Spread::Linear, least: 0.0, step: None, signed: false }
+        let (lo, hi) = clamp_to_finite_range(values);
+        let (lo, hi) = if hi > lo { (lo, hi) } else { range_around(lo) };
+        Self { lo, hi, spread: Spread::Linear, min_tick_distance: 0.0, step: None, signed: false }
     }
 
-    /// Returns a linear scale from zero, or from the smallest value if that is negative, with a little room beyond the values.
+    /// Returns a linear scale from zero, or from the smallest value if that is negative, with a small margin beyond the values.
     pub fn from_zero(values: (f64, f64)) -> Self {
-        let (lo, hi) = held(values);
+        let (lo, hi) = clamp_to_finite_range(values);
         let (lo, hi) = (lo.min(0.0), hi.max(0.0));
-        let room = (hi - lo) * ROOM;
+        let margin = (hi - lo) * MARGIN;
         let ends = if hi > lo {
-            (if lo < 0.0 { lo - room } else { 0.0 }, if hi > 0.0 { hi + room } else { 0.0 })
+            (if lo < 0.0 { lo - margin } else { 0.0 }, if hi > 0.0 { hi + margin } else { 0.0 })
         } else {
             (0.0, 1.0)
         };
@@ -88,7 +88,7 @@ impl Scale {
             values.fold((f64::INFINITY, 0.0_f64), |(lo, hi), value| (lo.min(value), hi.max(value)));
         let room = (hi / lo).powf(ENDS);
         let wide = Self::decades((lo, hi)).map(|_| Self::logarithmic((lo / room, hi * room)));
-        wide.unwrap_or_else(|| Self::up_to(hi * (1.0 + ROOM / 2.0), 6))
+        wide.unwrap_or_else(|| Self::up_to(hi * (1.0 + MARGIN / 2.0), 6))
     }
 
     /// Returns a logarithmic scale if these values are above zero and span more than a decade.
@@ -98,16 +98,16 @@ impl Scale {
 
     /// Returns a logarithmic scale of values above 0.
     pub fn logarithmic(values: (f64, f64)) -> Self {
-        let (lo, hi) = held(values);
-        let lo = lo.max(LEAST);
-        let (lo, hi) = if hi > lo { (lo, hi) } else { room_around(lo) };
+        let (lo, hi) = clamp_to_finite_range(values);
+        let lo = lo.max(MIN_MAGNITUDE);
+        let (lo, hi) = if hi > lo { (lo, hi) } else { range_around(lo) };
         Self { lo, hi, spread: Spread::Logarithmic, ..Self::linear((lo, hi)) }
     }
 
-    /// Returns the same scale with marks at whole numbers only, for counts.
+    /// Returns the same scale with ticks at whole numbers only, for counts.
     #[must_use]
     pub fn whole(self) -> Self {
-        Self { least: 1.0, ..self }
+        Self { min_tick_distance: 1.0, ..self }
     }
 
     /// Returns the same scale with a plus sign before labels above zero.
@@ -116,13 +116,13 @@ impl Scale {
         Self { signed: true, ..self }
     }
 
-    /// Returns the same scale widened to the next ticks of a division into about `ticks` steps. A logarithmic scale is not changed.
+    /// Returns the same scale with its ends moved outwards to ticks, for about `ticks` ticks. A logarithmic scale is not changed.
     #[must_use]
     pub fn widened(self, ticks: usize) -> Self {
         if self.spread == Spread::Logarithmic {
             return self;
         }
-        let step = round_step(self.hi - self.lo, ticks).max(self.least);
+        let step = round_step(self.hi - self.lo, ticks).max(self.min_tick_distance);
         let (lo, hi) = ((self.lo / step + 1e-9).floor() * step, (self.hi / step - 1e-9).ceil() * step);
         Self { lo, hi, step: Some(step), ..self }
     }
@@ -132,7 +132,7 @@ impl Scale {
         (self.lo, self.hi)
     }
 
-    /// Returns true if equal distances are equal factors.
+    /// Returns whether equal distances on the scale are equal factors.
     pub fn is_logarithmic(&self) -> bool {
         self.spread == Spread::Logarithmic
     }
@@ -166,24 +166,27 @@ impl Scale {
         }
     }
 
-    /// Returns `steps + 1` values from end to end, evenly spaced as seen.
+    /// Returns `steps + 1` values from end to end, evenly spaced on the drawn axis.
     pub fn along(&self, steps: u32) -> impl Iterator<Item = f64> + use<> {
         let this = *self;
         (0..=steps).map(move |step| this.between(this.lo, this.hi, f64::from(step) / f64::from(steps)))
     }
 
-    /// Returns the marked places, which are round numbers: at most about `most`, or twice as many on a logarithmic scale. A widened scale
-    /// has its own number of them. A logarithmic scale is marked at powers of ten. If there are fewer than three, 2 and 5 times the powers
-    /// are added; if there are still fewer than three, the places are round numbers at even distances.
-    pub fn ticks(&self, most: usize) -> Vec<Tick> {
+    /// Returns the ticks, which are round numbers: about `max_ticks` or fewer, or up to twice as many on a logarithmic scale. A widened
+    /// scale has its own number of ticks.
+    ///
+    /// A logarithmic scale has ticks at powers of ten. If these are fewer than three, 2 and 5 times the powers are added. If there are still
+    /// fewer than three, the ticks are evenly spaced.
+    pub fn ticks(&self, max_ticks: usize) -> Vec<Tick> {
         match self.spread {
-            Spread::Linear => self.even(most),
-            Spread::Logarithmic => self.powers(most),
+            Spread::Linear => self.evenly_spaced_ticks(max_ticks),
+            Spread::Logarithmic => self.power_of_ten_ticks(max_ticks),
         }
     }
 
-    fn even(&self, most: usize) -> Vec<Tick> {
-        let step = self.step.unwrap_or_else(|| round_step(self.hi - self.lo, most)).max(self.least);
+    fn evenly_spaced_ticks(&self, max_ticks: usize) -> Vec<Tick> {
+        let step =
+            self.step.unwrap_or_else(|| round_step(self.hi - self.lo, max_ticks)).max(self.min_tick_distance);
         let decimals = usize::try_from(-(step.log10() + 1e-9).floor() as i32).unwrap_or_default();
         let (first, last) = ((self.lo / step - 1e-6).ceil() as i64, (self.hi / step + 1e-6).floor() as i64);
         let tick = |number: i64| {
@@ -195,36 +198,38 @@ impl Scale {
         (first..=last).map(tick).collect()
     }
 
-    fn powers(&self, most: usize) -> Vec<Tick> {
+    fn power_of_ten_ticks(&self, max_ticks: usize) -> Vec<Tick> {
         let decades = (self.lo.log10().floor() as i32)..=(self.hi.log10().ceil() as i32);
         let marks = |steps: &'static [f64]| -> Vec<Tick> {
             let all =
                 decades.clone().flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)));
             let inside = all.filter(|value| self.has(*value));
-            inside.map(|value| Tick { value, at: self.at(value), text: plain(value) }).collect()
+            inside.map(|value| Tick { value, at: self.at(value), text: power_label(value) }).collect()
         };
         let found = [marks(&[1.0]), marks(&[1.0, 2.0, 5.0])].into_iter().find(|marks| marks.len() >= 3);
-        let found = found.unwrap_or_else(|| self.even(most));
-        // If there are many powers of ten, those between are left out evenly.
-        let apart = found.len().div_ceil(2 * most.max(1)).max(1);
-        found.into_iter().step_by(apart).collect()
+        let found = found.unwrap_or_else(|| self.evenly_spaced_ticks(max_ticks));
+        // With many powers of ten, only every second, third, … power has a tick.
+        let step = found.len().div_ceil(2 * max_ticks.max(1)).max(1);
+        found.into_iter().step_by(step).collect()
     }
 }
 
 /// Returns a range of numbers whose differences and ratios are finite, so that loops along it terminate.
-fn held((lo, hi): (f64, f64)) -> (f64, f64) {
-    let one = |value: f64| if value.abs() >= LEAST { value.clamp(-MOST, MOST) } else { 0.0 };
-    (one(lo), one(hi))
+fn clamp_to_finite_range((lo, hi): (f64, f64)) -> (f64, f64) {
+    let clamp = |value: f64| {
+        if value.abs() >= MIN_MAGNITUDE { value.clamp(-MAX_MAGNITUDE, MAX_MAGNITUDE) } else { 0.0 }
+    };
+    (clamp(lo), clamp(hi))
 }
 
 /// Returns a range with one value in its middle.
-fn room_around(value: f64) -> (f64, f64) {
+fn range_around(value: f64) -> (f64, f64) {
     let half = if value == 0.0 { 0.5 } else { value.abs() * 0.1 };
     (value - half, value + half)
 }
 
-/// Returns a power of ten, or 2 or 5 of them, without needless zeros.
-fn plain(value: f64) -> String {
+/// Formats 1, 2 or 5 times a power of ten without trailing zeros.
+fn power_label(value: f64) -> String {
     let text = significant(value);
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }

@@ -4,18 +4,18 @@ use proptest::prelude::*;
 
 use super::*;
 
-fn texts(scale: Scale, most: usize) -> Vec<String> {
-    scale.ticks(most).into_iter().map(|tick| tick.text).collect()
+fn texts(scale: Scale, max_ticks: usize) -> Vec<String> {
+    scale.ticks(max_ticks).into_iter().map(|tick| tick.text).collect()
 }
 
 #[test]
 fn steps_are_one_two_or_five() {
     let cases = [(10.0, 5, 2.0), (15.0, 3, 5.0), (0.37, 5, 0.1), (1_800.0, 4, 500.0), (9.0, 1, 10.0)];
-    for (range, most, step) in cases {
+    for (range, max_ticks, step) in cases {
         assert!(
-            (round_step(range, most) / step - 1.0).abs() < 1e-9,
-            "{range} {most}: {}",
-            round_step(range, most)
+            (round_step(range, max_ticks) / step - 1.0).abs() < 1e-9,
+            "{range} {max_ticks}: {}",
+            round_step(range, max_ticks)
         );
     }
     assert_eq!([0.0, -3.0, f64::NAN, f64::INFINITY].map(|range| round_step(range, 5)), [1.0; 4]);
@@ -33,7 +33,7 @@ fn logarithmic_positions_stay_within_scale() {
 }
 
 #[test]
-fn a_scale_ends_whatever_its_values() {
+fn extreme_values_give_few_ticks_within_scale() {
     let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, -1e308, 1e17, 0.0, 5e-324, 1e-308, 7.0];
     for values in odd.into_iter().flat_map(|lo| odd.map(|hi| (lo, hi))) {
         for make in [Scale::linear, Scale::from_zero, Scale::logarithmic] {
@@ -47,7 +47,7 @@ fn a_scale_ends_whatever_its_values() {
 }
 
 #[test]
-fn linear_scales_are_marked_at_round_numbers() {
+fn linear_scale_has_ticks_at_round_numbers() {
     let scale = Scale::linear((0.0, 10.0));
     assert_eq!([0.0, 2.5, 10.0, -3.0, 99.0].map(|value| scale.at(value)), [0.0, 0.25, 1.0, 0.0, 1.0]);
     assert_eq!(texts(scale, 5), ["0", "2", "4", "6", "8", "10"]);
@@ -61,7 +61,7 @@ fn linear_scales_are_marked_at_round_numbers() {
 }
 
 #[test]
-fn a_widened_scale_ends_at_ticks() {
+fn widened_scale_ends_at_ticks() {
     assert_eq!(texts(Scale::linear((0.0, 14.2)).widened(3), 9), ["0", "5", "10", "15"]);
     let signed = Scale::linear((-2.4, 2.4)).widened(6).signed();
     assert_eq!(texts(signed, 6), ["−3", "−2", "−1", "0", "+1", "+2", "+3"]);
@@ -100,12 +100,12 @@ fn only_sizes_that_span_a_decade_are_logarithmic() {
 
 proptest! {
     #[test]
-    fn widened_scale_contains_values_with_few_ticks(lo in -1e6f64..1e6, width in 1e-3f64..1e6, most in 2usize..8) {
-        let scale = Scale::linear((lo, lo + width)).widened(most);
+    fn widened_scale_contains_values_with_few_ticks(lo in -1e6f64..1e6, width in 1e-3f64..1e6, max_ticks in 2usize..8) {
+        let scale = Scale::linear((lo, lo + width)).widened(max_ticks);
         let (from, to) = scale.ends();
         prop_assert!(from <= lo + width * 1e-6 && to >= lo + width * (1.0 - 1e-6));
-        let ticks = scale.ticks(most);
-        prop_assert!((2..=most + 3).contains(&ticks.len()), "{ticks:?}");
+        let ticks = scale.ticks(max_ticks);
+        prop_assert!((2..=max_ticks + 3).contains(&ticks.len()), "{ticks:?}");
         prop_assert!(ticks[0].at.abs() < 1e-6 && (ticks[ticks.len() - 1].at - 1.0).abs() < 1e-6, "{ticks:?}");
     }
 }

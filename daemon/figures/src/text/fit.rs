@@ -2,7 +2,7 @@
 
 use super::width;
 
-/// Returns the text, or its beginning and its end around `…` if it is wider than the room: names often differ at their end.
+/// Returns the text. If it is wider than `room`, its middle is replaced by `…`, because names often differ at their end.
 pub fn shorten(text: &str, size: f64, room: f64) -> String {
     if width(text, size) <= room {
         return text.to_owned();
@@ -18,23 +18,23 @@ pub fn shorten(text: &str, size: f64, room: f64) -> String {
     fits.unwrap_or_else(|| "…".to_owned())
 }
 
-/// Shortens names that are side by side. Names that would look alike lose the text that they share at their ends instead: `…_s_…` and
-/// `…_m_…`.
-pub fn shorten_apart(names: &[&str], size: f64, room: f64) -> Vec<String> {
+/// Shortens names that are side by side, so that different names remain different. Names that would look alike lose the text that they
+/// share at their ends instead of their middle: `…_s_…` and `…_m_…`.
+pub fn shorten_distinctly(names: &[&str], size: f64, room: f64) -> Vec<String> {
     let short: Vec<String> = names.iter().map(|name| shorten(name, size, room)).collect();
     let alike = |at: usize| -> Vec<&str> {
         let others =
             names.iter().zip(&short).filter(|(name, text)| **text == short[at] && **name != names[at]);
         others.map(|(name, _)| *name).collect()
     };
-    let apart = |(at, text): (usize, &String)| {
+    let distinct = |(at, text): (usize, &String)| {
         let others = alike(at);
         if others.is_empty() { text.clone() } else { shorten(&difference(names[at], &others), size, room) }
     };
-    short.iter().enumerate().map(apart).collect()
+    short.iter().enumerate().map(distinct).collect()
 }
 
-/// Returns the parts of a name that not all of the others have, with `…` for the parts that they have.
+/// Returns the part of a name in which it differs from the others. The common beginning and end become `…`.
 fn difference(name: &str, others: &[&str]) -> String {
     fn shared(a: impl Iterator<Item = char>, b: impl Iterator<Item = char>) -> usize {
         a.zip(b).take_while(|(a, b)| a == b).count()
@@ -68,14 +68,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_are_shortened_stay_apart() {
+    fn shortened_names_remain_distinct() {
         let long = ["s", "m", "xl"].map(|size| format!("efficientnet_v2_{size}_with_a_long_suffix_int8"));
         let mut names: Vec<&str> = long.iter().map(String::as_str).collect();
         names.extend(["resnet", "resnet"]);
-        assert_eq!(shorten_apart(&names, 50.0, 250.0), ["…s…", "…m…", "…xl…", "resnet", "resnet"]);
-        assert_eq!(shorten_apart(&names, 50.0, 5000.0), names);
+        assert_eq!(shorten_distinctly(&names, 50.0, 250.0), ["…s…", "…m…", "…xl…", "resnet", "resnet"]);
+        assert_eq!(shorten_distinctly(&names, 50.0, 5000.0), names);
         let nested = ["a model with a long name", "a model with a long name, a model with a long name"];
-        let [one, other] = [0, 1].map(|at| shorten_apart(&nested, 50.0, 300.0)[at].clone());
+        let [one, other] = [0, 1].map(|at| shorten_distinctly(&nested, 50.0, 300.0)[at].clone());
         assert!(
             one != other && [&one, &other].iter().all(|text| width(text, 50.0) <= 300.0),
             "{one} {other}"

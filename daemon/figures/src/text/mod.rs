@@ -4,6 +4,6 @@ mod fit;
 mod font;
 mod panel;
 
-pub use fit::{shorten, shorten_apart, wrap};
+pub use fit::{shorten, shorten_distinctly, wrap};
 pub use font::{FAMILY, FONT, missing_glyph, width};
 pub use panel::{WIDTH_STEPS, rem, width_step};

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_cli::exit::{Exit, Failure};
-use peernet_cli::output::{complain, say};
+use peernet_cli::output::{print_to_stderr, print_to_stdout};
 use peernet_statistics::number::bytes;
 use peernet_store::maintenance::{Backup, BackupError, FinishedCopy};
 use tokio::signal::unix::{SignalKind, signal};
@@ -28,11 +28,15 @@ pub(crate) fn backup(database: Database, target: &Path) -> Exit {
     });
     match made {
         Ok(copied) => {
-            say(format_args!("{} ({})", copied.path.display(), bytes(copied.bytes as f64).plain()));
+            print_to_stdout(format_args!(
+                "{} ({})",
+                copied.path.display(),
+                bytes(copied.bytes as f64).plain()
+            ));
             Exit::Ok
         }
         Err(failure) => {
-            complain(&failure);
+            print_to_stderr(&failure);
             failure.exit
         }
     }

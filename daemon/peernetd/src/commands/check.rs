@@ -6,7 +6,7 @@ use peernet_agent::Agent;
 
 use crate::configuration::load;
 use peernet_cli::exit::Exit;
-use peernet_cli::output::{complain, say};
+use peernet_cli::output::{print_to_stderr, print_to_stdout};
 
 /// Checks each file and reports every problem.
 pub(crate) fn check(files: &[PathBuf]) -> Exit {
@@ -14,17 +14,17 @@ pub(crate) fn check(files: &[PathBuf]) -> Exit {
     for file in files {
         match load(file) {
             Ok(configuration) => {
-                say(format_args!("{}: ok", file.display()));
+                print_to_stdout(format_args!("{}: ok", file.display()));
                 for line in &configuration.deprecated {
-                    say(format_args!("deprecated: {line}"));
+                    print_to_stdout(format_args!("deprecated: {line}"));
                 }
                 for remark in configuration.agent.iter().flat_map(Agent::remarks) {
-                    say(format_args!("{}: note: {remark}", file.display()));
+                    print_to_stdout(format_args!("{}: note: {remark}", file.display()));
                 }
             }
             Err(problems) => {
                 for problem in problems {
-                    complain(problem);
+                    print_to_stderr(problem);
                 }
                 exit = Exit::Configuration;
             }

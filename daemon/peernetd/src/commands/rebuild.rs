@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_cli::exit::{Exit, Failure};
-use peernet_cli::output::{complain, say};
+use peernet_cli::output::{print_to_stderr, print_to_stdout};
 use peernet_statistics::number::fixed;
 use peernet_store::OpenError;
 use peernet_store::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
@@ -33,13 +33,13 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
     bar.finish_and_clear();
     match rebuilt {
         Ok(rebuilt) => {
-            say(format_args!(
+            print_to_stdout(format_args!(
                 "rebuilt the roll-ups of {} runs from {} iterations",
                 fixed(rebuilt.runs as f64, 0),
                 fixed(rebuilt.iterations as f64, 0)
             ));
             if rebuilt.in_part > 0 {
-                say(format_args!(
+                print_to_stdout(format_args!(
                     "{} of them in part: the roll-ups of intervals whose nodes were deleted are unchanged",
                     fixed(rebuilt.in_part as f64, 0)
                 ));
@@ -47,7 +47,7 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
             Exit::Ok
         }
         Err(failure) => {
-            complain(&failure);
+            print_to_stderr(&failure);
             failure.exit
         }
     }

@@ -15,7 +15,7 @@ use crate::lifecycle::Lifecycle;
 use crate::log;
 use peernet_cli::VERSION;
 use peernet_cli::exit::{Exit, Failure, error_line};
-use peernet_cli::output::complain;
+use peernet_cli::output::print_to_stderr;
 
 /// Time that blocking threads have to end after all tasks have ended.
 const BLOCKING_THREADS_TIMEOUT: Duration = Duration::from_secs(1);
@@ -27,14 +27,14 @@ pub(crate) fn run(file: &Path) -> Exit {
         Ok(configuration) => configuration,
         Err(problems) => {
             for problem in problems {
-                complain(problem);
+                print_to_stderr(problem);
             }
             return Exit::Configuration;
         }
     };
     drop(temporary);
     if let Err(error) = log::install(&configuration.log) {
-        complain(format_args!("{}: {}", file.display(), error_line(&error)));
+        print_to_stderr(format_args!("{}: {}", file.display(), error_line(&error)));
         return Exit::Configuration;
     }
     info!("peernetd {VERSION} with {}", file.display());

@@ -1,7 +1,7 @@
 //! The command `peernetd clear-host-secret`.
 
 use peernet_cli::exit::{Exit, Failure};
-use peernet_cli::output::{complain, say};
+use peernet_cli::output::{print_to_stderr, print_to_stdout};
 use peernet_store::maintenance::{ClearSecretError, clear_host_secret};
 
 use super::Database;
@@ -18,21 +18,21 @@ pub(crate) fn clear_secret(database: Database, host: &str) -> Exit {
     });
     match cleared {
         Ok(cleared) if cleared.existed => {
-            say(format_args!(
+            print_to_stdout(format_args!(
                 "deleted the secret of {} ({}); the next agent with this host id is accepted",
                 cleared.name, cleared.host
             ));
             Exit::Ok
         }
         Ok(cleared) => {
-            say(format_args!(
+            print_to_stdout(format_args!(
                 "{} ({}) has no secret; the next agent with this host id is accepted",
                 cleared.name, cleared.host
             ));
             Exit::Ok
         }
         Err(failure) => {
-            complain(&failure);
+            print_to_stderr(&failure);
             failure.exit
         }
     }

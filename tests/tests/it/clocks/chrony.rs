@@ -110,9 +110,9 @@ fn right_daemons_agree_with_exchanges() {
     check_correct_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
 }
 
-/// The daemons' server is not behind the wire, so that they can measure its asymmetry.
+/// The daemons' server is not behind the wire, so that the daemons can measure the wire's asymmetry.
 #[test]
-fn right_daemons_narrow_delay_bounds() {
+fn correct_claims_of_daemons_bound_delays_on_asymmetric_path() {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(40), way(5));
     check_correct_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");

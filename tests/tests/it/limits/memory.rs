@@ -9,7 +9,7 @@ use super::{Peer, peak_memory};
 const MOST_BYTES: u64 = 200_000_000;
 
 #[test]
-fn unfinished_samples_without_session_take_no_memory() {
+fn unfinished_samples_without_session_take_bounded_memory() {
     let deployment = LoopbackDeployment::new();
     let tables =
         "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
@@ -30,7 +30,7 @@ fn unfinished_samples_without_session_take_no_memory() {
 }
 
 #[test]
-fn unfinished_batches_without_hello_take_no_memory() {
+fn unfinished_batches_without_hello_take_bounded_memory() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.start_aggregator();
     let before = peak_memory(&aggregator);

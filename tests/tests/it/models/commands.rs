@@ -60,7 +60,7 @@ fn model_check_uses_its_pictures_or_zeros() {
 }
 
 #[test]
-fn a_model_is_measured_stage_by_stage() {
+fn bench_prints_each_stage_of_a_model() {
     let measured = json(&models(&[
         "bench",
         "quality-control",
@@ -84,7 +84,11 @@ fn a_model_is_measured_stage_by_stage() {
 #[test]
 fn impossible_model_commands_fail_with_exit_code() {
     for (arguments, code, told) in [
-        (&["show", "efficientnet_v2_xl"] as &[&str], 66, "the folders contain efficientnet_v2_s, quality-control"),
+        (
+            &["show", "efficientnet_v2_xl"] as &[&str],
+            66,
+            "the folders contain efficientnet_v2_s, quality-control",
+        ),
         (&["list", "--models-dir", "/nowhere"], 66, "there is no folder /nowhere"),
         (&["check", "quality-control", "--device", "gpu"], 64, "is not a device"),
         (&["check", "quality-control", "--device", "cuda:0"], 69, "CUDAExecutionProvider"),

@@ -50,7 +50,7 @@ fn describe_topics(document: &mut utoipa::openapi::OpenApi) {
     let (first, others) = forms.split_at(1);
     let text = format!(
         "Topics, separated by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard {},\n{}.\n\
-         `picture` unless given; at most {MAX_TOPICS} different ones, each sent once however often it is named.",
+         By default `picture`. At most {MAX_TOPICS} different topics; a topic that is named several times is sent once.",
         first.concat(),
         others.join(", ")
     );
@@ -90,8 +90,9 @@ const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(2);
 struct Query {
     // `describe_topics` describes this parameter, because the pages define the topics.
     topics: Option<String>,
-    /// Id of the last event of an earlier stream, as the header `Last-Event-ID`, which an `EventSource` cannot set: the first `picture`
-    /// then holds the seconds since, at most 600. All other parts are sent as they are now.
+    /// Id of the last event of an earlier stream, like the header `Last-Event-ID`, which a script cannot set on a new `EventSource`.
+    /// The first `picture` then holds the seconds since that event and five more, at most 600, and only five if there are too many
+    /// pipelines. All other parts are sent as they are now.
     #[param(pattern = "^-?[0-9]+$")]
     last_event_id: Option<String>,
 }
@@ -99,20 +100,22 @@ struct Query {
 /// Subject of the events that a listener receives.
 #[derive(Clone, Debug, PartialEq)]
 enum Topic {
-    Picture,
+    /// Live state of all pipelines and hosts as JSON. Its public name is `picture`.
+    LiveState,
+    /// Parts of a page as HTML.
     Page(PageTopic),
 }
 
 impl Topic {
-    /// Name of the topic of the live state.
-    const PICTURE: &str = "picture";
+    /// Public name of the topic of the live state, and of its events.
+    const LIVE_STATE: &str = "picture";
 
     fn parse(text: &str) -> Result<Self, WebError> {
-        if text == Self::PICTURE {
-            return Ok(Self::Picture);
+        if text == Self::LIVE_STATE {
+            return Ok(Self::LiveState);
         }
         pages::topic(text).map(Self::Page).ok_or_else(|| {
-            let known: Vec<&str> = [Self::PICTURE].into_iter().chain(pages::topic_forms()).collect();
+            let known: Vec<&str> = [Self::LIVE_STATE].into_iter().chain(pages::topic_forms()).collect();
             WebError::BadRequest(format!(
                 "query parameter topics: {text:?} is not a topic; use one of {}",
                 known.join(", ")
@@ -122,7 +125,7 @@ impl Topic {
 }
 
 /// Live figures as server-sent events: `status` always, `picture` and `page` by topic. At most four of each are sent per second, and
-/// fewer if they exceed 512 KiB per second. A slow listener receives the newest events and misses those in between. One address may
+/// fewer if they exceed 512 KiB per second. A slow listener receives the newest events and misses earlier events. One address may
 /// have at most 32 open streams, and all addresses together a quarter of the server's connections; a further stream is answered with 503.
 #[utoipa::path(get, path = "/api/v1/live", operation_id = "streamLive", tag = "pipelines", params(Query), responses(
     (status = 200, description = "`event: status` (StatusEvent), `event: picture` (PictureEvent), `event: page`, `event: heartbeat`", body = String, content_type = "text/event-stream"),
@@ -137,7 +140,7 @@ async fn stream(
     let header = headers.get("last-event-id").and_then(|id| id.to_str().ok());
     let received_until =
         query.last_event_id.as_deref().or(header).filter(|id| !id.is_empty()).map(event_time).transpose()?;
-    let topics = parse_topics(query.topics.as_deref().unwrap_or("picture"))?;
+    let topics = parse_topics(query.topics.as_deref().unwrap_or(Topic::LIVE_STATE))?;
     // Without a socket, as in unit tests, no slots are shared.
     let slot = match streams {
         Some(Extension(streams)) => Some(streams.acquire().await?),
@@ -153,14 +156,14 @@ async fn stream(
 /// Returns the time of the snapshot that an event was made of. The time is the event's id.
 fn event_time(id: &str) -> Result<WallTime, WebError> {
     id.parse().map(WallTime::from_unix_nanos).map_err(|_| {
-        WebError::BadRequest(format!("query parameter last_event_id: {id:?} is not the id of an event"))
+        WebError::BadRequest(format!("Last-Event-ID or last_event_id: {id:?} is not the id of an event"))
     })
 }
 
 /// Returns the number of latest seconds of each pipeline to send to a listener that has received everything up to `received_until`.
 fn missed_seconds(received_until: WallTime, snapshot: &LiveState) -> usize {
     let missed = (snapshot.at - received_until).seconds().ceil();
-    // An id from the future comes from another clock: all seconds are sent.
+    // An id from the future was made by another clock, so nothing is known about the missed time.
     let missed = if (0.0..MAX_HISTORY_SECONDS as f64).contains(&missed) {
         missed as usize
     } else {
@@ -184,7 +187,7 @@ fn parse_topics(text: &str) -> Result<Vec<Topic>, WebError> {
         }
         if topics.len() == MAX_TOPICS {
             return Err(WebError::BadRequest(format!(
-                "query parameter topics: give at most {MAX_TOPICS} different ones"
+                "query parameter topics: give at most {MAX_TOPICS} different topics"
             )));
         }
         topics.push(topic);
@@ -198,9 +201,9 @@ struct Listener {
     live_states: watch::Receiver<Arc<LiveState>>,
     ready: watch::Receiver<Readiness>,
     next: Instant,
-    /// Time up to which the listener has received all events, before the first event.
+    /// Time up to which the listener received an earlier stream; `None` after the first events.
     received_until: Option<WallTime>,
-    /// Version last sent, by index of the topic and part of its page.
+    /// Hash of the HTML last sent, by index of the topic and part of its page.
     sent: HashMap<(usize, &'static str), u64>,
     /// Slot of the stream; released when the stream ends.
     _slot: Option<Slot>,
@@ -257,7 +260,7 @@ impl Listener {
         let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(snapshot, &readiness)))];
         for (index, topic) in self.topics.iter().enumerate() {
             let Topic::Page(page) = topic else {
-                texts.push(("picture", serde_json::to_string(&PictureEvent::new(snapshot, seconds))));
+                texts.push((Topic::LIVE_STATE, serde_json::to_string(&PictureEvent::new(snapshot, seconds))));
                 continue;
             };
             match page.update(&self.app, snapshot).await {
@@ -287,7 +290,7 @@ impl Listener {
         let bytes = texts.iter().map(|(_, text)| text.len()).sum();
         let mut events: Vec<Event> =
             texts.into_iter().map(|(name, text)| Event::default().event(name).data(text)).collect();
-        // The id stands on the last event only: a listener that has received it has received all of them.
+        // Only the last event has the id. A listener that has received it has received all events of this snapshot.
         if let Some(last) = events.pop() {
             events.push(last.id(snapshot.at.unix_nanos().to_string()));
         }
@@ -310,24 +313,24 @@ mod tests {
 
     #[test]
     fn reconnected_listener_gets_missed_seconds() {
-        let lines = |count: usize| {
-            let line = |at| samples::pipeline(&format!("line-{at}"), 30.0, 1.0, Verdict::Ok, &[]);
-            samples::snapshot(vec![samples::host("cam-1", "Orin")], (0..count).map(line).collect())
+        let pipelines = |count: usize| {
+            let pipeline = |at| samples::pipeline(&format!("line-{at}"), 30.0, 1.0, Verdict::Ok, &[]);
+            samples::snapshot(vec![samples::host("cam-1", "Orin")], (0..count).map(pipeline).collect())
         };
-        let snapshot = lines(4);
+        let snapshot = pipelines(4);
         let ago = |seconds| missed_seconds(snapshot.at - Span::from_seconds(seconds), &snapshot);
         assert_eq!([ago(0), ago(30), ago(590), ago(3_600)], [5, 35, 595, 600]);
         assert_eq!(ago(-60), 600, "an id of another clock");
-        let crowd = lines(200);
-        assert_eq!(missed_seconds(crowd.at - Span::from_seconds(30), &crowd), 35);
-        assert_eq!(missed_seconds(crowd.at - Span::from_seconds(60), &crowd), 5, "more than is sent at once");
+        let many = pipelines(200);
+        assert_eq!(missed_seconds(many.at - Span::from_seconds(30), &many), 35);
+        assert_eq!(missed_seconds(many.at - Span::from_seconds(60), &many), 5, "more than is sent at once");
     }
 
     #[test]
     fn repeated_topic_is_sent_once() {
         let often = ["picture", "overview"].repeat(5_000).join(",");
         let overview = pages::topic("overview").map(Topic::Page).expect("a page's topic");
-        assert_eq!(parse_topics(&often).expect("known"), [Topic::Picture, overview]);
+        assert_eq!(parse_topics(&often).expect("known"), [Topic::LiveState, overview]);
         assert_eq!(parse_topics("").expect("none"), []);
         let hosts: Vec<String> = (0..=MAX_TOPICS).map(|index| format!("host/{index}")).collect();
         assert!(parse_topics(&hosts[1..].join(",")).is_ok());

@@ -302,7 +302,7 @@ async fn many_runs_show_one_distribution_per_configuration() {
 }
 
 #[tokio::test]
-async fn a_delay_that_the_clocks_hardly_tell_is_drawn_as_an_interval() {
+async fn delay_with_wide_interval_is_drawn_as_band() {
     let of = |at: usize, half: f64, verdict| {
         let mut one = configuration(at, Remote, 1.0, 1e3);
         let mut widths = Summary::default();

@@ -21,7 +21,7 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<String> {
         .map(|(number, state)| format!("#{number} ({state})"))
         .collect();
     let unfinished = (!unfinished.is_empty()).then(|| {
-        format!("Named, and so compared, though not measured to the end: {}.", unfinished.join(", "))
+        format!("Not measured to the end, but compared because you selected them: {}.", unfinished.join(", "))
     });
     let skipped = skipped_starts(configurations.iter().map(|one| (one.name.clone(), one.starts())));
     let unanswered = configurations.iter().filter_map(|one| {
@@ -114,7 +114,8 @@ mod tests {
         let mut one = configuration(0, Local, 1.0, 1e3);
         one.runs[0].reason = None;
         let said = caveats(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
-        let text = "Named, and so compared, though not measured to the end: #1 (in progress or killed).";
+        let text =
+            "Not measured to the end, but compared because you selected them: #1 (in progress or killed).";
         assert_eq!(said, [text]);
     }
 

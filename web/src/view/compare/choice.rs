@@ -8,33 +8,33 @@ use super::{Comparison, Configuration};
 /// Maximum number of runs that are drawn next to each other.
 const MAX_DRAWN_RUNS: usize = 24;
 
-/// Maximum number of runs that a sentence names.
+/// Maximum number of runs in the list of a sentence.
 const MAX_NAMED_RUNS: usize = 8;
 
 /// A run with its configuration and its data to draw.
 pub(super) type Chosen<'a, T> = (&'a Configuration, &'a RunSummary, T);
 
-/// Returns the first run of each configuration with data, then the second, as far as there is room, in the order of
-/// configurations; and the number of all runs, where not all are drawn.
+/// Chooses runs that have data: the first of each configuration, then the second of each, and so on, up to the maximum.
+///
+/// Returns them in the order of the configurations. If not all runs with data were chosen, also returns their number.
 pub(super) fn chosen<'a, T>(
     comparison: &'a Comparison,
-    known: impl Fn(&'a RunSummary) -> Option<T>,
+    data_of: impl Fn(&'a RunSummary) -> Option<T>,
 ) -> (Vec<Chosen<'a, T>>, Option<usize>) {
-    let known = &known;
-    let all = comparison.configurations.iter().enumerate().flat_map(|(place, one)| {
-        let measured = one.runs.iter().filter_map(move |run| Some((one, run, known(run)?)));
-        measured.enumerate().map(move |(repeat, run)| (repeat, place, run))
+    let data_of = &data_of;
+    let all = comparison.configurations.iter().enumerate().flat_map(|(index, one)| {
+        let with_data = one.runs.iter().filter_map(move |run| Some((one, run, data_of(run)?)));
+        with_data.enumerate().map(move |(repeat, run)| (repeat, index, run))
     });
     let mut all: Vec<(usize, usize, Chosen<'a, T>)> = all.collect();
-    let measured = all.len();
-    all.sort_by_key(|(repeat, place, _)| (*repeat, *place));
+    let with_data = all.len();
+    all.sort_by_key(|(repeat, index, _)| (*repeat, *index));
     all.truncate(MAX_DRAWN_RUNS);
-    all.sort_by_key(|(repeat, place, _)| (*place, *repeat));
-    (all.into_iter().map(|(.., run)| run).collect(), (measured > MAX_DRAWN_RUNS).then_some(measured))
+    all.sort_by_key(|(repeat, index, _)| (*index, *repeat));
+    (all.into_iter().map(|(.., run)| run).collect(), (with_data > MAX_DRAWN_RUNS).then_some(with_data))
 }
 
-/// Returns a sentence about the runs that have no picture because not one of their iterations was answered; `None` where there are
-/// no such runs.
+/// Returns a sentence about the runs that cannot be drawn because none of their iterations was answered; `None` if there are no such runs.
 pub(super) fn without_answer(comparison: &Comparison) -> Option<String> {
     let runs: Vec<&RunSummary> = comparison.runs().filter(|run| run.counts.ok == 0).collect();
     let named: Vec<String> = runs.iter().take(MAX_NAMED_RUNS).map(|run| format!("#{}", run.number)).collect();

@@ -63,7 +63,7 @@ impl StageDifference {
 }
 
 impl Differences {
-    /// Compares all configurations with the one at index `baseline`.
+    /// Compares all configurations with the configuration at index `baseline`.
     pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> Self {
         let names = compared_stages();
         let all = &comparison.configurations;
@@ -96,8 +96,8 @@ impl Differences {
     }
 
     /// Returns the difference of the mean total of a configuration to the baseline.
-    pub(crate) fn total(&self, place: usize) -> Option<&StageDifference> {
-        let (_, stages) = self.others.iter().find(|(other, _)| *other == place)?;
+    pub(crate) fn total(&self, index: usize) -> Option<&StageDifference> {
+        let (_, stages) = self.others.iter().find(|(other, _)| *other == index)?;
         stages.iter().find(|stage| stage.name == stage::TOTAL)
     }
 }

@@ -16,16 +16,17 @@ pub(super) struct DifferingSettings {
     /// Further settings that differ, and declared settings of an experiment that are equal for all runs. Each has a value per run.
     pub(super) settings: Vec<Column>,
     /// Names of further settings that differ but are too long for a table, such as hashes, paths and lists.
-    pub(super) also: Vec<String>,
+    pub(super) long_settings: Vec<String>,
 }
 
 impl DifferingSettings {
     /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
-        let place = |run: &RunDetail| {
-            run.summary.experiment.as_ref().map_or_else(Vec::new, |place| place.configuration.clone())
+        let declared_values = |run: &RunDetail| {
+            let experiment = run.summary.experiment.as_ref();
+            experiment.map_or_else(Vec::new, |experiment| experiment.configuration.clone())
         };
-        let all = collect_columns(runs, place);
+        let all = collect_columns(runs, declared_values);
         // A single configuration has no differences; it is identified by its declared values.
         let has_several = all.iter().any(Column::differs);
         let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
@@ -39,13 +40,14 @@ impl DifferingSettings {
     }
 
     fn from_columns(runs: usize, ChosenColumns { columns, rest }: ChosenColumns) -> Self {
-        let (also, settings): (Vec<Column>, Vec<Column>) = rest.into_iter().partition(Column::is_opaque);
+        let (long_settings, settings): (Vec<Column>, Vec<Column>) =
+            rest.into_iter().partition(Column::is_opaque);
         let row = |run: usize| columns.iter().map(|column| column.labels[run].clone()).collect();
         Self {
             values: (0..runs).map(row).collect(),
             axes: columns.iter().map(|column| column.axis.clone()).collect(),
             settings,
-            also: also.into_iter().map(|column| column.axis).collect(),
+            long_settings: long_settings.into_iter().map(|column| column.axis).collect(),
         }
     }
 }
@@ -107,7 +109,7 @@ mod tests {
         let found = DifferingSettings::of_runs(&[of(0, "closed", &long), of(1, "20 Hz", "none")]);
         assert_eq!(found.axes, ["Load"]);
         assert_eq!(found.values, [["closed"], ["20 Hz"]]);
-        assert_eq!(found.also, ["Model files", "Model libraries"]);
+        assert_eq!(found.long_settings, ["Model files", "Model libraries"]);
     }
 
     #[test]

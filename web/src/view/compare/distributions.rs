@@ -110,7 +110,7 @@ impl Quantity {
         let axis = BinnedAxis::around(samples, Unit::symbol(&symbol, per_si))?;
         let look = look::stage(name.trim_end_matches("-throughput"));
         let runs = drawn.iter().filter_map(|(one, run, samples)| {
-            let median = Median::of(comparison.kept.get(&run.number)?, name, unit)?;
+            let median = Median::of(comparison.statistics_by_run.get(&run.number)?, name, unit)?;
             let beyond = match axis.beyond(samples) {
                 0 => String::new(),
                 beyond => format!(", {}\u{a0}beyond\u{a0}→", count(beyond)),
@@ -147,7 +147,8 @@ impl Quantity {
     fn untold(&self, comparison: &Comparison) -> Option<String> {
         let (_, delay) = CROSSING.iter().find(|(known, _)| *known == self.name)?;
         let runs = comparison.runs().filter(|run| {
-            let judged = comparison.kept.get(&run.number).is_some_and(|kept| kept.bound(delay).is_some());
+            let statistics = comparison.statistics_by_run.get(&run.number);
+            let judged = statistics.is_some_and(|statistics| statistics.bound(delay).is_some());
             judged && comparison.known(run.number, &self.name).is_none()
         });
         let runs = runs.count();

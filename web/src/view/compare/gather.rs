@@ -32,7 +32,7 @@ impl CompareSelection {
     ///
     /// # Errors
     /// Returns an error when a number is invalid, there are too many numbers, or both parameters are given. Any other parameter is an error,
-    /// too, whose text lists `parameters`, the valid ones.
+    /// too; its text lists `parameters`, the valid parameters.
     pub(crate) fn parse(pairs: &[(String, String)], parameters: &str) -> Result<Option<Self>, WebError> {
         let bad = |text: String| Err(WebError::BadRequest(format!("query parameter {text}")));
         let (mut runs, mut experiment) = (Vec::<i64>::new(), None);
@@ -69,7 +69,7 @@ impl CompareSelection {
 ///
 /// The sketches of all runs are in memory at the same time. A sketch takes eight bytes for each 2 % between the smallest and the largest
 /// value, which is 3 kB if they differ by a factor of a thousand. The maximum number of runs with 30 names each takes 17 MB, and the
-/// configurations at most as much again. The limit of a single sketch bounds this to ten times the size.
+/// configurations at most as much again. A sketch has a maximum size, so the worst case is ten times these 17 MB.
 ///
 /// # Errors
 /// Returns an error when a run or the experiment is not stored, or the store cannot be read.
@@ -77,7 +77,7 @@ pub(crate) async fn load_comparison(
     store: &Store,
     selection: &CompareSelection,
 ) -> Result<Comparison, WebError> {
-    let (experiment, details, left_out, cut) = match selection {
+    let (experiment, details, left_out, is_truncated) = match selection {
         CompareSelection::Runs(numbers) => {
             let mut details = Vec::with_capacity(numbers.len());
             for number in numbers {
@@ -88,7 +88,7 @@ pub(crate) async fn load_comparison(
         }
         CompareSelection::Experiment(id) => {
             let mut runs = store.runs_of_experiment(id, MAX_EXPERIMENT_RUNS + 1).await?;
-            let cut = runs.len() > MAX_EXPERIMENT_RUNS as usize;
+            let is_truncated = runs.len() > MAX_EXPERIMENT_RUNS as usize;
             runs.truncate(MAX_EXPERIMENT_RUNS as usize);
             let first = runs.first().and_then(|run| run.experiment.clone());
             let Some(first) = first else {
@@ -97,20 +97,20 @@ pub(crate) async fn load_comparison(
                 )));
             };
             let (runs, left_out) = select_runs(runs);
-            // The summary of an experiment's run has all that is needed, so the details need no query.
+            // The summary of an experiment's run has all details but the facts of the model, which are queried below.
             let details = runs.into_iter().map(RunDetail::from).collect();
-            (Some((first.name, first.id)), details, left_out, cut)
+            (Some((first.name, first.id)), details, left_out, is_truncated)
         }
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
     let computing = ComputingPlacements::load(store, &details).await?;
-    let DifferingSettings { axes, values, settings, also } = if experiment.is_some() {
+    let DifferingSettings { axes, values, settings, long_settings } = if experiment.is_some() {
         DifferingSettings::of_experiment(&details)
     } else {
         DifferingSettings::of_runs(&details)
     };
-    let kept: HashMap<i64, Arc<MergeableStatistics>> =
+    let statistics_by_run: HashMap<i64, Arc<MergeableStatistics>> =
         numbers.iter().zip(&statistics).map(|(run, known)| (*run, Arc::clone(&known.kept))).collect();
     let mut groups: Vec<Group> = Vec::new();
     for (at, ((detail, statistics), values)) in details.into_iter().zip(statistics).zip(values).enumerate() {
@@ -149,10 +149,19 @@ pub(crate) async fn load_comparison(
         Configuration { name, values: group.values, runs: group.runs, stages, bounds, kept, computes }
     });
     let configurations = configurations.collect();
-    Ok(Comparison { experiment, axes, settings, also, configurations, kept, left_out, cut })
+    Ok(Comparison {
+        experiment,
+        axes,
+        settings,
+        long_settings,
+        configurations,
+        statistics_by_run,
+        left_out,
+        is_truncated,
+    })
 }
 
-/// Splits the runs of an experiment into those that are compared, in their order, and the excluded ones.
+/// Splits the runs of an experiment into compared runs, in their order, and excluded runs.
 fn select_runs(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<ExcludedRun>) {
     let excluded = exclusions(&runs.iter().map(Candidate::from).collect::<Vec<_>>());
     let name = |at: usize| format!("#{}", runs[at].number);

@@ -58,15 +58,15 @@ pub(crate) struct Comparison {
     /// Further settings in which configurations differ, and settings that an experiment declares equally for all.
     pub settings: Vec<Setting>,
     /// Names of further settings that differ but are too long for a table, such as hashes, paths and lists.
-    pub also: Vec<String>,
+    pub long_settings: Vec<String>,
     /// Configurations: an experiment's by their labels, axis by axis; runs as requested.
     pub configurations: Vec<Configuration>,
     /// All stored statistics of each run, by its number.
-    pub kept: HashMap<i64, Arc<MergeableStatistics>>,
+    pub statistics_by_run: HashMap<i64, Arc<MergeableStatistics>>,
     /// Excluded runs of the experiment, oldest first.
     pub left_out: Vec<ExcludedRun>,
     /// `true` if the experiment has more runs than are compared.
-    pub cut: bool,
+    pub is_truncated: bool,
 }
 
 /// An excluded run.
@@ -130,12 +130,12 @@ impl Configuration {
         })
     }
 
-    /// Returns the number of iterations that missed their deadline; `None` where no run has one.
+    /// Returns the number of iterations that missed their deadline; `None` if no run has one.
     pub(crate) fn misses(&self) -> Option<Misses> {
         Misses::sum(self.runs.iter().filter_map(|run| run.misses))
     }
 
-    /// Returns the deadline, seconds; `None` where no run has one, or several have different ones.
+    /// Returns the deadline, seconds; `None` if no run has one, or several have different ones.
     pub(crate) fn deadline_s(&self) -> Option<f64> {
         let mut deadlines = self.runs.iter().map(|run| run.deadline_s);
         let first = deadlines.next()??;
@@ -170,7 +170,7 @@ impl Comparison {
 
     /// Returns the values of a node in one run, by its number.
     pub(crate) fn known(&self, run: i64, name: &str) -> Option<&Summary> {
-        self.kept.get(&run)?.known(name)
+        self.statistics_by_run.get(&run)?.known(name)
     }
 
     /// Returns all runs, configuration by configuration.

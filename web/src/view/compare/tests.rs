@@ -7,7 +7,7 @@ use super::series::{RunCourse, RunCourses};
 use super::*;
 use crate::tests::samples::{self, HOSTILE};
 
-/// Returns a run with figures `scale` times the usual ones.
+/// Returns a run with figures `scale` times the usual values.
 pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
     RunSummary {
         number,
@@ -69,9 +69,18 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let kept = |one: &Configuration| {
         one.runs.iter().map(|run| (run.number, Arc::clone(&one.kept))).collect::<Vec<_>>()
     };
-    let kept = configurations.iter().flat_map(kept).collect();
-    let (settings, also, left_out) = (Vec::new(), Vec::new(), Vec::new());
-    Comparison { experiment, axes, settings, also, configurations, kept, left_out, cut: false }
+    let statistics_by_run = configurations.iter().flat_map(kept).collect();
+    let (settings, long_settings, left_out) = (Vec::new(), Vec::new(), Vec::new());
+    Comparison {
+        experiment,
+        axes,
+        settings,
+        long_settings,
+        configurations,
+        statistics_by_run,
+        left_out,
+        is_truncated: false,
+    }
 }
 
 /// Samples with the means that stages have.
@@ -241,7 +250,7 @@ fn baseline_is_named_by_one_of_its_runs() {
 }
 
 #[test]
-fn what_differs_in_more_than_the_size_has_a_line_of_its_own() {
+fn configurations_with_other_differences_have_separate_lines() {
     let of = |at: usize, size: f64, load: &str| {
         let mut one = configuration(at, PlacementKind::Remote, 1.0 + size / 1e6, size);
         one.values = vec![size.to_string(), load.to_owned()];

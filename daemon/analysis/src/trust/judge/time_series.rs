@@ -4,36 +4,41 @@ use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
 use super::{finding, ms, percent, with_advice};
+use crate::trust::time_series::MIN_NOTABLE_CHANGE;
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Finding, TimeSeries, TrustInput};
 
-/// Change of the median between the halves, as a share of the first, that makes one figure for the whole run meaningless.
+/// Change of the median between the halves, as a share of the first, from which a single number for the whole run is meaningless.
 const STRONG_DRIFT: f64 = 0.2;
-/// Relative change that is too small to be visible in a figure.
+/// Relative change below which both medians are printed as the same number.
 const MIN_VISIBLE_CHANGE: f64 = 0.000_5;
 /// Probability above which a trend is attributed to chance.
 const MAX_CHANCE: f64 = 0.05;
 /// Share by which the first iterations may take longer than the rest.
 const MAX_COLD_EXCESS: f64 = 0.1;
-/// Share of the mean that outliers may add.
+/// Share of the mean from which the contribution of outliers is doubtful.
 const MAX_INFLUENCE: f64 = 0.05;
-/// Share of the total that no stage accounts for, and below which it does not matter, seconds.
+/// Share of the total outside of all stages from which the finding is doubtful.
 const MAX_UNATTRIBUTED_SHARE: f64 = 0.05;
+/// Share of the total outside of all stages from which the finding is bad.
 const BAD_UNATTRIBUTED_SHARE: f64 = 0.25;
+/// Time outside of all stages that is negligible whatever its share, seconds.
 const NEGLIGIBLE_SECONDS: f64 = 100e-6;
 /// Minimum number of iterations for a judgement of the series.
 const MIN_ITERATIONS: u64 = 100;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(total) = &input.total else { return Vec::new() };
-    let mut all = vec![judge_stationarity(total, &input.stages), judge_warm_up(total), outliers(total)];
+    let mut all = vec![judge_stationarity(total, &input.stages), judge_warm_up(total), judge_outliers(total)];
     all.extend(input.unattributed.map(|seconds| judge_unattributed(seconds, input, total)));
     all.extend(input.lateness.map(|seconds| judge_lateness(seconds, total)));
     all
 }
 
-/// Returns the reason why a run is too short for a judgement of its series. A run of enough iterations can have too few buckets: those of a
-/// dashboard last a second at least, and after a step of a clock they can be so long that they contain the whole skipped time.
+/// Returns the reason why a run is too short for a judgement of its series.
+///
+/// A run with enough iterations can have too few time buckets. The dashboard's buckets last a second or longer. After the clock was set
+/// forward, a single bucket can contain the whole jump.
 fn too_short_text(total: &TimeSeries, whether: &str) -> String {
     if total.count < MIN_ITERATIONS {
         return format!(
@@ -41,7 +46,7 @@ fn too_short_text(total: &TimeSeries, whether: &str) -> String {
         );
     }
     format!(
-        "It is unknown whether {whether}: its {} lie in too few time buckets. It lasted only seconds, \
+        "It is unknown whether {whether}: the run's {} lie in too few time buckets. The run lasted only seconds, \
          or its clock was set meanwhile.",
         counted(total.count, "iteration")
     )
@@ -51,11 +56,11 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
     let about = "stationarity";
     let known = total.halves.zip(total.change()).zip(chance_of_trend(&total.batches));
     let Some((((first, second), share), chance)) = known else {
-        return finding(about, Grade::Unknown, too_short_text(total, "it drifted"));
+        return finding(about, Grade::Unknown, too_short_text(total, "the run drifted"));
     };
     let size = share.abs();
     let moved = format!(
-        "The median of the second half is {} {} than that of the first ({} and {})",
+        "The median of the second half is {} {} than the median of the first half ({} and {})",
         percent(size),
         if share < 0.0 { "lower" } else { "higher" },
         ms(second),
@@ -70,7 +75,8 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
         p => format!("p\u{202f}=\u{202f}{}", significant(p)),
     };
     if !total.has_notable_change() {
-        return finding(about, Grade::Good, format!("{moved}: it did not drift."));
+        let text = format!("{moved}, less than {}: it did not drift.", percent(MIN_NOTABLE_CHANGE));
+        return finding(about, Grade::Good, text);
     }
     if chance >= MAX_CHANCE {
         return finding(about, Grade::Good, format!("{moved}, which is not more than chance ({odds})."));
@@ -78,7 +84,7 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
     let most = stages.iter().filter_map(|(name, course)| Some((name, course.halves?)));
     let most = most.max_by(|(_, a), (_, b)| (a.1 - a.0).abs().total_cmp(&(b.1 - b.0).abs()));
     let most = most.map_or_else(String::new, |(name, (first, second))| {
-        format!("; most of it in `{name}` ({} to {})", ms(first), ms(second))
+        format!("; `{name}` changed most ({} to {})", ms(first), ms(second))
     });
     let text = format!("{moved}, more than chance ({odds}){most}.");
     let advice = "one figure for the whole run hides this: find out what changed (heat, load, network), or measure longer \
@@ -89,20 +95,22 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
 fn judge_warm_up(total: &TimeSeries) -> Finding {
     let about = "warm-up";
     let Some(begin) = total.beginning.filter(|begin| begin.blocks >= 4) else {
-        return finding(about, Grade::Unknown, too_short_text(total, "its warm-up was long enough"));
+        return finding(about, Grade::Unknown, too_short_text(total, "the warm-up was long enough"));
     };
-    let share = change(begin.rest, begin.median);
+    let share = relative_change(begin.rest, begin.median);
     let compared = format!(
         "The first {} measured iterations took {} in the median, the rest {}",
         begin.count,
         ms(begin.median),
         ms(begin.rest)
     );
-    // Among blocks that are all alike, the first is the highest as often as any other.
+    // If all blocks are alike, each block is the highest with the same probability. `share_as_high` is then the probability that the first
+    // block is so high by chance.
     if share > MAX_COLD_EXCESS && begin.share_as_high < MAX_CHANCE {
         let text = format!(
-            "{compared}: {} more, and more than nearly all later ones of that length.",
-            percent(share)
+            "{compared}: {} more, and more than nearly all later groups of {}.",
+            percent(share),
+            counted(begin.count, "iteration")
         );
         return with_advice(
             finding(about, Grade::Doubtful, text),
@@ -112,9 +120,10 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
     if share > MAX_COLD_EXCESS {
         let alike = (begin.share_as_high * begin.blocks as f64).round();
         let text = format!(
-            "{compared}. Of {} later parts of that length {} took as long or longer, so that this is not more than chance: the \
+            "{compared}. Of {} later groups of {}, {} took as long or longer, so this is not more than chance: the \
              warm-up was long enough.",
             begin.blocks,
+            counted(begin.count, "iteration"),
             fixed(alike, 0)
         );
         return finding(about, Grade::Good, text);
@@ -122,7 +131,7 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
     finding(about, Grade::Good, format!("{compared}: the warm-up was long enough."))
 }
 
-fn outliers(total: &TimeSeries) -> Finding {
+fn judge_outliers(total: &TimeSeries) -> Finding {
     let about = "outliers";
     let seen = &total.outliers;
     if seen.count == 0 {
@@ -134,8 +143,8 @@ fn outliers(total: &TimeSeries) -> Finding {
     }
     let influence = if total.mean > 0.0 { seen.influence / total.mean } else { 0.0 };
     let text = format!(
-        "{} of the iterations took longer than {} (median and 3.5 robust deviations); the slowest took {}, {} times the \
-         median. They contribute {} of the mean.",
+        "{} of the iterations took longer than {} (median plus 3.5 robust standard deviations); the slowest took {}, {} \
+         times the median. They contribute {} of the mean.",
         percent(seen.count as f64 / total.count as f64),
         ms(seen.limit),
         ms(seen.max),
@@ -150,24 +159,31 @@ fn outliers(total: &TimeSeries) -> Finding {
     with_advice(finding(about, Grade::Doubtful, text), advice)
 }
 
-/// Returns the finding about time that nothing accounts for. Lateness and the wait for a model's new process are subtracted: they are
-/// measured, although they are not stages, and have separate findings.
+/// Returns the finding about the time outside of all stages. Lateness and the wait for a restarted process of the model are subtracted:
+/// they are not stages, but they are measured and have separate findings.
 fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries) -> Finding {
     let about = "unattributed";
     let waits = input.restarts.iter().filter(|restarts| restarts.is_unattributed());
     let waited = waits.map(|restarts| restarts.seconds).sum::<f64>() / input.counts.ok.max(1) as f64;
     let seconds = unattributed - input.lateness.unwrap_or_default() - waited;
-    let beside = match (input.lateness.is_some(), waited > 0.0) {
-        (true, true) => ", without late starts and restarts",
-        (true, false) => ", without late starts",
-        (false, true) => ", without restarts",
+    let exclusion = match (input.lateness.is_some(), waited > 0.0) {
+        (true, true) => ", late starts and restarts excluded",
+        (true, false) => ", late starts excluded",
+        (false, true) => ", restarts excluded",
         (false, false) => "",
     };
     let share = if total.mean > 0.0 { seconds.abs() / total.mean } else { 0.0 };
     let text = if seconds < 0.0 {
-        format!("The stages add up to {} more than the total{beside}: some stages overlap.", percent(share))
+        format!(
+            "The stages add up to {} more than the total{exclusion}: some stages overlap.",
+            percent(share)
+        )
     } else {
-        format!("{} of the total belongs to no stage{beside} ({} on average).", percent(share), ms(seconds))
+        format!(
+            "{} of the total belongs to no stage{exclusion} ({} on average).",
+            percent(share),
+            ms(seconds)
+        )
     };
     if share < MAX_UNATTRIBUTED_SHARE || seconds.abs() < NEGLIGIBLE_SECONDS {
         return finding(about, Grade::Good, text);
@@ -177,7 +193,7 @@ fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries)
     with_advice(finding(about, grade, text), advice)
 }
 
-/// Returns the finding about the wait for earlier iterations. This wait belongs to the total and is not a defect.
+/// Returns the finding about lateness, the wait for earlier iterations. It is part of the total and no defect.
 fn judge_lateness(seconds: f64, total: &TimeSeries) -> Finding {
     let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
     let text = format!(
@@ -189,6 +205,6 @@ fn judge_lateness(seconds: f64, total: &TimeSeries) -> Finding {
 }
 
 /// Returns the change from one value to the other, as a share of the first.
-fn change(from: f64, to: f64) -> f64 {
+fn relative_change(from: f64, to: f64) -> f64 {
     if from > 0.0 { to / from - 1.0 } else { 0.0 }
 }

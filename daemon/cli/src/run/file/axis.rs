@@ -73,12 +73,12 @@ pub(in crate::run) struct AxisValue {
 pub(super) enum AxisError {
     #[error("give either field = \"…\" and values = […], or [[axis.value]] with label and set")]
     Form,
-    #[error("name: {0:?} holds a control character, which would break tables")]
+    #[error("name: {0:?} contains a control character, which would break tables")]
     NameControl(String),
     #[error("name: compare.csv has a column {0} of its own; choose another name")]
     NameColumn(String),
     #[error(
-        "the label {0:?} holds a control character, which would break tables; give it another with [[axis.value]]"
+        "the label {0:?} contains a control character, which would break tables; set another label with [[axis.value]]"
     )]
     LabelControl(String),
     #[error(
@@ -93,7 +93,10 @@ pub(super) enum AxisError {
     Field(#[from] FieldError),
     #[error("there is no field {0}: a path begins with {tables}, such as pipeline.placement.model", tables = VARIABLE_TABLES.join(", "))]
     UnknownTable(String),
-    #[error("{0} is the same for all runs; of [experiment] only {own} may differ", own = VARIABLE_KEYS.join(", "))]
+    #[error(
+        "{0} cannot be the field of an axis, because it applies to all runs; of [experiment] only {keys} can",
+        keys = VARIABLE_KEYS.join(", ")
+    )]
     SameForAll(String),
 }
 
@@ -105,8 +108,8 @@ impl Axis {
     pub(super) fn read(table: AxisTable) -> Result<Self, AxisError> {
         let AxisTable { name, field, values, value } = table;
         let values: Vec<AxisValue> = match (field, values.is_empty(), value.is_empty()) {
-            (Some(field), false, true) => short(&field, values)?,
-            (None, true, false) => value.into_iter().map(long).collect::<Result<_, _>>()?,
+            (Some(field), false, true) => read_short_form(&field, values)?,
+            (None, true, false) => value.into_iter().map(read_long_form).collect::<Result<_, _>>()?,
             _ => return Err(AxisError::Form),
         };
         if name.contains(char::is_control) {
@@ -141,16 +144,16 @@ impl Axis {
     }
 
     /// Returns its labels for messages.
-    pub(super) fn listed(&self) -> String {
+    pub(super) fn list_labels(&self) -> String {
         self.values.iter().map(|value| value.label.as_str()).collect::<Vec<_>>().join(", ")
     }
 }
 
 /// Reads `field` and `values`: one field, with the values as labels.
-fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
+fn read_short_form(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
     // The arguments of a program may be secret, and labels are sent to aggregators.
     let is_command = field.ends_with(".command");
-    let field = reach(field)?;
+    let field = variable_field(field)?;
     let value = |value: Value| {
         let label = match value.clone().try_into::<CommandLine>() {
             Ok(command) if is_command => Some(command.to_string()),
@@ -163,14 +166,14 @@ fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
 }
 
 /// Reads `[[axis.value]]`: any number of fields.
-fn long(value: ValueTable) -> Result<AxisValue, AxisError> {
+fn read_long_form(value: ValueTable) -> Result<AxisValue, AxisError> {
     let label = label(&value.label).ok_or(AxisError::LabelType)?;
-    let sets = value.set.into_iter().map(|(field, value)| Ok((reach(&field)?, value)));
+    let sets = value.set.into_iter().map(|(field, value)| Ok((variable_field(&field)?, value)));
     Ok(AxisValue { label, sets: sets.collect::<Result<_, AxisError>>()? })
 }
 
 /// Reads a field that an axis may change.
-fn reach(text: &str) -> Result<Field, AxisError> {
+fn variable_field(text: &str) -> Result<Field, AxisError> {
     let field = Field::read(text)?;
     if !VARIABLE_TABLES.contains(&field.table()) {
         return Err(AxisError::UnknownTable(text.to_owned()));
@@ -219,15 +222,18 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told() {
+    fn invalid_axes_are_refused_with_the_reason() {
         for (text, message) in [
             ("name = 'a'", "either field"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1]\n[[value]]\nlabel = 'b'", "either field"),
             ("name = 'a'\nfield = 'pipelin.x'\nvalues = [1]", "there is no field pipelin.x"),
-            ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "the same for all runs"),
+            ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "it applies to all runs"),
             ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "has no text for tables"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1, 1]", "labelled 1"),
-            ("name = 'a'\nfield = 'pipeline.x'\nvalues = [\"b\\nc\"]", r#"the label "b\nc" holds a control"#),
+            (
+                "name = 'a'\nfield = 'pipeline.x'\nvalues = [\"b\\nc\"]",
+                r#"the label "b\nc" contains a control"#,
+            ),
             ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),
         ] {
             let error = read(text).expect_err(text);

@@ -11,22 +11,23 @@ use crate::scale::Scale;
 use columns::{Column, columns};
 use peernet_analysis::order::SortedValues;
 
-/// Columns that a line has at most.
+/// Maximum number of columns of a line.
 const MAX_COLUMNS: usize = 290;
 /// Height of the rail that shows iterations without an answer, points.
 const RAIL_HEIGHT: f64 = 6.0;
-/// Half the width of a cross on the rail, and of a mark on a line, points.
+/// Half the width of a cross on the rail, points.
 const CROSS_HALF_WIDTH: f64 = 1.7;
+/// Half the width of a mark on a line, points.
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
 const MAX_MARKS: usize = 7;
-/// Number of lines whose marks are shifted against each other, so that they do not overlap.
+/// Number of different positions of marks, so that the marks of neighbouring lines do not overlap.
 const SHIFTED_LINES: usize = 4;
-/// Minimum number of consecutive columns without a value at which a line is broken.
+/// Minimum distance between two values, in columns, from which a line is broken.
 const MIN_GAP_COLUMNS: f64 = 12.0;
-/// Number of episodes from which on their borders would hide everything else.
+/// Maximum number of borders between episodes. More borders would hide everything else, so none is drawn.
 const MAX_BORDERS: usize = 30;
-/// Minimum width of a stretch of warm-up, points.
+/// Minimum width of a period of warm-up, points.
 const MIN_WARM_UP_WIDTH: f64 = 0.6;
 
 /// Latencies over time. SI units; times are those of the horizontal axis.
@@ -36,17 +37,17 @@ pub struct Course {
     pub title: String,
     /// Title of the horizontal axis: `Time since the start, s`, `Iteration`.
     pub x: String,
-    /// `true` if it contains numbers of iterations instead of times.
+    /// `true` if the horizontal axis shows iteration numbers instead of times.
     pub is_counted: bool,
     /// Unit of the vertical axis.
     pub unit: Unit,
-    /// The total: the range of each column, and its median.
+    /// The total, shown as the median and the range of each column.
     pub total: Line,
     /// Stages, shown as medians.
     pub stages: Vec<Line>,
     /// Periods of warm-up, from and to.
     pub warm_up: Vec<(f64, f64)>,
-    /// Beginnings of episodes, except the first.
+    /// Start times of all episodes except the first.
     pub episodes: Vec<f64>,
     /// Times of iterations without an answer.
     pub unanswered: Vec<f64>,
@@ -74,8 +75,8 @@ impl Course {
         })
     }
 
-    fn shown(&self) -> Option<(f64, f64)> {
-        let of = |line: &Line| {
+    fn shown_range(&self) -> Option<(f64, f64)> {
+        let line_range = |line: &Line| {
             range(
                 &line
                     .values
@@ -85,10 +86,10 @@ impl Course {
                     .collect::<SortedValues>(),
             )
         };
-        let total = of(&self.total);
-        // A stage is a part of the total, so its values beyond the total's range are outliers as well.
-        let most = total.map_or(f64::INFINITY, |(_, most)| most);
-        let stages = self.stages.iter().filter_map(of).map(|(lo, hi)| (lo, hi.min(most)));
+        let total = line_range(&self.total);
+        // A stage is a part of the total, so its values above the total's range are outliers as well.
+        let max_total = total.map_or(f64::INFINITY, |(_, max)| max);
+        let stages = self.stages.iter().filter_map(line_range).map(|(lo, hi)| (lo, hi.min(max_total)));
         stages.chain(total).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
@@ -119,7 +120,7 @@ impl Course {
 
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
-        let plots = self.times().zip(self.shown()).map(|(times, shown)| self.plot(times, shown));
+        let plots = self.times().zip(self.shown_range()).map(|(times, shown)| self.plot(times, shown));
         let (title, notes) = (self.title.clone(), self.notes.clone());
         Figure {
             title,
@@ -135,10 +136,10 @@ impl Course {
         let x = Axis::new(if self.is_counted { x.whole() } else { x }, self.x.clone(), "");
         let up = Scale::from_zero((shown.0 * self.unit.per_si, shown.1 * self.unit.per_si));
         let mut plot = Plot::new(x, self.unit.axis(up).with_grid());
-        let mut items = self.ground(&plot);
-        items.extend(self.line(&plot, &self.total, None));
+        let mut items = self.background_items(&plot);
+        items.extend(self.line_items(&plot, &self.total, None));
         for (number, line) in self.stages.iter().enumerate() {
-            items.extend(self.line(&plot, line, Some(number)));
+            items.extend(self.line_items(&plot, line, Some(number)));
         }
         plot.items = items;
         plot.above = self.rail(&plot);
@@ -146,7 +147,8 @@ impl Course {
         plot
     }
 
-    fn ground(&self, plot: &Plot) -> Vec<Item> {
+    /// Returns the areas of warm-up and the borders between episodes.
+    fn background_items(&self, plot: &Plot) -> Vec<Item> {
         let x = |at: f64| plot.x.scale.at(at);
         let warm_up = self.warm_up.iter().map(|(from, to)| Item::Rect {
             from: At::new(x(*from), 0.0),
@@ -160,14 +162,14 @@ impl Course {
         warm_up.chain(borders).collect()
     }
 
-    /// Returns a line of medians; that of the total, which is not a numbered stage, has a band of its range.
-    fn line(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
+    /// Returns the medians of a stage as a line with marks. For the total (`number` is `None`), returns the line and the band of its range.
+    fn line_items(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
         let columns = columns(&line.values, plot.x.scale.ends(), MAX_COLUMNS);
         let x = |column: &Column| (column.number as f64 + 0.5) / MAX_COLUMNS as f64;
         let y = |value: f64| plot.up(value * self.unit.per_si);
         let steps: SortedValues =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
-        // Few values are far from each other, which is not a gap.
+        // If there are few values, their columns are far apart without a gap. The limit therefore grows with the median step.
         let gap = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
         let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= gap);
         let medians = pieces()
@@ -182,9 +184,9 @@ impl Course {
         };
         let look = stage(&line.name);
         let mut items = vec![Item::path(medians, look.line(0.9))];
-        // Marks are shifted against those of other stages, so that none hides another.
-        let apart = (MAX_COLUMNS / MAX_MARKS).max(1);
-        for group in columns.chunk_by(|a, b| a.number / apart == b.number / apart) {
+        // Marks of different stages are shifted against each other, so that no mark hides another.
+        let columns_per_mark = (MAX_COLUMNS / MAX_MARKS).max(1);
+        for group in columns.chunk_by(|a, b| a.number / columns_per_mark == b.number / columns_per_mark) {
             if let Some(column) = group.get(group.len() * (number + 1) / (SHIFTED_LINES + 1)) {
                 items.push(Item::mark(
                     At::new(x(column), y(column.median)),
@@ -204,28 +206,28 @@ impl Course {
         }
         let mut items = vec![Item::line(At::new(0.0, 0.5), At::new(1.0, 0.5), Style::grid())];
         // Iterations without an answer in the same column become one mark.
-        let place = |at: &f64| (plot.x.scale.at(*at) * MAX_COLUMNS as f64) as usize;
-        let mut places: Vec<usize> = self.unanswered.iter().map(place).collect();
-        places.sort_unstable();
-        places.dedup();
-        let cross = |place: usize| {
+        let column = |at: &f64| (plot.x.scale.at(*at) * MAX_COLUMNS as f64) as usize;
+        let mut columns: Vec<usize> = self.unanswered.iter().map(column).collect();
+        columns.sort_unstable();
+        columns.dedup();
+        let cross = |column: usize| {
             Item::mark(
-                At::new(place as f64 / MAX_COLUMNS as f64, 0.5),
+                At::new(column as f64 / MAX_COLUMNS as f64, 0.5),
                 Mark::Cross,
                 CROSS_HALF_WIDTH,
                 Style::lost(),
             )
         };
-        items.extend(places.into_iter().map(cross));
+        items.extend(columns.into_iter().map(cross));
         Some(Strip { items, size: RAIL_HEIGHT })
     }
 
-    /// Returns the number of iterations outside of the plot: `12 beyond 90 ms`.
+    /// Returns the number of totals above the plot: `12 beyond 90 ms`.
     fn remark(&self, end: f64) -> Option<String> {
-        let most = end / self.unit.per_si;
-        let beyond = self.total.values.iter().filter(|(_, value)| *value > most).count();
+        let max_shown = end / self.unit.per_si;
+        let beyond = self.total.values.iter().filter(|(_, value)| *value > max_shown).count();
         let count = fixed(beyond as f64, 0);
-        (beyond > 0).then(|| format!("{count} beyond {}", self.unit.words(most, 0.0)))
+        (beyond > 0).then(|| format!("{count} beyond {}", self.unit.words(max_shown, 0.0)))
     }
 }
 

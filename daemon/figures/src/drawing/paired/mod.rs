@@ -1,4 +1,4 @@
-//! Figure of one quantity in two places: the same model on the robot and in the cloud, side by side.
+//! Figure of one quantity at several placements: the same model on the robot and in the cloud, side by side.
 
 mod density;
 
@@ -9,28 +9,29 @@ use crate::look::{Fill, INK_2, Style, TextStyle, WHITE, series};
 use crate::plot::{Anchor, At, Axis, Figure, Item, Key, Label, Marks, Path, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
 use crate::sheet::file::{SMALL, TEXT};
-use crate::text::{shorten_apart, width};
+use crate::text::{shorten_distinctly, width};
 use density::density;
 use peernet_analysis::order::SortedValues;
 
 /// Approximate width of the plot in a file, points.
 const PLOT_WIDTH: f64 = 213.0;
-/// Half the width of the bar between the quartiles, and width of the rim around it, points.
+/// Half the width of the bar between the quartiles, points.
 const BAR_HALF_WIDTH: f64 = 1.2;
+/// Width of the rim around the bar, points.
 const RIM: f64 = 0.5;
 /// Radius of a point, points.
 const RADIUS: f64 = 1.8;
 /// Maximum of half the width of a shape, as a share of the plot.
 const MAX_HALF_WIDTH: f64 = 0.09;
-/// Room above the largest value, as a share of the range.
-const ROOM_ABOVE: f64 = 0.12;
+/// Margin above the largest value, as a share of the range.
+const MARGIN_ABOVE: f64 = 0.12;
 /// Distance from the plot to the baseline of the counts, points.
 const COUNT_DISTANCE: f64 = 9.5;
 /// Maximum number of values that are drawn as points. More values are drawn as a shape.
 const MAX_POINTS: usize = 60;
-/// Factor by which single points may exceed the range of the axis. They are still below the text at the top.
+/// Points up to this factor above the shown range are drawn, too: there is room for them below the text at the top.
 const ROOM_FOR_POINTS: f64 = 1.05;
-/// Ratio of the largest to the smallest median from which the axis is logarithmic.
+/// Minimum ratio of the largest to the smallest median of a logarithmic axis.
 const LOGARITHMIC_RATIO: f64 = 30.0;
 /// Maximum number of sides that a reader can distinguish.
 pub const MOST_SIDES: usize = 4;
@@ -57,7 +58,7 @@ pub struct Paired {
 pub struct Group {
     /// Name of the model.
     pub name: String,
-    /// Values of each side, SI units; empty if there are none.
+    /// Values of each side, SI units. A side without values has an empty list.
     pub values: Vec<SortedValues>,
 }
 
@@ -77,16 +78,16 @@ impl Paired {
         if !self.has_room_for_counts() {
             let counts = || self.groups.iter().flat_map(|group| &group.values).map(SortedValues::len);
             let ends = counts().filter(|count| *count > 0).min().zip(counts().max());
-            notes.extend(ends.map(|(least, most)| {
-                let [least, most] = [least, most].map(|count| fixed(count as f64, 0));
-                if least == most { format!("n = {most} each") } else { format!("n = {least} to {most} each") }
+            notes.extend(ends.map(|(min, max)| {
+                let [min, max] = [min, max].map(|count| fixed(count as f64, 0));
+                if min == max { format!("n = {max} each") } else { format!("n = {min} to {max} each") }
             }));
         }
         if self.groups.iter().any(|group| group.ratio().is_some()) {
             notes.push(format!("above a pair: median {} ÷ {}", self.sides[0], self.sides[1]));
         }
         if self.groups.iter().flat_map(|group| &group.values).any(|values| self.count_above(values) > 0) {
-            notes.push("+ above: so many values are larger than shown".to_owned());
+            notes.push("+ and a number: number of values above the axis".to_owned());
         }
         let below = self
             .groups
@@ -108,20 +109,20 @@ impl Paired {
         all.into_iter().all(|values| width(&count_text(values), SMALL) <= room)
     }
 
-    /// Returns the range of the axis. It contains every distribution, except tails that would squeeze the rest.
+    /// Returns the range of the axis. It contains every distribution without the tails that would leave little space for the rest.
     fn shown_range(&self) -> Option<(f64, f64)> {
         let ends = |values: &SortedValues| {
             let (lo, hi) = range(values)?;
-            // Every single point above zero is shown, also a very small one.
-            let least = values.values().first().copied().filter(|least| *least > 0.0);
-            Some((least.filter(|_| values.len() <= MAX_POINTS).unwrap_or(lo), hi))
+            // Single points above zero are all shown, even if they are far below the others.
+            let smallest = values.values().first().copied().filter(|smallest| *smallest > 0.0);
+            Some((smallest.filter(|_| values.len() <= MAX_POINTS).unwrap_or(lo), hi))
         };
         let all = self.groups.iter().flat_map(|group| &group.values).filter_map(ends);
         all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
     }
 
-    /// Returns whether the axis is logarithmic, because a linear one would squeeze most values onto its base.
-    fn is_wide(&self) -> bool {
+    /// Returns whether the axis is logarithmic, because most values would lie at the lower end of a linear axis.
+    fn is_logarithmic(&self) -> bool {
         let medians = self.groups.iter().flat_map(|group| &group.values).filter_map(SortedValues::median);
         let medians: SortedValues = medians.collect();
         let ends = medians.values().first().zip(medians.values().last());
@@ -129,14 +130,14 @@ impl Paired {
             && ends.is_some_and(|(lo, hi)| *hi >= LOGARITHMIC_RATIO * lo)
     }
 
-    /// Returns the largest value of a distribution that is shown: for points up to the end of the axis, for a shape without its tail.
+    /// Returns the largest value that is drawn: of points, the largest that fits the axis; of a shape, the end without its tail.
     fn highest_shown(&self, values: &SortedValues) -> Option<f64> {
         let (_, hi) = range(values)?;
         if values.len() > MAX_POINTS {
             return Some(hi);
         }
-        let (_, most) = self.shown_range()?;
-        values.values().iter().rev().copied().find(|value| *value <= most * ROOM_FOR_POINTS)
+        let (_, end) = self.shown_range()?;
+        values.values().iter().rev().copied().find(|value| *value <= end * ROOM_FOR_POINTS)
     }
 
     /// Returns the number of values above the shown range.
@@ -163,17 +164,20 @@ impl Paired {
         let y = |value: f64| plot.up(value * self.unit.per_si);
         let Some((lo, hi)) = range(values) else { return Vec::new() };
         let highest = self.highest_shown(values);
-        let hill = if self.is_wide() { log_density(values, (lo, hi)) } else { density(values, (lo, hi)) };
+        let shape =
+            if self.is_logarithmic() { log_density(values, (lo, hi)) } else { density(values, (lo, hi)) };
         let mut items = Vec::new();
-        if hill.len() > 1 && values.len() > MAX_POINTS {
-            let edge =
-                |sign: f64| hill.iter().map(move |(value, dense)| (middle + sign * half * dense, y(*value)));
+        if shape.len() > 1 && values.len() > MAX_POINTS {
+            let edge = |sign: f64| {
+                shape.iter().map(move |(value, density)| (middle + sign * half * density, y(*value)))
+            };
             let outline: Vec<(f64, f64)> =
                 edge(1.0).chain(edge(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
             items.push(Item::path(Path::polygon(outline), look.shape()));
         } else {
             let lowest = self.shown_range().map_or(lo, |(lowest, _)| lowest);
-            let is_shown = |value: &&f64| **value >= lowest && highest.is_some_and(|most| **value <= most);
+            let is_shown =
+                |value: &&f64| **value >= lowest && highest.is_some_and(|highest| **value <= highest);
             for (number, value) in values.values().iter().filter(is_shown).enumerate() {
                 // Points are spread to the sides by the golden ratio, so that each is visible and the figure is reproducible.
                 let aside = (number as f64 * 0.618_034).fract() - 0.5;
@@ -241,25 +245,25 @@ impl Paired {
 
     fn scale(&self, (lo, hi): (f64, f64)) -> Scale {
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
-        if self.is_wide() {
-            // A logarithmic axis needs the same room for the ratios above, as a factor.
-            let room = (hi / lo).powf(ROOM_ABOVE);
-            Scale::logarithmic((lo / room.sqrt(), hi * room))
+        if self.is_logarithmic() {
+            // On a logarithmic axis the margin for the ratios at the top is a factor.
+            let margin = (hi / lo).powf(MARGIN_ABOVE);
+            Scale::logarithmic((lo / margin.sqrt(), hi * margin))
         } else {
-            Scale::from_zero((lo, hi * (1.0 + ROOM_ABOVE)))
+            Scale::from_zero((lo, hi * (1.0 + MARGIN_ABOVE)))
         }
     }
 
     fn plot(&self, shown: (f64, f64)) -> Plot {
         let step = 1.0 / self.groups.len().max(1) as f64;
-        let place = |number: usize| step * (number as f64 + 0.5);
+        let middle_of_group = |number: usize| step * (number as f64 + 0.5);
         let names: Vec<&str> = self.groups.iter().map(|group| group.name.as_str()).collect();
-        let names = shorten_apart(&names, TEXT, PLOT_WIDTH * step - 1.8);
+        let names = shorten_distinctly(&names, TEXT, PLOT_WIDTH * step - 1.8);
         let counts = if self.has_room_for_counts() { "\u{a0}\n" } else { "" };
         let ticks = names.into_iter().enumerate();
         let ticks = ticks.map(|(number, name)| Tick {
             value: 0.0,
-            at: place(number),
+            at: middle_of_group(number),
             text: format!("{counts}{name}"),
         });
         let x = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(ticks.collect()));
@@ -278,7 +282,7 @@ impl Paired {
                 }
             }
             if let Some(ratio) = group.ratio() {
-                let label = Label::new(At::new(place(number), 0.0), ratio, TextStyle::MARK);
+                let label = Label::new(At::new(middle_of_group(number), 0.0), ratio, TextStyle::MARK);
                 plot.items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, 1.0)));
             }
         }

@@ -48,7 +48,7 @@ fn very_different_models_share_logarithmic_axis() {
 }
 
 #[test]
-fn long_names_of_models_stay_apart() {
+fn long_model_names_remain_distinct() {
     let mut figure = paired(vec![vec![hill(50.0, 9), hill(20.0, 9)]; 6]);
     for (group, size) in figure.groups.iter_mut().zip(["s", "m", "l", "x", "y", "z"]) {
         group.name = format!("efficientnet_v2_{size}_with_a_very_long_suffix_int8");
@@ -95,11 +95,11 @@ fn each_distribution_has_its_count() {
 }
 
 #[test]
-fn what_leaves_a_shape_is_counted() {
+fn values_beyond_the_shape_are_counted() {
     let late = hill(20.0, 400).values().iter().copied().chain([90.0]).collect();
     let figure = paired(vec![vec![hill(50.0, 400), late]]);
     assert!(has(&figure.svg(), "+1"), "{:?}", texts(&figure.svg()));
-    assert!(figure.words().contains("+ above: so many values are larger than shown"), "{}", figure.words());
+    assert!(figure.words().contains("+ and a number: number of values above the axis"), "{}", figure.words());
 }
 
 /// Returns the height of a text.
@@ -123,7 +123,7 @@ fn spaced_points_are_drawn_without_overlapping_counts() {
 }
 
 #[test]
-fn odd_pairs_are_drawn_too() {
+fn empty_single_and_non_finite_pairs_give_a_valid_figure() {
     for values in
         [vec![], vec![5.0], vec![5.0; 300], vec![-2.0, -1.0, 4.0], vec![f64::NAN, 3.0, f64::INFINITY]]
     {
@@ -170,7 +170,7 @@ fn points_have_a_distribution_on_both_sides() {
 }
 
 #[test]
-fn a_hundred_thousand_points_are_a_small_file() {
+fn figure_of_100000_points_is_a_small_file() {
     let point = |i: u32| (f64::from(i % 977), f64::from(i % 977) * 1e-3 + f64::from(i % 31) * 1e-3);
     let figure = lengths((0..100_000).map(point).collect());
     let svg = figure.svg();
@@ -178,7 +178,7 @@ fn a_hundred_thousand_points_are_a_small_file() {
 }
 
 #[test]
-fn odd_points_are_drawn_too() {
+fn empty_single_equal_and_non_finite_points_give_a_valid_figure() {
     for points in
         [vec![], vec![(3.0, 4.0)], vec![(3.0, 4.0); 90], vec![(-3.0, f64::NAN), (1.0, -2.0), (2.0, 1.0)]]
     {

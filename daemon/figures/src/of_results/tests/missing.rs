@@ -73,7 +73,7 @@ fn run_without_column_is_noted_in_pairs() {
     without.rows.change(|row| row.values.retain(|(name, _)| name != "inference"));
     let runs = [placed("s", "remote", 4.0), placed("s", "local", 20.0), placed("m", "local", 9.0), without];
     let drawings = paired::drawings(&runs, None).expect("a pair");
-    let told = ["left out, in one place alone: m", "left out: 1 run without inference"];
+    let told = ["left out, at one placement only: m", "left out: 1 run without inference"];
     assert_eq!(drawings[0].missing, told);
     let Shown::Paired(figure) = &drawings[0].shown else { panic!("pairs") };
     assert_eq!(figure.notes[1..], told);
@@ -121,14 +121,14 @@ fn undetermined_rate_is_not_given() {
 }
 
 #[test]
-fn edges_that_never_met_are_told() {
+fn edges_that_measured_at_different_times_have_no_figure() {
     let mut apart = [shared("s", 2, 0, 20.0), shared("s", 2, 1, 20.0)];
     apart[1].rows.change(|row| row.at += 1e6);
     assert!(users::drawings(&apart).is_err_and(|missing| missing.to_string().contains("while all edges")));
     let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
     let drawings = users::drawings(&[apart, met].concat()).expect("some did");
     let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
-    let missing = "left out, no total while all edges were measuring: s with 2 edges";
+    let missing = "left out, because the edges measured at different times: s with 2 edges";
     assert_eq!(
         (figure.notes[2].as_str(), drawings[0].missing.as_slice()),
         (missing, &[missing.to_owned()][..])

@@ -5,7 +5,7 @@ use super::{EDGE, SMALL, WIDTH};
 use crate::look::{INK, INK_2};
 use crate::plot::{Anchor, Table};
 use crate::svg::Writer;
-use crate::text::{shorten_apart, width};
+use crate::text::{shorten_distinctly, width};
 
 /// Distance between two lines, points.
 const LINE: f64 = 9.0;
@@ -35,7 +35,7 @@ pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
     }
     let first = ends.first().map_or(WIDTH - EDGE, |end| end - cells(0) - GAP);
     let names: Vec<&str> = table.lines.iter().map(|(name, _)| name.as_str()).collect();
-    let names = shorten_apart(&names, SMALL, first - EDGE - NUMBER);
+    let names = shorten_distinctly(&names, SMALL, first - EDGE - NUMBER);
     let base = |line: usize| top + LINE * (line as f64 + 0.75);
     for (title, end) in table.titles.iter().zip(&ends) {
         text(svg, title, (*end, base(0)), (SMALL, INK_2.light, Anchor::End));

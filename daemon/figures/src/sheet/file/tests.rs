@@ -49,7 +49,7 @@ fn figure_has_column_width_and_one_line_caption() {
 }
 
 #[test]
-fn no_text_is_smaller_than_seven_points() {
+fn text_has_at_least_seven_points() {
     let svg = svg(&figure());
     let sizes: Vec<f64> = svg
         .split("font-size=\"")
@@ -60,13 +60,13 @@ fn no_text_is_smaller_than_seven_points() {
 }
 
 #[test]
-fn plots_lie_below_each_other_on_the_paper() {
+fn plots_are_below_each_other_on_the_sheet() {
     let mut figure = figure();
     let mut lower = figure.plots[0].clone();
     (lower.height, lower.above) = (Height::Points(30.0), None);
     figure.plots.push(lower);
     let areas = areas(&figure);
-    assert_eq!(areas[0].left, areas[1].left, "both begin at one place");
+    assert_eq!(areas[0].left, areas[1].left, "both begin at the same position");
     assert_eq!(areas[1].height, 30.0);
     assert!(areas[0].bottom() + 20.0 < areas[1].top && areas[0].height > 60.0, "{areas:?}");
     let high = places::Places::of(&figure).height;
@@ -74,7 +74,7 @@ fn plots_lie_below_each_other_on_the_paper() {
 }
 
 #[test]
-fn rows_make_the_paper_higher() {
+fn height_of_plot_adds_to_height_of_sheet() {
     let names = |count: usize| {
         let tick = |row: usize| Tick {
             value: 0.0,
@@ -94,7 +94,7 @@ fn rows_make_the_paper_higher() {
 }
 
 #[test]
-fn pixels_and_pdf_are_of_the_same_picture() {
+fn png_and_pdf_show_the_same_figure() {
     let exported = Exported::of(&svg(&figure())).expect("an SVG");
     let pixels = exported.pixels().expect("drawn");
     assert_eq!(pixels.width, 1_680);

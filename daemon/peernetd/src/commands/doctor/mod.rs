@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use clap::ArgGroup;
 use peernet_cli::clock;
 use peernet_cli::exit::{Exit, Failure, error_line};
-use peernet_cli::output::{complain, say};
+use peernet_cli::output::{print_to_stderr, print_to_stdout};
 use peernet_clock::{ClockIdentity, WallTime};
 use peernet_store::maintenance::{Examination, Finding, Report, Severity, examine};
 use serde::Serialize;
@@ -76,7 +76,7 @@ pub(crate) fn doctor(arguments: Arguments) -> Exit {
         Ok(examined.exit())
     });
     result.unwrap_or_else(|failure| {
-        complain(&failure);
+        print_to_stderr(&failure);
         failure.exit
     })
 }
@@ -107,11 +107,11 @@ fn no_database() -> Failure {
 fn print_result(examined: &Examined, now: WallTime, json: bool) -> Result<(), Failure> {
     if json {
         let text = serde_json::to_string_pretty(examined);
-        say(text.map_err(|error| Failure::new(Exit::Software, error))?);
+        print_to_stdout(text.map_err(|error| Failure::new(Exit::Software, error))?);
     } else {
         print::print(examined, now);
     }
-    examined.unavailable.iter().for_each(complain);
+    examined.unavailable.iter().for_each(print_to_stderr);
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 //! Text form of an examination.
 
 use peernet_analysis::table::text;
-use peernet_cli::output::say;
+use peernet_cli::output::print_to_stdout;
 use peernet_clock::WallTime;
 use peernet_statistics::number::{bytes, fixed};
 use peernet_store::maintenance::{Report, Severity};
@@ -26,25 +26,25 @@ pub(super) fn print(examined: &Examined, now: WallTime) {
             Severity::Problem => "PROBLEM",
             Severity::Notice => "notice",
         };
-        say(format_args!("{severity}: {}\n  → {}", finding.what, finding.advice));
+        print_to_stdout(format_args!("{severity}: {}\n  → {}", finding.what, finding.advice));
     }
     if let Some(more) = examined.findings().count().checked_sub(MAX_FINDINGS + 1) {
-        say(format_args!("… and {} more (--json shows all)", more + 1));
+        print_to_stdout(format_args!("… and {} more (--json shows all)", more + 1));
     }
     let problems = examined.findings().filter(|finding| finding.severity == Severity::Problem).count();
     let notices = examined.findings().count() - problems;
     match (problems, examined.unavailable.is_empty()) {
-        (0, true) if notices == 0 => say("healthy"),
-        (0, true) => say("healthy; see the notices above"),
+        (0, true) if notices == 0 => print_to_stdout("healthy"),
+        (0, true) => print_to_stdout("healthy; see the notices above"),
         (0, false) => {}
-        (1, _) => say("1 problem"),
-        (n, _) => say(format_args!("{n} problems")),
+        (1, _) => print_to_stdout("1 problem"),
+        (n, _) => print_to_stdout(format_args!("{n} problems")),
     }
 }
 
 fn print_database(report: &Report, now: WallTime) {
     let file = &report.file;
-    say(format_args!(
+    print_to_stdout(format_args!(
         "database {}\n  {}, {} of it free for reuse; write-ahead log {}; free disk space {}",
         report.database.display(),
         format_size(file.bytes),
@@ -53,7 +53,7 @@ fn print_database(report: &Report, now: WallTime) {
         format_size(file.disk_free_bytes)
     ));
     if let Some(schema) = report.schema {
-        say(format_args!("  schema {} (this program supports {})", schema.found, schema.known));
+        print_to_stdout(format_args!("  schema {} (this program supports {})", schema.found, schema.known));
     }
     let how = if report.integrity.full { "full check" } else { "quick check" };
     let result = match report.integrity.problems.as_slice() {
@@ -65,7 +65,7 @@ fn print_database(report: &Report, now: WallTime) {
         }
         problems => problems.join("\n    "),
     };
-    say(format_args!("  {how}: {result}\n"));
+    print_to_stdout(format_args!("  {how}: {result}\n"));
     let rows = report.tables.iter().map(|table| {
         let about = if table.estimated { "about " } else { "" };
         vec![table.table.to_owned(), format!("{about}{}", fixed(table.rows as f64, 0))]
@@ -114,7 +114,7 @@ fn print_database(report: &Report, now: WallTime) {
 }
 
 fn print_spool(report: &SpoolReport, now: WallTime) {
-    say(format_args!(
+    print_to_stdout(format_args!(
         "spool {}\n  {}; free disk space {}",
         report.spool.display(),
         format_size(report.file_bytes),
@@ -122,9 +122,9 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
     ));
     let found = &report.inspection;
     if found.stream.is_empty() {
-        return say("");
+        return print_to_stdout("");
     }
-    say(format_args!(
+    print_to_stdout(format_args!(
         "  stream {} of host {}\n  stored by the aggregator up to batch {}\n  {} events produced, {} lost",
         found.stream,
         found.host,
@@ -133,13 +133,13 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
         fixed(found.dropped as f64, 0)
     ));
     match (found.waiting, found.oldest_ns) {
-        (Some((first, last)), Some(oldest)) => say(format_args!(
+        (Some((first, last)), Some(oldest)) => print_to_stdout(format_args!(
             "  waiting: batches {first} to {last}, {} events, {}, the oldest from {}\n",
             fixed(found.events as f64, 0),
             format_size(found.bytes),
             format_age(oldest, now)
         )),
-        _ => say("  no events wait\n"),
+        _ => print_to_stdout("  no events wait\n"),
     }
 }
 
@@ -147,11 +147,11 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
 fn print_table(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     let rows: Vec<Vec<String>> = rows.collect();
     let Some(more) = (!rows.is_empty()).then(|| rows.len().saturating_sub(MAX_TABLE_LINES)) else { return };
-    say(text(header, &rows[..rows.len() - more]));
+    print_to_stdout(text(header, &rows[..rows.len() - more]));
     if more > 0 {
-        say(format_args!("… and {more} more (--json shows all)"));
+        print_to_stdout(format_args!("… and {more} more (--json shows all)"));
     }
-    say("");
+    print_to_stdout("");
 }
 
 fn format_size(length: u64) -> String {

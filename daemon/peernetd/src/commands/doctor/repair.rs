@@ -6,7 +6,7 @@ use std::path::Path;
 use chrono::{DateTime, Utc};
 use peernet_analysis::table::text;
 use peernet_cli::exit::{Exit, Failure};
-use peernet_cli::output::say;
+use peernet_cli::output::print_to_stdout;
 use peernet_clock::WallTime;
 use peernet_statistics::number::fixed;
 use peernet_store::maintenance::{RepairError, Repaired, repair};
@@ -22,13 +22,16 @@ pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Ex
     let repaired = repair(database, now, &stamp, progress).await;
     match repaired.map_err(|error| Failure::new(exit(&error), error))? {
         Some(repaired) => print(database, &repaired),
-        None => say(format_args!("database {}: not damaged, so it was not repaired", database.display())),
+        None => print_to_stdout(format_args!(
+            "database {}: not damaged, so it was not repaired",
+            database.display()
+        )),
     }
     Ok(Exit::Ok)
 }
 
 fn print(database: &Path, repaired: &Repaired) {
-    say(format_args!(
+    print_to_stdout(format_args!(
         "repaired {}\n  the damaged file was renamed to {}\n",
         database.display(),
         repaired.damaged.display()
@@ -48,12 +51,16 @@ fn print(database: &Path, repaired: &Repaired) {
             vec![table.table.clone(), fixed(table.rows as f64, 0), lost]
         })
         .collect();
-    say(text(&["table", "rows salvaged", "rows lost"], &rows));
+    print_to_stdout(text(&["table", "rows salvaged", "rows lost"], &rows));
     if repaired.lost_iterations > 0 {
-        say(format_args!("\n{iterations} iterations are lost; a gap in each affected run reports them"));
+        print_to_stdout(format_args!(
+            "\n{iterations} iterations are lost; a gap in each affected run reports them"
+        ));
     }
     if repaired.without_log {
-        say("\nthe write-ahead log (-wal) could not be read: the latest transactions are missing");
+        print_to_stdout(
+            "\nthe write-ahead log (-wal) could not be read: the latest transactions are missing",
+        );
     }
 }
 

@@ -106,7 +106,7 @@ fn restarted_process_is_reported() {
     let report = report(&detail("", "finished"), vec![node(&stage::RESTART, 2, 0.5)]);
     let said = report.findings.iter().find(|sentence| sentence.about == "restarts").expect("said");
     assert!(
-        said.text.contains("The model's process was restarted in 2 iterations, which waited 1,000"),
+        said.text.contains("The model's process was restarted in 2 iterations. The wait for it was 1,000"),
         "{said:?}"
     );
 }
