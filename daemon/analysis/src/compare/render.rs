@@ -121,28 +121,28 @@ impl Comparison {
         Table { header, labels: self.axes.len(), rows, marked: self.best.into_iter().collect() }
     }
 
-    /// Returns the number of decimals of a column: one number for all rows, so that its figures are easy to compare.
+    /// Returns the number of decimals of a column, which is the same for all rows, so that they are easy to compare.
     fn decimals(&self, at: usize) -> usize {
         let latencies = self.lines.iter().filter_map(|line| line.latencies[at]);
         latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
-    /// Returns the notes below the table: what it means and what it does not show, a sentence or two each.
+    /// Returns the notes below the table: what its numbers mean, and what the table does not show.
     fn notes(&self) -> Vec<String> {
         let mut notes = vec![
-            "Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all \
-             stages, those without a column too; the paper calls it Total."
+            "Latencies: mean ± standard deviation in ms over all counted iterations. Total (stages) is the sum of all \
+             stages, including stages without a column; the paper calls it Total."
                 .to_owned(),
         ];
         if self.lines.iter().any(|line| line.accuracies.iter().any(Option::is_some)) {
-            let text = "Top-1 and Top-5: right answers in %, with the 95 % confidence interval of as many independent samples \
-                        (Wilson).";
+            let text = "Top-1 and Top-5: right answers in %, with the 95 % confidence interval (Wilson), which assumes that the \
+                        iterations are independent.";
             notes.push(text.to_owned());
         }
         let unscored: Vec<String> = self.lines.iter().flat_map(Line::unscored).collect();
         if !unscored.is_empty() {
             notes.push(format!(
-                "Without a valid score, and left out of the accuracy: {} iterations.",
+                "Iterations without a valid score, excluded from the accuracy: {}.",
                 unscored.join("; ")
             ));
         }
@@ -161,8 +161,7 @@ impl Comparison {
             .map(|line| line.told(&format!("{} edges", line.edges)))
             .collect();
         if !edges.is_empty() {
-            notes
-                .push(format!("Edges that were measured at the same time are pooled: {}.", edges.join("; ")));
+            notes.push(format!("Edges that measured at the same time are pooled: {}.", edges.join("; ")));
         }
         let repeat_range: Vec<String> = self.lines.iter().filter_map(Line::repeat_range).collect();
         if !repeat_range.is_empty() {
@@ -177,7 +176,7 @@ impl Comparison {
         notes.iter().map(|note| printable_line(note).into_owned()).collect()
     }
 
-    /// Returns notes on the lines that have labels that are not classes of the model: a sentence for each pair of vocabularies.
+    /// Returns the notes on lines with labels that are not classes of the model, one for each reason.
     fn unknown_labels(&self) -> Vec<String> {
         let mut reasons: Vec<(String, Vec<String>)> = Vec::new();
         for line in &self.lines {
@@ -203,7 +202,7 @@ impl Comparison {
         if !self.ties.is_empty() {
             told.push(format!("with 95 % confidence it cannot be distinguished from {}", names(&self.ties)));
         } else if tested == others && others > 0 {
-            let all = if others == 1 { "the other" } else { "every other" };
+            let all = if others == 1 { "the other line" } else { "every other line" };
             told.push(format!("{all} differs from it with 95 % confidence"));
         }
         if !self.untested.is_empty() {
@@ -216,7 +215,7 @@ impl Comparison {
             told.push(format!("not ranked, because the model computes nothing: {}", names(&self.unranked)));
         }
         let verdicts = told.join("; ");
-        Some(format!("The smallest mean total ({}) is that of {}; {verdicts}.", self.total(), best.name()))
+        Some(format!("Smallest mean total ({}): {}; {verdicts}.", self.total(), best.name()))
     }
 
     /// Returns the column of totals by which the best line is found.

@@ -78,8 +78,8 @@ orin    —          100           1  0.710 ± 0.001               —  18.550 �
 cuda:0  lan        100           1  0.760 ± 0.001  17.530 ± 0.001   3.730 ± 0.001  0.370 ± 0.001   22.390 ± 0.004    23.390 ± 0.004
 cuda:0  can        100           1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0.001  1.730 ± 0.001  104.550 ± 0.004   105.550 ± 0.004
 
-Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all stages, those without a column too; the paper calls it Total.
-The smallest mean total (measured) is that of orin; every other differs from it with 95 % confidence.
+Latencies: mean ± standard deviation in ms over all counted iterations. Total (stages) is the sum of all stages, including stages without a column; the paper calls it Total.
+Smallest mean total (measured): orin; every other line differs from it with 95 % confidence.
 They also differ in where: local (orin), remote (cuda:0)."
     );
 }
@@ -165,7 +165,7 @@ fn sum_of_stages_ranks_runs_without_total() {
     let comparison = Comparison::new(&runs);
     assert_eq!((comparison.total_column, comparison.best), ("stages-total", Some(0)));
     assert!(comparison.lines[0].latency("total").is_none());
-    assert!(comparison.text().contains("The smallest mean total (stages) is that of orin;"));
+    assert!(comparison.text().contains("Smallest mean total (stages): orin;"));
 }
 
 #[test]
@@ -254,7 +254,7 @@ fn unknown_runs_are_named_after_files() {
     assert_eq!(comparison.axes[0], "run");
     assert!(comparison.lines.iter().all(|line| line.labels[0] != "—"), "{}", comparison.text());
     assert_eq!(comparison.lines[1].name(), "theirs");
-    assert!(comparison.text().contains("is that of theirs; the other differs"), "{}", comparison.text());
+    assert!(comparison.text().contains(": theirs; the other line differs"), "{}", comparison.text());
     let alone = Comparison::new(&[published("theirs", run("x", stages))]);
     assert_eq!((alone.axes[0].as_str(), alone.lines[0].name().as_str()), ("run", "theirs"));
 }
@@ -267,7 +267,7 @@ fn untested_line_is_reported() {
     assert_eq!((comparison.ties.as_slice(), comparison.untested.as_slice()), ([].as_slice(), [1].as_slice()));
     let text = comparison.text();
     assert!(
-        text.contains("is that of orin; too few iterations to tell whether it differs from cuda:0, lan (30 of each run are needed)."),
+        text.contains(": orin; too few iterations to tell whether it differs from cuda:0, lan (30 of each run are needed)."),
         "{text}"
     );
     assert!(!text.contains("cannot be distinguished") && !text.contains("other differs"), "{text}");
@@ -397,8 +397,7 @@ fn accuracy_is_shown_beside_latency() {
     };
     runs[1].rows.change(broken);
     let comparison = Comparison::new(&runs);
-    let told =
-        format!("left out of the accuracy: top-1 of {}: 3 of 100 iterations.", comparison.lines[1].name());
+    let told = format!("excluded from the accuracy: top-1 of {}: 3 of 100.", comparison.lines[1].name());
     assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
     assert_eq!(comparison.lines[1].accuracy("top-1").map(|top| (top.count, top.unscored)), Some((97, 3)));
 }
