@@ -14,23 +14,23 @@ pub(crate) const MAX_BATCHES: u64 = 30;
 /// Minimum number of values in a batch.
 pub(crate) const MIN_BATCH_VALUES: u64 = 10;
 
-/// Values in the order of time, single or in buckets.
+/// Values in the order of time, in buckets. A list of single values has one value in each bucket.
 pub(crate) trait Series {
-    /// Returns the number of places.
-    fn places(&self) -> usize;
+    /// Returns the number of buckets.
+    fn bucket_count(&self) -> usize;
 
-    /// Returns the number of values at a place.
+    /// Returns the number of values in a bucket.
     fn count(&self, at: usize) -> u64;
 
-    /// Returns the sum of the values at a place.
+    /// Returns the sum of the values in a bucket.
     fn sum(&self, at: usize) -> f64;
 
-    /// Returns the number of values at all places.
+    /// Returns the number of values in all buckets.
     fn total_count(&self) -> u64 {
-        (0..self.places()).map(|at| self.count(at)).sum()
+        (0..self.bucket_count()).map(|at| self.count(at)).sum()
     }
 
-    /// Returns the mean of the values in a range of places; `None` if it has no values.
+    /// Returns the mean of the values in a range of buckets; `None` if it has no values.
     fn mean(&self, range: Range<usize>) -> Option<f64> {
         let add = |(count, sum): (u64, f64), at| (count + self.count(at), sum + self.sum(at));
         let (count, sum) = range.fold((0, 0.0), add);
@@ -41,7 +41,7 @@ pub(crate) trait Series {
     fn parts(&self, parts: u64) -> Vec<Range<usize>> {
         let all = self.total_count();
         let (mut ranges, mut from, mut count) = (Vec::new(), 0, 0);
-        for at in 0..self.places() {
+        for at in 0..self.bucket_count() {
             count += self.count(at);
             // The current part ends at this share of all values.
             let end = u128::from(all) * (ranges.len() as u128 + 1);
@@ -55,7 +55,7 @@ pub(crate) trait Series {
 }
 
 impl Series for [f64] {
-    fn places(&self) -> usize {
+    fn bucket_count(&self) -> usize {
         self.len()
     }
 
@@ -70,7 +70,7 @@ impl Series for [f64] {
 
 /// Counts and means of buckets.
 impl Series for [(u64, f64)] {
-    fn places(&self) -> usize {
+    fn bucket_count(&self) -> usize {
         self.len()
     }
 
@@ -85,7 +85,7 @@ impl Series for [(u64, f64)] {
 }
 
 impl Series for [Summary] {
-    fn places(&self) -> usize {
+    fn bucket_count(&self) -> usize {
         self.len()
     }
 

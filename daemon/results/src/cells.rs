@@ -59,7 +59,7 @@ impl Header {
     /// Appends the line of a row to `out`; values without a column are left out.
     pub fn write_row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
-            ColumnKind::Place => position_cell(row, name),
+            ColumnKind::Position => position_cell(row, name),
             ColumnKind::Delay => delay_cell(row, name),
             ColumnKind::Node => number_cell(row.value(name)),
         });

@@ -39,7 +39,7 @@ struct ColumnParser {
     /// Index in [`PUBLISHED_STAGES`], if the column is one of them.
     stage: Option<usize>,
     /// Index of its numbers in a row; `None` until there is a number.
-    place: Option<usize>,
+    index: Option<usize>,
     wanted: bool,
 }
 
@@ -63,7 +63,7 @@ impl RowParser {
                 name: column(name),
                 kind: kind(name),
                 stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name),
-                place: None,
+                index: None,
                 wanted: wanted(name),
             }
         };
@@ -128,21 +128,21 @@ impl RowParser {
                 // Zero means that the time was not recorded.
                 "at" if number == 0.0 => {}
                 _ if cells.wanted && cells.is_meaningful(number) => {
-                    let place = *cells.place.get_or_insert_with(|| row.place(rows, &cells.name));
-                    row.numbers[place] = Some(number);
+                    let index = *cells.index.get_or_insert_with(|| row.column_index(rows, &cells.name));
+                    row.numbers[index] = Some(number);
                 }
                 _ => {}
             }
         }
         row.verdicts = verdicts.map(|(verdict, source)| verdict.zip(source));
         let number = rows.len() as f64 + 1.0;
-        let iteration = row.place(rows, &column("iteration"));
+        let iteration = row.column_index(rows, &column("iteration"));
         row.numbers[iteration].get_or_insert(number);
         // A stage whose duration is unknown is missing in the sum as well.
         let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
         if let Some(sum) = sum.filter(|sum| self.needs_sum && sum.is_finite()) {
-            let place = row.place(rows, &column("stages-total"));
-            row.numbers[place] = Some(sum);
+            let index = row.column_index(rows, &column("stages-total"));
+            row.numbers[index] = Some(sum);
         }
         rows.push_built(row);
         Ok(())

@@ -72,7 +72,7 @@ impl MeanEstimate {
         let (mut count, mut sum) = (0, 0.0);
         for run in measured.clone() {
             count += run.total_count();
-            sum += (0..run.places()).map(|at| run.sum(at)).sum::<f64>();
+            sum += (0..run.bucket_count()).map(|at| run.sum(at)).sum::<f64>();
         }
         (count > 0).then_some(())?;
         let is_enough = measured.clone().all(|run| run.total_count() >= MIN_VALUES as u64);

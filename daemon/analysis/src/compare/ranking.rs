@@ -18,35 +18,35 @@ impl Ranking {
         (configurations.len() > 1).then_some(())?;
         let measured = configurations.iter().filter_map(|(place, one)| Some((*place, one.as_ref()?)));
         let (best, smallest) = measured.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
-        let others = configurations.iter().filter(|(place, _)| *place != best);
+        let others = configurations.iter().filter(|(index, _)| *index != best);
         let differences = others
-            .map(|(place, one)| (*place, one.as_ref().map(|one| Difference::between_means(smallest, one))))
+            .map(|(index, one)| (*index, one.as_ref().map(|one| Difference::between_means(smallest, one))))
             .collect();
         Some(Self { best, differences })
     }
 
     /// Returns the configurations whose means are larger than the smallest by no more than chance.
     pub fn ties(&self) -> Vec<usize> {
-        self.places(Some(false))
+        self.indexes_by_verdict(Some(false))
     }
 
     /// Returns the configurations that have too few values for a test.
     pub fn untested(&self) -> Vec<usize> {
-        self.places(None)
+        self.indexes_by_verdict(None)
     }
 
-    fn places(&self, is_distinct: Option<bool>) -> Vec<usize> {
+    fn indexes_by_verdict(&self, is_distinct: Option<bool>) -> Vec<usize> {
         let verdict =
             |difference: &Option<Difference>| difference.and_then(|difference| difference.is_distinct());
         self.differences
             .iter()
             .filter(|(_, difference)| verdict(difference) == is_distinct)
-            .map(|(place, _)| *place)
+            .map(|(index, _)| *index)
             .collect()
     }
 }
 
-/// Returns whether a model computes something, by the facts of a run: one that only returns its input is not ranked with those that
+/// Returns whether a model computes something, by the facts of a run. A model that only returns its input is not ranked with models that
 /// compute.
 pub fn model_computes(facts: &[(String, String)]) -> bool {
     // The model kind `echo` describes itself by one of these facts.

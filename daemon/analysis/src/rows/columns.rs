@@ -1,4 +1,4 @@
-//! Columns of `data.csv`, and the places of their numbers in the tree.
+//! Columns of `data.csv`, and the nodes of the tree that have their values.
 
 use std::collections::HashMap;
 
@@ -8,14 +8,14 @@ use super::Column;
 
 /// Starts of an open loop that were skipped before an iteration, because the pipeline was too far behind.
 pub const SKIPPED_STARTS: &str = "skipped-starts";
-/// Column of the time from the ordered start to the real one, in an open loop: a part of `unattributed`.
+/// Column of the time from the scheduled to the actual start, in an open loop: a part of `unattributed`.
 pub const LATENESS: &str = "lateness";
 
 /// Kind of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
-    /// Position of the iteration in the run, or its outcome.
-    Place,
+    /// Position of the iteration in the run, its start time, or its outcome.
+    Position,
     /// Value of a node of the tree.
     Node,
     /// Property of a delay other than its value.
@@ -25,9 +25,10 @@ pub enum ColumnKind {
 /// Number of columns that the published program has.
 pub const PUBLISHED_COLUMN_COUNT: usize = 13;
 
-/// Columns that every file has: the published ones in their order, then those of this program. Further measurements of a run follow them.
+/// Columns of every file: first the published columns in their order, then the columns of this program. Further measurements of a run
+/// follow them.
 pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
-    ("iteration", ColumnKind::Place),
+    ("iteration", ColumnKind::Position),
     ("sensing", ColumnKind::Node),
     ("upload", ColumnKind::Node),
     ("preprocessing", ColumnKind::Node),
@@ -68,12 +69,12 @@ pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("unattributed", ColumnKind::Node),
     ("top-1", ColumnKind::Node),
     ("top-5", ColumnKind::Node),
-    ("at", ColumnKind::Place),
-    ("episode", ColumnKind::Place),
-    ("step", ColumnKind::Place),
-    ("warm-up", ColumnKind::Place),
-    ("outcome", ColumnKind::Place),
-    ("reason", ColumnKind::Place),
+    ("at", ColumnKind::Position),
+    ("episode", ColumnKind::Position),
+    ("step", ColumnKind::Position),
+    ("warm-up", ColumnKind::Position),
+    ("outcome", ColumnKind::Position),
+    ("reason", ColumnKind::Position),
 ];
 
 /// Returns the names of the published columns, in their order.
@@ -135,8 +136,8 @@ impl<'a> TreeValues<'a> {
     fn add_node(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());
-        if let Some(at) = place(tree, parent, &node.name) {
-            // Several nodes of one name are added up, as in `stages-total`.
+        if let Some(at) = fixed_column(tree, parent, &node.name) {
+            // Several nodes with the same name are added up, as in `stages-total`.
             if let Some(value) = value {
                 self.fixed[at] = Some(self.fixed[at].unwrap_or_default() + value);
             }
@@ -184,8 +185,8 @@ impl<'a> TreeValues<'a> {
     }
 }
 
-/// Returns the column that every file has for a node of that name in that place.
-fn place(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
+/// Returns the index of the fixed column for a node with this name and parent; `None` if no fixed column is for this node.
+fn fixed_column(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
     let below_sensing =
         tree.get(parent).is_some_and(|node| node.name == stage::SENSING && node.parent == Some(NodeId::ROOT));
     let part = name == stage::CAPTURE.as_str() || name == stage::TRANSFORM.as_str();

@@ -35,14 +35,15 @@ use numbers::Numbers;
 #[derive(Clone)]
 pub struct Rows {
     names: Vec<Column>,
-    places: HashMap<Column, usize>,
+    /// Index of each column in `names` and `numbers`.
+    column_indexes: HashMap<Column, usize>,
     /// Columns of numbers, one for each of `names`, each as long as `outcomes`.
     numbers: Vec<Numbers>,
     /// Outcome of each iteration, and whether it is warm-up.
     outcomes: Chunks<(Outcome, bool)>,
     /// Verdicts on the delays, upload and download.
     verdicts: [Chunks<Option<JudgedDelay>>; 2],
-    /// Reasons by row, in order, of the rows that have one. Consecutive ones are mostly the same.
+    /// Index and reason of each row that has a reason, in order. Consecutive reasons are mostly the same, so they share their text.
     reasons: Vec<(usize, Arc<str>)>,
     /// Row that is being appended.
     builder: RowBuilder,
@@ -54,14 +55,14 @@ const WARM_UP: &str = "warm-up";
 /// Verdict on a delay, and the source of its clock relation.
 pub type JudgedDelay = (Verdict, DelaySource);
 
-/// Row that is built cell by cell: its numbers by the place of their column, and its other values.
+/// Row that is built cell by cell: its numbers by the index of their column, and its other values.
 #[derive(Clone, Debug, Default)]
 pub struct RowBuilder {
-    /// Numbers, by [`RowBuilder::place`]; `None` for a missing number.
+    /// Numbers, by [`RowBuilder::column_index`]; `None` for a missing number.
     pub numbers: Vec<Option<f64>>,
     /// Outcome of the iteration; `None` means an answer.
     pub outcome: Option<Outcome>,
-    /// Kept, but left out of statistics.
+    /// `true` if the row is excluded from statistics.
     pub warm_up: bool,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
@@ -73,7 +74,7 @@ impl Default for Rows {
     fn default() -> Self {
         let mut rows = Self {
             names: Vec::new(),
-            places: HashMap::new(),
+            column_indexes: HashMap::new(),
             numbers: Vec::new(),
             outcomes: Chunks::default(),
             verdicts: [Chunks::default(), Chunks::default()],
@@ -81,7 +82,7 @@ impl Default for Rows {
             builder: RowBuilder::default(),
         };
         for (name, _) in FIXED_COLUMNS {
-            rows.place(&Column::Borrowed(name));
+            rows.column_index(&Column::Borrowed(name));
         }
         rows
     }
@@ -103,13 +104,13 @@ impl Rows {
         let mut builder = self.build_row();
         for (name, kind) in FIXED_COLUMNS {
             if kind != ColumnKind::Node && name != WARM_UP {
-                builder.numbers[self.places[name]] = row.value(name);
+                builder.numbers[self.column_indexes[name]] = row.value(name);
             }
         }
         for (name, value) in &row.values {
-            // Of two values with one name, the first one counts.
-            let place = builder.place(self, name);
-            builder.numbers[place] = builder.numbers[place].or(Some(*value));
+            // If two values have the same name, the first is used.
+            let index = builder.column_index(self, name);
+            builder.numbers[index] = builder.numbers[index].or(Some(*value));
         }
         (builder.outcome, builder.warm_up) = (Some(row.outcome), row.warm_up);
         builder.reason.clone_from(&row.reason);
@@ -141,28 +142,28 @@ impl Rows {
         self.builder = builder;
     }
 
-    /// Returns the place of a column, which is appended if no column has that name.
-    fn place(&mut self, name: &Column) -> usize {
-        if let Some(place) = self.places.get(name) {
-            return *place;
+    /// Returns the index of a column, which is appended if no column has that name.
+    fn column_index(&mut self, name: &Column) -> usize {
+        if let Some(index) = self.column_indexes.get(name) {
+            return *index;
         }
         self.numbers.push(Numbers::missing(self.outcomes.len()));
-        self.places.insert(name.clone(), self.names.len());
+        self.column_indexes.insert(name.clone(), self.names.len());
         self.names.push(name.clone());
         self.names.len() - 1
     }
 
-    /// Returns the names of the columns: those that every file has, then the further ones of this run.
+    /// Returns the names of the columns: first the columns of every file, then the further columns of this run.
     pub fn names(&self) -> &[Column] {
         &self.names
     }
 
     /// Returns the rows, in order.
     pub fn iter(&self) -> Iter<'_> {
-        Iter { rows: self, places: 0..self.len() }
+        Iter { rows: self, indexes: 0..self.len() }
     }
 
-    /// Returns a row by its place, from 0.
+    /// Returns a row by its index, from 0.
     pub fn get(&self, at: usize) -> Option<RowRef<'_>> {
         (at < self.len()).then(|| RowRef::new(self, at))
     }
@@ -174,12 +175,12 @@ impl Rows {
 
     /// Returns the numbers of a column in the rows that count, in order: the input of statistics.
     pub fn counted_values(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
-        let place = self.places.get(column);
-        let numbers = place.map(|place| &self.numbers[*place]);
+        let index = self.column_indexes.get(column);
+        let numbers = index.map(|index| &self.numbers[*index]);
         let counted = self.iter().filter(|row| row.is_counted());
         numbers
             .into_iter()
-            .flat_map(move |numbers| counted.clone().filter_map(|row| numbers.get(row.place())))
+            .flat_map(move |numbers| counted.clone().filter_map(|row| numbers.get(row.index())))
     }
 }
 
@@ -197,11 +198,11 @@ impl Rows {
 }
 
 impl RowBuilder {
-    /// Returns the place of a column in the rows that this row will be added to.
-    pub fn place(&mut self, rows: &mut Rows, name: &Column) -> usize {
-        let place = rows.place(name);
+    /// Returns the index of a column in the rows that this row will be added to.
+    pub fn column_index(&mut self, rows: &mut Rows, name: &Column) -> usize {
+        let index = rows.column_index(name);
         self.numbers.resize(rows.names.len(), None);
-        place
+        index
     }
 }
 
@@ -209,24 +210,24 @@ impl RowBuilder {
 #[derive(Clone)]
 pub struct Iter<'a> {
     rows: &'a Rows,
-    places: Range<usize>,
+    indexes: Range<usize>,
 }
 
 impl<'a> Iterator for Iter<'a> {
     type Item = RowRef<'a>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.places.next().map(|place| RowRef::new(self.rows, place))
+        self.indexes.next().map(|index| RowRef::new(self.rows, index))
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
-        self.places.size_hint()
+        self.indexes.size_hint()
     }
 }
 
 impl DoubleEndedIterator for Iter<'_> {
     fn next_back(&mut self) -> Option<Self::Item> {
-        self.places.next_back().map(|place| RowRef::new(self.rows, place))
+        self.indexes.next_back().map(|index| RowRef::new(self.rows, index))
     }
 }
 

@@ -16,16 +16,16 @@ const DOWNLOAD: [&str; 6] =
 #[derive(Clone, Copy)]
 pub struct RowRef<'a> {
     rows: &'a Rows,
-    place: usize,
+    index: usize,
 }
 
 impl<'a> RowRef<'a> {
-    pub(super) const fn new(rows: &'a Rows, place: usize) -> Self {
-        Self { rows, place }
+    pub(super) const fn new(rows: &'a Rows, index: usize) -> Self {
+        Self { rows, index }
     }
 
-    pub(super) const fn place(&self) -> usize {
-        self.place
+    pub(super) const fn index(&self) -> usize {
+        self.index
     }
 
     /// Returns the number in a column of `data.csv`; `None` if the cell is empty or text, or there is no such column.
@@ -33,8 +33,8 @@ impl<'a> RowRef<'a> {
         if column == WARM_UP {
             return Some(f64::from(u8::from(self.warm_up())));
         }
-        let place = *self.rows.places.get(column)?;
-        self.rows.numbers[place].get(self.place)
+        let column = *self.rows.column_indexes.get(column)?;
+        self.rows.numbers[column].get(self.index)
     }
 
     /// Returns its number in the run, from 1.
@@ -59,12 +59,12 @@ impl<'a> RowRef<'a> {
 
     /// Returns whether it is warm-up: kept, but left out of statistics.
     pub fn warm_up(&self) -> bool {
-        self.rows.outcomes[self.place].1
+        self.rows.outcomes[self.index].1
     }
 
     /// Returns the outcome of the iteration.
     pub fn outcome(&self) -> Outcome {
-        self.rows.outcomes[self.place].0
+        self.rows.outcomes[self.index].0
     }
 
     /// Returns whether statistics include it: answered, and not warm-up.
@@ -75,19 +75,19 @@ impl<'a> RowRef<'a> {
     /// Returns the reason for a missing answer, if one was reported.
     pub fn reason(&self) -> Option<&'a str> {
         let reasons = &self.rows.reasons;
-        let found = reasons.binary_search_by_key(&self.place, |(place, _)| *place).ok()?;
+        let found = reasons.binary_search_by_key(&self.index, |(index, _)| *index).ok()?;
         Some(&reasons[found].1)
     }
 
     /// Returns columns and values of the measurements: the columns that every file has first.
     pub fn values(&self) -> impl Iterator<Item = (&'a Column, f64)> {
-        let Self { rows, place } = *self;
+        let Self { rows, index } = *self;
         let measured = FIXED_COLUMNS.iter().map(|(_, kind)| *kind);
         let measured = measured.map(|kind| kind == ColumnKind::Node);
         let columns = rows.names.iter().zip(&rows.numbers).zip(measured.chain(std::iter::repeat(true)));
         columns
             .filter(|(_, measured)| *measured)
-            .filter_map(move |((name, numbers), _)| Some((name, numbers.get(place)?)))
+            .filter_map(move |((name, numbers), _)| Some((name, numbers.get(index)?)))
     }
 
     /// Returns the message from edge to cloud; `None` when it was never sent or never judged.
@@ -102,11 +102,11 @@ impl<'a> RowRef<'a> {
 
     /// Returns the verdicts on both delays, upload and download.
     pub fn verdicts(&self) -> [Option<Verdict>; 2] {
-        [0, 1].map(|direction: usize| self.rows.verdicts[direction][self.place].map(|(verdict, _)| verdict))
+        [0, 1].map(|direction: usize| self.rows.verdicts[direction][self.index].map(|(verdict, _)| verdict))
     }
 
     fn passage(&self, direction: usize, columns: [&str; 6]) -> Option<Passage> {
-        let (verdict, source) = self.rows.verdicts[direction][self.place]?;
+        let (verdict, source) = self.rows.verdicts[direction][self.index]?;
         let [value, payload, metadata, raw, lo, hi] = columns.map(|column| self.value(column));
         let bounds = lo
             .zip(hi)

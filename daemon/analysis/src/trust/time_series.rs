@@ -161,7 +161,7 @@ impl TimeSeries {
                 Some(Beginning {
                     count: first.clone().map(|at| series.count(at)).sum(),
                     median,
-                    rest: series.median(first.end..series.places())?,
+                    rest: series.median(first.end..series.bucket_count())?,
                     share_as_high: share_as_high as f64 / others.len() as f64,
                     blocks: others.len(),
                 })

@@ -23,43 +23,45 @@ pub(crate) struct Collected {
     pub(crate) notes: Vec<String>,
 }
 
-/// Reads the wanted columns of all results in the places. Results keep the order of the places; runs of an experiment are in the order of
-/// its file. Excluded results are left out. A baseline comes first, unless all its runs are in the places.
+/// Reads the columns that `wanted` accepts of all results at the named paths, without excluded results.
+///
+/// Results keep the order of the paths, and runs of an experiment have the order of its file. A baseline comes first, unless all its runs
+/// are at the named paths.
 ///
 /// # Errors
-/// When a place has no results or all are excluded (66), or some cannot be read (65).
+/// When a path has no results or all are excluded (66), or some cannot be read (65).
 pub(crate) fn collect(
-    places: &[PathBuf],
+    named_paths: &[PathBuf],
     baseline: Option<&Path>,
     wanted: &dyn Fn(&str) -> bool,
 ) -> Result<Collected, Failure> {
-    let found = distinct_places(places).into_iter().map(|place| find(&place).map(|found| (place, found)));
+    let found = distinct_paths(named_paths).into_iter().map(|path| find(&path).map(|found| (path, found)));
     let mut found: Vec<(PathBuf, Vec<PathBuf>)> = found.collect::<Result<_, Failure>>()?;
     let baseline_paths = baseline.map_or(Ok(Vec::new()), find)?;
     let all = found.iter().flat_map(|(_, found)| found).chain(&baseline_paths).map(PathBuf::as_path);
     let experiments = Experiments::find(all);
     let mut chosen = SelectedResults::new(&found, &experiments);
-    if let Some(place) =
-        baseline.filter(|_| baseline_paths.iter().any(|path| !contains_place(&chosen.paths, path)))
+    if let Some(baseline) =
+        baseline.filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&chosen.paths, path)))
     {
-        found.insert(0, (place.to_owned(), baseline_paths.clone()));
+        found.insert(0, (baseline.to_owned(), baseline_paths.clone()));
         chosen = SelectedResults::new(&found, &experiments);
     }
     let SelectedResults { paths, unselected } = chosen;
-    let numbers = (0..paths.len()).filter(|at| contains_place(&baseline_paths, &paths[*at]));
+    let numbers = (0..paths.len()).filter(|at| contains_same_path(&baseline_paths, &paths[*at]));
     let baseline_numbers: Vec<usize> = numbers.collect();
     unselected.iter().for_each(|runs| print_to_stderr(&runs.remark));
     let mut notes: Vec<String> = unselected.into_iter().map(|runs| runs.what).collect();
     if paths.is_empty() {
-        let places: Vec<String> = places.iter().map(|place| place.display().to_string()).collect();
+        let named: Vec<String> = named_paths.iter().map(|path| path.display().to_string()).collect();
         let text = format!(
             "no results in {} can be compared; give the folder of a run to include it",
-            places.join(", ")
+            named.join(", ")
         );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
-    let named: Vec<&Path> = places.iter().map(PathBuf::as_path).chain(baseline).collect();
+    let named: Vec<&Path> = named_paths.iter().map(PathBuf::as_path).chain(baseline).collect();
     let excluded = Excluded::new(&runs, &baseline_numbers, &named, &experiments);
     let unknown = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
     for note in unknown.into_iter().chain(excluded.notes(&runs)) {
@@ -72,10 +74,10 @@ pub(crate) fn collect(
     let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
     let baseline_runs =
         (0..order.len()).filter(|at| baseline_numbers.contains(&order[*at])).collect::<Vec<_>>();
-    if let Some(place) = baseline.filter(|_| baseline_runs.is_empty()) {
+    if let Some(baseline) = baseline.filter(|_| baseline_runs.is_empty()) {
         let text = format!(
             "no run of the baseline {} is finished; give the folder of a run to include it",
-            place.display()
+            baseline.display()
         );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
@@ -91,7 +93,7 @@ fn sentence(remark: &str) -> String {
     first.chain(letters).chain(['.']).collect()
 }
 
-/// Returns a note if the results are not those of a complete run.
+/// Returns a note if the results belong to an incomplete run.
 fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String> {
     let folder = run.folder.display();
     if let Some(damage) = run.damage() {
@@ -113,25 +115,26 @@ fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String
     }
 }
 
-/// Removes repeated places.
-pub(crate) fn distinct_places(places: &[PathBuf]) -> Vec<PathBuf> {
+/// Removes paths to a file or folder that an earlier path leads to.
+pub(crate) fn distinct_paths(paths: &[PathBuf]) -> Vec<PathBuf> {
     let mut distinct: Vec<PathBuf> = Vec::new();
-    for place in places {
-        if !distinct.iter().any(|other| is_same(other, place)) {
-            distinct.push(place.clone());
+    for path in paths {
+        if !distinct.iter().any(|other| is_same(other, path)) {
+            distinct.push(path.clone());
         }
     }
     distinct
 }
 
-fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
-    if place.is_file() {
-        return Ok(vec![folder_of(place).to_owned()]);
+/// Returns the results at or below a path.
+fn find(path: &Path) -> Result<Vec<PathBuf>, Failure> {
+    if path.is_file() {
+        return Ok(vec![folder_of(path).to_owned()]);
     }
-    let found = ResultFolder::find(place);
+    let found = ResultFolder::find(path);
     if found.is_empty() {
-        let what = if place.is_dir() { "it contains no data.csv, at any depth" } else { "it does not exist" };
-        return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {what}", place.display())));
+        let what = if path.is_dir() { "it contains no data.csv, at any depth" } else { "it does not exist" };
+        return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {what}", path.display())));
     }
     Ok(found)
 }
@@ -149,12 +152,12 @@ fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
     })
 }
 
-/// Returns whether one of the paths leads to the same place.
-fn contains_place(paths: &[PathBuf], path: &Path) -> bool {
+/// Returns whether one of the paths leads to the same file or folder.
+fn contains_same_path(paths: &[PathBuf], path: &Path) -> bool {
     paths.iter().any(|other| is_same(other, path))
 }
 
-/// Returns whether both paths lead to the same place.
+/// Returns whether both paths lead to the same file or folder.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
     a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
@@ -164,13 +167,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_place_that_is_named_twice_counts_once() {
+    fn path_that_is_named_twice_is_read_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let run = folder.path().join("run");
         std::fs::create_dir(&run).expect("made");
         let again = folder.path().join("run/../run");
         assert_eq!(
-            distinct_places(&[run.clone(), again, folder.path().to_owned()]),
+            distinct_paths(&[run.clone(), again, folder.path().to_owned()]),
             [run, folder.path().to_owned()]
         );
     }

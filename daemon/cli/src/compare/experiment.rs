@@ -106,13 +106,13 @@ impl Experiments {
             .collect()
     }
 
-    /// The execution of that id that results belong to.
+    /// Returns the execution with this id to which results belong.
     pub(super) fn execution(&self, results: &Path, id: &str) -> Option<&Experiment> {
         let read = |folder: &PathBuf| self.0.get(folder)?.as_ref().ok();
         ancestor_folders(results).iter().filter_map(read).find(|experiment| experiment.id == id)
     }
 
-    /// The run that results are of, by their place.
+    /// Returns the run to which results belong, by their path.
     pub(super) fn run(&self, results: &Path) -> Option<ExperimentRun<'_>> {
         let path = results.canonicalize().ok()?;
         ancestor_folders(results).iter().find_map(|folder| {

@@ -19,7 +19,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::CaptionedTable;
 use peernet_statistics::number::counted;
 
-pub(crate) use collect::{Collected, collect, distinct_places};
+pub(crate) use collect::{Collected, collect, distinct_paths};
 
 /// Arguments of `peernet compare`.
 #[derive(Debug, clap::Args)]
@@ -60,7 +60,7 @@ enum Format {
     Latex,
 }
 
-/// Prints the table, and the differences: of two lines or from a baseline stage by stage, else from the best line.
+/// Prints the table and the differences. With two lines or a baseline these are differences stage by stage, otherwise from the best line.
 ///
 /// # Errors
 /// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
@@ -104,10 +104,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .map_err(|error| Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display())))
 }
 
-/// The line of a baseline's runs.
+/// Returns the line that has the runs of a baseline.
 ///
 /// # Errors
-/// When they have several lines.
+/// When several lines have runs of the baseline.
 fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure> {
     let holds = |line: &Line| line.runs.iter().any(|run| baseline.contains(run));
     let lines: Vec<usize> =
@@ -117,7 +117,7 @@ fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure
         lines => Err(Failure::new(
             Exit::Usage,
             anyhow!(
-                "--baseline: its folder holds {}, which have {} lines in the table; name the folder of one of them",
+                "--baseline: the folder contains {} that have {} lines in the table; give the folder of a run of one line",
                 counted(baseline.len() as u64, "run"),
                 lines.len()
             ),
@@ -149,7 +149,7 @@ pub(crate) fn first_of_two(comparison: &Comparison) -> Option<usize> {
     (comparison.lines.len() == 2).then_some(0)
 }
 
-/// Each other line against the first, stage by stage.
+/// Returns the differences of each other line from the line `first`, stage by stage.
 pub(crate) fn differences(
     comparison: &Comparison,
     runs: &[Loaded],
@@ -164,7 +164,7 @@ pub(crate) fn differences(
         .collect()
 }
 
-/// The tables that stand below the paper's: these differences, or, without them, those from the best line.
+/// Returns the tables below the table of the paper: these differences, or if there are none, the differences from the best line.
 pub(crate) fn difference_tables(comparison: &Comparison, differences: &[Differences]) -> Vec<CaptionedTable> {
     if differences.is_empty() {
         return differences_to_best(comparison).into_iter().collect();
@@ -174,7 +174,7 @@ pub(crate) fn difference_tables(comparison: &Comparison, differences: &[Differen
     told.map(Differences::captioned).collect()
 }
 
-/// Tables in one text.
+/// Joins tables to one text.
 pub(crate) fn join_texts(first: String, others: impl Iterator<Item = String>) -> String {
     std::iter::once(first)
         .chain(others)

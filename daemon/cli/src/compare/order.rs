@@ -6,10 +6,10 @@ use peernet_analysis::loaded::Loaded;
 
 use super::experiment::Experiments;
 
-/// Returns the indexes of the runs in the order of display: those of an experiment in the order of its file, as in `peernet run`.
+/// Returns the indexes of the runs in the order of display. Runs of an experiment are in the order of its file, as in `peernet run`.
 ///
-/// They take the places that the experiment's runs had; all others keep theirs. If the folder of an experiment does not exist or
-/// cannot be read, its runs keep their order: nothing else depends on it.
+/// Only the runs of an experiment change positions among each other; all others keep theirs. If the folder of an experiment does not exist
+/// or cannot be read, its runs keep their order.
 pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     let mut executions: HashMap<&str, Vec<usize>> = HashMap::new();

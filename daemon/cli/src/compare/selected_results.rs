@@ -25,15 +25,15 @@ pub(super) struct UnselectedRuns {
 }
 
 impl SelectedResults {
-    /// Selects among the results that were found in each place. A run whose own folder is on the command line is always selected.
+    /// Selects among the results that were found at each named path. A run whose own folder is on the command line is always selected.
     pub(super) fn new(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
         let mut paths: Vec<PathBuf> = Vec::new();
         let mut searched: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
-        for (place, path) in
-            found.iter().flat_map(|(place, paths)| paths.iter().map(move |path| (place, path)))
+        for (named_path, path) in
+            found.iter().flat_map(|(named_path, paths)| paths.iter().map(move |path| (named_path, path)))
         {
-            if let Some(run) = experiments.run(path).filter(|_| !is_named(place, path, experiments)) {
-                searched.entry(run.home).or_insert((place, run.experiment));
+            if let Some(run) = experiments.run(path).filter(|_| !is_named(named_path, path, experiments)) {
+                searched.entry(run.home).or_insert((named_path, run.experiment));
                 if !run.state().is_finished() {
                     continue;
                 }
@@ -44,12 +44,12 @@ impl SelectedResults {
         }
         let read: Vec<PathBuf> =
             paths.iter().filter_map(|path| Some(experiments.run(path)?.folder())).collect();
-        let unselected = searched.into_iter().filter_map(|(home, (place, experiment))| {
+        let unselected = searched.into_iter().filter_map(|(home, (named_path, experiment))| {
             let is_read = |name: &str| read.contains(&home.join(RUNS).join(name));
             let others = experiment.runs().filter(|(name, _)| !is_read(name));
             let what = unfinished_runs_note(&experiment.name, others)?;
-            let (place, remedy) = (as_typed(place, home), experiment.remedy());
-            let remark = format!("{} is shown {what}; {remedy} completes them", place.display());
+            let (named_path, remedy) = (as_typed(named_path, home), experiment.remedy());
+            let remark = format!("{} is shown {what}; {remedy} completes them", named_path.display());
             Some(UnselectedRuns { what: format!("Shown {what}."), remark })
         });
         Self { unselected: unselected.collect(), paths }
@@ -57,8 +57,9 @@ impl SelectedResults {
 }
 
 /// Returns whether a path on the command line is the folder of these results, or a folder within the run's folder.
-pub(super) fn is_named(place: &Path, results: &Path, experiments: &Experiments) -> bool {
-    let is_within = |folder: &Path| place.canonicalize().is_ok_and(|place| place.starts_with(folder));
+pub(super) fn is_named(named_path: &Path, results: &Path, experiments: &Experiments) -> bool {
+    let is_within =
+        |folder: &Path| named_path.canonicalize().is_ok_and(|named_path| named_path.starts_with(folder));
     match experiments.run(results) {
         Some(run) => is_within(&run.folder()),
         None => results.canonicalize().is_ok_and(|results| is_within(&results)),
@@ -66,11 +67,12 @@ pub(super) fn is_named(place: &Path, results: &Path, experiments: &Experiments) 
 }
 
 /// Shortens the absolute path of an experiment's folder: it starts with the path on the command line if possible.
-fn as_typed(place: &Path, home: &Path) -> PathBuf {
-    let below = place.canonicalize().ok().and_then(|full| Some(home.strip_prefix(full).ok()?.to_owned()));
+fn as_typed(named_path: &Path, home: &Path) -> PathBuf {
+    let below =
+        named_path.canonicalize().ok().and_then(|full| Some(home.strip_prefix(full).ok()?.to_owned()));
     match below {
-        Some(below) if below.as_os_str().is_empty() => place.to_owned(),
-        Some(below) => place.join(below),
+        Some(below) if below.as_os_str().is_empty() => named_path.to_owned(),
+        Some(below) => named_path.join(below),
         None => home.to_owned(),
     }
 }

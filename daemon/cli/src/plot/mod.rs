@@ -1,6 +1,6 @@
 //! `peernet plot`: results as figures.
 
-mod places;
+mod figure_folders;
 
 use std::path::{Path, PathBuf};
 
@@ -12,8 +12,8 @@ use peernet_analysis::loaded::Loaded;
 use peernet_figures::{self as figures, Columns, PlotError};
 use peernet_statistics::number::counted;
 
-use crate::compare::{Collected, collect, distinct_places};
-use places::Places;
+use crate::compare::{Collected, collect, distinct_paths};
+use figure_folders::FigureFolders;
 
 /// Arguments of `peernet plot`.
 #[derive(Debug, clap::Args)]
@@ -90,9 +90,9 @@ impl Kind {
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
-    let named = distinct_places(&arguments.runs);
+    let named = distinct_paths(&arguments.runs);
     let Collected { runs, .. } = collect(&named, None, &|_| true)?;
-    let places = Places::choose(&named, &runs, arguments.out.as_deref());
+    let folders = FigureFolders::choose(&named, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut lacking = Vec::new();
     let mut files = Vec::new();
@@ -109,11 +109,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     for kind in arguments.kind.figures() {
         if kind.is_of_one_run() {
-            for (run, folder) in runs.iter().zip(&places.runs) {
+            for (run, folder) in runs.iter().zip(&folders.runs) {
                 draw_kind(kind, std::slice::from_ref(run), folder)?;
             }
         } else if arguments.kind != Kind::All || kind.is_worth_drawing(&runs) {
-            draw_kind(kind, &runs, &places.together)?;
+            draw_kind(kind, &runs, &folders.together)?;
         }
     }
     if arguments.kind == Kind::All {

@@ -6,15 +6,15 @@ use peernet_analysis::loaded::Loaded;
 
 /// Folders for the figures.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Places {
+pub(super) struct FigureFolders {
     /// Folder for the figures of each run.
     pub(super) runs: Vec<PathBuf>,
-    /// Folder for the figures over all runs.
+    /// Folder for the figures of all runs together.
     pub(super) together: PathBuf,
 }
 
-impl Places {
-    /// Chooses the folders of the results, or the given folder: then with one subfolder for each of several runs.
+impl FigureFolders {
+    /// Chooses the folders of the results. With `out`, chooses that folder, with a subfolder for each run if there are several.
     pub(super) fn choose(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
         let folders = || runs.iter().map(|run| run.folder.clone());
         match (out, named) {
@@ -27,7 +27,7 @@ impl Places {
             },
             (None, [one]) if one.is_dir() => Self { runs: folders().collect(), together: one.clone() },
             (None, _) => {
-                // With several places, the current folder is used.
+                // With several named paths, the current folder is used.
                 let together = if runs.len() == 1 { folders().next() } else { None };
                 Self { runs: folders().collect(), together: here(together.unwrap_or_default()) }
             }
@@ -39,7 +39,7 @@ fn here(path: PathBuf) -> PathBuf {
     if path == Path::new("") { PathBuf::from(".") } else { path }
 }
 
-/// Returns the path of each folder without the common beginning, as one name.
+/// Returns a name for each folder: its path without the common beginning. The names are unique.
 fn names(folders: &[PathBuf]) -> Vec<String> {
     let parts = |folder: &PathBuf| -> Vec<String> {
         let parts = folder.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
@@ -69,7 +69,7 @@ mod tests {
 
     use super::*;
 
-    fn places(named: &[&str], runs: &[&str], out: Option<&str>) -> (Vec<String>, String) {
+    fn folders(named: &[&str], runs: &[&str], out: Option<&str>) -> (Vec<String>, String) {
         let loaded = |folder: &&str| Loaded {
             folder: PathBuf::from(*folder),
             record: RunRecord::default(),
@@ -77,28 +77,28 @@ mod tests {
         };
         let named: Vec<PathBuf> = named.iter().map(PathBuf::from).collect();
         let runs: Vec<Loaded> = runs.iter().map(loaded).collect();
-        let Places { runs, together } = Places::choose(&named, &runs, out.map(Path::new));
+        let FigureFolders { runs, together } = FigureFolders::choose(&named, &runs, out.map(Path::new));
         (runs.iter().map(|path| path.display().to_string()).collect(), together.display().to_string())
     }
 
     #[test]
-    fn figures_are_placed_in_result_folders() {
+    fn figures_are_written_to_result_folders() {
         let runs = |folders: &[&str]| folders.iter().map(|folder| (*folder).to_owned()).collect::<Vec<_>>();
         assert_eq!(
-            places(&["/tmp"], &["/tmp/a", "/tmp/b"], None),
+            folders(&["/tmp"], &["/tmp/a", "/tmp/b"], None),
             (runs(&["/tmp/a", "/tmp/b"]), "/tmp".into())
         );
-        assert_eq!(places(&["x/a", "x/b"], &["x/a", "x/b"], None), (runs(&["x/a", "x/b"]), ".".into()));
-        assert_eq!(places(&["x/a/data.csv"], &["x/a"], None), (runs(&["x/a"]), "x/a".into()));
+        assert_eq!(folders(&["x/a", "x/b"], &["x/a", "x/b"], None), (runs(&["x/a", "x/b"]), ".".into()));
+        assert_eq!(folders(&["x/a/data.csv"], &["x/a"], None), (runs(&["x/a"]), "x/a".into()));
     }
 
     #[test]
     fn given_folder_has_subfolder_per_run() {
         let runs = |folders: &[&str]| folders.iter().map(|folder| (*folder).to_owned()).collect::<Vec<_>>();
-        assert_eq!(places(&["x"], &["x/a"], Some("out")), (runs(&["out"]), "out".into()));
-        let several = places(&["x"], &["x/m/a", "x/n/a"], Some("out"));
+        assert_eq!(folders(&["x"], &["x/a"], Some("out")), (runs(&["out"]), "out".into()));
+        let several = folders(&["x"], &["x/m/a", "x/n/a"], Some("out"));
         assert_eq!(several, (runs(&["out/m-a", "out/n-a"]), "out".into()));
-        let alike = places(&["p", "q"], &["../a", "./a"], Some("out"));
+        let alike = folders(&["p", "q"], &["../a", "./a"], Some("out"));
         assert_eq!(alike, (runs(&["out/a", "out/a-2"]), "out".into()));
     }
 }
