@@ -19,7 +19,7 @@ pub struct Misses {
 }
 
 impl Misses {
-    /// Counts `late` of the `answered` iterations, and all `unanswered` ones.
+    /// Counts `late` of the `answered` iterations, and all `unanswered` iterations.
     pub fn new(answered: u64, late: u64, unanswered: u64) -> Self {
         Self { missed: late.min(answered) + unanswered, iterations: answered + unanswered }
     }

@@ -14,7 +14,7 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// Name endings of a figure's files. The caption is one of them.
+/// Name endings of a figure's files, including the caption.
 const FILE_ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Names of figures of which there is at most one.
 const SINGLE_FIGURES: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];

@@ -1,4 +1,4 @@
-//! Results of a run as they are read back, and whether they are those of a whole run.
+//! Results of a run as they are read back, and whether they are complete.
 
 use std::path::PathBuf;
 
@@ -24,13 +24,13 @@ pub struct Loaded {
     pub rows: Rows,
 }
 
-/// Rows that are not all that `run.json` counts.
+/// Difference between the rows and the counts in `run.json`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RowsDamage {
-    /// There are as many, and they are not the same.
+    /// The number of rows is the same, but outcomes or warm-up differ.
     #[error("data.csv has other outcomes or another warm-up than run.json counts")]
     Outcomes,
-    /// There are more or fewer.
+    /// There are more or fewer rows.
     #[error("data.csv has {rows} of the {} that run.json counts", counted(*.measured, "iteration"))]
     Length {
         /// Number of rows.
@@ -41,9 +41,8 @@ pub enum RowsDamage {
 }
 
 impl Loaded {
-    /// Returns the reason why the rows are not those of a whole run, in one clause: some measurements are missing, or the run was
-    /// interrupted, broke off, was killed or is still in progress. `None` if they are complete, or if this is not known, as for files of
-    /// other programs.
+    /// Returns the reason why the rows are incomplete, in one clause: some measurements are missing, or the run was interrupted, broke off,
+    /// was killed or is still in progress. `None` if the rows are complete, or if this is not known, as for files of other programs.
     pub fn incompleteness(&self) -> Option<String> {
         let has_no_record = self.record.reason.failure() == Some(NO_RECORD);
         self.damage().map(|damage| damage.to_string()).or_else(|| match has_no_record {
@@ -52,8 +51,8 @@ impl Loaded {
         })
     }
 
-    /// Returns the reason why the rows are not all that were measured: their number in `data.csv` differs from the count in `run.json`, as
-    /// when the file was truncated or changed. `None` if they agree, or if there is no count.
+    /// Returns the difference between the rows of `data.csv` and the counts in `run.json`, such as when the file was truncated or changed.
+    /// `None` if they agree, or if there are no counts.
     pub fn damage(&self) -> Option<RowsDamage> {
         let counts_of_record = self.record.counts;
         let is = Counts::from_rows(&self.rows, counts_of_record.unseen);

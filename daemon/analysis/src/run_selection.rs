@@ -1,4 +1,4 @@
-//! Choice of the runs that count: those that were measured to their end, each repeat of a configuration once, and those that are named
+//! Choice of the runs that count: runs that were measured to their end, each repeat of a configuration once, and runs that are named
 //! explicitly.
 
 use std::collections::HashMap;
@@ -62,7 +62,7 @@ impl fmt::Display for RunState {
     }
 }
 
-/// Reason why a run does not count. Other runs are named by their places among all.
+/// Reason why a run does not count. Other runs are named by their indexes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Exclusion {
     /// It was not measured to its end.
@@ -97,7 +97,7 @@ pub struct Candidate {
     pub sequence: i64,
     /// `true` if it is named explicitly, so that its progress does not matter.
     pub is_named: bool,
-    /// Rank of the results. Of several results of one run, those with the lowest rank count.
+    /// Rank of the results. If there are several results of a run, those with the lowest rank count.
     pub rank: u8,
 }
 
@@ -136,7 +136,7 @@ impl Candidate {
     }
 }
 
-/// Returns for each run the reason why it does not count; `None` for those that do.
+/// Returns for each run the reason why it does not count; `None` if it counts.
 pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     let unfinished = |run: &Candidate| {
         let state = run.state.as_ref().filter(|state| !run.is_named && !state.is_finished())?;
@@ -156,7 +156,7 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     found
 }
 
-/// Returns the index of the run with the smallest order of each key, among those that count so far.
+/// Returns for each key the index of the run with the smallest order, among the runs that are not excluded in `found`.
 fn best<'a, K: Eq + std::hash::Hash, O: Ord>(
     runs: &'a [Candidate],
     found: &[Option<Exclusion>],

@@ -76,8 +76,8 @@ impl Medians {
         self.0.iter().find(|(known, _)| known == name).map(|(_, median)| *median)
     }
 
-    /// Returns the time that `upload` and `download` take together. If neither is ever known, it is the difference between the total's
-    /// median and those of the other stages.
+    /// Returns the time that `upload` and `download` take together. If neither is ever known, it is the median of the total minus the
+    /// medians of the other stages.
     fn both_ways(&self) -> Option<f64> {
         let known = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
         let known: Vec<f64> = known.collect();
@@ -94,8 +94,8 @@ impl Medians {
         Some(total? / median)
     }
 
-    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage, and the late start is separated from it
-    /// if it is known. Both directions of the network replace each of them if only their sum is known.
+    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage. A known late start is separated from
+    /// it. If only the sum of upload and download is known, the sum replaces both stages.
     pub fn causes(&self, times: &IterationTimes<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
         let late = Name::from_static(LATENESS);

@@ -47,8 +47,8 @@ impl Transfer {
     }
 }
 
-/// Returns the speeds that follow from the ends of a delay's interval, which is `half_width` to each side of it; the upper one is `None` if
-/// the delay may be zero.
+/// Returns the lowest and the highest speed for a delay that is known within `half_width`. The highest speed is `None` if the delay may be
+/// zero.
 pub fn speed_between(speed: f64, delay: f64, half_width: f64) -> (f64, Option<f64>) {
     let bytes = speed * delay;
     (bytes / (delay + half_width), (half_width < delay).then(|| bytes / (delay - half_width)))

@@ -29,7 +29,7 @@ pub struct Accuracy {
 }
 
 impl Accuracy {
-    /// Returns the accuracy from a column of [`ACCURACIES`] over the rows that count; `None` if none of them has a score.
+    /// Returns the accuracy from a column of [`ACCURACIES`] over the counted rows; `None` if no counted row has a score.
     pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, column: &str) -> Option<Self> {
         let (mut right, mut count, mut unscored) = (0, 0, 0);
         for row in rows.into_iter().filter(|row| row.is_counted()) {
@@ -43,8 +43,8 @@ impl Accuracy {
 
     /// Returns the accuracy of each column of [`ACCURACIES`] that has scores.
     pub fn by_column(rows: &Rows) -> BTreeMap<String, Self> {
-        let of = |column: &str| Some((column.to_owned(), Self::from_rows(rows, column)?));
-        ACCURACIES.into_iter().filter_map(of).collect()
+        let accuracy = |column: &str| Some((column.to_owned(), Self::from_rows(rows, column)?));
+        ACCURACIES.into_iter().filter_map(accuracy).collect()
     }
 
     /// Returns the accuracy from the mean of `count` scores that are 0 or 1. `answered` is the number of iterations with an answer.
@@ -54,7 +54,7 @@ impl Accuracy {
         Self::from_counts((mean * count as f64).round() as u64, count, answered.saturating_sub(count))
     }
 
-    /// Returns the accuracy of `right` answers out of `count` scored ones; `None` if `count` is 0.
+    /// Returns the accuracy of `right` answers out of `count` scored answers; `None` if `count` is 0.
     pub fn from_counts(right: u64, count: u64, unscored: u64) -> Option<Self> {
         (count > 0).then(|| {
             let share = right as f64 / count as f64;

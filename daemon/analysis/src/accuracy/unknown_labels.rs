@@ -23,14 +23,15 @@ pub struct UnknownLabels {
 impl UnknownLabels {
     /// Returns the unknown labels of a run with these facts, which contain examples; `None` if `count` is 0.
     pub fn new(count: u64, facts: &[(String, String)]) -> Option<Self> {
-        let example = |fact: &str, side: &str| {
+        let example = |fact: &str, heading: &str| {
             let (_, text) = facts.iter().find(|(name, _)| name == fact)?;
             let (_, words) = text.split_once(": ")?;
-            Some(format!("{side} {words}"))
+            Some(format!("{heading} {words}"))
         };
-        let sides = [example(LABELS_FACT, "labels:"), example(CLASSES_FACT, "classes:")];
-        let sides: Vec<String> = sides.into_iter().flatten().collect();
-        let examples = if sides.is_empty() { String::new() } else { format!(" ({})", sides.join("; ")) };
+        let examples = [example(LABELS_FACT, "labels:"), example(CLASSES_FACT, "classes:")];
+        let examples: Vec<String> = examples.into_iter().flatten().collect();
+        let examples =
+            if examples.is_empty() { String::new() } else { format!(" ({})", examples.join("; ")) };
         (count > 0).then_some(Self { count, examples })
     }
 
@@ -39,7 +40,7 @@ impl UnknownLabels {
         Self::new(rows.counted_values(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
     }
 
-    /// Adds the count of another run; the examples stay those of this one.
+    /// Adds the count of another run. The examples of this run are kept.
     #[must_use]
     pub(crate) fn merged_with(self, other: &Self) -> Self {
         Self { count: self.count + other.count, ..self }
@@ -68,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn sentence_has_known_examples_of_both_sides() {
+    fn sentence_has_known_examples_of_labels_and_classes() {
         let labels = ("Labels", "30 of 30: dented, good");
         let classes = ("Classes", "1000: tench, goldfish, …");
         let plain = "Not scored: 2 of 1,000 iterations, because the label is not a class of the model";

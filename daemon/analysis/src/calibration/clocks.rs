@@ -56,8 +56,8 @@ impl Clocks {
     }
 }
 
-/// Returns whether a new relation of the two clocks excludes the one before it: a clock was set between the two samples, or the peer that
-/// came back reads a different clock.
+/// Returns whether a new relation of the two clocks excludes the previous relation. Then a clock was set between the two samples, or the
+/// peer that came back reads a different clock.
 fn is_contradicted(before: &ClockSample, after: &ClockSample) -> bool {
     let is_new = before.window != after.window
         && after.exchanges.restarts <= before.exchanges.restarts

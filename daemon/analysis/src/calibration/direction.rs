@@ -51,7 +51,7 @@ pub struct SizeSummary {
     pub bounds: Option<(f64, f64)>,
     /// Bytes divided by the median delay; `None` when that is zero.
     pub throughput: Option<f64>,
-    /// Bytes divided by the upper and by the lower bound; the latter is `None` when the bound is zero.
+    /// Bytes divided by the upper and by the lower bound of the delay; the second value is `None` if the lower bound is zero.
     pub throughput_bounds: Option<(f64, Option<f64>)>,
 }
 
@@ -82,8 +82,8 @@ pub struct Claim {
     pub payload_bytes: u64,
     /// Bounds of its delay, seconds: medians.
     pub bounds: (f64, f64),
-    /// Bounds for an empty message: those of the smallest payload less the time that its bytes take by the slope. The 95 % margin of the
-    /// payload's median is added on both sides, because the median is a sample, too. Never negative.
+    /// Bounds for an empty message: the bounds of the smallest payload minus the time that its bytes take by the slope. They are widened by
+    /// the 95 % margin of the payload's median on both sides, because the median is an estimate, too. Never negative.
     pub at_zero: (f64, f64),
 }
 
@@ -92,10 +92,10 @@ pub struct Claim {
 pub struct Throughput {
     /// Reciprocal of the slope.
     pub value: f64,
-    /// Reciprocals of the slope's confidence interval; the upper end is `None` when that reaches zero.
+    /// Reciprocals of the slope's confidence interval; the upper end is `None` if the confidence interval reaches zero.
     pub interval: Option<(f64, Option<f64>)>,
-    /// Range for delays anywhere within their clock bounds: the flattest and the steepest line from the smallest to the largest size. A
-    /// constant error of the clocks cancels, so this range is wider than necessary.
+    /// Range for delays anywhere within their clock bounds: the lines with the lowest and the highest slope from the smallest to the
+    /// largest size. A constant error of the clocks cancels, so this range is wider than necessary.
     pub bounds: Option<(f64, Option<f64>)>,
 }
 

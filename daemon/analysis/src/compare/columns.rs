@@ -1,12 +1,12 @@
-//! Choice of the facts that become columns among those that differ among runs, and sentences about the rest.
+//! Choice of the differing facts that become columns, and sentences about the other differing facts.
 
 use super::configuration::EMPTY_CELL;
 
-/// Maximum number of values that are listed of a fact that has no column.
+/// Maximum number of listed values of a fact without a column.
 const MAX_LISTED: usize = 4;
-/// Number of hexadecimal digits from which on a label counts as a hash.
+/// Minimum number of hexadecimal digits of a label that counts as a hash.
 const MIN_HASH_DIGITS: usize = 32;
-/// Bytes from which on a label has no place in a table: it is a list, of libraries for instance.
+/// Minimum size of a label that is too long for a table, such as a list of libraries, bytes.
 const MIN_LIST_BYTES: usize = 120;
 
 /// Something that differs: its name and the label of each configuration.
@@ -117,10 +117,10 @@ impl Column {
         is_opaque(self.labels.iter().map(String::as_str))
     }
 
-    /// Returns each of its labels, followed by the configurations that have it; `None` when that would be long.
+    /// Returns each label, followed by the configurations that have it; `None` if the text would be long.
     fn values_with_configurations(&self, columns: &[Column]) -> Option<String> {
         let mut values: Vec<(&str, Vec<String>)> = Vec::new();
-        // The configurations are named by one column that determines this one, or by all columns.
+        // The configurations are named by a single column if it determines the labels of this column, otherwise by all columns.
         let by = columns.iter().find(|column| column.determines(self));
         for (at, label) in self.labels.iter().enumerate().filter(|(_, label)| *label != EMPTY_CELL) {
             let who = match by {
@@ -143,7 +143,7 @@ impl Column {
         })
     }
 
-    /// Returns whether another column's labels follow from this one's.
+    /// Returns whether this column's labels determine the labels of another column.
     fn determines(&self, other: &Self) -> bool {
         let pairs = || self.labels.iter().zip(&other.labels);
         pairs().all(|(label, of)| pairs().all(|(same, other)| same != label || other == of))

@@ -107,7 +107,7 @@ impl Configurations {
     }
 
     /// Returns all names in the order of their first appearance, with the label of each run. The field `Model` of an experiment and the
-    /// `model` of a run outside of it are one column.
+    /// `model` of a run outside of experiments are the same column.
     fn tabulate(pairs: &[Vec<(String, String)>]) -> Self {
         let mut axes: Vec<String> = Vec::new();
         for (axis, _) in pairs.iter().flatten() {
@@ -256,8 +256,7 @@ fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     distinct.join(" + ")
 }
 
-/// Returns the names of the groups: their folders, or the files of rows outside of a result folder, without the prefix that all of them
-/// share.
+/// Returns the names of the groups: their folders, or their files if these are outside of a result folder, without the common prefix.
 fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
         // A file of rows without a record is named after itself.

@@ -41,12 +41,12 @@ pub struct StageDifference {
     pub means: (f64, f64),
     /// Mean of the other line minus the baseline's.
     pub mean: Difference,
-    /// Median of the baseline and of the other.
+    /// Median of the baseline and of the other line.
     pub medians: (f64, f64),
     /// Median of the other line minus the baseline's.
     pub median: Difference,
-    /// Error of the difference beyond its interval, because the offset of the hosts' clocks is only known within bounds: half the mean
-    /// width of both lines' bounds together. `None` for stages that one clock measured.
+    /// Error of the difference beyond its interval, because the offset of the hosts' clocks is only known within bounds: the sum of the
+    /// mean half widths of both lines' bounds. `None` for stages that a single clock measured.
     pub clocks: Option<f64>,
 }
 

@@ -37,13 +37,15 @@ impl<'a> Sample<'a> {
     }
 }
 
-/// Returns the difference of the median of `b` to that of `a`; `None` if one has no values.
+/// Returns the median of `b` minus the median of `a`; `None` if `a` or `b` has no values.
 ///
 /// The interval's ends are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994): every run is resampled from blocks
-/// of itself, of random length with the mean that [`blocks::length`] returns. The median depends, to first order, only on which side of it
-/// the values lie (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). So the block length is
-/// computed from *that* series, and the median of a resample is the quantile that is as far from the middle as the resample has more values
-/// on one side. A resample is therefore a sum, and prefix sums of the run give it without reading the values.
+/// of itself, of random length with the mean that [`blocks::length`] returns.
+///
+/// To first order, the median depends only on how many values lie on each side of it (Bahadur, *A note on quantiles in large samples*,
+/// Annals of Mathematical Statistics 37, 1966). So the block length is computed from the series of sides. If a resample has more values on
+/// one side than the run, its median is the quantile of the run that is shifted by the difference. A resample is therefore a sum, and
+/// prefix sums of the run give it without reading the values.
 pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
     difference_from_resamples(a, b, seed, RESAMPLES)
 }
@@ -112,7 +114,7 @@ impl<'a> BootstrapSample<'a> {
 }
 
 impl Run {
-    /// Draws blocks at random places until they have as many pieces as the run. The run is circular: its first piece follows its last.
+    /// Draws blocks at random positions until they have as many pieces as the run. The run is circular: its first piece follows its last.
     fn blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
         let count = self.sums.len() - 1;
         let ends = -1.0 / self.block;

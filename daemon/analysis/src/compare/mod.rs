@@ -56,8 +56,8 @@ pub enum Repeats<'a> {
     Pooled,
     /// Each repeat is a line.
     Separate,
-    /// Repeats are pooled, except for the runs with these indices: each of them has a separate line, next to the other repeats of its
-    /// configuration.
+    /// Repeats are pooled, except for the runs with these indices. Each of these runs has a separate line, next to the other repeats of
+    /// its configuration.
     PooledExcept(&'a [usize]),
 }
 

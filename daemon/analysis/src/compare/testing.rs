@@ -3,7 +3,7 @@
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
-/// Returns values of which each keeps a share of the one before.
+/// Returns autocorrelated values: each is a share of the previous value plus noise.
 pub(super) fn run(correlation: f64, count: usize, mean: f64, seed: u64) -> Vec<f64> {
     let mut random = StdRng::seed_from_u64(seed);
     let mut last = 0.0;

@@ -84,7 +84,7 @@ pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
     (high - low <= MAX_RELATIVE_WIDTH * rate).then(|| (rate, (high - rate).max(rate - low)))
 }
 
-/// Returns whether a line can be fitted: at least three points with two different x, all of them numbers.
+/// Returns whether a line can be fitted: there are at least three points, they have two different x, and all coordinates are numbers.
 fn can_be_fitted(points: impl IntoIterator<Item = Point>) -> bool {
     let points: Vec<Point> = points.into_iter().collect();
     points.len() >= 3

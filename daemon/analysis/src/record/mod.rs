@@ -85,7 +85,7 @@ pub struct RunRecord {
     pub clocks: Clocks,
     /// Accuracy of the model, by column: `top-1`, `top-5`; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
-    /// Units of the columns that the run logged in addition to the standard ones.
+    /// Units of the columns that the run logged in addition to the standard columns.
     pub units: Units,
     /// Judgement on whether the run can be published; `None` if it was not judged.
     pub trust: Option<trust::Report>,

@@ -1,4 +1,4 @@
-//! Column of numbers in the least memory that returns each of them exactly.
+//! Column of numbers in the smallest form that returns each number exactly.
 
 use super::chunks::Chunks;
 
@@ -14,7 +14,7 @@ const UNITS_PER_WHOLE: [f64; 2] = [1.0, 1e9];
 /// that the form cannot represent moves all of them into the next wider form.
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
-    /// Numbers with a constant difference, or all of them missing.
+    /// Numbers with a constant difference, or only missing numbers.
     Linear { first: Option<f64>, step: f64, count: usize },
     /// Multiples of a fraction of the unit: seconds as whole nanoseconds.
     Multiples { per: f64, counts: Chunks<i32> },
@@ -23,7 +23,7 @@ pub(super) enum Numbers {
 }
 
 impl Numbers {
-    /// Returns `count` numbers, all of them missing.
+    /// Returns `count` missing numbers.
     pub(super) const fn missing(count: usize) -> Self {
         Self::Linear { first: None, step: 0.0, count }
     }

@@ -1,4 +1,4 @@
-//! Units of the columns that a run logged in addition to the standard ones.
+//! Units of the columns that a run logged in addition to the standard columns.
 
 use std::collections::BTreeMap;
 

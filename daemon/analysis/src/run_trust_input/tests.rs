@@ -30,7 +30,7 @@ fn skipped_starts_are_reported_and_graded() {
     let poisson = serde_json::json!({ "mode": "poisson", "hz": 40.0, "seed": 7 });
     for load in [&rate, &poisson] {
         let text = "1,041 of 2,041 starts (51\u{202f}%) were skipped because the pipeline could not keep up: \
-                    40.0\u{202f}Hz were configured, 1.00\u{202f}Hz achieved. The latency is that of a system at its limit.";
+                    40.0\u{202f}Hz were configured, 1.00\u{202f}Hz achieved. The pipeline worked at its limit, which shows in the latency.";
         assert_eq!(judged(load.clone(), 1041), Some((Grade::Bad, text.to_owned())));
     }
     let (grade, text) = judged(rate.clone(), 20).expect("told");

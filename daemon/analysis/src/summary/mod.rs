@@ -32,7 +32,7 @@ pub struct Summary {
     pub clocks: Clocks,
     /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
-    /// Units of the columns that the run logged in addition to the standard ones.
+    /// Units of the columns that the run logged in addition to the standard columns.
     pub units: Units,
 }
 
@@ -112,8 +112,8 @@ fn is_bound(column: &str) -> bool {
     column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
 }
 
-/// Returns the median of the lower ends and that of the upper ends: when each value lies between its ends, the median of the values lies
-/// between these two. `None` unless every value has ends.
+/// Returns the median of the lower ends and the median of the upper ends. If each value lies between its ends, the median of the values
+/// lies between these medians. `None` unless every value has ends.
 fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let bounded = ["upload", "download", "upload-throughput", "download-throughput"];
     bounded.contains(&column).then_some(())?;

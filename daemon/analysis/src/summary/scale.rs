@@ -2,7 +2,7 @@
 
 use peernet_logger::Unit;
 
-/// Columns that are times, at any place in the tree and in the files of any program.
+/// Columns that are times, wherever their nodes are in the tree, and in the files of any program.
 const DURATION_COLUMNS: [&str; 17] = [
     "sensing",
     "upload",

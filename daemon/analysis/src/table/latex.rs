@@ -85,8 +85,8 @@ const fn is_latin(char: char) -> bool {
         || matches!(char, '‘' | '’' | '‚' | '“' | '”' | '„' | '†' | '‡' | '•' | '…' | '‰' | '€' | '™')
 }
 
-/// Escapes any text for LaTeX: it is printed as it is, and cannot act as a command, as the argument of the one before it, or as a ligature.
-/// Invisible characters, such as control characters, become a blank or are left out.
+/// Escapes any text for LaTeX, so that it is printed as it is. It cannot act as a command, as an argument of the command before it, or as a
+/// ligature. Invisible characters, such as control characters, become a blank or are removed.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut before = ' ';
@@ -95,7 +95,7 @@ pub fn escape(text: &str) -> String {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', char]),
             // After the end of a row LaTeX would read these as its arguments.
             '[' | ']' | '*' => out.extend(['{', char, '}']),
-            // Two of them would become one dash, or one quotation mark.
+            // Two such characters would become one dash, or one quotation mark.
             '-' | '\'' | ',' | '`' if before == char => out.extend(['{', '}', char]),
             '`' if matches!(before, '?' | '!') => out.push_str("{}`"),
             '\\' => out.push_str("\\textbackslash{}"),

@@ -22,8 +22,8 @@ pub fn interval([lo, hi]: [String; 2]) -> String {
     }
 }
 
-/// Returns the number of decimals of a column: three significant digits of the smallest number that is not zero, but no more
-/// than two decimals beyond those that the largest one needs for three.
+/// Returns the number of decimals of a column. They show three significant digits of the smallest number that is not zero, but are at most
+/// two more than the largest number needs for three significant digits.
 pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
     let (mut needed, mut largest) = (0, 0.0_f64);
     for value in values.filter(|value| value.is_finite() && *value != 0.0) {

@@ -1,4 +1,4 @@
-//! Runs that ended before they were to end.
+//! Runs that ended before their limit.
 
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::EndReason;
@@ -10,9 +10,9 @@ use crate::rows::Rows;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Limits {
-    /// Iterations, warm-up left out.
+    /// Iterations without the warm-up.
     pub iterations: Option<f64>,
-    /// Iterations with those of the warm-up.
+    /// Iterations including the warm-up.
     pub total: Option<f64>,
     /// Seconds from the first iteration that is not warm-up.
     pub duration_s: Option<f64>,
@@ -21,11 +21,11 @@ pub struct Limits {
 /// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Iterations, answered or not, warm-up left out; with those that were measured and not seen.
+    /// Iterations without the warm-up, answered or not, including iterations that were measured and not seen.
     pub measured: u64,
     /// Iterations of the warm-up.
     pub warm_up: u64,
-    /// Duration from the first iteration that is not warm-up to the last, seconds.
+    /// Time from the first iteration after the warm-up to the last iteration, seconds.
     pub seconds: f64,
 }
 
@@ -34,7 +34,7 @@ pub struct Progress {
 pub struct EndedEarly {
     /// Amount that was reached, in `unit`.
     pub reached: f64,
-    /// Amount that was ordered, in `unit`.
+    /// Configured limit, in `unit`.
     pub ordered: f64,
     /// Unit of both amounts.
     pub unit: Unit,

@@ -9,7 +9,7 @@ use crate::rows::Rows;
 pub struct Restarts {
     /// Owner of the process: `model`, `sensor`, `actuator`.
     pub owner: &'static str,
-    /// Number of affected iterations among those that statistics include.
+    /// Number of affected iterations that statistics include.
     pub count: u64,
     /// Total time that the restarts took from them.
     pub seconds: f64,

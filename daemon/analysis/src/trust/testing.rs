@@ -1,4 +1,4 @@
-//! Runs for tests: reproducible noise, rows of it, and the findings of a report on them.
+//! Runs for tests: rows with reproducible noise, and the findings of a report on them.
 
 use peernet_statistics::SplitMix64;
 use peernet_stream::{Condition, Grade};
@@ -27,7 +27,7 @@ pub(crate) fn rows(totals: impl IntoIterator<Item = f64>) -> Rows {
     (1..).zip(totals).map(|(iteration, seconds)| row(iteration, seconds)).collect()
 }
 
-/// Returns totals of 10 ms within a per cent, without slow ones.
+/// Returns totals of 10 ms within 1 %, without outliers.
 pub(crate) fn quiet(count: usize) -> Vec<f64> {
     let mut noise = SplitMix64::new(7);
     (0..count).map(|_| 0.010 * (1.0 + 0.01 * noise.normal())).collect()

@@ -7,15 +7,15 @@ use peernet_statistics::Summary;
 use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
 use crate::order::SortedValues;
 
-/// Iterations that count as a run's beginning, at least.
+/// Minimum number of iterations in the beginning of a run.
 const MIN_BEGINNING_VALUES: u64 = 20;
-/// Maximum number of blocks that a run is cut into; the first block is its beginning.
+/// Maximum number of blocks of a run. The first block is its beginning.
 const MAX_BLOCKS: u64 = 200;
-/// Change of the median between the halves, as a share of the first, that is mentioned.
+/// Minimum change of the median between the halves, as a share of the first, that is mentioned.
 pub(super) const MIN_NOTABLE_CHANGE: f64 = 0.05;
-/// Factor from the median distance from the median to the standard deviation of a normal distribution.
+/// Standard deviation of a normal distribution divided by its median absolute deviation (MAD).
 const MAD_TO_STD: f64 = 1.4826;
-/// Distances above the median, in such deviations, from which on a value is an outlier (Iglewicz and Hoaglin 1993).
+/// Distance above the median, in deviations computed from the MAD, above which a value is an outlier (Iglewicz and Hoaglin 1993).
 const OUTLIER_DEVIATIONS: f64 = 3.5;
 /// Minimum deviation, as a share of the median: the resolution of the stored quantiles.
 const MIN_RELATIVE_DEVIATION: f64 = 0.01;
@@ -48,7 +48,7 @@ pub struct Beginning {
     pub median: f64,
     /// The median of the rest, seconds.
     pub rest: f64,
-    /// Share of the later blocks of as many values whose median is at least as high, 0 to 1.
+    /// Share of the later blocks of equal size whose median is at least as high, 0 to 1.
     pub share_as_high: f64,
     /// Number of later blocks.
     pub blocks: usize,
@@ -88,7 +88,7 @@ impl TimeSeries {
     /// Returns the statistics of values in order of time; `None` without any.
     pub fn from_values(values: &[f64]) -> Option<Self> {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
-        // Sorted one after the other, so that a long run needs memory for only one of them.
+        // They are sorted one after the other, so that a long run needs memory for only one sorted copy.
         let median = finite().collect::<SortedValues>().median()?;
         let deviation = finite().map(|value| (value - median).abs()).collect::<SortedValues>().median()?;
         let limit = limit(median, deviation);

@@ -33,10 +33,12 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
 /// Returns the factor by which autocorrelation of the first order increases the variance of the score, at least 1: the number of values
 /// over the number of equivalent independent values (Matalas and Langbein 1962).
 ///
-/// A change looks like autocorrelation as well, so it is removed first: a line, and steps after a quarter, a half and three quarters; the
-/// one that explains most is used. In simulations the test finds a trend in series without one in 4 % of all cases when their values are
-/// independent, and in 9 % at an autocorrelation of 0.5, where the plain test does so in 23 %. The correction over all lags
-/// (Hamed and Rao 1998) does so in 18 %, because it underestimates the correlation of so few values.
+/// A change looks like autocorrelation, so it is removed first. It is taken as a line, or as a step after a quarter, a half or three
+/// quarters; the change that explains most is used.
+///
+/// In simulations of series without a trend the test finds one in 4 % of all cases if the values are independent, and in 9 % at an
+/// autocorrelation of 0.5. At 0.5 the plain test finds one in 23 %, and the correction over all lags (Hamed and Rao 1998) in 18 %, because
+/// it underestimates the correlation of few values.
 fn variance_inflation(series: &[f64]) -> f64 {
     let n = series.len();
     let count = n as f64;
@@ -87,7 +89,7 @@ fn tie_sizes(series: &[f64]) -> Vec<f64> {
     sorted.chunk_by(|a, b| a == b).filter(|group| group.len() > 1).map(|group| group.len() as f64).collect()
 }
 
-/// Ranks from 1, the mean rank for those that share a value.
+/// Returns the ranks from 1. Equal values have their mean rank.
 fn ranks(series: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..series.len()).collect();
     order.sort_unstable_by(|a, b| series[*a].total_cmp(&series[*b]));

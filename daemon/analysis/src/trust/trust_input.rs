@@ -26,7 +26,7 @@ pub struct TrustInput {
     pub starts: Starts,
     /// Measurements that are missing.
     pub missing: Vec<MissingEvents>,
-    /// Reason that the run broke off: it neither finished nor was stopped.
+    /// Reason for which the run broke off. `None` if it finished or was stopped.
     pub failure: Option<String>,
     /// `true` if it has no end yet.
     pub open: bool,
@@ -34,11 +34,11 @@ pub struct TrustInput {
     pub ended_early: Option<EndedEarly>,
     /// `true` if the clock of a host was made wrong on purpose.
     pub has_clock_fault: bool,
-    /// Total of each iteration; that of the sensor if there is nothing else. `None` without any.
+    /// Total of each iteration, or `sensing` if the pipeline only senses. `None` without such values.
     pub total: Option<TimeSeries>,
     /// The stages, by name.
     pub stages: Vec<(String, TimeSeries)>,
-    /// Average of the total less its stages; seconds. Negative where stages overlap.
+    /// Average of the total minus its stages; seconds. Negative if stages overlap.
     pub unattributed: Option<f64>,
     /// Average part of that time that is known to be lateness; seconds. `None` in a closed loop.
     pub lateness: Option<f64>,
@@ -57,22 +57,22 @@ pub struct TrustInput {
 pub struct Counts {
     /// Iterations with an answer. Warm-up is left out of all counts but `warm_up`.
     pub ok: u64,
-    /// Sample or model failed.
+    /// Iterations whose sample or model failed.
     pub failed: u64,
-    /// Will never be answered.
+    /// Iterations that will never be answered.
     pub lost: u64,
     /// Iterations not answered in time.
     pub timeout: u64,
-    /// Left out of statistics.
+    /// Iterations of the warm-up, which statistics exclude.
     pub warm_up: u64,
 }
 
 /// Events that were dropped or never arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MissingEvents {
-    /// Number of them; 0 if it is not known.
+    /// Number of missing events; 0 if it is not known.
     pub count: u64,
-    /// Why.
+    /// Reason for which they are missing.
     pub reason: String,
 }
 
@@ -93,7 +93,7 @@ impl TrustInput {
     /// Returns the input from the rows of a run and the conditions of its hosts that were found before it.
     pub fn from_rows(rows: &Rows, conditions: &[Condition]) -> Self {
         let measured = || rows.iter().filter(|row| row.is_counted());
-        let course =
+        let time_series =
             |column: &str| TimeSeries::from_values(&rows.counted_values(column).collect::<Vec<f64>>());
         // Both sums cover the same iterations: if a delay is not known, the unattributed time is not known either.
         let explained = || measured().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
@@ -102,7 +102,8 @@ impl TrustInput {
             let count = values().count();
             (count > 0).then(|| values().sum::<f64>() / count as f64)
         };
-        let stages = stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), course(&name)?)));
+        let stages =
+            stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), time_series(&name)?)));
         let count = |outcome: Outcome| {
             rows.iter().filter(|row| !row.warm_up() && row.outcome() == outcome).count() as u64
         };
@@ -118,7 +119,7 @@ impl TrustInput {
                 warm_up: rows.iter().filter(|row| row.warm_up()).count() as u64,
             },
             starts: Starts::from_rows(rows),
-            total: course(&stage::TOTAL).or_else(|| course(&stage::SENSING)),
+            total: time_series(&stage::TOTAL).or_else(|| time_series(&stage::SENSING)),
             stages: stages.collect(),
             unattributed: mean(&stage::UNATTRIBUTED),
             lateness: mean(LATENESS),

@@ -35,7 +35,7 @@ pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
     let to = rows.iter().map(last).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)?;
     (to > from).then_some(())?;
     let is_alone = edges.len() == 1;
-    // An iteration starts at `from` and one at `to`. Without the one at `to`, n starts span n periods.
+    // An iteration starts at `from` and another at `to`. Without the start at `to`, n starts span n periods.
     let within = |row: &RowRef<'_>| (from..to).contains(&row.at());
     let starts_and_totals = |rows: &Vec<RowRef<'_>>| {
         let totals = rows.iter().filter(|row| is_alone || within(row)).filter_map(|row| row.value("total"));

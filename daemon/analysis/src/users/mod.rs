@@ -114,7 +114,7 @@ impl Users {
 }
 
 impl UsersLine {
-    /// Returns a configuration with `edges` edges, from the share of each of them in each repeat.
+    /// Returns a configuration with `edges` edges, from the share of each edge in each repeat.
     pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<EdgeShare>], totals: Totals) -> Self {
         let rates = |shares: &Vec<EdgeShare>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
         let rates: Vec<Vec<f64>> = repeats.iter().map(rates).collect();

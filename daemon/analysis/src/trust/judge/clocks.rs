@@ -7,9 +7,9 @@ use peernet_stream::Grade;
 use super::{finding, percent, with_advice};
 use crate::trust::{Clocks, Finding, TrustInput};
 
-/// Shares of delays: from here on the delays as a whole are not known …
+/// Share of bad delays from which the delays as a whole are not known.
 const MAJORITY_SHARE: f64 = 0.5;
-/// … and up to here a few bad ones do not change a median.
+/// Share up to which a few bad delays do not change a median.
 const NEGLIGIBLE_SHARE: f64 = 0.01;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {

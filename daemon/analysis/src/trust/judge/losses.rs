@@ -6,15 +6,15 @@ use peernet_stream::Grade;
 use super::{END, finding, iterations, percent, with_advice};
 use crate::trust::{Counts, EndedEarly, Finding, MissingEvents, Starts, TrustInput};
 
-/// Samples below which no 95th percentile is given anywhere in PEERNet.
+/// Minimum number of values for a 95th percentile, everywhere in PEERNet.
 const MIN_ANSWERS: u64 = 60;
-/// Shares of iterations without an answer, and of skipped starts: from the first on they are mentioned, from the second on the
-/// latency of the others is misleading.
+/// Share of iterations without an answer, and of skipped starts, above which they are mentioned.
 const NOTABLE_SHARE: f64 = 0.001;
+/// Share of iterations without an answer, and of skipped starts, above which the latency of the answered iterations is misleading.
 const MISLEADING_SHARE: f64 = 0.1;
-/// Share of missing events from which on the received ones do not represent the missing ones.
+/// Share of missing events from which the received events do not represent the missing events.
 const MAX_MISSING_SHARE: f64 = 0.05;
-/// Share of the ordered iterations below which a run is too short to represent the ordered one.
+/// Share of the configured limit below which a run is too short to represent the whole run.
 const MIN_REACHED_SHARE: f64 = 0.5;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
@@ -148,7 +148,7 @@ fn judge_skipped_starts(starts: &Starts) -> Option<Finding> {
     let advice = "report the achieved rate beside the latency, or configure a lower rate";
     Some(match share {
         share if share > MISLEADING_SHARE => {
-            let text = format!("{text} The latency is that of a system at its limit.");
+            let text = format!("{text} The pipeline worked at its limit, which shows in the latency.");
             with_advice(finding(about, Grade::Bad, text), advice)
         }
         share if share > NOTABLE_SHARE => with_advice(finding(about, Grade::Doubtful, text), advice),
