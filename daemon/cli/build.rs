@@ -40,7 +40,7 @@ fn commit() -> Option<String> {
     Some(if git(&question).is_some() { format!("{head}-dirty") } else { head })
 }
 
-/// Returns the existing parts: a change in one of them can make the commit dirty, or clean again.
+/// Returns the existing parts of the checkout. A change in a part can make the commit dirty, or clean again.
 fn parts() -> Vec<PathBuf> {
     let top = PathBuf::from("../..");
     let crates = std::fs::read_dir(top.join("daemon")).into_iter().flatten().filter_map(Result::ok);

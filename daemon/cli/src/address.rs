@@ -7,7 +7,7 @@ use peernet_networks::{Address, InvalidAddress, NetworkKind};
 /// Port on which agents listen unless another is given.
 pub(crate) const DEFAULT_PORT: u16 = 5551;
 
-/// A text that is no address of a peer.
+/// Reason why a text is not the address of a peer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum AddressError {
     /// The address is valid on one network interface only.

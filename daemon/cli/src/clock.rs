@@ -14,7 +14,7 @@ pub fn system(identity: &str) -> io::Result<SharedClock> {
     Ok(Arc::new(SystemClock::new(ClockIdentity::from_system(identity)?)))
 }
 
-/// Returns `truth`, or the clock that `[clock_fault]` makes of it from now on.
+/// Returns `truth`, or a clock that has the errors of `[clock_fault]` from now on.
 ///
 /// # Errors
 /// When the kernel's boot id cannot be read.
@@ -22,7 +22,7 @@ pub fn with_faults(truth: &SharedClock, faults: Option<&ClockFaultConfig>) -> io
     let Some(faults) = faults else { return Ok(Arc::clone(truth)) };
     let since = truth.wall();
     let identity = match &*truth.identity().clock {
-        // Each start is another clock: its drift begins again.
+        // Each start gives a different clock, because its drift starts from zero.
         ClockIdentity::SYSTEM => {
             let name = format!("clock-fault-{}-{:x}", std::process::id(), since.unix_nanos());
             ClockIdentity::from_system(&name)?

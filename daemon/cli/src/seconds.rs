@@ -5,7 +5,7 @@ use std::num::ParseFloatError;
 /// Longest duration in seconds: a day.
 const MAX_SECONDS: f64 = 86_400.0;
 
-/// A text that is no duration within its limits.
+/// Reason why a text is not a duration within the limits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum SecondsError {
     /// The text is not a number.

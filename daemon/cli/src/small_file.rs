@@ -1,4 +1,4 @@
-//! Reading of small text files: those that the command line names, and those that are found in folders.
+//! Reading of small text files that the command line names or that are found in folders.
 
 use std::fs::File;
 use std::io::{self, Read};

@@ -7,7 +7,7 @@ use std::path::Path;
 use peernet_analysis::Passage;
 use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
 
-/// Columns of a `data.csv`: the fixed ones, then those of this run.
+/// Columns of a `data.csv`: the fixed columns, then the columns of this run.
 #[derive(Clone, Debug)]
 pub struct Header {
     names: Vec<Column>,
@@ -46,7 +46,7 @@ impl Header {
         }
     }
 
-    /// Returns the columns after the fixed ones.
+    /// Returns the columns after the fixed columns.
     pub(crate) fn run_columns(&self) -> &[Column] {
         self.names.get(FIXED_COLUMNS.len()..).unwrap_or_default()
     }

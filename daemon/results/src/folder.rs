@@ -70,8 +70,8 @@ impl ResultFolder {
         super::finish::finish(&self.path, record, rows)
     }
 
-    /// Reads results: those of this program, of older versions, or a single `data.csv` of the published program. The
-    /// path may also be that of a file of rows. A truncated file yields its complete rows; [`Loaded::damage`] reports
+    /// Reads results of this program, of older versions, or a single `data.csv` of the published program. The path is a
+    /// folder or a file of rows. A truncated file yields its complete rows; [`Loaded::damage`] reports
     /// the rest.
     ///
     /// # Errors

@@ -7,7 +7,7 @@
 //! RunRecord ────────────────────────────── run.json ──┘
 //! ```
 //!
-//! The types are those of `peernet_analysis`. The format is described in `docs/results.md`.
+//! The types are in `peernet_analysis`. `docs/results.md` describes the format.
 
 mod cells;
 mod error;

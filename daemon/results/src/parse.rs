@@ -36,7 +36,7 @@ pub(crate) struct RowParser {
 struct ColumnParser {
     name: Column,
     kind: Option<ColumnKind>,
-    /// Index in [`PUBLISHED_STAGES`], if the column is one of them.
+    /// Index in [`PUBLISHED_STAGES`], if the column is a published stage.
     stage: Option<usize>,
     /// Index of its numbers in a row; `None` until there is a number.
     index: Option<usize>,
@@ -44,10 +44,10 @@ struct ColumnParser {
 }
 
 impl RowParser {
-    /// Reads all rows with the wanted columns. The second value is whether a column tells which rows are warm-up;
-    /// otherwise the first `warm_up` rows are.
+    /// Reads all rows with the wanted columns. The second value says whether a column marks the rows of the warm-up;
+    /// otherwise the first `warm_up` rows are the warm-up.
     ///
-    /// A truncated last line is left out: the program was ended while it wrote the line.
+    /// A truncated last line is ignored, because the program was killed while it wrote the line.
     pub(crate) fn read_rows(
         path: &Path,
         warm_up: usize,
@@ -138,7 +138,7 @@ impl RowParser {
         let number = rows.len() as f64 + 1.0;
         let iteration = row.column_index(rows, &column("iteration"));
         row.numbers[iteration].get_or_insert(number);
-        // A stage whose duration is unknown is missing in the sum as well.
+        // A stage whose duration is unknown is missing in the sum, too.
         let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
         if let Some(sum) = sum.filter(|sum| self.needs_sum && sum.is_finite()) {
             let index = row.column_index(rows, &column("stages-total"));

@@ -57,7 +57,7 @@ pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, 
     }
 }
 
-/// Locks a folder itself: that needs no file in it, and the lock ends with the program, for whatever reason.
+/// Locks the folder itself. This needs no file in the folder, and the kernel releases the lock however the program ends.
 fn lock(dir: &Path) -> Result<File, FolderError> {
     let creation_error =
         |error: std::io::Error| FolderError::Create { path: dir.to_owned(), reason: error.to_string() };

@@ -114,7 +114,7 @@ impl RowWriter {
         self.pending.drain(..complete_bytes);
         if outcome.is_err() {
             self.has_partial_row = true;
-            // The first error is the one to report. This is tried again before the next write.
+            // The first error is reported. Truncating is tried again before the next write.
             let _ = self.truncate_partial_row();
         }
         outcome

@@ -47,7 +47,7 @@ pub(super) struct SweepObserver<'a> {
     tried: BTreeSet<u64>,
     /// The peer's clock as last reported.
     cloud_clock: Option<HostClock>,
-    /// `true` if later measurements are those of another clock and no part of the study.
+    /// `true` if a host reads another clock now, so that later measurements are not part of the study.
     over: bool,
 }
 

@@ -31,12 +31,12 @@ impl Sweep {
         Self { progress: Progress::new(quiet, now), scale, began: now }
     }
 
-    /// Notes that the first iteration has started.
+    /// Records the start of the first iteration.
     pub(super) const fn begin(&mut self, now: MonoTime) {
         self.began = now;
     }
 
-    /// Shows the state at `now`, or the trouble in its place.
+    /// Shows the state at `now`. If there is `trouble`, it replaces the state.
     pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime, trouble: Option<String>) {
         let (scale, elapsed) = (&self.scale, (now - self.began).seconds());
         self.progress.show(now, trouble, || scale.describe(samples, elapsed));

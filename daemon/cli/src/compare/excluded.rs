@@ -15,8 +15,10 @@ const MAX_NAMED: usize = 8;
 pub(super) struct Excluded(Vec<Option<Exclusion>>);
 
 impl Excluded {
-    /// Finds the excluded results; `named` are the paths on the command line. Of several results of one run the baseline is compared,
-    /// otherwise a named result, otherwise the one in the folder that its experiment gave it, otherwise the first.
+    /// Finds the excluded results; `named` are the paths on the command line.
+    ///
+    /// If there are several results of a run, the baseline is compared, otherwise a named result, otherwise the result in the folder that
+    /// the experiment gave the run, otherwise the first result.
     pub(super) fn new(
         runs: &[Loaded],
         baseline: &[usize],
@@ -27,7 +29,7 @@ impl Excluded {
             let (known, in_experiment) = (Candidate::from_results(run), experiments.run(&run.folder));
             Candidate {
                 state: in_experiment.map(|run| run.state()).or(known.state),
-                is_named: named.iter().any(|place| is_named(place, &run.folder, experiments)),
+                is_named: named.iter().any(|path| is_named(path, &run.folder, experiments)),
                 rank: if baseline.contains(&at) { 0 } else { 1 + u8::from(in_experiment.is_none()) },
                 ..known
             }

@@ -7,14 +7,14 @@ pub(crate) use unfinished_runs::unfinished_runs_note;
 use peernet_analysis::run_selection::RunState;
 use serde::{Deserialize, Serialize};
 
-/// The form that this program writes.
+/// Version of the format that this program writes.
 pub(crate) const FORMAT: u32 = 1;
 
 /// File with the progress of an experiment.
 pub(crate) const RECORD: &str = "experiment.json";
 /// Maximum size of a record that is read, bytes. A record with the maximum number of runs, each of a different configuration, is smaller.
 pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
-/// The folder in an experiment's that has those of its runs.
+/// Folder in an experiment's folder that has the folders of its runs.
 pub(crate) const RUNS: &str = "runs";
 
 /// Progress of a run.

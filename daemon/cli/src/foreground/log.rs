@@ -32,7 +32,7 @@ pub(crate) enum LogDestination {
     Parent,
 }
 
-/// Installs the log: it passes output of users' code and remarks on connections, and other lines only as `PEERNET_LOG` says.
+/// Installs the log. Unless `PEERNET_LOG` sets another level, it has only output of users' code and remarks on connections.
 ///
 /// # Errors
 /// When the variable holds no level (78).

@@ -51,17 +51,17 @@ pub(crate) trait RunObserver {
     /// Reasons to end besides those of [`Ended`].
     type OwnReason;
 
-    /// Processes an event; returns the reason if the agent is to end. Without `running` the end was decided before.
+    /// Processes an event. Returns a reason if the agent is to end. `running` is `None` if the end was decided before.
     fn handle_event(
         &mut self,
         event: Event,
         running: Option<&RunningAgent>,
     ) -> Option<Ended<Self::OwnReason>>;
 
-    /// Reads the agent's state, several times a second and after every answer to a peer; returns the reason if it is to end.
+    /// Reads the agent's state, several times a second and after every answer to a peer. Returns a reason if the agent is to end.
     fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended<Self::OwnReason>>;
 
-    /// Notes that the end is decided; work in progress is still waited for.
+    /// Handles the decision to end. Work in progress is still waited for.
     fn end_decided(&mut self) {}
 }
 
@@ -70,7 +70,7 @@ pub(crate) struct Ready {
     config: AgentConfig,
     /// This machine's clock.
     pub(crate) truth: SharedClock,
-    /// The clock that `[clock_fault]` makes of it.
+    /// The clock that the agent reads: `truth` with the errors of `[clock_fault]`.
     pub(crate) clock: SharedClock,
 }
 

@@ -1,4 +1,4 @@
-//! Wait for a peer that is away: when it is given up, and what is shown of a slow one.
+//! Wait for a peer that is away: the time after which the agent gives up, and the messages about a slow peer.
 
 use peernet_agent::RunningAgent;
 use peernet_clock::{MonoTime, Span};
@@ -36,7 +36,7 @@ impl PipelineActivity {
         }
     }
 
-    /// Returns the reason that the peer is away, if it is and the reason is known.
+    /// Returns the reason for which the peer is away; `None` if it is not away or the reason is unknown.
     pub(crate) fn wait_reason(&self) -> Option<&str> {
         match self {
             Self::Away(reason) => reason.as_deref(),
@@ -58,7 +58,7 @@ impl PipelineActivity {
 
 /// Wait for the peer of one pipeline.
 pub(crate) struct PeerWait {
-    /// Time of the peer's last answer, or the last time at which it was not asked.
+    /// Time of the peer's last answer, or the last time without an open request.
     answered: MonoTime,
     /// Last time at which the peer was connected.
     present: MonoTime,
@@ -82,9 +82,9 @@ impl PeerWait {
         self.present
     }
 
-    /// Takes the pipeline's activity into account: only a peer that is away is given up.
+    /// Takes the pipeline's activity into account, because only a peer that is away is given up.
     ///
-    /// A connected peer has the time that the pipeline gives each iteration; while the sensor works, the peer was not asked.
+    /// The pipeline itself limits the time of a connected peer for each iteration. While the sensor works, there is no open request.
     pub(crate) const fn update(&mut self, activity: &PipelineActivity, now: MonoTime) {
         match activity {
             PipelineActivity::Preparing(_) | PipelineActivity::Sensing(_) => self.record_answer(now),
@@ -123,7 +123,7 @@ impl PeerWait {
         timeout: Span,
     ) -> Option<String> {
         let away = now - self.present;
-        // Without a reason the first attempt is still under way: it gets a minimum of time, whatever the limit.
+        // Without a reason the first attempt has not ended. It gets a minimum of time, even if the timeout is shorter.
         let timeout = if wait_reason.is_none() { timeout.max(SILENCE) } else { timeout };
         let reason = wait_reason.unwrap_or(UNKNOWN);
         let text = || format!("gave up after {:.0} s without an answer: {reason}", away.seconds());

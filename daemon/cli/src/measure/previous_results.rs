@@ -1,8 +1,8 @@
-//! Safe replacement of earlier results: they are kept until new ones are complete.
+//! Safe replacement of earlier results: they are kept until the new results are complete.
 //!
-//! A run can be killed at any moment. `run.json` shows the state: it is the first file that is moved away, the last that is
+//! A run can be killed at any moment. `run.json` shows the state: it is the first file that is moved away, the last file that is
 //! restored, and the last important file that a new run writes. If it is in the folder, the results there are complete and the
-//! moved ones are obsolete.
+//! moved results are obsolete.
 
 use std::fs::{File, read_dir, remove_file, rename};
 use std::io::{BufRead, BufReader, ErrorKind};
@@ -14,21 +14,23 @@ use anyhow::Context;
 use peernet_results::ResultFolder;
 use tempfile::TempDir;
 
-/// Prefix of the folders that hold moved results.
+/// Prefix of the folders that contain moved results.
 const PREFIX: &str = ".replaced-";
-/// The file that makes results complete.
+/// The file that marks results as complete.
 const RECORD: &str = "run.json";
 const DATA: &str = "data.csv";
-/// Names of the rows of runs without results: killed ones, and ones whose results did not fit on the disk.
-const NOTHING: [&str; 2] = [KILLED, UNFINISHED];
+/// File names of rows of runs without results.
+const ROWS_WITHOUT_RESULTS: [&str; 2] = [KILLED, UNFINISHED];
+/// File name of the rows of a killed run.
 const KILLED: &str = "killed";
+/// File name of the rows of a run whose results did not fit on the disk.
 const UNFINISHED: &str = "unfinished";
 
 /// Results that were moved away. Dropping it restores them.
 #[derive(Debug)]
 pub(super) struct PreviousResultsGuard {
     results_dir: PathBuf,
-    /// Folder in `results_dir` that holds them; `None` if there is nothing to restore.
+    /// Folder in `results_dir` with the moved results; `None` if there is nothing to restore.
     kept: Option<TempDir>,
 }
 
@@ -124,7 +126,7 @@ impl PreviousResultsGuard {
         }
     }
 
-    /// Removes the earlier results because new ones are complete, and the rows of runs without results.
+    /// Removes the earlier results because the new results are complete, and the rows of runs without results.
     pub(super) fn remove(&mut self) {
         let closed = self.kept.take().map_or(Ok(()), TempDir::close);
         let removed = rows_without_results(&self.results_dir).into_iter().try_for_each(remove_file);
@@ -138,7 +140,7 @@ impl Drop for PreviousResultsGuard {
     fn drop(&mut self) {
         let Some(kept) = self.kept.take() else { return };
         if std::thread::panicking() {
-            // New rows may be in their place by now.
+            // After a panic new rows may have the names of the moved files, so nothing is moved back.
             let folder = kept.keep();
             return print_to_stderr(format_args!("the previous results are in {}", folder.display()));
         }
@@ -163,7 +165,7 @@ pub(crate) fn previous_results_folder(results_dir: &Path) -> Option<PathBuf> {
 fn rows_without_results(results_dir: &Path) -> Vec<PathBuf> {
     let is_one = |path: &PathBuf| {
         let stem = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".csv"));
-        let rest = stem.and_then(|stem| NOTHING.iter().find_map(|name| stem.strip_prefix(name)));
+        let rest = stem.and_then(|stem| ROWS_WITHOUT_RESULTS.iter().find_map(|name| stem.strip_prefix(name)));
         rest.is_some_and(|rest| {
             rest.is_empty() || rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok())
         })

@@ -135,14 +135,14 @@ impl<'a> RunRecorder<'a> {
         }
     }
 
-    /// Returns everything that was recorded, after writing the rows to the file as far as there is room.
+    /// Writes the rows to the file as far as the disk has space, and returns everything that was recorded.
     pub(super) fn finish(self) -> RecordedRun {
         let mut recorded = self.recorded;
         recorded.unwritten = self.writer.finish().err().map(|error| error.to_string());
         recorded
     }
 
-    fn began(&mut self, run: RunDescription) {
+    fn record_start(&mut self, run: RunDescription) {
         let now = self.clock.mono();
         self.peer_wait.record_answer(now);
         self.progress.began.get_or_insert(now);
@@ -153,7 +153,7 @@ impl<'a> RunRecorder<'a> {
         self.recorded.description = Some(run);
     }
 
-    /// Notes who serves: it may be another program after an absence.
+    /// Records the hosts. After an absence another program may serve.
     fn record_hosts(&mut self, running: Option<&RunningAgent>) {
         let cloud = running.and_then(|running| running.serving_cloud(&self.pipeline));
         self.recorded.cloud = cloud.or(self.recorded.cloud.take());
@@ -166,7 +166,7 @@ impl<'a> RunRecorder<'a> {
             link.and_then(|link| link.cloud).and_then(words).or(self.recorded.cloud_clock.take());
     }
 
-    fn row(&mut self, row: &Row) {
+    fn record_row(&mut self, row: &Row) {
         // A failure is an answer, too.
         if matches!(row.outcome, Outcome::Ok | Outcome::Failed) {
             self.peer_wait.record_answer(self.clock.mono());
@@ -193,22 +193,22 @@ impl RunObserver for RunRecorder<'_> {
     fn handle_event(&mut self, event: Event, running: Option<&RunningAgent>) -> Option<Ended> {
         match event {
             Event::RunStarted(run) => {
-                self.began(run);
+                self.record_start(run);
                 self.recorded.edge = running.map(RunningAgent::description).or(self.recorded.edge.take());
                 self.record_hosts(running);
             }
             Event::Iteration(iteration) => {
                 let row = self.recorded.units.row(&iteration);
-                self.row(&row);
+                self.record_row(&row);
             }
             Event::RunEnded(run) => {
                 self.recorded.ended = Some(run.ended);
-                // The claim of a time daemon may have arrived only since the run began.
+                // The claim of a time daemon may have arrived after the start of the run.
                 self.record_hosts(running);
                 return Some(Ended::from_run_end(run.reason, "run"));
             }
             Event::Incident(incident) => match incident.kind {
-                // Later ones are part of the run's end, or ignored.
+                // Later incidents are part of the run's end, or ignored.
                 IncidentKind::PipelineFailed if self.recorded.description.is_none() => {
                     return Some(Ended::Failed(incident.text));
                 }
@@ -228,12 +228,12 @@ impl RunObserver for RunRecorder<'_> {
 
     fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended> {
         self.writer.flush();
-        // The peer may leave with the last answer: there is no need for it to return.
+        // The peer may disconnect after the last answer. The run does not wait for it then.
         if self.progress.is_complete() {
             return Some(Ended::Finished);
         }
         let pipelines = running.live_update().pipelines;
-        // Its last events were sent before, if there was room for them.
+        // The pipeline's last events were queued before its state changed, unless the queue was full.
         match pipelines.into_iter().next().map(|one| one.state) {
             Some(PipelineState::Failed(reason)) => return Some(Ended::Failed(reason)),
             Some(PipelineState::Finished) => return Some(Ended::Finished),

@@ -1,6 +1,6 @@
-//! Spools of a host that exists for some runs only: one for each aggregator to which it streams.
+//! Spools of a host that exists only during some runs: one spool for each aggregator to which it streams.
 //!
-//! With a common spool, an aggregator would lack the batches that another one has acknowledged, and count them as lost.
+//! With a common spool, an aggregator would not get the batches that another aggregator has acknowledged, and count them as lost.
 
 use std::fmt;
 use std::fs::{self, File, TryLockError};
@@ -30,15 +30,15 @@ pub(super) fn prepare(folder: &Path, aggregator: &Address) -> io::Result<PathBuf
 
 /// Returns an aggregator's address as part of a spool's file name.
 fn spool_name(aggregator: &Address) -> String {
-    // Users mix these names of one machine.
+    // Users use these names of the local machine interchangeably.
     match aggregator.host().as_str() {
         "127.0.0.1" | "::1" => format!("localhost:{}", aggregator.port()),
         _ => aggregator.authority().to_ascii_lowercase(),
     }
 }
 
-/// Makes the spool of an earlier version that of the first named aggregator: the events that wait in it go there, as with the
-/// earlier version.
+/// Renames the spool of an earlier version to the spool of the first named aggregator. The events that wait in it go there, as with
+/// the earlier version.
 fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
     let old = folder.join(OLD_SPOOL);
     if spool.exists() || !old.exists() {
@@ -47,7 +47,7 @@ fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
     let lock = File::options().create(true).append(true).open(folder.join(AGENT_LOCK))?;
     match lock.try_lock() {
         Ok(()) => {}
-        // An agent is active here: this one will be refused for it.
+        // Another agent is active in this folder, so this agent will be refused.
         Err(TryLockError::WouldBlock) => return Ok(()),
         Err(TryLockError::Error(error)) => return Err(error),
     }
@@ -170,7 +170,7 @@ mod tests {
         assert!(!is_for("lab:5550", "tcp://lab:5551") && !is_for("lab:5550", "tcp://localhost:5550"));
     }
 
-    /// Leaves a spool as a killed program does: a part of it is in the log.
+    /// Leaves a spool as a killed program does, with a part of it in the write-ahead log.
     async fn killed(folder: &Path) {
         let elsewhere = tempfile::tempdir().expect("a folder");
         let file = elsewhere.path().join(OLD_SPOOL);

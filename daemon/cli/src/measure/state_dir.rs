@@ -22,7 +22,7 @@ impl AgentStateDir {
     /// Returns the folder of this agent.
     ///
     /// # Errors
-    /// When there is no place for it (69).
+    /// When no folder can be used for it (69).
     pub(crate) fn for_agent(agent: &HostConfig) -> Result<Self, Failure> {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
         if agent.aggregator.is_none() {

@@ -11,7 +11,7 @@ use peernet_logger::Tree;
 use peernet_statistics::number::{bytes, counted, milliseconds};
 use serde_json::{Value, json};
 
-use super::Wanted;
+use super::WantedModel;
 use super::input::Input;
 use super::running::{Options, Running};
 use crate::foreground::Progress;
@@ -26,7 +26,7 @@ const QUANTILES: [(&str, f64, usize); 3] =
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    wanted: Wanted,
+    wanted: WantedModel,
     #[command(flatten)]
     options: Options,
     /// Number of measured samples; p99 needs 300, p95 60.

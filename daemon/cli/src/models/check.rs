@@ -13,13 +13,13 @@ use serde::Deserialize;
 
 use super::input::Input;
 use super::running::{Options, Running};
-use super::{Wanted, failure, other_file};
+use super::{WantedModel, describe_hash_mismatch, failure};
 
 /// Arguments of `peernet models check`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    wanted: Wanted,
+    wanted: WantedModel,
     #[command(flatten)]
     options: Options,
     /// A picture, or a folder of pictures with or without a labels.csv, instead of the model's own.
@@ -37,7 +37,7 @@ struct Answer {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let found = arguments.wanted.find()?;
     if let Ok(card) = &found.card
-        && let Some(text) = other_file(card, &found.hash().map_err(failure)?)
+        && let Some(text) = describe_hash_mismatch(card, &found.hash().map_err(failure)?)
     {
         print_to_stderr(text);
     }
@@ -51,12 +51,14 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         fixed(pool.load_duration().seconds(), 2)
     ));
     let Some(input) = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())? else {
-        print_to_stdout("no test pictures: none in its folder `pictures`, none named with --pictures");
+        print_to_stdout(
+            "no test pictures: the model's folder has no `pictures`, and --pictures was not given",
+        );
         return Ok(());
     };
-    let (mut right, mut labelled, mut foreign, mut failed) = (0, 0, 0, 0);
+    let (mut right, mut labelled, mut unknown_labels, mut failed) = (0, 0, 0, 0);
     let all = input.samples.len() as u64;
-    let alone = all == 1;
+    let is_single = all == 1;
     for sample in input.samples {
         let (source, label) = (sample.source.clone(), sample.label.clone());
         let answer = running.infer(sample).0.map_err(AnswerError::from).and_then(|answer| read(&answer));
@@ -71,21 +73,21 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
                         labelled += 1;
                         right += usize::from(label == normalized_label(&answer.label));
                     }
-                    // With such a label no answer could be right.
-                    Some(_) => foreign += 1,
+                    // The label is not a class of the model, so no answer could be right.
+                    Some(_) => unknown_labels += 1,
                     None => {}
                 }
-                if alone {
+                if is_single {
                     print_to_stdout(format_args!("{source}: {} ({})", answer.label, fixed(answer.score, 3)));
                 }
             }
         }
     }
     let accuracy = if labelled > 0 { format!("; {right} of {labelled} labels right") } else { String::new() };
-    let unknown = match foreign {
+    let unknown = match unknown_labels {
         0 => String::new(),
         1 => "; 1 label is not a class of the model".to_owned(),
-        foreign => format!("; {foreign} labels are no classes of the model"),
+        count => format!("; {count} labels are not classes of the model"),
     };
     let of = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };
     print_to_stdout(format_args!("answered {of}{}{accuracy}{unknown}", input.what));
@@ -97,7 +99,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The reason why a picture counts as not answered.
+/// Reason for which a picture has no answer.
 #[derive(Debug, thiserror::Error)]
 enum AnswerError {
     #[error(transparent)]

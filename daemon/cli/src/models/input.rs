@@ -11,7 +11,7 @@ use peernet_sensors::{SensorConfig, SensorKind};
 
 /// Name of the folder of test pictures in a model's folder.
 const PICTURES: &str = "pictures";
-/// Size of the synthetic picture in pixels, that of a usual camera.
+/// Size of the synthetic picture in pixels, a usual size of camera pictures.
 const SIZE: (u32, u32) = (1280, 720);
 
 /// Samples with their description.
@@ -21,7 +21,8 @@ pub(super) struct Input {
 }
 
 impl Input {
-    /// Reads the pictures of a file or folder, or the model's own, with their labels; `None` if the model has none.
+    /// Reads the pictures of a file or folder, or otherwise the test pictures of the model, with their labels. `None` if the model has no
+    /// test pictures.
     pub(super) fn pictures(
         found: &ModelOnDisk,
         given: Option<&Path>,
@@ -35,7 +36,7 @@ impl Input {
         }
     }
 
-    /// Makes a synthetic picture of pixels, so that nothing is decoded.
+    /// Creates a synthetic picture from pixels, so that nothing has to be decoded.
     pub(super) fn generated() -> Self {
         let (width, height) = SIZE;
         let pixels: Vec<u8> =

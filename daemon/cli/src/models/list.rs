@@ -7,20 +7,20 @@ use peernet_inference::bank::ModelOnDisk;
 use peernet_sample::printable_line;
 use serde_json::{Value, json};
 
-use super::Places;
+use super::SearchedFolders;
 
 /// Arguments of `peernet models list`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    places: Places,
+    searched: SearchedFolders,
     /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let folders = arguments.places.folders()?;
+    let folders = arguments.searched.folders()?;
     for error in folders.check() {
         print_to_stderr(error);
     }
@@ -30,10 +30,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Ok(());
     }
     if found.is_empty() {
-        let places: Vec<String> = folders.paths().iter().map(|place| place.display().to_string()).collect();
+        let paths: Vec<String> = folders.paths().iter().map(|path| path.display().to_string()).collect();
         print_to_stdout(format_args!(
             "no model in {}; export one with models/export_torchvision.py, or name a folder with --models-dir",
-            places.join(", ")
+            paths.join(", ")
         ));
         return Ok(());
     }

@@ -48,14 +48,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Folders that are searched for models.
 #[derive(Debug, clap::Args)]
-struct Places {
+struct SearchedFolders {
     /// A folder of models that is searched before PEERNET_MODELS, /var/lib/peernet/models and models; may be given several
     /// times.
     #[arg(long, value_name = "DIR")]
     models_dir: Vec<PathBuf>,
 }
 
-impl Places {
+impl SearchedFolders {
     fn folders(&self) -> Result<ModelFolders, Failure> {
         if let Some(folder) = self.models_dir.iter().find(|folder| !folder.is_dir()) {
             return Err(Failure::new(Exit::NoInput, anyhow!("there is no folder {}", folder.display())));
@@ -68,23 +68,23 @@ impl Places {
     }
 }
 
-/// A model of these folders.
+/// A model in the searched folders.
 #[derive(Debug, clap::Args)]
-struct Wanted {
+struct WantedModel {
     /// The name of the model's folder, or a path to it with a slash.
     name: String,
     #[command(flatten)]
-    places: Places,
+    searched: SearchedFolders,
 }
 
-impl Wanted {
+impl WantedModel {
     fn find(&self) -> Result<ModelOnDisk, Failure> {
-        self.places.find(&self.name)
+        self.searched.find(&self.name)
     }
 }
 
-/// Describes the mismatch if the hash in the card is that of another file.
-fn other_file(card: &CardSummary, hash: &str) -> Option<String> {
+/// Describes the mismatch if the hash in the card belongs to another file.
+fn describe_hash_mismatch(card: &CardSummary, hash: &str) -> Option<String> {
     let (_, theirs) = card.provenance.iter().find(|(key, _)| key == "sha256")?;
     (theirs != hash).then(|| format!("the card was written for another model.onnx, of SHA-256 {theirs}"))
 }

@@ -6,7 +6,7 @@ use peernet_sample::printable_line;
 use peernet_statistics::number;
 use serde_json::json;
 
-use super::{Wanted, failure, other_file};
+use super::{WantedModel, describe_hash_mismatch, failure};
 
 /// Maximum number of labels that are shown.
 const LABELS: usize = 8;
@@ -15,7 +15,7 @@ const LABELS: usize = 8;
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    wanted: Wanted,
+    wanted: WantedModel,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -27,7 +27,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let size = found.size().unwrap_or_default();
     let (name, folder) = (found.name, found.folder);
     let card = found.card.map_err(failure)?;
-    let other_file = other_file(&card, &hash);
+    let describe_hash_mismatch = describe_hash_mismatch(&card, &hash);
     if arguments.json {
         print_to_stdout(
             json!({ "model": name.to_string(), "folder": folder.display().to_string(), "bytes": size, "sha256": hash, "card": card }),
@@ -53,7 +53,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     ]);
     // The hash of the card is shown only if it does not match.
     lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explained));
-    lines.extend(other_file.map(|text| ("but".to_owned(), text)));
+    lines.extend(describe_hash_mismatch.map(|text| ("but".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
         let value = value.lines().map(str::trim).collect::<Vec<_>>().join(" ");
         print_to_stdout(format_args!("{:<14}{}", printable_line(key), printable_line(value.trim())));

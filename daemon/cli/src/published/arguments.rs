@@ -93,14 +93,14 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-/// A text that is no number of iterations.
+/// Reason why a text is not a number of iterations.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 enum IterationsError {
     #[error("not a whole number")]
     NotANumber(#[source] ParseIntError),
-    #[error("nothing would be measured; at least 1")]
+    #[error("must be at least 1")]
     TooFew,
-    #[error("at most {}", u64::MAX)]
+    #[error("must be at most {}", u64::MAX)]
     TooMany(#[source] TryFromIntError),
 }
 

@@ -25,9 +25,9 @@ use crate::measure::{AgentStateDir, Measured, Order, measure, undelivered};
 const WARM_UP: u64 = 5;
 /// Timeout of an answer in milliseconds: the largest model on a slow processor takes long.
 const TIMEOUT_MS: u64 = 60_000;
-/// Timeout of connecting in milliseconds, in which the server may load its model.
+/// Timeout of connecting in milliseconds. The server may load its model during this time.
 const OPEN_TIMEOUT_MS: u64 = 60_000;
-/// Folder for results without a given place.
+/// Default folder for results.
 const RESULTS: &str = "results";
 
 /// Measures and writes the results.
@@ -47,7 +47,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     measured.failure().map_or(Ok(()), Err)
 }
 
-/// Makes the order of the measurement.
+/// Returns the description of the measurement.
 fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     let (sensor, transforms) = sensor::from_arguments(arguments)?;
     let pipeline = || {
@@ -92,7 +92,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     })
 }
 
-/// Prints the results and their place.
+/// Prints the results, their folder and their files.
 fn print_results(measured: &Measured) {
     print_to_stdout(summary::text(&Summary::from_rows(&measured.rows).with_record(&measured.record)));
     if let Some(trust) = &measured.record.trust {

@@ -13,7 +13,7 @@ pub(super) enum Encoding {
     Jpeg(u8),
 }
 
-/// A text that is no encoding.
+/// Reason why a text is not an encoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum EncodingError {
     #[error("the quality of a JPEG is a number from 1 to 100")]

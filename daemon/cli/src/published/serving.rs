@@ -50,7 +50,7 @@ impl AnswerCounts {
         Self { wanted, answered: 0, errors: 0, missed: 0, first: None, last: None }
     }
 
-    /// Updates the counts from those of the agent, which only grow.
+    /// Updates the counts from the counts of the agent, which never decrease.
     fn update(&mut self, answers: u64, errors: u64, missed: u64, now: MonoTime) {
         (self.errors, self.missed) = (errors, missed);
         if answers > self.answered {
@@ -124,7 +124,7 @@ impl Serving {
             .then(|| format!("{short} of {} did not arrive here: {advice}", counted(wanted, "iteration")))
     }
 
-    /// Loads the model before the first request: errors show at once, and no client waits for it.
+    /// Loads the model before the first request, so that errors show immediately and no client waits for it.
     fn load(&mut self, running: &RunningAgent) -> Option<Ended<LoadError>> {
         match &mut self.loading {
             Loading::NotBegun => {

@@ -1,7 +1,7 @@
 //! Locks of the folders with the identities of the runs' agents. An experiment holds them from its beginning to its end.
 //!
-//! Two agents cannot be the same host to an aggregator, so the second of two experiments with hosts of the same names could not
-//! measure a single run. The locks refuse it at its start.
+//! Two agents cannot be the same host to an aggregator. If two experiments have hosts with the same names, the second could not measure
+//! a single run, so the locks refuse it at its start.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
@@ -27,21 +27,21 @@ impl AgentStateDirs {
     /// Locks the folders of the agents of these runs. Without an aggregator each agent has a temporary folder, which needs no lock.
     ///
     /// # Errors
-    /// When another experiment or agent uses one of them, or one cannot be created (69).
+    /// When another experiment or agent uses a folder, or a folder cannot be created (69).
     pub(super) fn acquire(plan: &Plan, runs: &[Run]) -> Result<Self, Failure> {
         Self::lock(&folders(plan, runs)?)
     }
 
     fn lock(folders: &BTreeSet<PathBuf>) -> Result<Self, Failure> {
         let locks = folders.iter().map(|folder| {
-            fs::create_dir_all(folder).map_err(|error| cannot("make", folder, &error))?;
+            fs::create_dir_all(folder).map_err(|error| cannot("create", folder, &error))?;
             let path = folder.join(LOCK);
             let lock = File::options().create(true).append(true).open(&path);
             let lock = lock.map_err(|error| cannot("write", &path, &error))?;
             ensure_free(&lock, folder, &path)?;
             let path = folder.join(AGENT_LOCK);
             match File::options().append(true).open(&path) {
-                // Only checked and released: the agents of the runs will lock it.
+                // This lock is checked and released at once, because the agents of the runs will hold it.
                 Ok(agents) => ensure_free(&agents, folder, &path)?,
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(cannot("write", &path, &error)),
@@ -71,7 +71,7 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
 /// Returns events that wait on the hosts of a plan for their aggregators. No run may be active.
 ///
 /// # Errors
-/// When there is no place for the hosts' folders (69).
+/// When there is no folder for the state of the hosts (69).
 pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<UndeliveredEvents>, Failure> {
     let mut waiting = Vec::new();
     for folder in folders(plan, &plan.runs)? {

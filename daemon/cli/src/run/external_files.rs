@@ -1,4 +1,4 @@
-//! Settings from an experiment's file that are not in its plan, so that they may change while the experiment lasts.
+//! Settings of an experiment's file that are not in its plan, so that they may change while the experiment lasts.
 
 use peernet_analysis::record::{NetworkConfig, RunRecord};
 
@@ -8,7 +8,7 @@ use super::plan::Run;
 pub(super) struct ExternalFiles {
     /// `true` if each run draws its figures.
     pub(super) plots: bool,
-    /// File of devices of each configuration: the plan holds the address in place of the device's name.
+    /// File of devices of each configuration. The plan contains the addresses instead of the devices' names.
     pub(super) networks: Vec<Option<NetworkConfig>>,
 }
 
@@ -23,7 +23,7 @@ impl ExternalFiles {
         let (now, then) = (self.network(run)?, run_record.network_config.as_ref()?);
         (now.text != then.text).then(|| {
             format!(
-                "{} has changed since some runs were measured, not in the addresses that they use; each run.json has the text of its time",
+                "{} has changed since some runs were measured, but not the addresses that they use; the run.json of each run has the text as it was",
                 now.file
             )
         })

@@ -1,4 +1,4 @@
-//! Check of finished runs: those whose results are unusable are measured again.
+//! Check of finished runs. A run whose results are unusable is measured again.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -59,14 +59,14 @@ pub(super) enum UnusableResults {
     Mismatched { folder: PathBuf, mismatch: Mismatch },
 }
 
-/// Difference between `run.json` and that of a finished run.
+/// Reason why `run.json` does not belong to this finished run.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(super) enum Mismatch {
     #[error("run.json does not say that the run was finished")]
     Unfinished,
     #[error("run.json counts no iterations")]
     NoIterations,
-    #[error("run.json is that of another run")]
+    #[error("run.json belongs to another run")]
     OtherRun,
 }
 
@@ -102,6 +102,6 @@ fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismat
     if run_record.counts == Counts::default() {
         return Some(Mismatch::NoIterations);
     }
-    let place = record.plan.place(run, &record.id);
+    let place = record.plan.experiment_place(run, &record.id);
     (run_record.experiment.as_ref() != Some(&place)).then_some(Mismatch::OtherRun)
 }

@@ -216,7 +216,7 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     Err(Failure::new(Exit::Configuration, anyhow!("{text}")))
 }
 
-/// Describes a broken link on the path: no folder can be created in its place.
+/// Describes a broken symbolic link on the path, because no folder can be created with its name.
 fn dangling_link(path: &Path) -> Option<String> {
     let link = path.ancestors().find(|part| part.is_symlink() && !part.exists())?;
     let to = link.read_link().ok()?;

@@ -57,7 +57,7 @@ use relative_paths::base_hint_if_missing;
 use state::Record;
 use trial::TrialResults;
 
-/// Folder for experiments without a given place.
+/// Default folder for experiments.
 const DEFAULT_PARENT: &str = "results";
 
 /// Executes an experiment, or continues one.
@@ -181,7 +181,7 @@ async fn execute_experiment(
         print_to_stdout(dashboard_hint(runs, aggregator, has_all));
     }
     waiting.iter().for_each(print_to_stderr);
-    // Runs that were finished before count as well, so that the same command gives the same result.
+    // Runs that were finished by an earlier command count, too, so that repeating a command gives the same exit code.
     let wanted: Vec<Run> = record
         .runs()
         .map(|(run, _)| run.clone())

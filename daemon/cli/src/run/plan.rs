@@ -93,7 +93,7 @@ impl Plan {
     pub(super) fn pipeline(&self, run: &Run, user: u32, id: &str) -> Option<PipelineConfig> {
         let configuration = self.configuration(run);
         let mut pipeline = configuration.agent.pipelines.first()?.clone();
-        // Repeats and users get different payloads; configurations get the same ones, so that they can be compared.
+        // Repeats and users get different payloads. Configurations get the same payloads, so that they can be compared.
         let seed = |what: u64| derived(&[self.seed, what, run.repeat.into(), user.into()]);
         if configuration.seeds.sensor {
             pipeline.sensor = pipeline.sensor.map(|sensor| with_seed(&sensor, seed(1)));
@@ -101,12 +101,12 @@ impl Plan {
         if configuration.seeds.load {
             pipeline.load = with_seed(&pipeline.load, seed(2));
         }
-        pipeline.experiment = Some(self.place(run, id));
+        pipeline.experiment = Some(self.experiment_place(run, id));
         Some(pipeline)
     }
 
-    /// Returns the run's place in an execution of the experiment.
-    pub(super) fn place(&self, run: &Run, id: &str) -> ExperimentPlace {
+    /// Returns the configuration and repeat that the run measures in an execution of the experiment.
+    pub(super) fn experiment_place(&self, run: &Run, id: &str) -> ExperimentPlace {
         ExperimentPlace {
             name: self.name.to_string(),
             id: id.to_owned(),
@@ -137,7 +137,7 @@ impl Plan {
         if words.is_empty() { self.name.to_string() } else { words }
     }
 
-    /// Describes the run among those of other experiments: `demo: Where = cloud, repeat 2`.
+    /// Describes the run with its experiment: `demo: Where = cloud, repeat 2`.
     pub(super) fn title(&self, run: &Run) -> String {
         let (name, words) = (self.name.as_str(), self.describe(run));
         // A run without axes and repeats already has the experiment's name.

@@ -1,4 +1,4 @@
-//! Reports over the runs: the tables of the comparison, those of many users, and the figures.
+//! Reports about the runs: tables of the comparison, tables of concurrent users, and figures.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -34,7 +34,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     if runs.is_empty() {
         return Ok(String::new());
     }
-    // In the order of the file, whatever the order in which they were measured.
+    // The runs are in the order of the file, not in the order in which they were measured.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
     let (sensors, trust) = (Sensors::from_runs(&record.plan, &runs, &loaded), trust(&loaded));
@@ -45,7 +45,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     comparison.caveats.extend(
         unfinished_runs_note(record.name.as_str(), stages).map(|without| format!("Shown {without}.")),
     );
-    // The same differences as those of `peernet compare`.
+    // These are the differences that `peernet compare` prints.
     let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
     let tables = difference_tables(&comparison, &differences);
     let forms = [

@@ -88,7 +88,7 @@ fn incomplete_results_are_measured_again() {
     std::fs::create_dir_all(&path).expect("writable");
     let data = |text: &str| std::fs::write(path.join("data.csv"), text).expect("writable");
     let whole = json!({
-        "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": record.plan.place(run, &record.id),
+        "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": record.plan.experiment_place(run, &record.id),
     });
     let says = |text: &Value| {
         std::fs::write(path.join("run.json"), text.to_string()).expect("writable");
@@ -99,12 +99,12 @@ fn incomplete_results_are_measured_again() {
     assert_eq!(message(), None);
     says(&json!({ "format": 1 }));
     assert!(message().is_some_and(|why| why.ends_with("does not say that the run was finished")));
-    let another = record.plan.place(&record.plan.runs[1], &record.id);
+    let another = record.plan.experiment_place(&record.plan.runs[1], &record.id);
     for (key, value, why) in [
         ("reason", json!("the peer went away"), "does not say that the run was finished"),
         ("counts", json!({}), "counts no iterations"),
-        ("experiment", json!(null), "is that of another run"),
-        ("experiment", json!(another), "is that of another run"),
+        ("experiment", json!(null), "belongs to another run"),
+        ("experiment", json!(another), "belongs to another run"),
     ] {
         let mut other = whole.clone();
         other[key] = value;

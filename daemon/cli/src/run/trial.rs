@@ -44,10 +44,10 @@ struct Trial {
     configurations: Vec<usize>,
 }
 
-/// Tries the configurations at these indexes; those with equal trials are tried once.
+/// Tries the configurations at these indexes. Configurations with equal trials are tried once.
 ///
 /// # Errors
-/// When there is no place for files (69) or the user ended it (130).
+/// When no temporary folder can be created (69) or the user ended the trial (130).
 pub(super) async fn configurations(
     plan: &Plan,
     wanted: &BTreeSet<usize>,

@@ -39,7 +39,7 @@ pub(in crate::run) struct Configuration {
     pub(in crate::run) agent: AgentConfig,
     /// Description of the iterations that are warm-up.
     pub(in crate::run) warm_up: String,
-    /// Longest wait for an absent peer; seconds.
+    /// Timeout for an unreachable peer; seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(in crate::run) patience_s: Option<f64>,
     /// Seeds that follow from the experiment's seed.
@@ -49,13 +49,13 @@ pub(in crate::run) struct Configuration {
 /// Seeds that the file leaves to the experiment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::run) struct Seeds {
-    /// `true` for that of the sensor.
+    /// `true` if the experiment sets the seed of the sensor.
     pub(in crate::run) sensor: bool,
-    /// `true` for that of random starts.
+    /// `true` if the experiment sets the seed of random starts.
     pub(in crate::run) load: bool,
 }
 
-/// A combination that is no agent's configuration; the text begins with the key.
+/// Reason why a combination is not a valid configuration of an agent. The text begins with the key.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ConfigurationError {
     #[error("axis {axis} = {label}: {source}")]
@@ -88,7 +88,7 @@ pub(super) enum ConfigurationError {
 }
 
 impl File {
-    /// Makes the configuration of a combination. Returns it with the file that names its peer.
+    /// Returns the configuration of a combination, and the file that names its peer.
     ///
     /// # Errors
     /// When something is wrong: the text begins with the key and ends with the axis that may have set it.

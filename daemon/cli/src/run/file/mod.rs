@@ -46,7 +46,7 @@ pub(super) struct File {
     document: Table,
 }
 
-/// A document that is no experiment's file; the text begins with the key.
+/// Reason why a document is not the file of an experiment. The text begins with the key.
 #[derive(Debug, thiserror::Error)]
 enum FileError {
     #[error("{0}: an experiment has no such table, only {own} and {agent}", own = EXPERIMENT_TABLES.join(", "), agent = AGENT.join(", "))]
@@ -62,7 +62,7 @@ enum FileError {
     #[error("axis[{index}].name: there is an axis {name} already")]
     SameName { index: usize, name: String },
     #[error(
-        "axis[{index}]: {name} overwrites what {earlier} sets; an axis may change a part of what one before it sets, so put {name} first or give each its own fields"
+        "axis[{index}]: {name} overwrites what {earlier} sets; an axis may only change a part of what an earlier axis sets, so put {name} first or give each axis separate fields"
     )]
     Overwrites { index: usize, name: String, earlier: String },
 }
@@ -82,7 +82,7 @@ impl fmt::Display for KeyError {
 }
 
 impl File {
-    /// Reads a file, and replaces values by those of `sets`.
+    /// Reads a file, and replaces values as `sets` says.
     ///
     /// # Errors
     /// When it does not exist (66), something in it is wrong (78), or a replaced value has no effect (64).

@@ -84,7 +84,7 @@ pub(super) fn resolve(
     Ok(Some(config.clone()))
 }
 
-/// Adds the settings of a file of devices to those of a placement, whose own keys take precedence.
+/// Adds the settings of a file of devices to a placement. Keys of the placement take precedence.
 fn add_ros2(placement: &mut Table, of_file: &Ros2SessionSettings) -> Result<(), toml::ser::Error> {
     // An experiment can only be continued with an unchanged plan, so defaults are not written.
     if *of_file == Ros2SessionSettings::default() {
@@ -93,7 +93,7 @@ fn add_ros2(placement: &mut Table, of_file: &Ros2SessionSettings) -> Result<(), 
     let empty = || Value::Table(Table::new());
     let session = placement.entry("session").or_insert_with(empty).as_table_mut();
     let ros2 = session.and_then(|session| session.entry("ros2").or_insert_with(empty).as_table_mut());
-    // A value that is no table is reported when the whole pipeline is read.
+    // A value that is not a table is reported when the whole pipeline is read.
     let Some(ros2) = ros2 else { return Ok(()) };
     for (key, value) in Table::try_from(of_file)? {
         ros2.entry(key).or_insert(value);
