@@ -116,7 +116,7 @@ impl ImageDisk {
         run("mount", &["-o", &format!("remount,{option}"), &text(&self.folder)]);
     }
 
-    /// Sets or clears the immutable attribute of those `files` that exist. An immutable file cannot be written even by root
+    /// Sets or clears the immutable attribute of existing files in `files`. An immutable file cannot be written even by root
     /// or through open descriptors.
     pub fn set_immutable(&self, files: &[PathBuf], immutable: bool) {
         for file in files.iter().filter(|file| file.exists()) {

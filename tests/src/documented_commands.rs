@@ -129,7 +129,7 @@ impl DocumentedCommands {
         self.folder().join(if host.address == self.edge().address { "edge" } else { "cloud" })
     }
 
-    /// Replaces the folders of a package in a text by those of a machine.
+    /// Replaces the folders of a package in a text by the folders of a machine.
     fn machine_paths(&self, host: &Host, text: &str) -> String {
         let root = self.root_of(host).display().to_string();
         PACKAGE_FOLDERS.iter().fold(text.to_owned(), |text, place| {

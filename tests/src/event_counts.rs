@@ -8,7 +8,7 @@ use crate::process::poll;
 use crate::time::wall;
 use crate::{Api, TEST_TIMEOUT};
 
-/// Event counts of one host: those that the agent reports, and those that the aggregator has stored.
+/// Event counts of a host: the counts that the agent reports, and the counts that the aggregator has stored.
 #[derive(Clone, Debug)]
 pub struct EventCounts {
     /// `true` if the host reports now.
@@ -107,7 +107,7 @@ impl EventCounts {
     }
 
     fn is_at_rest(&self) -> bool {
-        // Events that the agent delivered to another database, or to this one before it was restored from a backup, are
+        // Events that the agent delivered to another database, or to this database before it was restored from a backup, are
         // missing here.
         let elsewhere = self.missing.saturating_sub(self.dropped);
         self.waiting == 0 && (self.events == self.stored || self.events + elsewhere == self.stored)

@@ -93,7 +93,7 @@ impl Process {
         self.wait_for_nth(text, 1)
     }
 
-    /// Waits until `n` lines contain `text`, and returns the last of them.
+    /// Waits until `n` lines contain `text`, and returns the last of these lines.
     ///
     /// # Panics
     /// If the program ends or [`TEST_TIMEOUT`] passes before.
@@ -180,7 +180,7 @@ impl Process {
         ProcessEnd { status, log: self.log() }
     }
 
-    /// Waits for the end of a program that ends by itself, and consumes it.
+    /// Waits for the end of a program that ends without a signal, and consumes it.
     pub fn wait_for_end(mut self) -> ProcessEnd {
         self.wait()
     }

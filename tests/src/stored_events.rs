@@ -29,7 +29,7 @@ pub struct StoredRun {
     pub counted: u64,
     /// Number of successful iterations without warm-up, according to these counters.
     pub ok: u64,
-    /// Number of successful iterations in the roll-up of the whole run, and in those of seconds.
+    /// Number of successful iterations in the roll-up of the whole run, and in the roll-ups of seconds.
     pub rolled_up: (u64, u64),
     /// Numbers of the stored iterations.
     pub ranges: Vec<RangeInclusive<u64>>,

@@ -81,7 +81,7 @@ fn gzip(bytes: &[u8]) -> Option<Bytes> {
     encoder.finish().ok().map(Bytes::from)
 }
 
-/// Compresses all assets now, so that the first request does not wait for it.
+/// Compresses all assets, so that the first request does not wait for the compression.
 pub(crate) fn compress_all() {
     LazyLock::force(&ASSETS);
 }

@@ -216,7 +216,7 @@ async fn serve(
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
         () = stop.cancelled() => {
-            // An idle connection closes on this request; one in the middle of its first header would wait for the rest of it.
+            // An idle connection closes on this request. A connection that has received a part of a header would wait for the rest.
             if !has_received_request.load(Ordering::Relaxed) {
                 return;
             }

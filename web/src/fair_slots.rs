@@ -1,7 +1,7 @@
-//! Slots that client addresses share: when all are taken, the address that has most of them loses its oldest one.
+//! Slots that client addresses share. When all slots are taken, the address with the most slots loses its oldest slot.
 //!
 //! An address that holds slots without using them, because it sends nothing or reads slowly, therefore cannot exclude other addresses.
-//! Among `n` addresses, each gets a share of `1/n` if it asks for it (max-min fairness).
+//! Each of `n` addresses gets a share of `1/n` if it requests so many slots (max-min fairness).
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -33,7 +33,7 @@ struct HeldSlots {
 pub(crate) enum SlotRefusal {
     /// The address holds this number of slots, the maximum of one address.
     AddressLimitReached(usize),
-    /// All of this number of slots are taken, and no address has clearly more of them than the one that asks.
+    /// All slots (this number) are taken, and no address has at least two slots more than the requesting address.
     AllSlotsTaken(usize),
 }
 
@@ -53,7 +53,7 @@ struct Entry {
 }
 
 impl FairSlots {
-    /// Creates `count` slots, at least one, of which one address has at most `max_per_address`.
+    /// Creates `count` slots, at least one. An address may have at most `max_per_address`.
     pub(crate) fn new(count: usize, max_per_address: usize) -> Self {
         let count = count.max(1);
         Self { count, max_per_address, free: Arc::new(Semaphore::new(count)), held: Arc::default() }
@@ -61,10 +61,10 @@ impl FairSlots {
 
     /// Acquires a slot for `address`. `evict` is cancelled when the slot is needed for another address.
     ///
-    /// If all slots are taken, this evicts the oldest slot of the address that has most, and waits until it is dropped.
+    /// If all slots are taken, this evicts the oldest slot of the address with the most slots, and waits until it is dropped.
     ///
     /// # Errors
-    /// When the address has the maximum number of slots, or all are taken and no address has at least two more than this one.
+    /// When the address has the maximum number of slots, or all slots are taken and no address has at least two more than `address`.
     pub(crate) async fn acquire(
         &self,
         address: AddressGroup,

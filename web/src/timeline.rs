@@ -13,7 +13,7 @@ pub(crate) struct Placed {
     pub name: Name,
     pub depth: u8,
     pub at: NodeLocation,
-    /// Start; `None` where it is unknown on the edge's clock.
+    /// Start; `None` if it is unknown on the edge's clock.
     pub start: Option<f64>,
     /// Duration; `None` if the node was never closed, or if its delay is unknown.
     pub length: Option<f64>,
@@ -74,7 +74,7 @@ fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
     })
 }
 
-/// Returns the stay on the host of anchor `index`. `together` is the sum of upload and download if one of them is unknown alone.
+/// Returns the visit of an iteration to the host of anchor `index`. `together` is the sum of upload and download if only the sum is known.
 fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
     let edge = tree.anchors().first()?;
     let anchor = tree.anchors().get(index)?;
@@ -126,7 +126,7 @@ impl Timeline {
         timeline
     }
 
-    /// Sorts nodes by start; children stay with their parents, and nodes without a position keep their place.
+    /// Sorts nodes by start. Children stay with their parents, and nodes without a start keep their order.
     fn sort(&mut self) {
         let mut parent_start = f64::NEG_INFINITY;
         let mut keyed: Vec<(f64, Placed)> = Vec::with_capacity(self.nodes.len());

@@ -148,7 +148,7 @@ async fn serve() -> anyhow::Result<()> {
     let port = Port::open("down", "up")?;
     loop {
         let message = port.receive().await?;
-        // A message without room in time is lost; the other end counts it.
+        // A message that the writer cannot accept in time is lost; the other end counts it.
         let _lost = port.send(message).await;
     }
 }
@@ -173,7 +173,7 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
     while let Some(begin) = round_trips.next() {
         match timeout(PATIENCE, exchange(&port, next())).await {
             Ok(Ok(())) => round_trips.record(begin, Some(&[])),
-            // There is no room, or no answer.
+            // The writer is full, or there is no answer.
             Ok(Err(_)) | Err(_) => round_trips.record(begin, None),
         }
     }

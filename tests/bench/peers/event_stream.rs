@@ -1,7 +1,7 @@
 //! Durable stream of one agent: a backlog of iterations is sent to an aggregator as fast as it is accepted, with or
 //! without the control of bytes in flight.
 //!
-//! State machine, socket and aggregator are the real ones. The spool is in memory. All messages are delayed at both
+//! State machine, socket and aggregator are those of PEERNet. The spool is in memory. All messages are delayed at both
 //! ends of the path, by half a round trip. Without control, requests for echoes are answered here as soon as the
 //! state machine has nothing more to send, so that it always believes that everything has arrived.
 //!
@@ -193,7 +193,7 @@ impl Agent {
         Ok(json!({ "seconds": seconds, "frames": self.frames, "bytes": self.bytes }))
     }
 
-    /// Sends the messages that are due; returns whether there was no room for all of them.
+    /// Sends the messages that are due. Returns whether the socket could not take all messages.
     fn depart(&mut self, socket: &Socket) -> anyhow::Result<bool> {
         while let Some((at, frame)) = self.up.pop_front_if(|(at, _)| *at <= Instant::now()) {
             match socket.try_send(Message::single(frame)) {

@@ -2,7 +2,7 @@
 //! that is not answered in time is given up.
 //!
 //! `roslibrust-peer serve`, and at the same time `roslibrust-peer drive BYTES SECONDS`, which prints one JSON object.
-//! The master is that of `ROS_MASTER_URI`.
+//! `ROS_MASTER_URI` names the master.
 
 #[path = "../peers/round_trips.rs"]
 mod round_trips;
@@ -17,7 +17,7 @@ use tokio::time::timeout;
 
 use self::round_trips::RoundTrips;
 
-/// Number of messages for which each queue has room.
+/// Capacity of each queue, messages.
 const QUEUE: usize = 16;
 
 /// Longest wait for an answer.

@@ -62,7 +62,7 @@ impl Capture {
     /// # Panics
     /// If the kernel dropped packets because tcpdump was too slow, or if the file is invalid.
     pub fn finish(self) -> Vec<Packet> {
-        // tcpdump lags behind: when it has written a packet that is sent now, it has written all earlier ones.
+        // tcpdump lags behind: when it has written a packet that is sent now, it has written all earlier packets.
         let address = self.marker.local_addr().expect("a bound socket has an address");
         self.marker.send_to(&[], address).expect("loopback is up");
         let mut packets = wait_until("the end of the capture", || {

@@ -125,7 +125,7 @@ impl Host {
     /// Replaces the address of the interface on the measured path; the prefix has 28 bits.
     pub fn change_address(&self, address: Ipv4Addr) {
         let (old, new) = (format!("{}/28", self.address), format!("{address}/28"));
-        // The order matters: removing the first address of a network removes the second one as well.
+        // The order matters: removing the first address of a network also removes the second.
         ip(&["-n", &self.namespace, "address", "delete", &old, "dev", DATA_INTERFACE]);
         ip(&["-n", &self.namespace, "address", "add", &new, "dev", DATA_INTERFACE]);
     }

@@ -34,7 +34,7 @@ pub const DATA_INTERFACE: &str = "data";
 /// Name of the interface to the namespace of the tests, on edge and cloud.
 pub const CONTROL_INTERFACE: &str = "home";
 
-/// Host part of the address of a host without an address on a link. It is that of the subnet, so no other host has it.
+/// Host part of the address of a host without an address on a link. It is the host part of the subnet's address, so no host has it.
 const NO_ADDRESS: u8 = 0;
 
 /// Properties of one direction of a wire.
@@ -166,8 +166,8 @@ impl Network {
         }
     }
 
-    /// Connects edge and cloud by a router that translates addresses. A third host is behind it as well, and the
-    /// cloud sees both at one address.
+    /// Connects edge and cloud by a router that translates addresses. A third host is behind the router, too, and the
+    /// cloud sees both hosts at the same address.
     ///
     /// # Panics
     /// As [`direct`](Self::direct).

@@ -1,4 +1,4 @@
-//! Comparison of reported delays with the true ones.
+//! Comparison of reported delays with true delays.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! True one-way delays, for comparison with reported ones.
+//! True one-way delays, for comparison with reported delays.
 //!
 //! All namespaces of a machine share the kernel's clock. A host with clock fault injection shows other times, but
 //! reports the fault. Its inverse gives the kernel's time of each stamp, and the difference of two such times is a

@@ -58,7 +58,7 @@ async fn export(
     let number = path(number)?;
     let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     let name = format!("{}-{number}.csv", run.summary.pipeline);
-    // A chunk is read from the store only when the client has taken the one before, so that a long run is never in memory as a whole.
+    // A chunk is read from the store only when the client has taken the previous chunk, so that a long run is never in memory as a whole.
     // The first chunk is the header row. Its columns are known only after a scan of all iterations, since each may add one.
     let chunks = stream::try_unfold(None, move |progress| {
         let (app, run) = (app.clone(), run.summary.clone());
@@ -93,7 +93,7 @@ struct ExportProgress {
     header: Header,
     /// Number of the last iteration that was sent.
     after: u64,
-    /// Number of the last iteration to send: later ones may have columns that the header lacks.
+    /// Number of the last iteration to send. Later iterations may have columns that the header lacks.
     last_number: u64,
 }
 

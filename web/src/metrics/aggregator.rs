@@ -23,7 +23,7 @@ pub(super) struct AggregatorFigures {
 }
 
 impl AggregatorFigures {
-    /// Returns the figures of the live state. The others are those of an aggregator that is not ready and has no database.
+    /// Returns the figures of the live state. All other fields have the values of an aggregator that is not ready and has no database.
     pub(super) fn from_live_state(live_state: &LiveState) -> Self {
         Self {
             ready: false,

@@ -84,7 +84,7 @@ impl Scrape {
     }
 }
 
-/// Truncates a list to `limit` items, and returns the number of omitted ones.
+/// Truncates a list to `limit` items, and returns the number of omitted items.
 fn truncate<T>(items: &mut Vec<T>, limit: usize) -> usize {
     let beyond = items.len().saturating_sub(limit);
     items.truncate(limit);

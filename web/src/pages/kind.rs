@@ -31,7 +31,7 @@ pub(crate) struct NavigationEntry {
 
 /// The updates of a page on the live stream.
 pub(crate) struct LiveTopic {
-    /// Form of the topic: `hosts`, or `host/HOST` where the text after the first slash identifies the page.
+    /// Form of the topic: `hosts`, or `host/HOST` if the text after the first slash identifies the page.
     pub form: &'static str,
     /// Renders the changed parts, from a snapshot and the text after the first slash of the topic.
     pub update: for<'a> fn(&'a AppState, &'a LiveState, &'a str) -> UpdateFuture<'a>,
@@ -48,7 +48,7 @@ pub(crate) struct PageTopic {
 }
 
 impl PageTopic {
-    /// Finds the topic of a text among those of the pages.
+    /// Returns the page topic that a text names.
     pub(crate) fn find(text: &str, mut topics: impl Iterator<Item = &'static LiveTopic>) -> Option<Self> {
         let (name, rest) = parts(text);
         let matches = |topic: &&LiveTopic| {

@@ -83,7 +83,7 @@ fn page(template: &impl Template) -> Page {
     Ok(Html(template.render()?))
 }
 
-/// Returns the values of a path, or `NotFound` if one of them is invalid: such a page does not exist.
+/// Returns the values of a path, or `NotFound` if a value is invalid, because such a page does not exist.
 fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| WebError::NotFound(rejection.body_text()))
 }

@@ -115,7 +115,7 @@ pub(super) fn empty(app: &AppState, snapshot: &LiveState) -> Empty {
     }
 }
 
-/// Returns the pipelines to show, running ones first.
+/// Returns the pipelines to show, running pipelines first.
 fn shown_pipelines(snapshot: &LiveState) -> Vec<&PipelineSnapshot> {
     let mut pipelines: Vec<&PipelineSnapshot> = snapshot.pipelines.iter().map(|one| &**one).collect();
     pipelines.sort_by_key(|one| one.state != PipelineState::Running);

@@ -46,7 +46,7 @@ struct Line {
     route: String,
     model: String,
     load: String,
-    /// State of the pipeline, with the reason where it does not run.
+    /// State of the pipeline, with the reason if it does not run.
     state: String,
     run: Option<i64>,
 }

@@ -27,7 +27,7 @@ use crate::zone::Zone;
 /// 19 Nov 2026, 12:01:07.4 UTC.
 pub(crate) const NOW: WallTime = WallTime::from_unix_nanos(1_795_089_667_400_000_000);
 
-/// Text that would do harm where it is not escaped.
+/// Text that would run a script if it were not escaped.
 pub(crate) const HOSTILE: &str = "</script><script>alert(1)</script>\" onmouseover=\"alert(2)' & <b>";
 
 pub(crate) fn slug(text: &str) -> Slug {
@@ -87,7 +87,7 @@ fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
     })
 }
 
-/// Returns a window whose means are `scale` times the usual ones.
+/// Returns a window whose means are `scale` times the usual values.
 pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Window {
     let ok = (f64::from(seconds) * hz) as u64;
     let crossing = |name: &str| matches!(name, "upload" | "download");
@@ -128,7 +128,7 @@ pub(crate) fn placement(kind: PlacementKind) -> Placement {
     }
 }
 
-/// Returns a pipeline; seconds whose place in `gaps` is reached are missing from its series.
+/// Returns a pipeline whose series lacks the seconds with the indexes `gaps`.
 pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: &[i64]) -> PipelineSnapshot {
     let last = NOW.unix_seconds();
     let series = (last - 120..=last).filter(|at| !gaps.contains(&(last - at)));
@@ -161,7 +161,7 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
     }
 }
 
-/// Returns the percentiles of the last two minutes in buckets of 10 s, where those hold enough iterations.
+/// Returns the percentiles of the last two minutes in buckets of 10 s that have enough iterations.
 fn percentiles(last: i64, hz: f64, scale: f64) -> PercentileSeries {
     let count = 10 * hz as u64;
     if count < 60 {

@@ -17,11 +17,11 @@ pub(crate) fn said(known: &Episodes) -> Option<String> {
     Some(if too_many { format!("{whole}, too many to mark") } else { whole })
 }
 
-/// Returns `3 without an answer`, and how many of them have a mark where not all have; `None` where all were answered.
+/// Returns `3 without an answer`, and how many have a mark if not all have; `None` if all iterations were answered.
 pub(crate) fn unanswered(known: &Episodes, run: &RunSummary) -> Option<String> {
     let marked = known.unanswered.len() as u64;
     let counts = &run.counts;
-    // The counts of a run do not include the warm-up; the stored rows lack those that retention deleted.
+    // The counts of a run do not include the warm-up, and the stored rows lack the iterations that retention deleted.
     let all = (counts.failed + counts.lost + counts.timeout).max(known.without_answer);
     let shown = if known.without_answer > Episodes::MAX_COUNTED {
         format!("more than {}", count(Episodes::MAX_COUNTED))

@@ -115,7 +115,7 @@ pub(crate) fn carried(window: &Window, direction: NetworkDirection) -> Option<f6
     direction.of(&window.transfers)?.traffic(window.covered_s)
 }
 
-/// Returns the throughput that follows from the ends of a delay's interval, in MB/s; `None` where the delay has no bound.
+/// Returns the throughput that follows from the ends of a delay's interval, in MB/s; `None` if the delay has no bound.
 pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Option<String> {
     let (delay, half) = delay.zip(half)?;
     Some(throughput_between(speed_between(rate, delay, half)))

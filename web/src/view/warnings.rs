@@ -20,7 +20,7 @@ const MIN_WARNED_S: f64 = 1e-4;
 pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
     let limit = warn.cpu_percent / 100.0;
     let current = host.metrics.cpu.filter(|_| host.connected)?;
-    // The points within the time, and the one at its start.
+    // The points within the time, and the point at its start.
     let mut before = host.history.iter().rev();
     let mut least = current;
     loop {

@@ -27,7 +27,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let size = found.size().unwrap_or_default();
     let (name, folder) = (found.name, found.folder);
     let card = found.card.map_err(failure)?;
-    let describe_hash_mismatch = describe_hash_mismatch(&card, &hash);
+    let mismatch = describe_hash_mismatch(&card, &hash);
     if arguments.json {
         print_to_stdout(
             json!({ "model": name.to_string(), "folder": folder.display().to_string(), "bytes": size, "sha256": hash, "card": card }),
@@ -53,7 +53,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     ]);
     // The hash of the card is shown only if it does not match.
     lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explained));
-    lines.extend(describe_hash_mismatch.map(|text| ("but".to_owned(), text)));
+    lines.extend(mismatch.map(|text| ("but".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
         let value = value.lines().map(str::trim).collect::<Vec<_>>().join(" ");
         print_to_stdout(format_args!("{:<14}{}", printable_line(key), printable_line(value.trim())));

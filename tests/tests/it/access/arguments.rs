@@ -10,7 +10,7 @@ use crate::experiments::{Results, json};
 
 const SECRET: &str = "hunter2-in-an-argument";
 
-/// Programs with a secret in each place where one can be.
+/// Programs with a secret in each argument or variable that can have one.
 const TABLES: &str = r#"
 [[model]]
 name = "own"

@@ -42,8 +42,8 @@ fn run(discipline: &str) -> Outcome {
     Outcome { iterations, edge, cloud, is_jump_suspected }
 }
 
-/// Checks the verdict of a delay: `ok` if its interval is no wider than half of it, else `limited`. After a suspected
-/// jump, which jitter causes now and then, a narrow one is `limited` as well until the window is full again.
+/// Checks the verdict of a delay: `ok` if its interval is at most half as wide as the delay, else `limited`. After a suspected
+/// jump, which jitter causes now and then, a delay with a narrow interval is also `limited` until the window is full again.
 fn assert_verdict_matches_bounds(delay: &Delay, is_jump_suspected: bool) {
     let (value, (lo, hi)) = (delay.value.expect("a value"), delay.bounds.expect("bounds"));
     let is_wide = (hi - lo).nanos() * 2 > value.nanos();

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use super::{WARM_UP, assert_contains_truth, print_line};
 
-/// Offset of the edge's clock where it reads another one.
+/// Offset of the edge's clock in tests in which the hosts read different clocks.
 const AHEAD: Span = Span::from_millis(20);
 const ITERATIONS: u64 = 300;
 /// Largest time between reading the two clocks of a stamp.

@@ -1,4 +1,4 @@
-//! Documented commands that are executed outside of these tests, and those that are never executed.
+//! Documented commands that are executed outside of these tests, and commands that are never executed.
 
 use std::process::Command;
 

@@ -24,7 +24,7 @@ const HERE: &str = "run --set network.config=net_config.yaml --set bank.devices=
 
 const MODELS: [&str; 3] = ["efficientnet_v2_s", "efficientnet_v2_m", "efficientnet_v2_l"];
 
-/// Adds a small model under this name, in place of one that takes seconds on a machine without a GPU.
+/// Adds a small model under this name, because the real model takes seconds on a machine without a GPU.
 pub(crate) fn small_model(machines: &DocumentedCommands, name: &str) {
     let card = Document::read("models/quality-control/model.toml").text;
     let own = format!("models/{name}");

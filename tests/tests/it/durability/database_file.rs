@@ -67,7 +67,7 @@ fn storing_recovers_after_database_was_read_only() {
     let disk = ImageDisk::new(64 << 20);
     let mut fleet = fleet_on(&disk);
     let database = fleet.database().to_owned();
-    // Open descriptors cannot write any more, and new ones can only read. The third file is left out: it is mapped
+    // Open descriptors cannot write any more, and new descriptors can only read. The third file is excluded: it is mapped
     // into memory, and the kernel ends a process that writes to a mapping of an immutable file.
     let written = &files(&database)[..2];
     disk.set_immutable(written, true);

@@ -72,7 +72,7 @@ fn missing_or_invalid_file_is_named() {
          sensor = {{ kind = 'images', path = '{}' }}\n",
         pictures.display()
     );
-    // Errors that an agent would report on any machine, and those that the trial finds on this machine.
+    // Errors that an agent would report on any machine, and errors that the trial finds on this machine.
     let long = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
     std::fs::write(&file, long).expect("writable");
     let (code, log) = check(&file);

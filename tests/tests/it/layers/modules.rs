@@ -16,7 +16,7 @@ pub(crate) type Segments = Vec<String>;
 /// Source file with the paths that it names.
 struct SourceFile {
     path: PathBuf,
-    /// Modules from the crate's root to this one.
+    /// Modules from the crate's root to this module.
     module: Segments,
     /// Paths that begin with `crate`, `super` or `self`.
     names: Vec<Segments>,

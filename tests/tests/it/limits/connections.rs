@@ -38,7 +38,7 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
         |name: &str, than: f64| wait_until("more is stored", || stored(name).filter(|count| *count > than));
     some("early", 0.0);
 
-    // Half of them complete the greeting of the protocol and send nothing more.
+    // Half of the peers complete the greeting of the protocol and send nothing more.
     let silent = |n: usize| {
         if n.is_multiple_of(2) {
             Peer::connect(deployment.events)
@@ -49,7 +49,7 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     let held: Vec<Peer> = (0..SILENT).map(silent).collect();
     let then = some("early", 0.0);
     some("early", then + 50.0);
-    // A new agent finds a free place, and the store opens its files.
+    // A new agent still gets a connection, and the store can open its files.
     let late = agent("late");
     some("late", 50.0);
     assert_eq!(api.json("/api/v1/runs")["runs"].as_array().map(Vec::len), Some(2));

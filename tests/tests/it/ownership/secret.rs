@@ -54,7 +54,7 @@ fn impostor_does_not_exclude_known_host() {
     let words = impostor.expect_refusal(&misbehaving_peer);
     assert!(words.contains("clear-host-secret") && words.contains("spool"), "{words}");
     assert!(!words.contains("delete the"), "no advice destroys unsent data: {words}");
-    // It is not welcomed, whatever it sends then.
+    // It gets no welcome, whatever it sends afterwards.
     misbehaving_peer.send(&impostor.batch(10));
     misbehaving_peer.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
     misbehaving_peer.send_message(&ToAggregator::Goodbye(impostor.hello.host.id));

@@ -98,7 +98,7 @@ fn experiment_prints_no_link_to_unused_dashboard() {
         away.events
     );
     std::fs::write(lab.folder().join("board.toml"), file).expect("writable");
-    // A spool that the file names differs from the host's own, and is examined as well.
+    // A spool that the file names is not in the host's folder, and is examined, too.
     for (options, spool) in
         [("--result-loc a", "spool-localhost:"), ("--result-loc b --set spool.file=mine", "mine;")]
     {

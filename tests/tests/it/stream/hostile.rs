@@ -147,7 +147,7 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     batches[..4].iter().for_each(|batch| own.send(batch));
     own.wait_for_ack(4);
 
-    // Batches of another host, recorded and sent again: old ones and the next one.
+    // Batches of another host, recorded and sent again: old batches and the next batch.
     for batch in &batches {
         other.send(batch);
         other.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
@@ -172,7 +172,7 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     let stored = wait_until("all is stored and duplicates are counted", || {
         let victim = fleet.api.json("/api/v1/hosts/victim");
         let stored = &victim["stored"];
-        // Repeated batches are visible at once, new ones with the first live update after their commit.
+        // Repeated batches are visible at once, new batches with the first live update after their commit.
         let all = stored["duplicates"].as_u64()? >= 8 && stored["events"].as_u64()? >= 100;
         all.then(|| stored.clone())
     });

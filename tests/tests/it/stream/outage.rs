@@ -25,7 +25,7 @@ fn day_long_outage_is_delivered_in_order() {
     let flood =
         format!("warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = {iterations} }}\n{}", rate(hz));
     let pipelines = echo("day", &flood) + &echo("steady", &rate(20.0));
-    // At most half of it fits into memory: enough for the seconds in which a busy machine's disk does not respond.
+    // At most half of the data fits into memory, which is enough for the seconds in which a busy machine's disk does not respond.
     let mut fleet = Fleet::new(&["edge"], &edge("queue_events = 16000", &pipelines));
     // The host is known before the aggregator stops.
     fleet.start(0);

@@ -47,20 +47,20 @@ pub(crate) struct Comparison {
     /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
     pub configurations: Vec<Configuration>,
-    /// Further settings in which the configurations differ, and settings that the experiment declares equally for all of them.
+    /// Further settings in which the configurations differ, and settings that the experiment declares equally for all configurations.
     pub settings: Vec<Setting>,
-    /// Letter of the configuration with the lowest mean of `total`; null where there is nothing to compare. Configurations with an echo
+    /// Letter of the configuration with the lowest mean of `total`; null if there is nothing to compare. Configurations with an echo
     /// model are excluded if others run a real model.
     pub best: Option<String>,
     /// Letters of the configurations whose mean of `total` is not significantly larger than the lowest.
     pub ties: Vec<String>,
     /// Letter of the baseline.
     pub baseline: Option<String>,
-    /// Differences between each other configuration and the baseline, stage by stage, where the interval is known.
+    /// Differences between each other configuration and the baseline, stage by stage, if the interval is known.
     pub differences: Vec<Difference>,
     /// Caveats about the figures, as sentences; for example that starts were skipped.
     pub doubts: Vec<String>,
-    /// Runs of the experiment that are excluded: those that were not measured to their end, and those that were measured again.
+    /// Excluded runs of the experiment: runs that were not measured to their end, and runs that were measured again.
     pub left_out: Vec<LeftOut>,
     /// `true` if the runs exceed the maximum and the rest is not compared.
     pub cut: bool,
@@ -98,7 +98,7 @@ pub(crate) struct Configuration {
 }
 
 /// Statistics of one node name over all runs of a configuration together, in its SI unit. Counts, means, deviations and extremes are
-/// exact; quantiles are within 1 % of those of all iterations.
+/// exact; quantiles are within 1 % of the quantiles of all iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ComparedStage {
     pub name: String,

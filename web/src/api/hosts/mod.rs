@@ -49,7 +49,7 @@ async fn get(
         .ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported to this aggregator")))
 }
 
-/// Returns the live hosts, and the stored ones that are not live, by name.
+/// Returns the live hosts, and the stored hosts that are not live, by name.
 async fn all_hosts(app: &AppState) -> Result<Vec<Host>, WebError> {
     let stored = app.store().hosts().await?;
     let snapshot = app.live_state();

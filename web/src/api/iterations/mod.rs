@@ -29,7 +29,7 @@ enum Order {
     /// Order by increasing number.
     #[default]
     Number,
-    /// The slowest successful ones first.
+    /// The slowest successful iterations first.
     Slowest,
 }
 
@@ -51,7 +51,7 @@ struct Query {
     order: Order,
 }
 
-/// Iterations by increasing number, or the slowest first, without those that retention deleted.
+/// Iterations by increasing number, or the slowest first. Iterations that retention deleted are missing.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/iterations", operation_id = "listIterations", tag = "iterations", params(("run" = i64, Path), Query), responses(
     (status = 200, body = IterationList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),

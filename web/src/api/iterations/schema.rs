@@ -31,7 +31,7 @@ pub(crate) struct IterationSummary {
     pub started: String,
     /// Seconds from the intended start to the end.
     pub total: Option<f64>,
-    /// Ratio of `total` to the run's median of it.
+    /// Ratio of `total` to the run's median of `total`.
     pub factor: Option<f64>,
     /// First element of `causes`; null if `causes` is empty.
     pub blame: Option<SlowPart>,
@@ -85,7 +85,7 @@ impl StageDelay {
         let delay = same.next().filter(|_| same.next().is_none())?;
         Some(Self {
             raw_s: delay.raw,
-            // Negative only where it is the difference of two receivers of an observed system.
+            // A bound is negative only for the difference of two receivers of an observed system.
             lo_s: delay.bounds.map(|(lo, _)| lo),
             hi_s: delay.bounds.map(|(_, hi)| hi),
             source: delay.source.name(),

@@ -96,7 +96,7 @@ pub(crate) struct Delay {
     pub count: u32,
     /// The worst verdict that at least 5 % of the delays have.
     pub verdict: &'static str,
-    /// The median of the delays that have a value, with the bounds of the same delay; null when none has.
+    /// The median of the delays that have a value, with the bounds of the same delay; null if no delay has a value.
     pub median: Option<MedianDelay>,
 }
 
@@ -106,8 +106,9 @@ pub(crate) struct MedianDelay {
     pub value_s: f64,
     pub lo_s: f64,
     pub hi_s: f64,
-    /// Size of that one message in bits divided by `value_s`. The delays include messages of all pipelines of the link, so use `transfers`
-    /// of a pipeline for its speed. If the verdict is `limited`, only an interval is known: the size divided by `hi_s` and by `lo_s`.
+    /// Size of the message with this delay in bits, divided by `value_s`. The delays include messages of all pipelines of the link, so use
+    /// `transfers` of a pipeline for its speed. If the verdict is `limited`, only an interval is known: the size divided by `hi_s` and by
+    /// `lo_s`.
     pub bits_per_second: Option<f64>,
 }
 

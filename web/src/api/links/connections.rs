@@ -13,7 +13,7 @@ pub(crate) struct LinkConnection {
     pub pipeline: String,
     /// Kind of network, such as `zmq-tcp`.
     pub network: String,
-    /// The edge's address and port; null where the transport has none.
+    /// The edge's address and port; null if the transport has none.
     pub local_address: Option<String>,
     /// The cloud's address and port.
     pub remote_address: Option<String>,
@@ -23,7 +23,7 @@ pub(crate) struct LinkConnection {
     pub up: LinkDirection,
     /// Direction from cloud to edge.
     pub down: LinkDirection,
-    /// The round trip of the transport's own packets; null where the transport does not measure one.
+    /// The round trip of the transport's own packets; null if the transport does not measure one.
     pub transport_round_trip: Option<TransportRoundTrip>,
     /// Number of messages that arrived and could not be decoded.
     pub malformed_messages: u64,
@@ -42,7 +42,7 @@ pub(crate) struct LinkCloudEnd {
     pub up: LinkDirection,
     /// Direction from cloud to edge.
     pub down: LinkDirection,
-    /// The round trip of the transport's own packets; null where the transport does not measure one.
+    /// The round trip of the transport's own packets; null if the transport does not measure one.
     pub transport_round_trip: Option<TransportRoundTrip>,
     /// Number of messages that arrived there and could not be decoded.
     pub malformed_messages: u64,
@@ -54,7 +54,7 @@ pub(crate) struct LinkCloudEnd {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct LinkInterface {
     pub name: String,
-    /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux; null where the system does not report it.
+    /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux; null if the system does not report it.
     #[serde(rename = "type")]
     pub kind: Option<String>,
     pub mtu_bytes: Option<u32>,

@@ -106,7 +106,7 @@ async fn find_key(app: &AppState, wanted: &str) -> Result<(LinkKey, WallTime), W
     found.map(|link| (link.key, link.end)).ok_or_else(|| no_link(wanted))
 }
 
-/// Returns the live links, and the stored ones that are not live.
+/// Returns the live links, and the stored links that are not live.
 async fn all_links(app: &AppState) -> Result<Vec<Link>, WebError> {
     let stored = app.store().links().await?;
     let snapshot = app.live_state();

@@ -1,4 +1,4 @@
-//! Schema of a link's probing, and of the reflector that is configured for it.
+//! Schema of a link's probing and of its configured reflector.
 
 use peernet_stream as stream;
 use serde::Serialize;

@@ -61,7 +61,7 @@ pub(crate) struct LinkNow {
     pub exchanges: Exchanges,
     /// Open connections, one for each pipeline.
     pub connections: Vec<LinkConnection>,
-    /// The reflector that the edge's configuration names for the cloud (`[probes] reflectors`); null where it names none.
+    /// The reflector that the edge's configuration names for the cloud (`[probes] reflectors`); null if it names none.
     pub reflector: Option<Reflector>,
     /// Statistics of the last second.
     #[serde(flatten)]
@@ -95,7 +95,7 @@ impl From<ExchangeCounts> for Exchanges {
 pub(crate) struct LinkPoint {
     /// The end of the second or bucket, on the edge's wall clock.
     pub at: String,
-    /// Offset; null while nothing is known. For a bucket, the one with the widest bounds.
+    /// Offset; null while it is unknown. For a bucket, the offset with the widest bounds.
     pub offset: Option<ClockOffset>,
     pub probes: Probes,
     /// Null when no probe came back.

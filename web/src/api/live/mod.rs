@@ -125,7 +125,7 @@ impl Topic {
 }
 
 /// Live figures as server-sent events: `status` always, `picture` and `page` by topic. At most four of each are sent per second, and
-/// fewer if they exceed 512 KiB per second. A slow listener receives the newest events and misses those in between. One address may
+/// fewer if they exceed 512 KiB per second. A slow listener receives the newest events and misses earlier events. One address may
 /// have at most 32 open streams, and all addresses together a quarter of the server's connections; a further stream is answered with 503.
 #[utoipa::path(get, path = "/api/v1/live", operation_id = "streamLive", tag = "pipelines", params(Query), responses(
     (status = 200, description = "`event: status` (StatusEvent), `event: picture` (PictureEvent), `event: page`, `event: heartbeat`", body = String, content_type = "text/event-stream"),
@@ -290,7 +290,7 @@ impl Listener {
         let bytes = texts.iter().map(|(_, text)| text.len()).sum();
         let mut events: Vec<Event> =
             texts.into_iter().map(|(name, text)| Event::default().event(name).data(text)).collect();
-        // The id stands on the last event only: a listener that has received it has received all of them.
+        // Only the last event has the id. A listener that has received it has received all events of this snapshot.
         if let Some(last) = events.pop() {
             events.push(last.id(snapshot.at.unix_nanos().to_string()));
         }

@@ -22,7 +22,7 @@ impl NodeFigures {
     }
 }
 
-/// Accuracy of the one-way delays of one direction.
+/// Accuracy of the one-way delays in a direction.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Bound {
     /// `upload` or `download`.

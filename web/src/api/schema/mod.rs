@@ -1,6 +1,6 @@
 //! Schema types that several resources share.
 //!
-//! They are separate from the types of the aggregator and the store, so that the API stays the same when those change.
+//! They are separate from the types of the aggregator and the store, so that a change of these types does not change the API.
 //!
 //! Values are in units without prefixes (seconds, bytes, bits per second, watts, °C), names with hyphens, times in RFC
 //! 3339 with nanoseconds, in UTC.

@@ -63,7 +63,7 @@ impl StageDifference {
 }
 
 impl Differences {
-    /// Compares all configurations with the one at index `baseline`.
+    /// Compares all configurations with the configuration at index `baseline`.
     pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> Self {
         let names = compared_stages();
         let all = &comparison.configurations;

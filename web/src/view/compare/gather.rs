@@ -32,7 +32,7 @@ impl CompareSelection {
     ///
     /// # Errors
     /// Returns an error when a number is invalid, there are too many numbers, or both parameters are given. Any other parameter is an error,
-    /// too, whose text lists `parameters`, the valid ones.
+    /// too; its text lists `parameters`, the valid parameters.
     pub(crate) fn parse(pairs: &[(String, String)], parameters: &str) -> Result<Option<Self>, WebError> {
         let bad = |text: String| Err(WebError::BadRequest(format!("query parameter {text}")));
         let (mut runs, mut experiment) = (Vec::<i64>::new(), None);
@@ -161,7 +161,7 @@ pub(crate) async fn load_comparison(
     })
 }
 
-/// Splits the runs of an experiment into those that are compared, in their order, and the excluded ones.
+/// Splits the runs of an experiment into compared runs, in their order, and excluded runs.
 fn select_runs(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<ExcludedRun>) {
     let excluded = exclusions(&runs.iter().map(Candidate::from).collect::<Vec<_>>());
     let name = |at: usize| format!("#{}", runs[at].number);

@@ -130,12 +130,12 @@ impl Configuration {
         })
     }
 
-    /// Returns the number of iterations that missed their deadline; `None` where no run has one.
+    /// Returns the number of iterations that missed their deadline; `None` if no run has one.
     pub(crate) fn misses(&self) -> Option<Misses> {
         Misses::sum(self.runs.iter().filter_map(|run| run.misses))
     }
 
-    /// Returns the deadline, seconds; `None` where no run has one, or several have different ones.
+    /// Returns the deadline, seconds; `None` if no run has one, or several have different ones.
     pub(crate) fn deadline_s(&self) -> Option<f64> {
         let mut deadlines = self.runs.iter().map(|run| run.deadline_s);
         let first = deadlines.next()??;

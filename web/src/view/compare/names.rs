@@ -3,7 +3,7 @@
 use peernet_statistics::number::NONE;
 use peernet_store::RunSummary;
 
-/// Returns a name for each configuration, given its value on each axis and its runs: its values, and the number of its first run where
+/// Returns a name for each configuration, given its value on each axis and its runs: its values, and the number of its first run if
 /// there are none or another configuration has the same.
 pub(super) fn configuration_names<'a>(
     axes: &[String],

@@ -124,7 +124,7 @@ pub(crate) struct DifferenceRow {
     pub look: &'static str,
     pub first: String,
     pub second: String,
-    /// The second minus the first; a dash if only one of them has the stage.
+    /// The second minus the first; a dash if only one configuration has the stage.
     pub difference: String,
     pub interval: Option<String>,
     /// `true` if the difference is significant; `None` if that cannot be determined.
@@ -145,7 +145,7 @@ impl DifferenceRow {
             .collect()
     }
 
-    /// Returns a stage by itself.
+    /// Returns the row of a single stage.
     pub(crate) fn of(stage: &StageDifference) -> Self {
         Self::format_with(stage, |estimate| estimate)
     }

@@ -7,7 +7,7 @@ use super::series::{RunCourse, RunCourses};
 use super::*;
 use crate::tests::samples::{self, HOSTILE};
 
-/// Returns a run with figures `scale` times the usual ones.
+/// Returns a run with figures `scale` times the usual values.
 pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
     RunSummary {
         number,

@@ -56,7 +56,7 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
     )
 }
 
-/// Returns the configuration that the best is compared with: the baseline, or, where that is the best itself, the next one.
+/// Returns the configuration with which the best is compared: the baseline, or the next configuration if the baseline is the best.
 fn reference_configuration(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
     let known =
         || ranking.differences.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));

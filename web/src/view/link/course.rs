@@ -54,7 +54,7 @@ impl Course {
     /// Merges points so that each covers `seconds` seconds.
     pub(crate) fn thinned(&self, seconds: i64) -> Self {
         let seconds = seconds.max(1);
-        // A point is named by its end: the one at a bucket's end belongs to it.
+        // The time of a point is its end, so a point at the end of a bucket belongs to this bucket.
         let bucket = |point: &ClockPoint| (point.at.unix_nanos() - 1).div_euclid(seconds * 1_000_000_000);
         let points = self.points.chunk_by(|a, b| bucket(a) == bucket(b)).filter_map(merged).collect();
         Self { bucket: self.bucket.max(seconds), points, ..*self }
@@ -99,7 +99,7 @@ pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
     })
 }
 
-/// Returns the offset with the widest bounds, of equal ones the newest. The store's buckets follow the same rule.
+/// Returns the offset with the widest bounds, and among equal widths the newest. The store's buckets follow the same rule.
 fn widest(points: &[ClockPoint]) -> Option<Offset> {
     let known = points.iter().filter_map(|point| point.offset.as_ref());
     known.max_by_key(|offset| offset.bounds.width()).cloned()

@@ -1,4 +1,4 @@
-//! The course of a link as a table: the same numbers as in its picture.
+//! The time series of a link as a table, with the same numbers as its chart.
 
 use peernet_statistics::number::{NONE, bound_ms, count, offset_ms, trip_ms};
 use peernet_store::ClockPoint;
