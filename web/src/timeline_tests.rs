@@ -74,7 +74,7 @@ fn with_one_clock_everything_has_its_place() {
 }
 
 #[test]
-fn a_bound_shifts_the_whole_stay() {
+fn bound_of_upload_shifts_whole_visit() {
     let ahead = Span::from_seconds(1_204);
     let detail = offloaded(ahead, |raw, truth| OneWayDelay {
         raw,
@@ -106,7 +106,7 @@ fn unrelated_clocks_leave_the_sum_exact_and_the_place_open() {
 }
 
 #[test]
-fn a_clock_set_on_the_way_moves_nothing() {
+fn wall_clock_step_during_visit_moves_no_node() {
     let mut detail = offloaded(Span::ZERO, |raw, _| OneWayDelay::stepped(raw, DelaySource::None));
     // The edge's clock was set back by five seconds while the sample was away.
     for node in 0..detail.tree.nodes().len() {
@@ -126,7 +126,7 @@ fn a_clock_set_on_the_way_moves_nothing() {
 }
 
 #[test]
-fn a_lost_message_leaves_the_rest_of_the_page_alone() {
+fn lost_message_gives_timeline_without_visit() {
     let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("a", "system")));
     let mut log = Recorder::new(clock.clone(), HostId::random());
     log.start_transit(stage::UPLOAD, edge_stamp(&clock));

@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn no_text_is_markup() {
+    fn markup_in_text_is_escaped() {
         let mut svg = Writer::default();
         svg.element(Tag::Div).set("class", "\"><script>").open();
         svg.words("<b>&\u{7}");

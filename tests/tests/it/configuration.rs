@@ -93,7 +93,7 @@ fn used_port_is_named_at_start() {
 }
 
 #[test]
-fn a_database_that_cannot_be_written_is_named() {
+fn unwritable_database_is_named_in_the_error() {
     let deployment = LoopbackDeployment::new();
     std::fs::write(deployment.folder().join("file"), "in the way").expect("the temporary folder is writable");
     let (code, said) = check(

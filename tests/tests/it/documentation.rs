@@ -196,7 +196,7 @@ fn undocumented_words(document: &Document, section: &str, words: &[String]) -> V
 }
 
 #[test]
-fn the_reference_describes_every_key_and_kind() {
+fn reference_describes_every_key_and_kind() {
     let deployment = LoopbackDeployment::new();
     let mut missing = Vec::new();
     let mut look = |document: &str, said: Check, probes: &[(&str, &str)]| {

@@ -92,7 +92,7 @@ fn under_journald_lines_carry_priorities_instead_of_times() {
 }
 
 #[test]
-fn a_second_signal_ends_it_at_once() {
+fn second_signal_ends_daemon_immediately() {
     // The first signal would wait for a model that computes for ten minutes.
     let deployment = LoopbackDeployment::new();
     let slow = AGENT.replace("kind = \"echo\"", "kind = \"sleep\"\ninference_ms = 600000");
@@ -108,7 +108,7 @@ fn a_second_signal_ends_it_at_once() {
 }
 
 #[test]
-fn the_version_names_the_commit() {
+fn version_contains_the_commit() {
     let deployment = LoopbackDeployment::new();
     let ended = deployment.peernetd(&["--version"]).wait_for_end();
     assert_eq!(ended.code(), 0);

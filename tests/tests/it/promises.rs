@@ -82,7 +82,7 @@ fn every_promise_names_tests_that_exist() {
 }
 
 #[test]
-fn every_path_leads_to_a_file_or_a_folder() {
+fn paths_in_documents_exist() {
     let code = code();
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     let mut checked = 0;
@@ -102,7 +102,7 @@ fn every_path_leads_to_a_file_or_a_folder() {
 }
 
 #[test]
-fn every_function_of_the_walks_exists() {
+fn functions_in_architecture_walks_exist() {
     let functions = functions();
     let architecture = Document::read(ARCHITECTURE);
     let calls: Vec<&str> = quoted(&architecture.text).filter_map(|code| code.strip_suffix("()")).collect();

@@ -129,7 +129,7 @@ fn full_disk_keeps_rows_that_fit() {
 }
 
 #[test]
-fn a_disk_that_fills_up_loses_no_row() {
+fn full_disk_loses_no_row() {
     let disk = SmallDisk::new(1 << 20);
     let folder =
         ResultFolder::create(&disk.folder().join("results"), Overwrite::Refuse).expect("there is room");

@@ -143,7 +143,7 @@ fn duplicate_host_name_and_crashed_host_are_reported() {
 }
 
 #[test]
-fn a_broken_picture_is_one_failed_iteration() {
+fn broken_picture_gives_one_failed_iteration() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
     let pictures = deployment.folder().join("pictures");

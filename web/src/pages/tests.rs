@@ -43,7 +43,7 @@ async fn overview_of(
 }
 
 #[tokio::test]
-async fn one_pipeline_that_is_well() {
+async fn overview_shows_running_pipeline_without_warnings() {
     let shown = snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
     let html = overview_of(&shown, vec![incident("connected", "reconnected to rack-a")]).await;
     assert!(html.contains(">1 pipeline running</h1>"), "{html}");
@@ -246,7 +246,7 @@ async fn hostile_texts_are_escaped_everywhere() {
 }
 
 #[tokio::test]
-async fn what_wants_to_be_looked_at_comes_worst_first() {
+async fn problems_are_listed_worst_first() {
     let mut away = host("cam-1", "Orin");
     away.connected = false;
     away.accounting.dropped = 1_050;
@@ -264,7 +264,7 @@ async fn what_wants_to_be_looked_at_comes_worst_first() {
 }
 
 #[tokio::test]
-async fn a_host_that_took_its_leave_is_nothing_to_look_at() {
+async fn host_that_said_goodbye_is_no_problem() {
     let mut left = host("cam-1", "Orin");
     (left.connected, left.has_left) = (false, true);
     let mut ended = pipeline("line", 0.0, 1.0, Verdict::Ok, &[]);
@@ -282,7 +282,7 @@ async fn a_host_that_took_its_leave_is_nothing_to_look_at() {
 }
 
 #[tokio::test]
-async fn a_store_that_fails_breaks_its_panel_alone() {
+async fn unreadable_incidents_fail_only_their_panel() {
     let (app, _folder) = samples::app().await;
     let shown = snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
     let page = overview::overview(&app, &shown, Err("abc123".into())).expect("assembles");
@@ -292,7 +292,7 @@ async fn a_store_that_fails_breaks_its_panel_alone() {
 }
 
 #[tokio::test]
-async fn a_local_pipeline_has_nothing_to_bound() {
+async fn local_pipeline_has_no_clock_bound() {
     let mut local = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
     local.placement = placement(PlacementKind::Local);
     let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], vec![local]), Vec::new()).await;
@@ -301,7 +301,7 @@ async fn a_local_pipeline_has_nothing_to_bound() {
 }
 
 #[tokio::test]
-async fn a_sensor_alone_is_called_so_and_has_no_model() {
+async fn pipeline_that_only_senses_shows_no_model() {
     let mut alone = pipeline("study", 30.0, 1.0, Verdict::Ok, &[]);
     alone.placement = peernet_stream::Placement::sensor_alone();
     let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], vec![alone]), Vec::new()).await;
@@ -310,7 +310,7 @@ async fn a_sensor_alone_is_called_so_and_has_no_model() {
 }
 
 #[tokio::test]
-async fn accuracy_stands_beside_latency_where_samples_have_labels() {
+async fn accuracy_is_shown_for_labelled_samples() {
     let (app, _folder) = samples::app().await;
     let mut shown =
         snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
@@ -362,7 +362,7 @@ async fn clock_fault_is_shown_on_every_page_it_concerns() {
 }
 
 #[tokio::test]
-async fn every_live_page_says_which_parts_changed() {
+async fn update_of_live_page_has_only_its_parts() {
     let (app, _folder) = samples::app().await;
     let shown = snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
     let update = overview::update(&app, &shown).await.expect("renders");

@@ -21,7 +21,7 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn interval_is_told_in_percent() {
+    fn interval_is_formatted_in_percent() {
         // Newcombe 1998, table I: 81 of 263 is 0.2553 to 0.3662.
         let scores = Figures { mean: 81.0 / 263.0, ..samples::figures(1.0, 263) };
         assert_eq!(interval(&scores).as_deref(), Some("25.5\u{202f}–\u{202f}36.6"));

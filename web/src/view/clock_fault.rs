@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn how_a_clock_is_wrong_is_said_with_signs() {
+    fn clock_fault_is_described_with_signs() {
         let plain = clock_fault(Span::from_seconds(1), 50.0, Vec::new());
         assert_eq!(words(&plain), "+1,000\u{202f}ms, +50\u{202f}ppm");
         let step = ClockFaultStep::wall_step(Span::from_seconds(60), Span::from_seconds(3));

@@ -188,7 +188,7 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn what_was_not_recorded_is_said_with_its_reason_and_its_time() {
+    fn gaps_are_listed_with_reason_and_time() {
         let gap = |after, count, reason: &str| GapRow {
             from: samples::NOW + Span::from_seconds(after),
             to: samples::NOW + Span::from_seconds(after + 5),
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_of_an_experiment_shows_its_labels() {
+    fn run_of_experiment_shows_its_labels() {
         let place = |configuration: &[(&str, &str)], repeat| ExperimentPlace {
             name: "resize".to_owned(),
             id: "a".to_owned(),
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn why_something_was_deleted_is_said_as_far_as_it_is_known() {
+    fn reason_of_deletion_is_shown_if_known() {
         let why = |nodes_days, size_limit_bytes| {
             why_deleted(&RetentionConfig { nodes_days, size_limit_bytes, ..RetentionConfig::default() })
         };

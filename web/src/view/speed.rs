@@ -127,7 +127,7 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn a_chart_of_a_run_that_is_over_still_knows_its_directions() {
+    fn throughput_chart_of_ended_run_uses_whole_series() {
         let of = |hz, verdict| {
             let mut line = samples::pipeline("line", hz, 1.0, verdict, &[]);
             // Nothing was measured for a minute.
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_throughput_over_a_limited_delay_is_an_interval() {
+    fn throughput_over_limited_delay_is_an_interval() {
         let text = |verdict| {
             cell(PlacementKind::Remote, &samples::window(10, 30.0, 1.0, verdict), NetworkDirection::Up).text
         };

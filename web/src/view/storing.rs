@@ -15,7 +15,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reason_reads_as_a_sentence() {
+    fn reason_is_formatted_as_a_sentence() {
         let not_storing =
             Readiness::NotStoring("cannot store events: the disk is full; agents keep them".into());
         assert_eq!(

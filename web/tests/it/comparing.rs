@@ -70,7 +70,7 @@ fn distributions(page: &str) -> &str {
 }
 
 #[tokio::test]
-async fn an_experiment_is_compared_with_its_repeats_together() {
+async fn repeats_of_an_experiment_are_combined() {
     let (dashboard, mut factory) =
         TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
     assert_eq!(dashboard.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));

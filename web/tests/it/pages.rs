@@ -53,7 +53,7 @@ async fn every_page_is_complete_without_script() {
 }
 
 #[tokio::test]
-async fn an_empty_aggregator_says_how_to_fill_it() {
+async fn empty_aggregator_shows_how_to_start_an_edge() {
     let dashboard = TestDashboard::empty().await;
     let home = dashboard.get("/").await;
     assert!(home.text().contains("No host has reported yet"));
@@ -140,7 +140,7 @@ async fn run_is_running_while_its_host_reports_it() {
 }
 
 #[tokio::test]
-async fn links_of_all_kinds_are_told_apart() {
+async fn links_of_all_networks_are_listed() {
     let lines = vec![
         Line::with_clock_fault(),
         Line { host: "cam-4", ..Line::unrelated() },

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 use crate::test_dashboard::TestDashboard;
 
 #[tokio::test]
-async fn a_server_stops_with_a_stream_open() {
+async fn server_stops_despite_open_stream() {
     let dashboard = TestDashboard::empty().await;
     let stop = CancellationToken::new();
     let server = peernet_web::serve(
@@ -132,7 +132,7 @@ async fn host_that_is_no_name_or_address_is_refused() {
 }
 
 #[tokio::test]
-async fn a_port_in_use_is_named() {
+async fn port_in_use_is_named_in_the_error() {
     let dashboard = TestDashboard::empty().await;
     let taken = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("binds");
     let listen = taken.local_addr().expect("an address").to_string();
@@ -227,7 +227,7 @@ async fn static_files_are_cached_under_content_hash() {
 }
 
 #[tokio::test]
-async fn health_is_told_in_a_word() {
+async fn health_is_one_word() {
     let dashboard = TestDashboard::empty().await;
     assert_eq!(dashboard.get("/healthz").await.text(), "alive\n");
     assert_eq!(dashboard.get("/readyz").await.text(), "ready\n");

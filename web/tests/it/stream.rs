@@ -150,7 +150,7 @@ async fn listener_without_topics_gets_status_events() {
 }
 
 #[tokio::test]
-async fn the_stream_ends_when_the_server_stops() {
+async fn stream_ends_when_the_server_stops() {
     let dashboard = TestDashboard::empty().await;
     let mut events = Events::subscribe(&dashboard, "picture").await;
     events.wait_until("status").await;

@@ -15,7 +15,7 @@ async fn refusal(testbed: &Testbed, config: AggregatorConfig) -> StartError {
 }
 
 #[tokio::test]
-async fn a_port_in_use_is_named() {
+async fn port_in_use_is_named_in_the_error() {
     let mut testbed = Testbed::new().await;
     let config =
         AggregatorConfig { database: testbed.database.with_file_name("other.sqlite"), ..testbed.config() };

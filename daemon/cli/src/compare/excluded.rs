@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_measured_once_counts_once() {
+    fn copies_of_a_run_are_compared_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let home = folder.path().join("rates");
         let place = |name: &str| home.join("runs").join(name);

@@ -117,7 +117,7 @@ mod tests {
                         003-b (in progress or killed), 004-b (to do).";
 
     #[test]
-    fn an_experiment_is_its_runs_that_are_done() {
+    fn experiment_folder_selects_finished_runs_only() {
         let folder = tempfile::tempdir().expect("a folder");
         let home = folder.path().join("all/rates");
         experiment(&home);

@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_line_leaves_its_area() {
+    fn hatch_lines_stay_inside_their_area() {
         let all = [Hatch::Rising, Hatch::Falling, Hatch::Level, Hatch::Upright, Hatch::Cross];
         let areas = [
             [(0.0, 0.0), (30.0, 9.0)],

@@ -174,7 +174,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_order_is_that_of_the_logger() {
+    fn stages_have_the_order_of_the_logger() {
         let order = peernet_logger::stage::ORDER;
         let names: Vec<&str> = STAGES.iter().map(|stage| stage.name).collect();
         let known: Vec<&str> =
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn the_dashboard_has_the_same_colours() {
+    fn dashboard_has_the_same_colours_as_figures() {
         let sheet = include_str!("../../../../web/assets/css/tokens.css");
         let of_stages = STAGES.iter().flat_map(|stage| std::iter::once(stage.colour).chain(stage.edge));
         for Token { name, light, dark } in of_stages.chain(TOKENS) {
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_stage_has_no_colour() {
+    fn unknown_stage_has_no_colour() {
         assert_eq!((stage("\"><script>").class, stage("upload").class), ("other", "upload"));
         let classes = ["capture", "upload + download", "total", "stages-total"].map(|name| stage(name).class);
         assert_eq!(classes, ["capture", "network", "total", "total"]);

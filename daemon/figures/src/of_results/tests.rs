@@ -78,7 +78,7 @@ fn written_as(stem: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_run_has_the_six_published_histograms() {
+fn run_has_the_six_published_histograms() {
     let folder = tempfile::tempdir().expect("a folder");
     let run = remote(60);
     let files = of_run(&run.record, &run.rows, folder.path()).expect("written");
@@ -177,7 +177,7 @@ fn lateness_is_separate_part() {
 }
 
 #[test]
-fn accuracy_stands_against_latency() {
+fn accuracy_is_drawn_against_latency() {
     let labelled = |model: &str, total: f64| {
         let place = placed(model, "local", 1.0).record;
         Loaded { record: place, ..run_with_total(total) }
@@ -215,7 +215,7 @@ fn accuracy_stands_against_latency() {
 }
 
 #[test]
-fn one_configuration_is_not_compared_without_being_asked() {
+fn single_configuration_is_compared_only_on_request() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut repeat = [placed("s", "local", 20.0), placed("s", "local", 21.0)];
     repeat[1].record.experiment.as_mut().expect("an experiment").repeat = 1;
@@ -395,7 +395,7 @@ fn lengths_are_tokens_where_there_are_some() {
 }
 
 #[test]
-fn a_series_shows_what_happened_when() {
+fn series_has_totals_stages_warm_up_and_unanswered() {
     let mut run = remote(60);
     run.rows.change(|row| {
         let total = (!row.values.is_empty()).then(|| ("total".into(), 20e-3));
@@ -424,7 +424,7 @@ fn a_series_shows_what_happened_when() {
 }
 
 #[test]
-fn an_experiment_has_what_its_data_allow() {
+fn experiment_has_figures_that_its_data_allow() {
     let folder = tempfile::tempdir().expect("a folder");
     let runs = [placed("s", "local", 20.0), placed("s", "remote", 4.0)];
     let files = of_experiment(&runs, folder.path()).expect("written");

@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_missing_value_parts_lines_and_areas() {
+    fn missing_value_breaks_lines_and_areas() {
         let points = [Some((0.0, 0.0)), Some((0.1, 1.0)), None, Some((0.5, 0.5))];
         let line = Path::line(points).steps;
         let expected =

@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_are_shortened_stay_apart() {
+    fn shortened_names_remain_distinct() {
         let long = ["s", "m", "xl"].map(|size| format!("efficientnet_v2_{size}_with_a_long_suffix_int8"));
         let mut names: Vec<&str> = long.iter().map(String::as_str).collect();
         names.extend(["resnet", "resnet"]);

@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_font_lacks_is_named() {
+    fn characters_missing_in_font_are_reported() {
         assert_eq!(missing_glyph("Latency, ms (−5 ± 2 µs) → ≤ × ÷ · “n”\u{202f}…"), None);
         assert_eq!(missing_glyph("latency 延迟"), Some('延'));
     }

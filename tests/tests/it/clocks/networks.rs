@@ -79,7 +79,7 @@ fn blocked_port_and_losses_affect_only_matching_packets() {
 }
 
 #[test]
-fn a_wire_delays_each_direction_by_itself() {
+fn wire_delays_directions_separately() {
     let folder = tempfile::tempdir().expect("the temporary folder is writable");
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let network = Network::wire(folder.path(), way(40), way(5));

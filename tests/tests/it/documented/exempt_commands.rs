@@ -14,7 +14,7 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 9] = [
             "PEERNet --client --name jetson-orin --network zmq-tcp --network-config net_config.yaml --dataset-loc sample-image.JPEG --iterations 10005 --result-loc results --generate-plots",
         ],
         "tests/tests/it/published/commands.rs",
-        "#[test]\nfn the_published_commands_work_word_for_word()",
+        "#[test]\nfn published_commands_work_unchanged()",
     ),
     (
         &[
@@ -23,7 +23,7 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 9] = [
             "/usr/bin/python3 models/export_torchvision.py resnet50 --weights IMAGENET1K_V1 --models-dir /var/lib/peernet/models",
         ],
         "tests/tests/it/models/torchvision.rs",
-        "#[test]\nfn an_exported_model_answers_as_torchvision_does()",
+        "#[test]\nfn exported_model_answers_like_torchvision()",
     ),
     (
         &["cargo build --release --locked --package peernetd --bin peernetd"],

@@ -60,7 +60,7 @@ fn model_check_uses_its_pictures_or_zeros() {
 }
 
 #[test]
-fn a_model_is_measured_stage_by_stage() {
+fn bench_prints_each_stage_of_a_model() {
     let measured = json(&models(&[
         "bench",
         "quality-control",

@@ -22,7 +22,7 @@ use super::{NAME, Reference, exported};
 const TOLERANCE: f64 = 0.01;
 
 #[test]
-fn an_exported_model_answers_as_torchvision_does() {
+fn exported_model_answers_like_torchvision() {
     let pool = pool(&[]);
     for reference in &exported().answers {
         for (form, sample) in [("JPEG", jpeg(reference)), ("pixels", pixels(reference))] {

@@ -19,7 +19,7 @@ const FIGURES: [&str; 6] = [
 ];
 
 #[test]
-fn the_published_commands_work_word_for_word() {
+fn published_commands_work_unchanged() {
     let lab = Lab::new();
     std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
     let server = lab.server(

@@ -68,7 +68,7 @@ fn ended_session_ends_client_with_all_results() {
 }
 
 #[test]
-fn a_client_under_nohup_outlives_its_session() {
+fn client_under_nohup_continues_after_sighup() {
     let lab = Lab::on_one_machine();
     let _server = server(&lab, 1_000_000);
     let peernet = program("peernet");
@@ -202,7 +202,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
 }
 
 #[test]
-fn a_second_signal_does_not_wait() {
+fn second_signal_ends_client_without_waiting() {
     let lab = Lab::on_one_machine();
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name \"exec:sleep 600\" \

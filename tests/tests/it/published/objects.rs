@@ -72,7 +72,7 @@ class Stuck:
 ";
 
 #[test]
-fn a_sensor_that_hangs_is_named() {
+fn hanging_sensor_is_named_in_progress() {
     let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_camera.py"), HANGING).expect("writable");
     let _server = lab.server(
@@ -132,7 +132,7 @@ fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd)
 }
 
 #[test]
-fn an_exception_is_a_failed_iteration() {
+fn exception_gives_failed_iteration() {
     let lab = Lab::on_one_machine();
     // The server does not wait for answers that will never come.
     let (client, server) = seen_by(FAILING, 20, &lab);

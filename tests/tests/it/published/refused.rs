@@ -16,7 +16,7 @@ fn refused(lab: &Lab, command: &str, code: i32, said: &[&str]) {
 }
 
 #[test]
-fn a_wrong_command_line_is_refused() {
+fn invalid_command_line_is_refused() {
     let lab = Lab::on_one_machine();
     let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml";
     refused(&lab, &format!("{client} --iterations 0"), 64, &["at least 1"]);

@@ -14,7 +14,7 @@ pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator:
 }
 
 #[tokio::test]
-async fn a_link_is_shown_whatever_is_known_of_it() {
+async fn link_page_renders_for_each_verdict_and_range() {
     let (app, _folder) = samples::app().await;
     for (half, word) in [(Some(0.00065), "limited"), (Some(0.00002), "ok"), (None, "unsynchronised")] {
         for topic in ["cam-1~rack-a/10min/removed", "cam-1~rack-a/10min/measured", "cam-1~rack-a/24h/removed"]
@@ -41,7 +41,7 @@ async fn a_link_is_shown_whatever_is_known_of_it() {
 }
 
 #[tokio::test]
-async fn links_of_one_pair_over_two_networks_are_told_apart() {
+async fn links_over_two_networks_have_distinct_names() {
     let (app, _folder) = samples::app().await;
     let mut shown = linked(Some(0.00065), Verdict::Ok);
     shown.links.push(std::sync::Arc::new(samples::link_over_udp(Some(0.00065))));
@@ -63,7 +63,7 @@ async fn links_of_one_pair_over_two_networks_are_told_apart() {
 }
 
 #[tokio::test]
-async fn a_link_that_is_only_stored_keeps_its_page() {
+async fn link_without_live_host_has_a_page() {
     use crate::view::link::Subject;
     use crate::view::link::course::Course;
     let (app, _folder) = samples::app().await;
@@ -105,7 +105,7 @@ async fn link_with_one_clock_explains_exact_delays() {
 }
 
 #[tokio::test]
-async fn verdicts_that_are_not_ok_are_told_with_the_way_to_the_links_page() {
+async fn verdict_other_than_ok_links_to_page_of_link() {
     let html = overview_of(&linked(Some(0.00065), Verdict::Limited), Vec::new()).await;
     assert!(html.contains("href=\"/links/cam-1~rack-a\""), "{html}");
     let (app, _folder) = samples::app().await;

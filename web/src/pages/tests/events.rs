@@ -3,7 +3,7 @@
 use super::*;
 
 #[tokio::test]
-async fn what_became_of_events_is_shown_whatever_it_was() {
+async fn event_counts_of_each_state_are_shown() {
     let (app, _folder) = samples::app().await;
     let mut told = host("cam-1", "Orin");
     told.accounting = samples::accounting();

@@ -59,7 +59,7 @@ async fn without_answers_of_different_length_there_is_no_panel() {
 }
 
 #[tokio::test]
-async fn what_there_is_no_room_for_is_named() {
+async fn configurations_beyond_six_are_named() {
     let html = page_of((0..9).map(|at| talking(at, "download-bytes", &answered(80))).collect()).await;
     let panel = panel(&html);
     assert_eq!(panel.matches("<figcaption>").count(), 6, "{panel}");

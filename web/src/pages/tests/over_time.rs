@@ -64,7 +64,7 @@ async fn of_very_many_runs_the_first_of_each_configuration_are_drawn() {
 }
 
 #[tokio::test]
-async fn a_sensor_alone_has_its_sensing_and_nothing_has_no_panel() {
+async fn run_over_time_shows_sensing_without_total() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     one.stages.retain(|known| known.stage == stage::SENSING);
     let known = one.known(&stage::SENSING).expect("samples").clone();

@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_axis_groups_and_numbers_go_by_value() {
+    fn configurations_are_sorted_by_axes_and_numeric_value() {
         let rows = sorted(&[
             &["1000000", "closed"],
             &["1000", "closed"],

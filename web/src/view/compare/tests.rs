@@ -250,7 +250,7 @@ fn baseline_is_named_by_one_of_its_runs() {
 }
 
 #[test]
-fn what_differs_in_more_than_the_size_has_a_line_of_its_own() {
+fn configurations_with_other_differences_have_separate_lines() {
     let of = |at: usize, size: f64, load: &str| {
         let mut one = configuration(at, PlacementKind::Remote, 1.0 + size / 1e6, size);
         one.values = vec![size.to_string(), load.to_owned()];

@@ -141,7 +141,7 @@ fn mistake_is_reported_with_file_key_and_axis() {
 }
 
 #[test]
-fn run_of_warm_up_alone_is_refused() {
+fn run_with_only_warm_up_is_refused() {
     let with = |limits: &str| configurations(&COMMON.replace("iterations = 10", limits));
     for limits in [
         "episodes = 1\nepisode_steps = 30",

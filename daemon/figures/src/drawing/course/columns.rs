@@ -45,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_has_no_columns() {
+    fn gap_in_time_has_no_columns() {
         let values = [(0.0, 1.0), (1.0, 2.0), (9.0, 3.0), (10.0, 4.0), (11.0, 5.0)];
         let numbers: Vec<usize> =
             columns(&values, (0.0, 10.0), 10).iter().map(|column| column.number).collect();

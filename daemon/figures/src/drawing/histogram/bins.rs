@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_spread_fills_all_bins_alike() {
+    fn uniform_values_fill_bins_evenly() {
         let bins = bins((0..1000).map(f64::from)).expect("there are values");
         // 999 / (2 · 499.5 / 10).
         assert_eq!((bins.counts.len(), bins.from, bins.to()), (10, 0.0, 999.0));
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn odd_values_have_bins_as_well() {
+    fn empty_equal_and_non_finite_values_have_valid_bins() {
         assert_eq!(bins([]), None);
         assert_eq!(bins([f64::NAN, f64::INFINITY]), None);
         for value in [0.0, -3.0, 1e-9, 7.0] {

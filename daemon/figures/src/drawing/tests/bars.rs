@@ -32,7 +32,7 @@ fn bars_are_as_high_as_bin_counts() {
 }
 
 #[test]
-fn the_median_stands_where_its_value_is() {
+fn median_line_is_at_its_value() {
     let figure = histogram(millis((0..=1000).map(f64::from)));
     let svg = figure.svg();
     let bars = Elements::of(&svg, "rect").with("fill", &colour("upload"));
@@ -43,7 +43,7 @@ fn the_median_stands_where_its_value_is() {
 }
 
 #[test]
-fn a_long_tail_is_counted_instead_of_drawn() {
+fn long_tail_is_counted_instead_of_drawn() {
     let figure = histogram(millis((0..1000).map(|i| f64::from(i) / 100.0 + 10.0).chain([9e5, 1e6])));
     let svg = figure.svg();
     assert!(texts(&svg).iter().any(|text| text == "2 beyond 20.0 ms →"), "{:?}", texts(&svg));
@@ -51,7 +51,7 @@ fn a_long_tail_is_counted_instead_of_drawn() {
 }
 
 #[test]
-fn odd_values_are_drawn_too() {
+fn empty_single_equal_and_non_finite_values_give_a_valid_figure() {
     let cases: [Vec<f64>; 6] = [
         vec![],
         vec![17.5],

@@ -19,7 +19,7 @@ fn cumulative(values: Vec<SortedValues>) -> Cumulative {
 }
 
 #[test]
-fn a_curve_goes_from_nothing_to_all() {
+fn curve_rises_from_zero_to_one() {
     let figure = cumulative(vec![millis((0..=1000).map(f64::from))]);
     let svg = figure.svg();
     let path = &Elements::of(&svg, "path").with("fill", "none").0[0]["d"];
@@ -56,7 +56,7 @@ fn values_beyond_axis_are_counted_per_curve() {
 }
 
 #[test]
-fn odd_curves_are_drawn_too() {
+fn empty_single_and_non_finite_curves_give_a_valid_figure() {
     for values in [vec![], vec![7.0], vec![0.0; 30], vec![-2.0, 1.0], vec![f64::NAN, 3.0, f64::INFINITY]] {
         let figure = cumulative(vec![millis(values.clone()), millis([])]);
         assert_on_paper(&figure.svg());

@@ -167,7 +167,7 @@ fn names_cannot_break_a_file() {
 
 /// Every character in the texts of figures has a glyph.
 #[test]
-fn the_font_has_every_sign_of_figures() {
+fn font_has_all_characters_of_figures() {
     for source in [
         include_str!("../accuracy/mod.rs"),
         include_str!("../course/mod.rs"),

@@ -58,7 +58,7 @@ fn lengths_and_scaling_are_drawn_on_a_page() {
 }
 
 #[test]
-fn a_stack_holds_its_values_where_they_fit() {
+fn values_of_a_stack_are_labelled_if_they_fit() {
     let scale = Scale::linear((0.0, 40.0)).widened(6);
     let stack = Stack { parts: vec![("sensing", 3.0), ("encode", 0.02), ("upload", 9.0)], scale };
     let mut items = stack.items((0.15, 0.85), Direction::Level);

@@ -48,7 +48,7 @@ fn very_different_models_share_logarithmic_axis() {
 }
 
 #[test]
-fn long_names_of_models_stay_apart() {
+fn long_model_names_remain_distinct() {
     let mut figure = paired(vec![vec![hill(50.0, 9), hill(20.0, 9)]; 6]);
     for (group, size) in figure.groups.iter_mut().zip(["s", "m", "l", "x", "y", "z"]) {
         group.name = format!("efficientnet_v2_{size}_with_a_very_long_suffix_int8");
@@ -123,7 +123,7 @@ fn spaced_points_are_drawn_without_overlapping_counts() {
 }
 
 #[test]
-fn odd_pairs_are_drawn_too() {
+fn empty_single_and_non_finite_pairs_give_a_valid_figure() {
     for values in
         [vec![], vec![5.0], vec![5.0; 300], vec![-2.0, -1.0, 4.0], vec![f64::NAN, 3.0, f64::INFINITY]]
     {
@@ -170,7 +170,7 @@ fn points_have_a_distribution_on_both_sides() {
 }
 
 #[test]
-fn a_hundred_thousand_points_are_a_small_file() {
+fn figure_of_100000_points_is_a_small_file() {
     let point = |i: u32| (f64::from(i % 977), f64::from(i % 977) * 1e-3 + f64::from(i % 31) * 1e-3);
     let figure = lengths((0..100_000).map(point).collect());
     let svg = figure.svg();

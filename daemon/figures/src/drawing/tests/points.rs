@@ -56,7 +56,7 @@ fn level_line_is_drawn_at_height_or_omitted() {
 }
 
 #[test]
-fn what_is_not_drawn_is_not_explained() {
+fn legend_omits_whisker_without_clock_bounds() {
     let has_whisker = |share: f64| scaling(None, Some(share)).words().contains("whisker: by clock bounds");
     assert!(has_whisker(0.2) && !has_whisker(0.0), "one clock has no bounds");
 }
@@ -111,7 +111,7 @@ fn overlapping_whiskers_are_omitted() {
 }
 
 #[test]
-fn numbers_of_points_in_one_place_lie_apart() {
+fn numbers_of_coinciding_points_do_not_overlap() {
     let figure = accuracy((0..9).map(|_| score("x", 100, 100, 0.02)).collect());
     let svg = figure.svg();
     let of = |attribute: &str| {
@@ -132,7 +132,7 @@ fn numbers_of_points_in_one_place_lie_apart() {
 }
 
 #[test]
-fn odd_scores_are_drawn_too() {
+fn extreme_scores_give_a_valid_figure() {
     let crowd =
         (0..24).map(|i| score(&format!("configuration {i} with a long name"), 50, 100, 0.02)).collect();
     let cases = [

@@ -58,7 +58,7 @@ fn curves_differ_by_mark_and_line() {
 }
 
 #[test]
-fn odd_numbers_are_drawn_too() {
+fn missing_and_extreme_points_give_a_valid_figure() {
     let unjudged =
         |edges, median| SharingPoint { p95: None, each: vec![median], ..point(edges, median, None) };
     let cases = [

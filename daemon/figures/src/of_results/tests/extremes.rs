@@ -23,7 +23,7 @@ fn odd(odd: f64, from: u64) -> Loaded {
 }
 
 #[test]
-fn every_figure_handles_extreme_numbers() {
+fn extreme_numbers_give_valid_figures_of_all_kinds() {
     let here = placed("m", "local", 7.0);
     for (value, from) in [(f64::MAX, 1), (-1e308, 50), (f64::INFINITY, 50), (1e-300, 1), (1e18, 50)] {
         let runs = [odd(value, from), here.clone()];

@@ -121,7 +121,7 @@ fn undetermined_rate_is_not_given() {
 }
 
 #[test]
-fn edges_that_never_met_are_told() {
+fn edges_that_measured_at_different_times_have_no_figure() {
     let mut apart = [shared("s", 2, 0, 20.0), shared("s", 2, 1, 20.0)];
     apart[1].rows.change(|row| row.at += 1e6);
     assert!(users::drawings(&apart).is_err_and(|missing| missing.to_string().contains("while all edges")));

@@ -49,7 +49,7 @@ fn figure_has_column_width_and_one_line_caption() {
 }
 
 #[test]
-fn no_text_is_smaller_than_seven_points() {
+fn text_has_at_least_seven_points() {
     let svg = svg(&figure());
     let sizes: Vec<f64> = svg
         .split("font-size=\"")

@@ -59,7 +59,7 @@ fn with(points: Vec<(f64, f64)>, is_whole: bool) -> Vec<Answers> {
 }
 
 #[test]
-fn what_a_token_costs_is_said_with_its_interval() {
+fn cost_of_a_token_has_an_interval() {
     let points = answered(800);
     let one = comparison(vec![talking(0, "completion-tokens", &points)]);
     let found = lengths(&one, &with(points, true)).expect("answers of all lengths");
@@ -85,7 +85,7 @@ fn what_a_token_costs_is_said_with_its_interval() {
 }
 
 #[test]
-fn a_sample_says_of_how_many_it_is_and_what_was_deleted() {
+fn sample_has_number_of_all_and_deleted_iterations() {
     let points = answered(800);
     let mut one = talking(0, "tokens", &points);
     let amount = |one: &Configuration, points: &[(f64, f64)], is_whole| {
@@ -114,7 +114,7 @@ fn a_sample_says_of_how_many_it_is_and_what_was_deleted() {
 }
 
 #[test]
-fn what_cannot_be_told_is_not_told() {
+fn too_few_or_flat_points_give_no_growth() {
     let sentence =
         |points: &[(f64, f64)]| Growth::from_iterations(points).map(|growth| sentence(&growth, "kB", 1e3));
     assert_eq!(sentence(&answered(59)), None, "too few");
@@ -162,7 +162,7 @@ fn held(iterations: usize, iteration: impl Fn(&mut SplitMix64) -> (f64, f64)) ->
 }
 
 #[test]
-fn an_interval_holds_the_slope_whatever_the_lengths_and_the_tail() {
+fn interval_contains_slope_for_skewed_and_uniform_lengths() {
     let tailed = held(120, |random| {
         let tokens = (4.5 + 0.6 * normal(random)).exp().round();
         let late = if uniform(random) < 0.05 { -0.08 * uniform(random).ln() } else { 0.0 };
@@ -174,7 +174,7 @@ fn an_interval_holds_the_slope_whatever_the_lengths_and_the_tail() {
 }
 
 #[test]
-fn a_slope_of_nanoseconds_has_digits() {
+fn slope_of_nanoseconds_has_significant_digits() {
     let points: Vec<(f64, f64)> = answered(200).iter().map(|(x, _)| (*x, 1e-3 + x * 2.0e-9)).collect();
     let noisy: Vec<(f64, f64)> =
         points.iter().enumerate().map(|(n, (x, y))| (*x, y + 2e-9 * (n as f64 * 1.7).sin())).collect();
@@ -187,7 +187,7 @@ fn a_slope_of_nanoseconds_has_digits() {
 }
 
 #[test]
-fn what_has_no_number_is_counted_and_said() {
+fn iterations_without_valid_length_are_counted() {
     let mut points = answered(295);
     for (n, (length, _)) in points.iter_mut().enumerate() {
         *length = [1e308, -5.0, 0.0, 1e-320, 1e300, 3.0, -1e308][n % 7];
@@ -211,7 +211,7 @@ fn what_has_no_number_is_counted_and_said() {
 }
 
 #[test]
-fn only_answers_that_differ_in_length_are_drawn_and_at_most_six() {
+fn at_most_six_configurations_with_varying_lengths_are_drawn() {
     let points = answered(100);
     let alike: Vec<(f64, f64)> = points.iter().map(|(x, y)| (96.0 + x % 4.0, *y)).collect();
     let mut all: Vec<Configuration> = (0..8).map(|at| talking(at, "download-bytes", &points)).collect();
@@ -224,7 +224,7 @@ fn only_answers_that_differ_in_length_are_drawn_and_at_most_six() {
 }
 
 #[test]
-fn tokens_and_bytes_have_axes_of_their_own_and_latencies_one() {
+fn tokens_and_bytes_have_separate_axes() {
     let points = answered(450);
     let many: Vec<(f64, f64)> = points.iter().map(|(x, y)| (x * 1e3, y * 2.0)).collect();
     let both = comparison(vec![talking(0, "tokens", &points), talking(1, "download-bytes", &many)]);

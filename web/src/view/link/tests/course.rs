@@ -5,7 +5,7 @@ use super::super::*;
 use crate::tests::samples::{NOW, clock_point};
 
 #[test]
-fn a_steady_drift_is_taken_out_of_the_picture_and_a_step_parts_it() {
+fn chart_removes_steady_drift_and_breaks_at_step() {
     let at = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
     let mut points: Vec<ClockPoint> =
         (0..100).rev().map(|ago| clock_point(at(ago), u64::from(ago < 50), Some(0.0005))).collect();
@@ -40,7 +40,7 @@ fn points_that_are_put_together_keep_the_widest_bounds_and_all_probes() {
 }
 
 #[test]
-fn what_the_cloud_tells_is_placed_by_the_offset_of_its_time() {
+fn cloud_times_are_converted_by_offset_of_their_time() {
     let at = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
     let mut points: Vec<ClockPoint> =
         (0..60).rev().map(|ago| clock_point(at(ago), 1, Some(0.0005))).collect();

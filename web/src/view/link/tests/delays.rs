@@ -22,7 +22,7 @@ fn median_weighs_delays_and_ignores_rare_verdicts() {
 }
 
 #[test]
-fn a_negative_delay_is_never_shown() {
+fn negative_delay_is_not_shown() {
     let delays = Delays::merge(NetworkDirection::Down, &[second(10, -0.4, Verdict::Limited)]);
     assert_eq!((delays.value().as_str(), delays.interval()), ("—", None));
     let mut low = second(10, 0.2, Verdict::Limited);

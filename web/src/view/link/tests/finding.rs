@@ -8,7 +8,7 @@ use crate::tests::samples::link;
 use crate::zone::Zone;
 
 #[test]
-fn the_title_answers_whether_delays_can_be_trusted() {
+fn title_says_whether_delays_can_be_trusted() {
     let say = |link: &LinkSnapshot| title(&Subject::live(link), Zone::Utc);
     let mixed = link(Some(0.00065), &[]);
     assert_eq!(
@@ -36,7 +36,7 @@ fn the_title_answers_whether_delays_can_be_trusted() {
 }
 
 #[test]
-fn the_verdicts_are_told_with_this_links_numbers() {
+fn verdicts_are_explained_with_numbers_of_the_link() {
     let link = link(Some(0.00065), &[]);
     let told = meanings(&Subject::live(&link));
     assert_eq!(

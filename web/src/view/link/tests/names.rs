@@ -4,7 +4,7 @@ use super::super::*;
 use crate::tests::samples::link;
 
 #[test]
-fn a_link_is_found_by_its_two_names() {
+fn link_is_found_by_names_of_both_hosts() {
     let snapshot = peernet_aggregator::LiveState {
         links: vec![std::sync::Arc::new(link(Some(0.00065), &[]))],
         ..crate::tests::samples::snapshot(Vec::new(), Vec::new())
@@ -16,7 +16,7 @@ fn a_link_is_found_by_its_two_names() {
 }
 
 #[test]
-fn name_of_a_link_leaves_zmq_tcp_out() {
+fn name_of_link_omits_zmq_tcp() {
     let udp: NetworkName = "zmq-udp".parse().expect("a name");
     assert_eq!(name("cam-1", "rack-a", &NetworkName::default()), "cam-1~rack-a");
     assert_eq!(name("cam-1", "rack-a", &udp), "cam-1~rack-a~zmq-udp");
@@ -32,7 +32,7 @@ fn name_of_a_link_leaves_zmq_tcp_out() {
 }
 
 #[test]
-fn a_placement_uses_the_link_over_its_network() {
+fn placement_uses_link_over_its_network() {
     let mut shown = crate::tests::samples::snapshot(Vec::new(), Vec::new());
     shown.links = vec![Arc::new(crate::tests::samples::link_over_udp(None))];
     let placement = |network: Option<&str>| Placement {

@@ -8,7 +8,7 @@ use super::course;
 use crate::tests::samples::link;
 
 #[test]
-fn a_claim_is_told_as_it_is_meant() {
+fn claim_is_formatted_as_error_and_uncertainty() {
     let claim = |lo, hi| {
         let error = Interval { lo: Span::from_micros(lo), hi: Span::from_micros(hi) };
         let discipline = peernet_clock::Discipline { source: DelaySource::Chrony, error };
@@ -67,7 +67,7 @@ fn named_reflector_is_shown_as_tied_to_no_host() {
 }
 
 #[test]
-fn what_the_bounds_rest_on_is_told_with_what_is_proven() {
+fn basis_of_bounds_lists_assumptions_and_proven_skew() {
     let mut link = link(Some(0.00065), &[]);
     let basis = EstimateBasis {
         clocks: RelatedClocks::Raw,
