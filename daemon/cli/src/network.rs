@@ -4,7 +4,7 @@ use peernet_networks::NetworkKind;
 
 /// A name of an unknown kind of network.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is {}", known())]
+#[error("there is {}", known_kinds())]
 pub(crate) struct NetworkNameError;
 
 /// Returns a kind by its published name.
@@ -15,6 +15,6 @@ pub(crate) fn network(text: &str) -> Result<NetworkKind, NetworkNameError> {
     NetworkKind::ALL.iter().find(|kind| kind.name() == text).copied().ok_or(NetworkNameError)
 }
 
-fn known() -> String {
+fn known_kinds() -> String {
     NetworkKind::ALL.iter().map(|kind| kind.name()).collect::<Vec<_>>().join(", ")
 }

@@ -127,7 +127,7 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         0 => "no usable exchanges of the two clocks are stored".to_owned(),
         samples => format!(
             "computed again {} with {samples} seconds of exchanges of the two clocks, during the run and after it",
-            by(clocks)
+            describe_clocks(clocks)
         ),
     };
     format!("{table}\n\nrun {run}: {learnt}; nothing stored was changed")
@@ -138,7 +138,7 @@ fn wall_clocks() -> Vec<String> {
 }
 
 /// Describes the clocks by which delays were judged again.
-fn by(clocks: &[String]) -> String {
+fn describe_clocks(clocks: &[String]) -> String {
     let words = clocks.iter().map(|clocks| match clocks.as_str() {
         "raw" => "by free-running clocks",
         "raw-to-wall" => "by the edge's raw and the cloud's wall clock",
@@ -168,15 +168,15 @@ fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<S
     vec![
         stage.to_owned(),
         when.to_owned(),
-        known(delay.map(spread)),
-        known(delay.map(|figures| milliseconds(figures.p50))),
-        known(delay.and_then(|figures| figures.p95).map(milliseconds)),
-        known(judgement.half_width.as_ref().map(|figures| bound_ms(figures.p50))),
-        known(Some(verdicts.join(", ")).filter(|verdicts| !verdicts.is_empty())),
+        or_dash(delay.map(spread)),
+        or_dash(delay.map(|figures| milliseconds(figures.p50))),
+        or_dash(delay.and_then(|figures| figures.p95).map(milliseconds)),
+        or_dash(judgement.half_width.as_ref().map(|figures| bound_ms(figures.p50))),
+        or_dash(Some(verdicts.join(", ")).filter(|verdicts| !verdicts.is_empty())),
     ]
 }
 
-fn known(figure: Option<String>) -> String {
+fn or_dash(figure: Option<String>) -> String {
     figure.unwrap_or_else(|| "—".to_owned())
 }
 

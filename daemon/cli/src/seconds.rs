@@ -12,20 +12,20 @@ pub(crate) enum SecondsError {
     #[error(transparent)]
     NotANumber(#[from] ParseFloatError),
     /// The duration is outside the range.
-    #[error("from {least} to {MAX_SECONDS}")]
+    #[error("must be from {min_seconds} to {MAX_SECONDS} seconds")]
     OutOfRange {
         /// Shortest duration in seconds.
-        least: f64,
+        min_seconds: f64,
     },
 }
 
-/// Reads a duration between `least` seconds and a day.
-pub(crate) fn seconds(text: &str, least: f64) -> Result<f64, SecondsError> {
+/// Reads a duration between `min_seconds` seconds and a day.
+pub(crate) fn seconds(text: &str, min_seconds: f64) -> Result<f64, SecondsError> {
     let seconds = text.parse::<f64>()?;
-    if (least..=MAX_SECONDS).contains(&seconds) {
+    if (min_seconds..=MAX_SECONDS).contains(&seconds) {
         Ok(seconds)
     } else {
-        Err(SecondsError::OutOfRange { least })
+        Err(SecondsError::OutOfRange { min_seconds })
     }
 }
 
@@ -36,11 +36,13 @@ mod tests {
     #[test]
     fn seconds_outside_range_are_refused() {
         assert_eq!((seconds("0", 0.0), seconds("86400", 1.0)), (Ok(0.0), Ok(86_400.0)));
-        for (text, expected) in
-            [("0.5", "from 1 to 86400"), ("1e9", "from 1 to 86400"), ("x", "invalid float literal")]
-        {
+        for (text, expected) in [
+            ("0.5", "must be from 1 to 86400 seconds"),
+            ("1e9", "must be from 1 to 86400 seconds"),
+            ("x", "invalid float literal"),
+        ] {
             assert_eq!(seconds(text, 1.0).expect_err(text).to_string(), expected);
         }
-        assert_eq!(seconds("nan", 0.0).expect_err("no time").to_string(), "from 0 to 86400");
+        assert_eq!(seconds("nan", 0.0).expect_err("no time").to_string(), "must be from 0 to 86400 seconds");
     }
 }

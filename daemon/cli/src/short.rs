@@ -1,38 +1,38 @@
-//! Shortening of texts with a value of the user's, which may have thousands of characters and lines.
+//! Shortening of texts that contain a value of the user, which may have thousands of characters and lines.
 
 use std::borrow::Cow;
 
 use peernet_sample::printable_line;
 
-/// Length in characters of the longest line that is not shortened.
-const LINE: usize = 600;
-/// Length in characters of the longest value that is not shortened.
-const VALUE: usize = 200;
+/// Maximum length of a line in characters. Longer lines are shortened.
+const MAX_LINE_CHARS: usize = 600;
+/// Maximum length of a value in characters. Longer values are shortened.
+const MAX_VALUE_CHARS: usize = 200;
 
 /// Shortens the overlong lines of a text in their middle.
 pub fn lines(text: &str) -> Cow<'_, str> {
-    if text.lines().all(|line| line.len() <= LINE) {
+    if text.lines().all(|line| line.len() <= MAX_LINE_CHARS) {
         return Cow::Borrowed(text);
     }
-    let lines: Vec<Cow<'_, str>> = text.lines().map(|line| cut(line, LINE)).collect();
+    let lines: Vec<Cow<'_, str>> = text.lines().map(|line| shorten(line, MAX_LINE_CHARS)).collect();
     Cow::Owned(lines.join("\n"))
 }
 
 /// Converts a value of a command line to one line, shortened in its middle if it is overlong.
 pub fn value(text: &str) -> Cow<'_, str> {
     match printable_line(text) {
-        Cow::Borrowed(text) => cut(text, VALUE),
-        Cow::Owned(text) => Cow::Owned(cut(&text, VALUE).into_owned()),
+        Cow::Borrowed(text) => shorten(text, MAX_VALUE_CHARS),
+        Cow::Owned(text) => Cow::Owned(shorten(&text, MAX_VALUE_CHARS).into_owned()),
     }
 }
 
-/// Shortens a text in its middle: its start names the subject, its end the expected value.
-fn cut(text: &str, most: usize) -> Cow<'_, str> {
+/// Shortens a text in its middle, because its start names the subject and its end the expected value.
+fn shorten(text: &str, max_chars: usize) -> Cow<'_, str> {
     let all = text.chars().count();
-    if all <= most {
+    if all <= max_chars {
         return Cow::Borrowed(text);
     }
-    let (front, back) = (most / 2, most / 3);
+    let (front, back) = (max_chars / 2, max_chars / 3);
     let first: String = text.chars().take(front).collect();
     let last: String = text.chars().skip(all - back).collect();
     Cow::Owned(format!("{first} […{} characters…] {last}", all - front - back))
@@ -51,7 +51,7 @@ mod tests {
             long.starts_with("e.toml: \"üü") && long.ends_with(", expected u64\nthe second line"),
             "{long}"
         );
-        assert!(long.chars().count() < LINE && long.contains(" characters…]"), "{long}");
+        assert!(long.chars().count() < MAX_LINE_CHARS && long.contains(" characters…]"), "{long}");
     }
 
     #[test]
@@ -61,6 +61,6 @@ mod tests {
         let long = "x = 1\n".repeat(1000);
         let shortened = value(&long);
         assert!(shortened.starts_with("x = 1 x = 1") && shortened.ends_with("x = 1 "), "{shortened}");
-        assert!(shortened.chars().count() <= VALUE && !shortened.contains('\n'), "{shortened}");
+        assert!(shortened.chars().count() <= MAX_VALUE_CHARS && !shortened.contains('\n'), "{shortened}");
     }
 }

@@ -163,9 +163,9 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         format!("{}/{}", pipeline.host, pipeline.name),
         place,
         with_clock_fault_mark(&pipeline.state, is_faulty),
-        known(window.map(|window| number::rate(window.rate_hz))),
-        known(window.and_then(|window| window.lost_fraction).map(number::share)),
-        known(window.and_then(|window| window.miss_rate).map(number::share)),
+        or_dash(window.map(|window| number::rate(window.rate_hz))),
+        or_dash(window.and_then(|window| window.lost_fraction).map(number::share)),
+        or_dash(window.and_then(|window| window.miss_rate).map(number::share)),
         milliseconds(total.and_then(|figures| figures.p50)),
         milliseconds(total.and_then(|figures| figures.p95)),
         mean("upload"),
@@ -184,9 +184,9 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
     vec![
         host.name.clone(),
         with_clock_fault_mark(&state, faulty.contains_key(&host.name)),
-        known(now.and_then(|now| now.cpu).map(number::share)),
-        known(now.map(|now| now.events.waiting.to_string())),
-        known(now.map(|now| now.events.dropped.to_string())),
+        or_dash(now.and_then(|now| now.cpu).map(number::share)),
+        or_dash(now.map(|now| now.events.waiting.to_string())),
+        or_dash(now.map(|now| now.events.dropped.to_string())),
     ]
 }
 
@@ -197,10 +197,10 @@ fn to_the_second(moment: &str) -> String {
 }
 
 fn milliseconds(seconds: Option<f64>) -> String {
-    known(seconds.map(number::stage_ms))
+    or_dash(seconds.map(number::stage_ms))
 }
 
-fn known(figure: Option<String>) -> String {
+fn or_dash(figure: Option<String>) -> String {
     figure.unwrap_or_else(|| number::NONE.to_owned())
 }
 

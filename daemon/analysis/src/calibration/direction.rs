@@ -225,7 +225,7 @@ impl Claim {
 impl Throughput {
     /// Returns the throughput of a slope in seconds per byte; `None` when delays do not grow with size.
     pub(super) fn from_slope(slope: Estimate) -> Option<Self> {
-        Some(Self { value: rate(slope.value)?, interval: slope.interval.and_then(rates), bounds: None })
+        Some(Self { value: rate(slope.value)?, interval: slope.interval.and_then(rate_range), bounds: None })
     }
 
     fn with_bounds(slope: Estimate, sizes: &[SizeSummary]) -> Option<Self> {
@@ -234,7 +234,7 @@ impl Throughput {
         let lines = first.bounds.zip(last.bounds).map(|((first_lo, first_hi), (last_lo, last_hi))| {
             ((last_lo - first_hi) / bytes, (last_hi - first_lo) / bytes)
         });
-        Some(Self { bounds: lines.and_then(rates), ..Self::from_slope(slope)? })
+        Some(Self { bounds: lines.and_then(rate_range), ..Self::from_slope(slope)? })
     }
 }
 
@@ -243,7 +243,7 @@ fn rate(slope: f64) -> Option<f64> {
     (slope > 0.0).then(|| 8.0 / slope)
 }
 
-/// Returns the rates between two slopes.
-fn rates((flat, steep): (f64, f64)) -> Option<(f64, Option<f64>)> {
-    Some((rate(steep)?, rate(flat)))
+/// Returns the lowest and the highest rate for slopes in this range; the highest is `None` if the lowest slope is not positive.
+fn rate_range((low_slope, high_slope): (f64, f64)) -> Option<(f64, Option<f64>)> {
+    Some((rate(high_slope)?, rate(low_slope)))
 }

@@ -36,7 +36,8 @@ impl Configurations {
 
     /// Returns the configurations, and sentences about their other differences.
     pub(super) fn with_other_differences(runs: &[Loaded]) -> (Self, Vec<String>) {
-        let places: Vec<Vec<(String, String)>> = runs.iter().map(|run| place(&run.record)).collect();
+        let places: Vec<Vec<(String, String)>> =
+            runs.iter().map(|run| declared_labels(&run.record)).collect();
         let names =
             |place: &Vec<(String, String)>| place.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
         let same_axes = places.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
@@ -65,7 +66,7 @@ impl Configurations {
     fn from_records(runs: &[Loaded], places: &[Vec<(String, String)>]) -> (Self, Vec<String>) {
         let groups = groups(runs);
         let pairs = runs.iter().zip(places).zip(executions(runs)).map(|((run, place), execution)| {
-            [place.clone(), vec![("execution".to_owned(), execution)], found(&run.record)].concat()
+            [place.clone(), vec![("execution".to_owned(), execution)], detected_labels(&run.record)].concat()
         });
         let all = Self::tabulate(&pairs.collect::<Vec<_>>());
         let column = |(at, axis): (usize, String)| {
@@ -185,12 +186,12 @@ fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
 }
 
 /// Returns the fields of a run's experiment.
-fn place(record: &RunRecord) -> Vec<(String, String)> {
+fn declared_labels(record: &RunRecord) -> Vec<(String, String)> {
     record.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
 }
 
 /// Returns the facts in a run's record about its configuration, the paper's columns first.
-fn found(record: &RunRecord) -> Vec<(String, String)> {
+fn detected_labels(record: &RunRecord) -> Vec<(String, String)> {
     let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
     let model = record.model.as_ref();
     let mut pairs = vec![

@@ -158,7 +158,7 @@ impl Comparison {
             .lines
             .iter()
             .filter(|line| line.edges > 1)
-            .map(|line| line.told(&format!("{} edges", line.edges)))
+            .map(|line| line.with_name(&format!("{} edges", line.edges)))
             .collect();
         if !edges.is_empty() {
             notes.push(format!("Edges that measured at the same time are pooled: {}.", edges.join("; ")));
@@ -181,7 +181,7 @@ impl Comparison {
         let mut reasons: Vec<(String, Vec<String>)> = Vec::new();
         for line in &self.lines {
             let Some(unknown) = &line.unknown_labels else { continue };
-            let told = line.told(&format!("{} of {}", count(unknown.count), count(line.count)));
+            let told = line.with_name(&format!("{} of {}", count(unknown.count), count(line.count)));
             match reasons.iter_mut().find(|(reason, _)| *reason == unknown.reason()) {
                 Some((_, lines)) => lines.push(told),
                 None => reasons.push((unknown.reason(), vec![told])),
@@ -233,7 +233,7 @@ impl Line {
     }
 
     /// Returns a sentence about the line that begins with its name.
-    pub(super) fn told(&self, text: &str) -> String {
+    pub(super) fn with_name(&self, text: &str) -> String {
         with_name(&self.name(), text)
     }
 
@@ -244,7 +244,7 @@ impl Line {
             self.repeat_moments.iter().filter(|moments| moments.count > 0).map(|moments| moments.mean);
         let means: Vec<f64> = means.collect();
         let ends = (means.iter().copied().reduce(f64::min)?, means.iter().copied().reduce(f64::max)?);
-        Some(self.told(&range_ms(ends)))
+        Some(self.with_name(&range_ms(ends)))
     }
 
     /// Returns the note for lines of which some iterations were scored and others were not, for another reason than their label.
@@ -400,13 +400,13 @@ pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
 
 /// Returns a difference and its interval in milliseconds.
 pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
-    let figure = |seconds: f64| signed(seconds, decimals);
+    let figure = |seconds: f64| format_signed(seconds, decimals);
     let ends = difference.interval.map(|(lo, hi)| interval([figure(lo), figure(hi)]));
     [figure(difference.value), ends.unwrap_or_else(|| EMPTY_CELL.to_owned())]
 }
 
 /// Formats seconds as milliseconds with a sign, also above zero.
-fn signed(seconds: f64, decimals: usize) -> String {
+fn format_signed(seconds: f64, decimals: usize) -> String {
     let text = in_milliseconds(seconds, decimals);
     let is_zero = !text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));
     if seconds > 0.0 && !is_zero { format!("+{text}") } else { text }

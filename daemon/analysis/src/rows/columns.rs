@@ -83,13 +83,14 @@ pub fn published_columns() -> impl Iterator<Item = &'static str> {
 }
 
 /// Returns the position of a column that every file has.
-fn fixed(name: &str) -> Option<usize> {
+fn fixed_index(name: &str) -> Option<usize> {
     FIXED_COLUMNS.iter().position(|(fixed, _)| *fixed == name)
 }
 
 /// Returns the name of a column, without allocation if every file has it.
 pub fn column(name: &str) -> Column {
-    fixed(name).map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED_COLUMNS[at].0))
+    fixed_index(name)
+        .map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED_COLUMNS[at].0))
 }
 
 /// Returns every number of a tree under the name of its column: the columns that every file has first, in their order, then the others in
@@ -167,7 +168,7 @@ impl<'a> TreeValues<'a> {
     fn bounds(&mut self, name: &str, bounds: Option<(f64, f64)>) {
         let Some((lo, hi)) = bounds else { return };
         for (end, value) in [("lo", lo), ("hi", hi)] {
-            if let Some(at) = fixed(&format!("{name}-{end}")) {
+            if let Some(at) = fixed_index(&format!("{name}-{end}")) {
                 self.fixed[at] = Some(value);
             }
         }
@@ -176,7 +177,7 @@ impl<'a> TreeValues<'a> {
     /// Returns the name, with a number behind it if another column of the row has it.
     fn unique_name(&self, name: String) -> String {
         let taken =
-            |name: &str| fixed(name).is_some() || self.further.iter().any(|(other, ..)| other == name);
+            |name: &str| fixed_index(name).is_some() || self.further.iter().any(|(other, ..)| other == name);
         if !taken(&name) {
             return name;
         }
@@ -192,5 +193,5 @@ fn fixed_column(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
     let part = name == stage::CAPTURE.as_str() || name == stage::TRANSFORM.as_str();
     let here = if part { below_sensing } else { parent == NodeId::ROOT };
     let derived = name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
-    fixed(name).filter(|at| here && !derived && FIXED_COLUMNS[*at].1 == ColumnKind::Node)
+    fixed_index(name).filter(|at| here && !derived && FIXED_COLUMNS[*at].1 == ColumnKind::Node)
 }

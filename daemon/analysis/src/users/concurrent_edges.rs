@@ -26,7 +26,7 @@ pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
 
 /// Returns each edge's share and all totals, from the time in which all edges were measuring; `None` if there is no such time. For an edge
 /// alone this is its whole run: all its totals count.
-pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
+pub(super) fn shares_and_totals(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(|row| row.is_counted()).collect()).collect();
     let first = |rows: &Vec<RowRef<'_>>| rows.iter().map(|row| row.at()).reduce(f64::min);

@@ -104,7 +104,7 @@ impl Users {
         }
         let line = |(labels, group): (Vec<String>, Vec<&[&Loaded]>)| {
             let shared: Vec<(Vec<EdgeShare>, Vec<f64>)> =
-                group.iter().filter_map(|edges| concurrent_edges::shared(edges)).collect();
+                group.iter().filter_map(|edges| concurrent_edges::shares_and_totals(edges)).collect();
             let totals: SortedValues = shared.iter().flat_map(|(_, totals)| totals).copied().collect();
             let repeats: Vec<Vec<EdgeShare>> = shared.into_iter().map(|(shares, _)| shares).collect();
             UsersLine::new(labels, group[0].len(), &repeats, Totals::from_values(&totals))

@@ -52,7 +52,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         ("SHA-256".to_owned(), hash),
     ]);
     // The hash of the card is shown only if it does not match.
-    lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explained));
+    lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explain_value));
     lines.extend(mismatch.map(|text| ("but".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
         let value = value.lines().map(str::trim).collect::<Vec<_>>().join(" ");
@@ -62,7 +62,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Completes the card's accuracy by what it refers to.
-fn explained((key, value): (String, String)) -> (String, String) {
+fn explain_value((key, value): (String, String)) -> (String, String) {
     if key != "accuracy" {
         return (key, value);
     }

@@ -29,13 +29,16 @@ impl FigureFolders {
             (None, _) => {
                 // With several named paths, the current folder is used.
                 let together = if runs.len() == 1 { folders().next() } else { None };
-                Self { runs: folders().collect(), together: here(together.unwrap_or_default()) }
+                Self {
+                    runs: folders().collect(),
+                    together: current_folder_if_empty(together.unwrap_or_default()),
+                }
             }
         }
     }
 }
 
-fn here(path: PathBuf) -> PathBuf {
+fn current_folder_if_empty(path: PathBuf) -> PathBuf {
     if path == Path::new("") { PathBuf::from(".") } else { path }
 }
 

@@ -67,14 +67,14 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
             let object = arguments.sensor_object.as_deref().ok_or_else(|| {
                 missing("the sensor external needs --sensor-object: module::object or exec:COMMAND")
             })?;
-            (external(object, arguments.pickle)?, Vec::new())
+            (external_sensor(object, arguments.pickle)?, Vec::new())
         }
     };
-    Ok((checked(config)?, transforms))
+    Ok((check(config)?, transforms))
 }
 
 /// Checks that the sensor can be used.
-fn checked(config: SensorConfig) -> Result<SensorConfig, Failure> {
+fn check(config: SensorConfig) -> Result<SensorConfig, Failure> {
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     config.check(&clock).map_err(|error| {
@@ -86,7 +86,7 @@ fn checked(config: SensorConfig) -> Result<SensorConfig, Failure> {
 }
 
 /// Makes the sensor of a user's object or program, which may be run because this command line names it.
-fn external(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
+fn external_sensor(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
     Ok(match super::program(object)? {
         Some(command) => SensorConfig::program(command),
         None => SensorConfig::python_object(object, pickle),

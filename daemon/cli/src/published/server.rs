@@ -38,7 +38,10 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let mut serving = Serving::new(name, arguments, ready.clock.clone());
     let watched = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
         let file = arguments.network_config.display();
-        Failure::new(exit, error.context(format!("cannot serve at {}", place(&devices.address, &file))))
+        Failure::new(
+            exit,
+            error.context(format!("cannot serve at {}", describe_address(&devices.address, &file))),
+        )
     })?;
     if serving.has_answers() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
         print_to_stderr(serving.summary());
@@ -57,7 +60,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
 }
 
 /// Describes the part of the network configuration that sets the address.
-fn place(address: &Address, file: &impl std::fmt::Display) -> String {
+fn describe_address(address: &Address, file: &impl std::fmt::Display) -> String {
     match address.listener_name() {
         None => format!("port {}, the start_port of {file}", address.port()),
         Some(_) => format!("{address}, as {file} and the environment say"),

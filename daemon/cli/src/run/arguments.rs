@@ -92,7 +92,7 @@ impl RunSelection {
     }
 
     /// Describes the first selection that fits no run.
-    pub(super) fn unknown(these: &[Self], plan: &Plan) -> Option<String> {
+    pub(super) fn describe_unknown(these: &[Self], plan: &Plan) -> Option<String> {
         these.iter().find_map(|only| match only {
             Self::Number(number) if (1..=plan.runs.len()).contains(number) => None,
             Self::Number(number) => Some(format!("there is no run {number}; there are {}", plan.runs.len())),

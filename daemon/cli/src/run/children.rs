@@ -99,7 +99,7 @@ pub(super) async fn execute(
         match Child::start(index, order, to.clone()).await {
             Ok(child) => {
                 pids.push(child.pid);
-                waiting.push(async move { (index, child.ended().await) });
+                waiting.push(async move { (index, child.wait_for_end().await) });
             }
             Err(error) => {
                 pids.push(None);
@@ -196,7 +196,7 @@ impl Child {
         Ok(Self { process, pid, error_lines, readers })
     }
 
-    async fn ended(mut self) -> Exited {
+    async fn wait_for_end(mut self) -> Exited {
         let status = self.process.wait().await;
         for reader in self.readers {
             // Output that arrived until now is kept.

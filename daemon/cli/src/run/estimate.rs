@@ -55,7 +55,7 @@ impl Estimates {
 }
 
 /// Returns the expected duration of a run of a pipeline, seconds; `None` if unknown.
-pub(super) fn expected(pipeline: &PipelineConfig, pace: Option<Pace>) -> Option<f64> {
+pub(super) fn expected_duration(pipeline: &PipelineConfig, pace: Option<Pace>) -> Option<f64> {
     let limit = pipeline.limit;
     let warm_up = pipeline.warm_up.iterations;
     let counted = limit.iterations.map(|count| count.saturating_add(warm_up));
@@ -87,13 +87,16 @@ mod tests {
     fn estimate_follows_from_limit_and_pace() {
         let pace = Some(Pace { iteration_s: 0.1, beside_s: 2.0 });
         let closed = pipeline("limit = { total = 100 }");
-        assert_eq!((expected(&closed, pace), expected(&closed, None)), (Some(12.0), None));
+        assert_eq!((expected_duration(&closed, pace), expected_duration(&closed, None)), (Some(12.0), None));
         let counted = pipeline("limit = { iterations = 100 }\nwarm_up = { iterations = 5 }");
-        assert_eq!(expected(&counted, pace), Some(12.5));
+        assert_eq!(expected_duration(&counted, pace), Some(12.5));
         let rate = pipeline("limit = { total = 100 }\nload = { mode = 'rate', hz = 5.0 }");
-        assert_eq!((expected(&rate, pace), expected(&rate, None)), (Some(22.0), Some(20.0)));
+        assert_eq!(
+            (expected_duration(&rate, pace), expected_duration(&rate, None)),
+            (Some(22.0), Some(20.0))
+        );
         let time = pipeline("limit = { total = 1000, duration_s = 3.0 }");
-        assert_eq!(expected(&time, pace), Some(5.5));
+        assert_eq!(expected_duration(&time, pace), Some(5.5));
     }
 
     #[test]

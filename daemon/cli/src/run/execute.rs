@@ -31,16 +31,16 @@ impl Execution<'_> {
     ///
     /// # Errors
     /// When the progress cannot be recorded (73).
-    pub(super) async fn all(&mut self, runs: &[Run], signals: &mut Signals) -> Result<bool, Failure> {
+    pub(super) async fn execute_all(&mut self, runs: &[Run], signals: &mut Signals) -> Result<bool, Failure> {
         for (done, run) in runs.iter().enumerate() {
-            if self.one(runs, done, run, signals).await? {
+            if self.execute_run(runs, done, run, signals).await? {
                 return Ok(true);
             }
         }
         Ok(false)
     }
 
-    async fn one(
+    async fn execute_run(
         &mut self,
         runs: &[Run],
         done: usize,

@@ -204,7 +204,7 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
 ///
 /// # Errors
 /// When it has changed; the text lists the differences (78).
-pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
+pub(super) fn ensure_unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     if record.plan == *plan {
         return Ok(());
     }

@@ -46,7 +46,7 @@ use crate::foreground::{Signals, dashboard_hint, remark};
 use agent_state_dirs::{AgentStateDirs, undelivered_events};
 use arguments::RunSelection;
 use children::Exited;
-use estimate::{Estimates, expected};
+use estimate::{Estimates, expected_duration};
 use execute::Execution;
 use external_files::ExternalFiles;
 use file::File;
@@ -78,7 +78,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
-    if let Some(unknown) = RunSelection::unknown(&arguments.only, &plan) {
+    if let Some(unknown) = RunSelection::describe_unknown(&arguments.only, &plan) {
         return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
     }
     if arguments.check {
@@ -91,7 +91,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let record = match before {
         Some(record) => {
-            folder::unchanged(&record, &plan)?;
+            folder::ensure_unchanged(&record, &plan)?;
             record
         }
         None => Record::new(plan, id(), arguments.file.display().to_string(), VERSION.to_owned()),
@@ -148,7 +148,7 @@ async fn execute_experiment(
     for condition in &tried.conditions {
         print_to_stderr(remark(condition));
     }
-    if let Some(failure) = missing(&tried, &arguments.file) {
+    if let Some(failure) = unavailable_configurations(&tried, &arguments.file) {
         discard(folder, &record);
         return Err(failure);
     }
@@ -170,7 +170,7 @@ async fn execute_experiment(
         external_files,
         quiet: arguments.quiet,
     };
-    let interrupted = execution.all(&to_do, &mut signals).await?;
+    let interrupted = execution.execute_all(&to_do, &mut signals).await?;
     let report_text = report::write(&folder, &record, external_files.plots)?;
     print_to_stdout(format_args!("\n{report_text}"));
     print_to_stdout(format_args!("\n{place}: {}", summary(&record)));
@@ -204,7 +204,7 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
 
 fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
     let expected = record.plan.configurations.iter().zip(&tried.paces).map(|(configuration, pace)| {
-        configuration.agent.pipelines.first().and_then(|pipeline| expected(pipeline, *pace))
+        configuration.agent.pipelines.first().and_then(|pipeline| expected_duration(pipeline, *pace))
     });
     let mut estimates = Estimates::new(expected.collect());
     for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
@@ -213,8 +213,8 @@ fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
     estimates
 }
 
-/// Makes the failure for everything that the trials lacked: each reason with its configurations.
-fn missing(tried: &TrialResults, file: &Path) -> Option<Failure> {
+/// Returns a failure with the reasons of all failed trials and their configurations; `None` if no trial failed.
+fn unavailable_configurations(tried: &TrialResults, file: &Path) -> Option<Failure> {
     let (_, first) = tried.missing.first()?;
     let is_wrong = |exit: &Exited| exit.code == Some(i32::from(Exit::Configuration as u8));
     let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };

@@ -94,7 +94,7 @@ impl Plan {
         let configuration = self.configuration(run);
         let mut pipeline = configuration.agent.pipelines.first()?.clone();
         // Repeats and users get different payloads. Configurations get the same payloads, so that they can be compared.
-        let seed = |what: u64| derived(&[self.seed, what, run.repeat.into(), user.into()]);
+        let seed = |what: u64| derive_seed(&[self.seed, what, run.repeat.into(), user.into()]);
         if configuration.seeds.sensor {
             pipeline.sensor = pipeline.sensor.map(|sensor| with_seed(&sensor, seed(1)));
         }
@@ -161,7 +161,7 @@ fn name(labels: &[(String, String)]) -> String {
 }
 
 /// Derives a seed from the numbers that identify its purpose. It has at most 53 bits, which every JSON program keeps.
-fn derived(parts: &[u64]) -> u64 {
+fn derive_seed(parts: &[u64]) -> u64 {
     parts.iter().fold(0, |state, part| SplitMix64::new(state ^ part).bits()) >> 11
 }
 

@@ -167,9 +167,9 @@ fn inconsistent_record_is_refused_before_removal() {
 fn changed_file_is_refused_with_differences() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
-    assert!(folder::unchanged(&record, &plan(folder.path(), &format!("# a comment\n{FILE}"))).is_ok());
+    assert!(folder::ensure_unchanged(&record, &plan(folder.path(), &format!("# a comment\n{FILE}"))).is_ok());
     let changed = FILE.replace("iterations = 10", "iterations = 11").replace("length = 10", "length = 20");
-    let failure = folder::unchanged(&record, &plan(folder.path(), &changed)).expect_err("has changed");
+    let failure = folder::ensure_unchanged(&record, &plan(folder.path(), &changed)).expect_err("has changed");
     let text = failure.to_string();
     assert_eq!(failure.exit, Exit::Configuration);
     assert!(text.contains("limit.iterations: 10 before, 11 now") && text.contains("--restart"), "{text}");
@@ -246,7 +246,7 @@ fn selections_choose_runs() {
     assert_eq!(chosen("--only A=1 --only B=2"), [2]);
     assert_eq!(chosen("--only A=1 --only A=2 --only B=2"), [2, 4]);
     assert_eq!(chosen("--only 3 --only 4 --only B=1"), [3]);
-    let unknown = |line: &str| RunSelection::unknown(&only(line), &record.plan);
+    let unknown = |line: &str| RunSelection::describe_unknown(&only(line), &record.plan);
     assert_eq!(unknown("--only A=1 --only 4"), None);
     assert_eq!(unknown("--only B=3").as_deref(), Some("B has no value 3, only 1, 2"));
     assert_eq!(unknown("--only C=3").as_deref(), Some("there is no axis C"));

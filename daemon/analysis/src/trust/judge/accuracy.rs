@@ -30,12 +30,12 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
         let advice = "check that each sample has a label and each answer names a class, or report this with the accuracy";
         with_advice(finding("accuracy", Grade::Doubtful, text), advice)
     };
-    unknown(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
+    judge_unknown_labels(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
 }
 
 /// Returns the finding about iterations that cannot be scored because of their label. If no iteration was scored, no accuracy is given, and
 /// the other figures are not affected.
-fn unknown(input: &TrustInput) -> Option<Finding> {
+fn judge_unknown_labels(input: &TrustInput) -> Option<Finding> {
     let unknown = input.unknown_labels.as_ref()?;
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
     let advice = "name the folders, or the labels in the file of labels, as the model's card names its classes; \

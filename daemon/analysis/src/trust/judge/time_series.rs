@@ -29,7 +29,7 @@ const MIN_ITERATIONS: u64 = 100;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(total) = &input.total else { return Vec::new() };
-    let mut all = vec![judge_stationarity(total, &input.stages), judge_warm_up(total), outliers(total)];
+    let mut all = vec![judge_stationarity(total, &input.stages), judge_warm_up(total), judge_outliers(total)];
     all.extend(input.unattributed.map(|seconds| judge_unattributed(seconds, input, total)));
     all.extend(input.lateness.map(|seconds| judge_lateness(seconds, total)));
     all
@@ -97,7 +97,7 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
     let Some(begin) = total.beginning.filter(|begin| begin.blocks >= 4) else {
         return finding(about, Grade::Unknown, too_short_text(total, "the warm-up was long enough"));
     };
-    let share = change(begin.rest, begin.median);
+    let share = relative_change(begin.rest, begin.median);
     let compared = format!(
         "The first {} measured iterations took {} in the median, the rest {}",
         begin.count,
@@ -131,7 +131,7 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
     finding(about, Grade::Good, format!("{compared}: the warm-up was long enough."))
 }
 
-fn outliers(total: &TimeSeries) -> Finding {
+fn judge_outliers(total: &TimeSeries) -> Finding {
     let about = "outliers";
     let seen = &total.outliers;
     if seen.count == 0 {
@@ -205,6 +205,6 @@ fn judge_lateness(seconds: f64, total: &TimeSeries) -> Finding {
 }
 
 /// Returns the change from one value to the other, as a share of the first.
-fn change(from: f64, to: f64) -> f64 {
+fn relative_change(from: f64, to: f64) -> f64 {
     if from > 0.0 { to / from - 1.0 } else { 0.0 }
 }

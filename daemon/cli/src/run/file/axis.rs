@@ -108,8 +108,8 @@ impl Axis {
     pub(super) fn read(table: AxisTable) -> Result<Self, AxisError> {
         let AxisTable { name, field, values, value } = table;
         let values: Vec<AxisValue> = match (field, values.is_empty(), value.is_empty()) {
-            (Some(field), false, true) => short(&field, values)?,
-            (None, true, false) => value.into_iter().map(long).collect::<Result<_, _>>()?,
+            (Some(field), false, true) => read_short_form(&field, values)?,
+            (None, true, false) => value.into_iter().map(read_long_form).collect::<Result<_, _>>()?,
             _ => return Err(AxisError::Form),
         };
         if name.contains(char::is_control) {
@@ -144,16 +144,16 @@ impl Axis {
     }
 
     /// Returns its labels for messages.
-    pub(super) fn listed(&self) -> String {
+    pub(super) fn list_labels(&self) -> String {
         self.values.iter().map(|value| value.label.as_str()).collect::<Vec<_>>().join(", ")
     }
 }
 
 /// Reads `field` and `values`: one field, with the values as labels.
-fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
+fn read_short_form(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
     // The arguments of a program may be secret, and labels are sent to aggregators.
     let is_command = field.ends_with(".command");
-    let field = reach(field)?;
+    let field = variable_field(field)?;
     let value = |value: Value| {
         let label = match value.clone().try_into::<CommandLine>() {
             Ok(command) if is_command => Some(command.to_string()),
@@ -166,14 +166,14 @@ fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
 }
 
 /// Reads `[[axis.value]]`: any number of fields.
-fn long(value: ValueTable) -> Result<AxisValue, AxisError> {
+fn read_long_form(value: ValueTable) -> Result<AxisValue, AxisError> {
     let label = label(&value.label).ok_or(AxisError::LabelType)?;
-    let sets = value.set.into_iter().map(|(field, value)| Ok((reach(&field)?, value)));
+    let sets = value.set.into_iter().map(|(field, value)| Ok((variable_field(&field)?, value)));
     Ok(AxisValue { label, sets: sets.collect::<Result<_, AxisError>>()? })
 }
 
 /// Reads a field that an axis may change.
-fn reach(text: &str) -> Result<Field, AxisError> {
+fn variable_field(text: &str) -> Result<Field, AxisError> {
     let field = Field::read(text)?;
     if !VARIABLE_TABLES.contains(&field.table()) {
         return Err(AxisError::UnknownTable(text.to_owned()));

@@ -90,7 +90,7 @@ impl Exclusion {
                 known.ok_or_else(|| ExclusionError::UnknownLabel {
                     axis: name.clone(),
                     value: value.clone(),
-                    known: axis.listed(),
+                    known: axis.list_labels(),
                 })
             });
             Ok((name.clone(), labels.collect::<Result<_, _>>()?))

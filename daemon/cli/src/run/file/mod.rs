@@ -114,7 +114,7 @@ impl File {
         let wrong = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
         let at = |error| wrong(format!("{}: {error}", self.path.display()));
         let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(at)?;
-        self.bounded(combinations.len()).map_err(at)?;
+        self.check_run_count(combinations.len()).map_err(at)?;
         let (mut configurations, mut networks) = (Vec::new(), Vec::new());
         let (mut problems, mut files) = (Vec::<String>::new(), peers::Files::default());
         for combination in combinations {
@@ -140,7 +140,7 @@ impl File {
     }
 
     /// Checks the number of runs before any is planned.
-    fn bounded(&self, configurations: usize) -> Result<(), MatrixError> {
+    fn check_run_count(&self, configurations: usize) -> Result<(), MatrixError> {
         let repeats = self.experiment.repeats.get();
         let runs = configurations as u64 * u64::from(repeats);
         if runs <= matrix::MAX_RUNS as u64 { Ok(()) } else { Err(MatrixError::TooManyRuns(runs)) }
