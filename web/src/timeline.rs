@@ -146,7 +146,7 @@ impl Timeline {
             if depth == 0 && sum {
                 continue;
             }
-            if let Some(placed) = self.place(node, depth, figures) {
+            if let Some(placed) = self.position_node(node, depth, figures) {
                 self.nodes.push(placed);
             }
             // Trees from a hostile agent may be deep. Nodes deeper than a page can show are in the API.
@@ -164,7 +164,7 @@ impl Timeline {
         }
     }
 
-    fn place(&self, node: &Node, depth: u8, figures: &[(Name, Figures)]) -> Option<Placed> {
+    fn position_node(&self, node: &Node, depth: u8, figures: &[(Name, Figures)]) -> Option<Placed> {
         let zero = self.zero(node.host);
         let median = figures.iter().find(|(name, _)| *name == node.name).map(|(_, figures)| figures.p50);
         let start = zero.map(|zero| zero + node.start.seconds());

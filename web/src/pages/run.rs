@@ -250,9 +250,9 @@ fn assemble(
         facts: facts(run, zone),
         clock_fault: summary.has_clock_fault.then_some(clock_fault::CHIP),
         pinned: summary.pinned,
-        notes: runs::unrecorded(&run.gaps, zone)
+        notes: runs::gap_notes(&run.gaps, zone)
             .into_iter()
-            .chain(runs::trimmed(summary, app.aggregator.retention()))
+            .chain(runs::deleted_iterations_note(summary, app.aggregator.retention()))
             .chain(delay_notes)
             .collect(),
         end: End::of(summary, &snapshot, zone),

@@ -104,7 +104,7 @@ pub(crate) fn reject_deleted(
 }
 
 /// Returns a note about the iterations that retention deleted.
-pub(crate) fn trimmed(run: &RunSummary, retention: &RetentionConfig) -> Option<Note> {
+pub(crate) fn deleted_iterations_note(run: &RunSummary, retention: &RetentionConfig) -> Option<Note> {
     let which = match run.nodes_from {
         0 => return None,
         1 => "Iteration 1".to_owned(),
@@ -120,7 +120,7 @@ pub(crate) fn trimmed(run: &RunSummary, retention: &RetentionConfig) -> Option<N
 }
 
 /// Returns notes about events that were not recorded: for each reason their number, and the time from the first gap to the last.
-pub(crate) fn unrecorded(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
+pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     let mut reasons: Vec<&str> = gaps.iter().map(|gap| gap.reason.as_str()).collect();
     reasons.sort_unstable();
     reasons.dedup();
@@ -197,7 +197,7 @@ mod tests {
         };
         let gaps =
             [gap(60, 849, "no room"), gap(0, 40_000, "no room"), gap(30, 0, "batches 3 to 9 are missing")];
-        let told = unrecorded(&gaps, Zone::Utc);
+        let told = gap_notes(&gaps, Zone::Utc);
         let told: Vec<String> = told.iter().map(|note| format!("{} {}", note.subject, note.text)).collect();
         assert_eq!(
             told,
@@ -207,7 +207,7 @@ mod tests {
                 "40,849 events of this run were not recorded: no room (from 12:01:07 to 12:02:12, in 2 gaps).",
             ]
         );
-        assert!(unrecorded(&[], Zone::Utc).is_empty());
+        assert!(gap_notes(&[], Zone::Utc).is_empty());
     }
 
     #[test]

@@ -96,8 +96,8 @@ impl Differences {
     }
 
     /// Returns the difference of the mean total of a configuration to the baseline.
-    pub(crate) fn total(&self, place: usize) -> Option<&StageDifference> {
-        let (_, stages) = self.others.iter().find(|(other, _)| *other == place)?;
+    pub(crate) fn total(&self, index: usize) -> Option<&StageDifference> {
+        let (_, stages) = self.others.iter().find(|(other, _)| *other == index)?;
         stages.iter().find(|stage| stage.name == stage::TOTAL)
     }
 }

@@ -113,7 +113,7 @@ pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
         |change| format!("at most {}{SPACE}ppm per second (κ)", figure(change)),
     );
     pairs.push(("Of its change", change));
-    pairs.push(("Proven drift", proven(subject, assumptions, newest.proven_skew_ppm)));
+    pairs.push(("Proven drift", describe_proven_drift(subject, assumptions, newest.proven_skew_ppm)));
     pairs.push(("Window", window(newest.grown_window)));
     let claims = match assumptions.claims_trusted {
         Some(true) => {
@@ -155,7 +155,11 @@ impl NewestBasis {
     }
 }
 
-fn proven(subject: &Subject<'_>, assumptions: &DelayAssumptions, skew: Option<(f64, f64)>) -> String {
+fn describe_proven_drift(
+    subject: &Subject<'_>,
+    assumptions: &DelayAssumptions,
+    skew: Option<(f64, f64)>,
+) -> String {
     let Some((min, max)) = skew else {
         return "not narrower than assumed yet".to_owned();
     };

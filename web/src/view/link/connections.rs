@@ -57,13 +57,13 @@ pub(crate) fn routes(subject: &Subject<'_>) -> Vec<Route> {
         pipeline: connection.pipeline.to_string(),
         words: [
             Some(connection.network.to_string()),
-            ends(connection),
-            interface(connection),
-            trip(connection),
+            describe_endpoints(connection),
+            describe_interface(connection),
+            describe_round_trip(connection),
         ]
         .into_iter()
         .flatten()
-        .chain(mishaps(connection))
+        .chain(describe_losses(connection))
         .collect::<Vec<_>>()
         .join(" · "),
     };
@@ -97,12 +97,12 @@ fn row(
 }
 
 /// Returns `10.0.0.2:40112 → 10.0.0.1:5551`.
-fn ends(connection: &Connection) -> Option<String> {
+fn describe_endpoints(connection: &Connection) -> Option<String> {
     Some(format!("{} → {}", connection.local.as_ref()?, connection.remote.as_ref()?))
 }
 
 /// Returns `by wlan0, wireless, MTU 1,500 bytes`.
-fn interface(connection: &Connection) -> Option<String> {
+fn describe_interface(connection: &Connection) -> Option<String> {
     let interface = connection.interface.as_ref()?;
     let kind = interface.kind.as_ref().map(|kind| format!(", {kind}")).unwrap_or_default();
     let mtu = interface.mtu_bytes.map(|mtu| format!(", MTU {}{SPACE}bytes", count(mtu.into())));
@@ -110,7 +110,7 @@ fn interface(connection: &Connection) -> Option<String> {
 }
 
 /// Returns `round trip of its packets 0.52 ms, at least 0.41 ms`.
-fn trip(connection: &Connection) -> Option<String> {
+fn describe_round_trip(connection: &Connection) -> Option<String> {
     let trip = connection.statistics.round_trip?;
     let ms = |span: Span| format!("{}{SPACE}ms", trip_ms(span.seconds()));
     let least = trip.min.map(|min| format!(", at least {}", ms(min))).unwrap_or_default();
@@ -118,7 +118,7 @@ fn trip(connection: &Connection) -> Option<String> {
 }
 
 /// Returns the errors that affected messages, if any.
-fn mishaps(connection: &Connection) -> impl Iterator<Item = String> {
+fn describe_losses(connection: &Connection) -> impl Iterator<Item = String> {
     let statistics = connection.statistics;
     let counts = [
         (statistics.lost_messages, "lost on the way or with the connection"),

@@ -56,7 +56,7 @@ impl Course {
         let seconds = seconds.max(1);
         // The time of a point is its end, so a point at the end of a bucket belongs to this bucket.
         let bucket = |point: &ClockPoint| (point.at.unix_nanos() - 1).div_euclid(seconds * 1_000_000_000);
-        let points = self.points.chunk_by(|a, b| bucket(a) == bucket(b)).filter_map(merged).collect();
+        let points = self.points.chunk_by(|a, b| bucket(a) == bucket(b)).filter_map(merge_points).collect();
         Self { bucket: self.bucket.max(seconds), points, ..*self }
     }
 
@@ -100,7 +100,7 @@ pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
 }
 
 /// Returns the offset with the widest bounds, and among equal widths the newest. The store's buckets follow the same rule.
-fn widest(points: &[ClockPoint]) -> Option<Offset> {
+fn widest_offset(points: &[ClockPoint]) -> Option<Offset> {
     let known = points.iter().filter_map(|point| point.offset.as_ref());
     known.max_by_key(|offset| offset.bounds.width()).cloned()
 }
@@ -112,7 +112,7 @@ fn delays(points: &[ClockPoint], way: NetworkDirection) -> Option<DelaySecond> {
 }
 
 /// Merges several points into one.
-fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
+fn merge_points(points: &[ClockPoint]) -> Option<ClockPoint> {
     let last = points.last()?;
     if points.len() == 1 {
         return Some(last.clone());
@@ -122,7 +122,7 @@ fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
     Some(ClockPoint {
         at: last.at,
         window: last.window,
-        offset: widest(&points[begin..]),
+        offset: widest_offset(&points[begin..]),
         probes: sum(points.iter().map(|point| point.probes)),
         round_trip: merged_round_trip(points.iter().filter_map(|point| point.round_trip)),
         up: delays(points, NetworkDirection::Up),

@@ -93,7 +93,7 @@ impl Origin {
         Self {
             title: format!("Where {} {then} from", bound(half)),
             rows,
-            why: why(offset, course),
+            why: explain_bound(offset, course),
             to: "To narrow it",
             hints: hints(subject, Some(offset)),
         }
@@ -136,7 +136,8 @@ const DOUBT: (&str, &str) = (
      max_drift_change_ppm_per_s) above what the clocks really do",
 );
 
-fn why(offset: &Offset, course: &Course) -> Vec<String> {
+/// Returns the reasons for the width of the bound, in sentences.
+fn explain_bound(offset: &Offset, course: &Course) -> Vec<String> {
     let mut why = Vec::new();
     let half = offset.bounds.width().seconds() / 2.0;
     if is_young(offset) {
@@ -153,7 +154,7 @@ fn why(offset: &Offset, course: &Course) -> Vec<String> {
                  with the drift that two clocks may have."
             )
         } else if half < best * 0.7 {
-            format!("{general} {known}, which alone gives {best_words}; {}.", narrowing(offset))
+            format!("{general} {known}, which alone gives {best_words}; {}.", describe_narrowing(offset))
         } else {
             format!("{general} {known}, so the offset is known to half of that, {best_words}.")
         });
@@ -174,7 +175,7 @@ fn why(offset: &Offset, course: &Course) -> Vec<String> {
 }
 
 /// Returns what narrows the bound more than the best round trip alone, in words.
-fn narrowing(offset: &Offset) -> String {
+fn describe_narrowing(offset: &Offset) -> String {
     let others = offset.sources.iter().filter(|(from, _)| *from != DelaySource::InBand);
     let others: Vec<String> = others.map(|(from, _)| source(*from, 0)).collect();
     if others.is_empty() {
