@@ -56,7 +56,7 @@ fn latency(study: &Study) -> Option<Scaling> {
     )
 }
 
-/// Returns the figure of throughput against size, with that of the slope; `None` when no delay is known.
+/// Returns the figure of throughput against size, with the throughput that the slope implies; `None` if no delay is known.
 fn throughput(study: &Study) -> Option<Scaling> {
     let value = |size: &SizeSummary| {
         let bounds = size.throughput_bounds;

@@ -202,7 +202,7 @@ impl Attributes<'_> {
         }
     }
 
-    /// Leaves the element open for nested ones, until [`Writer::close`].
+    /// Leaves the element open for nested elements, until [`Writer::close`].
     pub fn open(self) {
         self.writer.out.push('>');
         self.writer.open.push(self.tag);

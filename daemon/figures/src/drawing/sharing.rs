@@ -52,7 +52,7 @@ pub struct SharingCurve {
 pub struct SharingPoint {
     /// Number of edges.
     pub edges: usize,
-    /// Median of all of them.
+    /// Median of the totals of all edges.
     pub median: f64,
     /// 95th percentile of all totals; `None` for few values.
     pub p95: Option<f64>,
@@ -99,7 +99,7 @@ impl Sharing {
         std::iter::once(parts.join(" · ")).chain(self.notes.iter().cloned()).collect()
     }
 
-    /// Returns the axis of whole numbers of edges, with marks at the measured ones.
+    /// Returns the axis of numbers of edges, with marks at the measured numbers.
     fn edges_axis(&self) -> Option<Axis> {
         let edges = self.edge_counts();
         let (few, many) = (*edges.first()? as f64, *edges.last()? as f64);

@@ -22,9 +22,9 @@ pub struct Stage {
     pub class: &'static str,
     /// Ground.
     pub colour: Token,
-    /// Darker edge, which a fill carries that is pale on paper: every boundary keeps a contrast of 3.
+    /// Darker edge of a fill that is pale on paper, so that every boundary has a contrast of at least 3.
     pub edge: Option<Token>,
-    /// Hatch in a file, so that stages differ without colour as well. Pages only hatch waiting and the unattributed time.
+    /// Hatch in a file, so that stages also differ without colour. Pages only hatch waiting and the unattributed time.
     pub hatch: Hatch,
     /// Colour of a line in a file if neither ground nor edge is suitable.
     line: Option<Rgb>,

@@ -11,13 +11,13 @@ use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
-/// Number of stages that are shown beside the total: those that take longest.
+/// Number of the longest stages that are shown beside the total.
 const STAGE_CURVES: usize = 4;
 /// Width of lines, points; the total's is stronger.
 const LINE_WIDTH: f64 = 0.9;
 const TOTAL_LINE_WIDTH: f64 = 1.2;
 
-/// Returns one curve for the total and each of the longest stages, or that of one column.
+/// Returns a curve for the total and each of the longest stages, or the curve of a column.
 pub(super) fn drawings(
     record: &RunRecord,
     rows: &Rows,

@@ -1,4 +1,4 @@
-//! Histograms of a run: the six published ones, or that of any column.
+//! Histograms of a run: the six published histograms, or the histogram of a column.
 
 use peernet_statistics::number::{fixed, range_ms, throughput_between};
 use peernet_stream::PlacementKind;
@@ -30,7 +30,7 @@ pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
     drawings.collect()
 }
 
-/// Returns the published histograms, or that of one column.
+/// Returns the published histograms, or the histogram of `column`.
 pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let Some(column) = column else { return Ok(published(&run.record, &run.rows)) };
     let histogram = histogram(&run.record, &run.rows, column, &heading(column));
@@ -62,8 +62,8 @@ fn impossible(column: &str, values: &SortedValues) -> Option<String> {
     (is_delay && count > 0).then(|| format!("below zero, by the clocks' error: {}", fixed(count as f64, 0)))
 }
 
-/// Returns a note on the bounds of the true median, which follow from those of the clocks: it lies between the medians of the lower and the
-/// upper bounds. `None` if the column has no bounds, or one clock measured both ends.
+/// Returns a note on the bounds of the true median by the clock bounds: it lies between the medians of the lower and the upper bounds.
+/// `None` if the column has no bounds, or one clock measured both ends.
 fn clocks(rows: &Rows, column: &str) -> Option<String> {
     let end = |end: &str| -> Option<f64> {
         let name = format!("{column}-{end}");

@@ -58,7 +58,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Every kind: those of single runs first.
+    /// All kinds; kinds that are drawn for each run are first.
     pub const ALL: [Self; 10] = [
         Self::Histograms,
         Self::Cumulative,
@@ -98,7 +98,7 @@ impl Kind {
         matches!(self, Self::Series | Self::Stacked)
     }
 
-    /// Returns whether a figure of these runs is drawn by default: one that compares configurations needs two of them.
+    /// Returns whether a figure of these runs is drawn by default. A figure that compares configurations needs two configurations.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
             Self::Stacked | Self::Totals | Self::Accuracy => {
@@ -116,7 +116,7 @@ impl Kind {
 /// Columns that the user chose; without them each kind uses its default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
-    /// Column of the horizontal axis: that of a histogram or of a cumulative distribution, or the length of a response.
+    /// Column of the horizontal axis: the column of a histogram or of a cumulative distribution, or the length of a response.
     pub x: Option<String>,
     /// Column of the vertical axis: a latency.
     pub y: Option<String>,
@@ -142,7 +142,7 @@ pub enum PlotError {
 /// If a file cannot be written.
 pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut drawings = histograms::published(record, rows);
-    // Without a total there is no distribution of it.
+    // Without a total there is no distribution of totals.
     drawings.extend(cumulative::drawings(record, rows, None).unwrap_or_default());
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
     Ok(written::write(&drawings, folder)?.files)

@@ -11,7 +11,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 
-/// Returns every model with the places where it ran, if some model ran in two.
+/// Returns the models with their placements, if there are two placements.
 pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let column = column.unwrap_or("inference");
     let shown: Vec<&Loaded> = runs.iter().filter(|run| !values(&run.rows, column).is_empty()).collect();
@@ -36,13 +36,13 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     let mut groups: Vec<Group> = models.iter().map(group).collect();
     let is_paired = |group: &Group| group.values.iter().filter(|values| !values.is_empty()).count() > 1;
     let mut missing = Vec::new();
-    // A model in one place does not compare places, so it is only shown if no model ran in two.
+    // A model with a single placement compares nothing, so it is only shown if no model ran at two placements.
     if groups.iter().any(is_paired) {
         let (paired, alone): (Vec<Group>, Vec<Group>) = groups.into_iter().partition(is_paired);
         groups = paired;
         if !alone.is_empty() {
             let names: Vec<&str> = alone.iter().map(|group| group.name.as_str()).collect();
-            missing.push(format!("left out, in one place alone: {}", names.join(", ")));
+            missing.push(format!("left out, at one placement only: {}", names.join(", ")));
         }
     }
     let without = runs.len() - shown.len();
@@ -79,7 +79,7 @@ fn side(record: &RunRecord) -> (String, String) {
     (kind.to_owned(), device)
 }
 
-/// Returns the names of the places, with the device if the place alone does not distinguish them.
+/// Returns the names of the placements, with the device if the kind of placement does not distinguish them.
 fn names(sides: &[(String, String)]) -> Vec<String> {
     let alone = |kind: &str| sides.iter().filter(|(other, _)| other == kind).count() == 1;
     let name = |(kind, device): &(String, String)| {

@@ -52,7 +52,7 @@ struct Study {
 
 /// Returns two figures for each pair of hosts and the network between them.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    // Runs by link, as their places in the list.
+    // Indexes of the runs of each link.
     let mut links: Vec<(String, Vec<usize>)> = Vec::new();
     for (number, run) in runs.iter().enumerate() {
         let link = link(&run.record);
@@ -234,7 +234,7 @@ impl Study {
         Some(format!("messages of each size: {each}"))
     }
 
-    /// Returns its notes, including the one on a rate that is not given.
+    /// Returns its notes, including a note on a rate that is not given.
     fn notes(&self) -> Vec<String> {
         let undetermined: Vec<&str> = self
             .directions

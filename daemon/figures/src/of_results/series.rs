@@ -9,7 +9,7 @@ use crate::drawing::{Course, Line, Unit};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 
-/// Number of stages that are shown beside the total: those that take longest.
+/// Number of the longest stages that are shown beside the total.
 const STAGE_CURVES: usize = 4;
 /// Title of the horizontal axis if times are not known.
 const ITERATION: &str = "Iteration";
@@ -60,7 +60,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", Shown::Course(course))])
 }
 
-/// Returns a note on the stages that took place and have no line.
+/// Returns a note on the stages that occurred and have no line.
 fn not_drawn(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
     shorter.retain(|(sum, ..)| *sum != 0.0);
     shorter.sort_by_key(|(_, place, _)| *place);

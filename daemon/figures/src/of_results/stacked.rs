@@ -120,7 +120,7 @@ fn bar(label: &str, runs: &[&Loaded], stages: &[String], total: &str) -> Option<
         count += 1;
         for (part, stage) in parts.iter_mut().zip(stages) {
             if !is_unknown(row, stage) {
-                // A stage that did not take place took no time.
+                // A stage that did not occur took no time.
                 part.record(length(row, stage).filter(|value| is_drawable(*value)).unwrap_or_default());
             }
         }

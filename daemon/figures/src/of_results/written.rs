@@ -21,7 +21,7 @@ pub(super) struct Drawing {
 pub struct Written {
     /// The files, four for each figure: PNG, SVG, PDF and its text.
     pub files: Vec<PathBuf>,
-    /// Notes on whole parts of the results that are in none of the figures, and the reasons: `stacked: left out: …`.
+    /// Notes on runs, directions or configurations that are in no figure, with the reasons: `stacked: left out: …`.
     pub missing: Vec<String>,
 }
 

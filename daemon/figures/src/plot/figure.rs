@@ -4,7 +4,7 @@ use super::axis::Axis;
 use super::item::{At, Item};
 use super::legend::Key;
 
-/// Strip at a plot, such as the distribution of one of its quantities; places are shares of the strip.
+/// Strip at a plot, such as the distribution of a quantity of the plot. Positions are shares of the strip.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Strip {
     /// Items of the strip.
@@ -37,7 +37,7 @@ pub struct Plot {
     pub beside: Option<Strip>,
     /// Text above its right end, such as a count of values beyond its axes.
     pub remark: Option<String>,
-    /// Lines of text above the plot, such as those of quantiles.
+    /// Number of lines of text above the plot, such as labels of quantiles.
     pub lines_above: usize,
     /// Height in a file.
     pub height: Height,
@@ -52,7 +52,7 @@ impl Plot {
         Self { x, y, items, above, beside, remark, lines_above: 0, height: Height::Rest, free: 0.0 }
     }
 
-    /// Returns the place of two values, in the units of the axes.
+    /// Returns the position of two values, which are in the units of the axes.
     pub fn at(&self, x: f64, y: f64) -> At {
         At::new(self.x.scale.at(x), self.up(y))
     }
@@ -88,7 +88,7 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// Returns the caption in the picture, one line: the title and the number of values.
+    /// Returns the line above the figure: the title and the number of values.
     pub fn caption(&self) -> String {
         let parts = self.notes.iter().flat_map(|note| note.split(" · "));
         match parts.into_iter().find(|part| part.starts_with("n = ")) {

@@ -1,16 +1,16 @@
 //! Text in pictures that grow with their panel on a page: the minimum width of the picture for it.
 //!
-//! The server does not know the width of a page. So the text has a class for its minimum width, and the style sheet shows it only from that
-//! width on: a clipped figure would be a wrong figure.
+//! The server does not know the width of a page. So the text has a class for its minimum width, and the style sheet hides it below that
+//! width, because a clipped number would be a wrong number.
 
 use super::width;
 
-/// Widths of a picture, rem, from which on text is shown: the classes `w8`, `w10` and so on of the style sheet.
+/// Minimum widths of a picture in which text is shown, rem: the classes `w8`, `w10` and so on of the style sheet.
 pub const WIDTH_STEPS: [u16; 14] = [8, 10, 12, 15, 18, 21, 25, 30, 36, 43, 52, 62, 75, 90];
 
 /// Type size of axes and of text in pictures, rem.
 const SIZE: f64 = 0.6875;
-/// Text in bars is of a greater weight than the font that is measured: wider by so much.
+/// Factor by which text in bars is wider than measured, because it has a greater weight than the measured font.
 const HEAVIER: f64 = 1.03;
 /// Space about a text, rem.
 const ABOUT: f64 = 0.3;

@@ -57,13 +57,13 @@ pub struct Accuracy {
     pub title: String,
     /// Unit of the horizontal axis: a latency.
     pub unit: Unit,
-    /// Points of the figure; those without an answer or without a latency are left out.
+    /// Points of the figure. Points without an answer or without a latency are not drawn.
     pub scores: Vec<Score>,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 
-/// Point with the extent of its interval up and down, and the place of its 95th percentile. Shares of the plot.
+/// Position of a point, vertical extent of its interval, and horizontal position of its 95th percentile. Shares of the plot.
 struct Spot {
     at: At,
     interval: (f64, f64),
@@ -81,7 +81,7 @@ impl Accuracy {
         self.shown_scores().map(|(_, [low, _, high])| (low, high)).reduce(union)
     }
 
-    /// Returns whether points have horizontal whiskers. No point has one if two of them would overlap.
+    /// Returns whether points have horizontal whiskers. If two whiskers would overlap, no point has one.
     fn has_whiskers(&self) -> bool {
         let Some((low, high)) = self.interval_range() else { return false };
         let near = (high - low + 2.0 * AXIS_MARGIN) * OVERLAP_DISTANCE;

@@ -82,7 +82,8 @@ impl Placed {
         ]
     }
 
-    /// Returns whether a place is at least as near to another point as to this one: the number would be read as that one's.
+    /// Returns whether the area of a number is at least as near to another point as to this point, so that it would be read as the number of
+    /// the other point.
     fn is_farther(&self, place: &Rect, all: &[Self]) -> bool {
         let to =
             |spot: &Self| spot.boxes().iter().map(|area| between(place, area)).fold(f64::INFINITY, f64::min);
@@ -100,7 +101,8 @@ impl Placed {
         if right > 0.0 { -1.0 } else { 1.0 }
     }
 
-    /// Returns the places for the point's number, the best first: around the point, nearer before farther, the given side before the other.
+    /// Returns the possible areas of the point's number, the best first. They are around the point; nearer areas are before farther areas, and
+    /// areas on the given side before areas on the other side.
     fn places(&self, wide: f64, side: f64) -> impl Iterator<Item = Rect> {
         let ((x, y), half) = (self.at, wide / 2.0);
         let around = [(0, -1), (1, -1), (-1, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (0, 1)];
@@ -122,7 +124,7 @@ fn between(a: &Rect, b: &Rect) -> f64 {
     gap(0).max(gap(1))
 }
 
-/// Returns the first place on the plot that overlaps nothing and is near enough to the point; otherwise the place with the smallest
+/// Returns the first area on the plot that overlaps nothing and is near enough to the point, or otherwise the area with the smallest
 /// overlap.
 fn free(
     places: impl Iterator<Item = Rect>,

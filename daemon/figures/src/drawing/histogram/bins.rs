@@ -29,7 +29,7 @@ pub struct Bins {
 
 impl Bins {
     /// Returns bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the count, between 8
-    /// and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a finite value.
+    /// and 60 bins. The outliers of a tail that would compress the rest are outside of the bins. `None` without a finite value.
     pub fn of(values: &SortedValues) -> Option<Self> {
         let finite: SortedValues =
             values.values().iter().copied().filter(|value| value.is_finite()).collect();
@@ -80,15 +80,18 @@ impl Bins {
     }
 }
 
-/// Returns the range of values that a figure shows: all of them, except tails that would squeeze the rest. A value is in such a tail if it
-/// lies beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the
-/// range of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than half its width.
-/// `None` without values.
+/// Returns the range of values that a figure shows: all values, except tails that would compress the rest. `None` without values.
+///
+/// A value is in such a tail if both conditions hold:
+///
+/// - It is beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile.
+/// - It is beyond the range of the other values by more than half the width of that range. The other values are all but 1 % at each end (with
+///   fewer than 400 values all but three, with fewer than 24 all but one in eight).
 pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);
     let most = (values.len() / CUT_ONE_IN).max((values.len() / MAX_CUT_ONE_IN).min(CUT_OF_FEW));
-    // Ranks, not interpolated quantiles, because those would depend on the value that is to be cut.
+    // Ranks are used, because interpolated quantiles would depend on the value that is to be excluded.
     let (low, high) = (values[most], values[values.len() - 1 - most]);
     let width = high - low;
     // If all but a few values are equal, there is no width to compare with.

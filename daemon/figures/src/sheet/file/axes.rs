@@ -12,7 +12,7 @@ use crate::text::{shorten, shorten_distinctly, width};
 const MARK: f64 = 1.8;
 /// Distance from the horizontal axis to the baseline of its labels, points.
 const LABEL: f64 = 9.5;
-/// Distance from a place to the baseline of text whose capitals have their middle at the place, in the type size.
+/// Distance from the middle of capital letters to their baseline, as a share of the type size.
 const MIDDLE: f64 = 0.36;
 /// Distance from the plot to the baseline of the title above it, points.
 const TITLE: f64 = 5.5;
@@ -44,7 +44,7 @@ pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
     text(svg, &shorten(&title(&plot.y, room), TEXT, room), (EDGE, base), (TEXT, INK_2.light, Anchor::Start));
 }
 
-/// Returns the title with the information that its marks do not show, if there is room for it.
+/// Returns the title. If there is space, it has the information that the marks do not show.
 fn title(axis: &Axis, room: f64) -> String {
     let full = axis.full_title();
     if width(&full, TEXT) > room && axis.scale.is_logarithmic() {

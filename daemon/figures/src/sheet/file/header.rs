@@ -11,8 +11,9 @@ use crate::text::{shorten, width};
 const ABOVE: f64 = 3.0;
 /// Distance from the top of a line to its baseline, points.
 const BASE: f64 = 7.5;
-/// Width of a sample; that of a line of long dashes has a gap on each side of its mark.
+/// Width of a sample.
 const SAMPLE: f64 = 13.5;
+/// Width of the sample of a line with long dashes, which has a gap on each side of its mark.
 const LONG: f64 = 22.0;
 /// Distance from a sample to its words, and half of the distance to the next sample.
 const GAP: f64 = 3.0;
@@ -25,7 +26,7 @@ fn sample_width(swatch: &Swatch) -> f64 {
     if matches!(swatch, Swatch::Curve(_, Mark::Diamond, _)) { LONG } else { SAMPLE }
 }
 
-/// Returns the places of the entries: points from the left, and the number of the line.
+/// Returns the positions of the entries: points from the left, and the number of the line.
 fn places(legend: &[Key]) -> Vec<(f64, usize)> {
     let (mut x, mut line) = (EDGE, 0);
     let place = |key: &Key| {
