@@ -73,7 +73,7 @@ fn run_without_column_is_noted_in_pairs() {
     without.rows.change(|row| row.values.retain(|(name, _)| name != "inference"));
     let runs = [placed("s", "remote", 4.0), placed("s", "local", 20.0), placed("m", "local", 9.0), without];
     let drawings = paired::drawings(&runs, None).expect("a pair");
-    let told = ["left out, in one place alone: m", "left out: 1 run without inference"];
+    let told = ["left out, at one placement only: m", "left out: 1 run without inference"];
     assert_eq!(drawings[0].missing, told);
     let Shown::Paired(figure) = &drawings[0].shown else { panic!("pairs") };
     assert_eq!(figure.notes[1..], told);
