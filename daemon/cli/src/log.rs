@@ -33,10 +33,10 @@ where
         event: &Event<'_>,
     ) -> std::fmt::Result {
         let level = *event.metadata().level();
-        let room = event.metadata().target().split("::").next().unwrap_or_default();
-        let room = room.strip_prefix("peernet_").unwrap_or(room);
-        // The store is a part of the aggregator: its log lines use that name.
-        let room = if room == "store" { "aggregator" } else { room };
+        let source = event.metadata().target().split("::").next().unwrap_or_default();
+        let source = source.strip_prefix("peernet_").unwrap_or(source);
+        // The store is a part of the aggregator, so its log lines have the aggregator's name.
+        let source = if source == "store" { "aggregator" } else { source };
         if self.journald {
             write!(writer, "<{}>", priority(level))?;
         } else {
@@ -45,7 +45,7 @@ where
             let (on, off) = if writer.has_ansi_escapes() { (colour(level), "\x1b[0m") } else { ("", "") };
             write!(writer, " {on}{level:>5}{off} ")?;
         }
-        write!(writer, "{room}: ")?;
+        write!(writer, "{source}: ")?;
         context.format_fields(writer.by_ref(), event)?;
         writeln!(writer)
     }

@@ -101,7 +101,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let faulty = faulty_clocks(&hosts, &links);
     if pipelines.is_empty() {
         print_to_stdout(
-            "no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one",
+            "no pipeline yet: start an agent with a [[pipeline]], and set its [agent] aggregator to this aggregator's address",
         );
     } else {
         let header = [

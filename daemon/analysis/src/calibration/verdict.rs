@@ -148,14 +148,14 @@ impl Verdict {
         }
         let named = match (above != 0.0, below != 0.0) {
             (true, true) => "both".to_owned(),
-            (true, false) => format!("that of the {}", up.name),
-            _ => format!("that of the {}", down.name),
+            (true, false) => format!("the intercept of the {}", up.name),
+            _ => format!("the intercept of the {}", down.name),
         };
         // A wrong offset lengthens one direction by the amount that it shortens the other.
         let reason = if above * below < 0.0 {
             let limit = clocks.max_drift_ppm.map_or_else(String::new, |ppm| format!(" than {ppm} ppm"));
             format!(
-                "one is too long by what the other is too short, so the clocks are at fault: they drift apart faster{limit} (max_drift_ppm), or a stamp is wrong"
+                "one direction is too long by the amount that the other is too short, so the clocks are at fault: they drift apart faster{limit} (max_drift_ppm), or a stamp is wrong"
             )
         } else {
             "errors of the clocks alone cannot cause this: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()

@@ -53,7 +53,7 @@ fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
     let names: Vec<String> = curves.iter().flat_map(of).collect();
     let few = names.len() <= MAX_NAMED;
     let told = if few { names.join("; ") } else { counted(names.len() as u64, "configuration") };
-    (!names.is_empty()).then(|| format!("left out, no total while all edges were measuring: {told}"))
+    (!names.is_empty()).then(|| format!("left out, because the edges measured at different times: {told}"))
 }
 
 /// Returns whether it has a total that can be drawn.

@@ -89,7 +89,7 @@ async fn clock(
     let from = from.unwrap_or(to - Span::from_seconds(600));
     if from >= to {
         return Err(WebError::BadRequest(
-            "query parameter from: the time is not before that of the parameter to".to_owned(),
+            "query parameter from: the time is not before the time of the parameter to".to_owned(),
         ));
     }
     Ok(Json(LinkSeries::from(&app.store().clock_series(&key, from, to, points).await?)))

@@ -50,7 +50,7 @@ fn describe_topics(document: &mut utoipa::openapi::OpenApi) {
     let (first, others) = forms.split_at(1);
     let text = format!(
         "Topics, separated by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard {},\n{}.\n\
-         `picture` unless given; at most {MAX_TOPICS} different ones, each sent once however often it is named.",
+         By default `picture`. At most {MAX_TOPICS} different topics; a topic that is named several times is sent once.",
         first.concat(),
         others.join(", ")
     );
@@ -187,7 +187,7 @@ fn parse_topics(text: &str) -> Result<Vec<Topic>, WebError> {
         }
         if topics.len() == MAX_TOPICS {
             return Err(WebError::BadRequest(format!(
-                "query parameter topics: give at most {MAX_TOPICS} different ones"
+                "query parameter topics: give at most {MAX_TOPICS} different topics"
             )));
         }
         topics.push(topic);

@@ -60,7 +60,7 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
     };
     let size = share.abs();
     let moved = format!(
-        "The median of the second half is {} {} than that of the first ({} and {})",
+        "The median of the second half is {} {} than the median of the first half ({} and {})",
         percent(size),
         if share < 0.0 { "lower" } else { "higher" },
         ms(second),
@@ -84,7 +84,7 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
     let most = stages.iter().filter_map(|(name, course)| Some((name, course.halves?)));
     let most = most.max_by(|(_, a), (_, b)| (a.1 - a.0).abs().total_cmp(&(b.1 - b.0).abs()));
     let most = most.map_or_else(String::new, |(name, (first, second))| {
-        format!("; most of it in `{name}` ({} to {})", ms(first), ms(second))
+        format!("; `{name}` changed most ({} to {})", ms(first), ms(second))
     });
     let text = format!("{moved}, more than chance ({odds}){most}.");
     let advice = "one figure for the whole run hides this: find out what changed (heat, load, network), or measure longer \

@@ -73,12 +73,12 @@ pub(in crate::run) struct AxisValue {
 pub(super) enum AxisError {
     #[error("give either field = \"…\" and values = […], or [[axis.value]] with label and set")]
     Form,
-    #[error("name: {0:?} holds a control character, which would break tables")]
+    #[error("name: {0:?} contains a control character, which would break tables")]
     NameControl(String),
     #[error("name: compare.csv has a column {0} of its own; choose another name")]
     NameColumn(String),
     #[error(
-        "the label {0:?} holds a control character, which would break tables; give it another with [[axis.value]]"
+        "the label {0:?} contains a control character, which would break tables; set another label with [[axis.value]]"
     )]
     LabelControl(String),
     #[error(
@@ -230,7 +230,10 @@ mod tests {
             ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "it applies to all runs"),
             ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "has no text for tables"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1, 1]", "labelled 1"),
-            ("name = 'a'\nfield = 'pipeline.x'\nvalues = [\"b\\nc\"]", r#"the label "b\nc" holds a control"#),
+            (
+                "name = 'a'\nfield = 'pipeline.x'\nvalues = [\"b\\nc\"]",
+                r#"the label "b\nc" contains a control"#,
+            ),
             ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),
         ] {
             let error = read(text).expect_err(text);

@@ -128,7 +128,7 @@ fn edges_that_measured_at_different_times_have_no_figure() {
     let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
     let drawings = users::drawings(&[apart, met].concat()).expect("some did");
     let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
-    let missing = "left out, no total while all edges were measuring: s with 2 edges";
+    let missing = "left out, because the edges measured at different times: s with 2 edges";
     assert_eq!(
         (figure.notes[2].as_str(), drawings[0].missing.as_slice()),
         (missing, &[missing.to_owned()][..])
