@@ -1,9 +1,9 @@
 //! Looks of figures: colours, hatches, marks, strokes.
 //!
-//! Colour means stage, direction or verdict, nothing else. Runs, placements (local or a cloud) and configurations are distinguished by ink and greys, marks and
-//! dashes ([`series`]). Every [`Style`] says how a shape looks on both sheets: the class in the dashboard's style sheet, and fill and
-//! stroke for a file. A new look is one function or constant in `style.rs` and one rule in `web/assets/css`; one that only pages
-//! have is the rule alone ([`Style::of_page`]).
+//! A colour means a stage, a direction, a verdict or a failure, nothing else. Runs, placements (local or a cloud) and configurations are
+//! distinguished by ink and greys, marks and dashes ([`series`]). Every [`Style`] says how a shape looks on both sheets: the class in the
+//! dashboard's style sheet, and fill and stroke for a file. A new look is a function or constant in `style.rs` and a rule in
+//! `web/assets/css`; a look that only pages have is the rule alone ([`Style::of_page`]).
 
 mod colour;
 mod hatch;

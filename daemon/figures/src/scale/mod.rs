@@ -147,7 +147,7 @@ impl Scale {
         let place = match self.spread {
             _ if value.is_nan() => 0.0,
             Spread::Linear => (value - self.lo) / (self.hi - self.lo),
-            Spread::Logarithmic => (value.max(LEAST) / self.lo).ln() / (self.hi / self.lo).ln(),
+            Spread::Logarithmic => (value.max(MIN_MAGNITUDE) / self.lo).ln() / (self.hi / self.lo).ln(),
         };
         place.clamp(-PAST, 1.0 + PAST)
     }
