@@ -262,7 +262,7 @@ server: cluster
     #[test]
     fn missing_keys_are_reported() {
         assert!(wrong("devices: {a: 10.0.0.1}").contains("server:"));
-        assert!(wrong("devices: {a: 10.0.0.1}\nserver: b").contains("there is a"));
+        assert!(wrong("devices: {a: 10.0.0.1}\nserver: b").contains("is not one of its devices: a"));
         assert!(wrong("server: b").contains("devices"));
         assert!(wrong("devices: {a: 'x y'}\nserver: a").contains("no address"));
         assert!(wrong("devices: [").contains("net.yaml"));

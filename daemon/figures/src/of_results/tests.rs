@@ -272,7 +272,8 @@ fn models_are_paired_by_where_they_ran() {
     );
     assert!(figure.groups[0].values[0].median() > figure.groups[0].values[1].median());
     assert!(
-        paired::drawings(&runs[1..3], None).is_err_and(|missing| missing.to_string().contains("two places"))
+        paired::drawings(&runs[1..3], None)
+            .is_err_and(|missing| missing.to_string().contains("two placements"))
     );
     assert!(paired::drawings(&runs, Some("ipc")).is_err());
 }

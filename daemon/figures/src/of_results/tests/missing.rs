@@ -124,7 +124,10 @@ fn undetermined_rate_is_not_given() {
 fn edges_that_measured_at_different_times_have_no_figure() {
     let mut apart = [shared("s", 2, 0, 20.0), shared("s", 2, 1, 20.0)];
     apart[1].rows.change(|row| row.at += 1e6);
-    assert!(users::drawings(&apart).is_err_and(|missing| missing.to_string().contains("while all edges")));
+    assert!(
+        users::drawings(&apart)
+            .is_err_and(|missing| missing.to_string().contains("measured at different times"))
+    );
     let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
     let drawings = users::drawings(&[apart, met].concat()).expect("some did");
     let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
