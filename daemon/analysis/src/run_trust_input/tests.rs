@@ -38,7 +38,7 @@ fn skipped_starts_are_reported_and_graded() {
     let (grade, text) = judged(rate.clone(), 1).expect("told");
     assert!(grade == Grade::Good && text.starts_with("1 of 1,001 starts (0.10\u{202f}%) was"), "{text}");
     let (_, text) = judged(serde_json::json!(null), 1041).expect("told");
-    assert!(text.contains("could not keep up. The latency"), "{text}");
+    assert!(text.contains("could not keep up. The pipeline worked at its limit"), "{text}");
     let kept = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
     let report = Report::new(&TrustInput::from_run(&kept, &rows(quiet(205))));
     let text = "No start was skipped: 40.0\u{202f}Hz were configured and achieved.";

@@ -104,7 +104,7 @@ fn errors_show_the_expected_form() {
         ("answer -3\n", "answer BYTES"),
         ("answer 3 text/plain - more\n", "answer BYTES"),
         ("answer 9999999999999\n", "at most"),
-        ("answer 3 application/x-tensor 2:u8\n", "shape of 2"),
+        ("answer 3 application/x-tensor 2:u8\n", "its shape and type need 2"),
         ("stage inference\n", "stage NAME SECONDS"),
         ("stage inference -1\n", "stage NAME SECONDS"),
         ("stage inference NaN\n", "stage NAME SECONDS"),
