@@ -30,7 +30,8 @@ impl LogThrottle {
     pub fn count(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
         let mut key = (reason.to_owned(), address);
         if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {
-            self.kinds.retain(|_, kind| now - kind.logged_at < LINE_INTERVAL);
+            // Kinds with unlogged events stay until `remove_expired` returns their number.
+            self.kinds.retain(|_, kind| kind.unlogged > 0 || now - kind.logged_at < LINE_INTERVAL);
         }
         if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {
             key = (String::new(), None);
@@ -77,6 +78,17 @@ mod tests {
         assert_eq!(refusals.count("taken", here, at(61)), None);
         assert_eq!(refusals.remove_expired(at(120)), [("taken".to_owned(), here, 1)]);
         assert_eq!(refusals.count("taken", here, at(120)), Some(1));
+    }
+
+    #[test]
+    fn full_throttle_forgets_no_unlogged_events() {
+        let mut refusals = LogThrottle::default();
+        for n in 0..MAX_KINDS {
+            refusals.count(&n.to_string(), None, at(0));
+        }
+        refusals.count("7", None, at(1));
+        assert_eq!(refusals.count("another", None, at(90)), Some(1));
+        assert_eq!(refusals.remove_expired(at(90)), [("7".to_owned(), None, 1)]);
     }
 
     #[test]

@@ -13,7 +13,7 @@ pub const CODE_BYTES: usize = 16;
 /// Shortest key. Bytes.
 const MIN_KEY_BYTES: usize = 16;
 
-/// Number of bytes that are read from a key file. Bytes after them are ignored.
+/// Largest key file, bytes.
 const MAX_FILE_BYTES: u64 = 4096;
 
 /// A key that both ends share. Its `Debug` form hides it.
@@ -74,7 +74,10 @@ impl Key {
             return Err(KeyError::OpenToOthers { path: path.to_owned(), mode });
         }
         let mut text = String::new();
-        file.take(MAX_FILE_BYTES).read_to_string(&mut text).map_err(failed)?;
+        file.take(MAX_FILE_BYTES + 1).read_to_string(&mut text).map_err(failed)?;
+        if text.len() as u64 > MAX_FILE_BYTES {
+            return Err(KeyError::Malformed { path: path.to_owned(), what: "too long" });
+        }
         let bytes =
             from_hex(text.trim()).map_err(|what| KeyError::Malformed { path: path.to_owned(), what })?;
         Ok(Self::from_bytes(&bytes))

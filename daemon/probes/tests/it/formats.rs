@@ -192,9 +192,14 @@ fn key_is_read_from_private_file_only() {
         matches!(error, KeyError::OpenToOthers { .. }) && error.to_string().contains("chmod 0600"),
         "{error}"
     );
-    for (text, what) in
-        [("07", "too short"), ("zz", "not hexadecimal"), ("077", "odd number"), ("", "too short")]
-    {
+    let long = "07".repeat(4_000);
+    for (text, what) in [
+        ("07", "too short"),
+        ("zz", "not hexadecimal"),
+        ("077", "odd number"),
+        ("", "too short"),
+        (&long, "too long"),
+    ] {
         let error = write(text, 0o600).expect_err(what).to_string();
         assert!(error.contains(what) && error.contains("openssl rand -hex 32"), "{error}");
     }

@@ -1,0 +1,106 @@
+//! Stamps of the kernel and of free-running clocks.
+
+use super::*;
+
+#[test]
+fn kernel_stamps_of_another_clock_are_distrusted() {
+    let (much, little) = (Span::from_millis(1), Span::from_nanos(900));
+    let there_and_back = ONE_WAY_DELAY + ONE_WAY_DELAY + Span::from_micros(55);
+    for (early, sound) in [(-much, false), (-little, true), (little, true), (there_and_back + much, false)] {
+        let mut pair = Pair::new(0, false);
+        let back = pair.clock.stamp() + there_and_back;
+        let got = pair.stamped(back.wall - early).exchange.returned;
+        // Whatever the kernel's stamp is, the packet had arrived when the program read its clock.
+        let earlier = early.max(Span::ZERO);
+        assert_eq!(got, if sound { back.raw - earlier } else { back.raw }, "{early}");
+        assert_eq!(pair.sender.ignores_kernel_stamps(), !sound, "{early}");
+        let (started_at, back) = (pair.clock.raw(), pair.clock.stamp() + there_and_back);
+        let next = pair.stamped(back.wall - little);
+        assert_eq!(next.exchange.returned, if sound { back.raw - little } else { back.raw }, "{early}");
+        assert_eq!(next.exchange.sent, started_at, "{early}");
+    }
+}
+
+#[test]
+fn kernel_departure_before_ours_is_distrusted() {
+    let mut pair = Pair::new(0, false);
+    let (departure, packet) = pair.send();
+    let early = pair.clock.wall() - Span::from_micros(300);
+    pair.sender.record_departure(departure.sequence(), early, pair.clock.wall_ahead());
+    let reply = pair.reflect(packet);
+    pair.receive_reply(&reply).expect("an answer");
+    assert!(pair.sender.ignores_kernel_stamps());
+}
+
+#[test]
+fn setting_wall_clock_causes_no_distrust_of_kernel() {
+    for by in [Span::from_seconds(3), -Span::from_seconds(3)] {
+        let mut pair = Pair::raw(false);
+        let started_at = pair.clock.raw();
+        let (departure, packet) = pair.send();
+        // It really leaves slightly later; then the clock is set, and only then is the kernel's stamp read.
+        let departed_at = pair.clock.wall() + Span::from_micros(9);
+        let reply = pair.reflect(packet);
+        let kernel = pair.clock.wall();
+        let arrived = pair.clock.raw();
+        pair.clock.step_wall(by);
+        pair.sender.record_departure(departure.sequence(), departed_at, pair.clock.wall_ahead());
+        pair.clock.advance(Span::from_micros(20));
+        let returned = pair.returned(Some(kernel));
+        let reply_result = pair.sender.receive(&reply, &returned).expect("an answer");
+        let exchange = answered(&reply_result).exchange;
+        assert!(
+            started_at <= exchange.sent && exchange.sent <= started_at + Span::from_micros(9),
+            "{exchange:?}"
+        );
+        assert!(arrived <= exchange.returned && exchange.returned <= pair.clock.raw(), "{exchange:?}");
+        assert!(exchange.bounds().contains(Span::ZERO), "{exchange:?}");
+        assert!(!pair.sender.ignores_kernel_stamps());
+    }
+}
+
+#[test]
+fn raw_exchange_is_of_both_free_running_clocks() {
+    for with_key in [false, true] {
+        let mut pair = Pair::raw(with_key);
+        let started_at = pair.clock.raw();
+        let first = answered(&pair.exchange());
+        assert_eq!((first.exchange.sent, first.exchange.returned), (started_at, pair.clock.raw()));
+        assert_eq!(first.exchange.received, started_at + ONE_WAY_DELAY, "the same by both");
+        assert_eq!(first.exchange.replied, started_at + ONE_WAY_DELAY + Span::from_micros(50));
+        assert_eq!(first.cloud_epoch, Some(0));
+        // Steps of wall clocks have no effect.
+        pair.clock.step_wall(Span::from_seconds(60));
+        pair.ahead = -Span::from_seconds(3600);
+        let second = pair.exchange();
+        let refined = second.refined.expect("the follow-up").exchange;
+        assert_eq!(refined.replied, first.exchange.replied + Span::from_micros(5));
+        assert_eq!(
+            answered(&second).exchange.bounds().middle(),
+            Span::from_nanos(-2_500),
+            "5 µs late to leave"
+        );
+    }
+}
+
+#[test]
+fn reply_without_raw_stamps_is_refused_where_they_are_asked_for() {
+    let mut pair = Pair::raw(false);
+    let (_, packet) = pair.send();
+    let reply = pair.reflect(packet.clone());
+    let header =
+        tlv::headers(&reply[44..]).find(|header| header.kind == tlv::RAW_STAMPS).expect("we ask for it");
+    // Answers of a release that does not know the type, and of one that leaves it empty.
+    let mut unknown = reply.clone();
+    unknown[44 + header.offset] = tlv::UNRECOGNISED;
+    let mut empty = reply.clone();
+    empty[44..][header.value].copy_from_slice(&RawStamps::default().to_value());
+    for touched in [unknown, empty, reply[..44].to_vec()] {
+        assert_eq!(
+            pair.receive_reply(&touched),
+            Err("without the stamps of the reflector's free-running clock")
+        );
+    }
+    assert_eq!(reply.len(), packet.len());
+    assert!(pair.receive_reply(&reply).is_ok());
+}
