@@ -92,7 +92,7 @@ impl StoredEvents {
     /// Reads a database.
     ///
     /// # Panics
-    /// As [`ask`].
+    /// As [`query_database`].
     pub fn read(database: &Path) -> Self {
         let mut runs: BTreeMap<String, StoredRun> = rows(database, RUNS)
             .into_iter()

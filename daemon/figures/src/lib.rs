@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Loaded, Loaded, … ── of_results ─────┐
-//! Study ────────────── of_calibration ─┴─ drawing ── SVG, PNG
+//! Study ────────────── of_calibration ─┴─ drawing ── SVG, PNG, PDF, text
 //! ```
 //!
 //! `of_results` decides which figures a run or an experiment has, `of_calibration` those of a study of a

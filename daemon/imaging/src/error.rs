@@ -46,7 +46,7 @@ pub enum ImageError {
         /// Number of bytes in the payload.
         actual: u64,
     },
-    /// The description of decoded pixels lacks their shape.
+    /// The description of decoded pixels does not have the three numbers height, width, channels.
     #[error("its description gives the shape {0:?} instead of height, width and channels")]
     Shape(Vec<u32>),
     /// The rectangle reaches beyond the picture.

@@ -89,7 +89,7 @@ pub enum LoadError {
     /// The library was built without the execution provider that the device needs.
     #[error(
         "model {model} cannot run on {device}: {} has no {provider} (it has {}); the plain wheel of PyPI is CPU only: \
-         install a build of ONNX Runtime for this device (README, \"GPUs\") and name it with [onnxruntime] library \
+         install a build of ONNX Runtime for this device (docs/two-machines.md, \"GPUs\") and name it with [onnxruntime] library \
          or ORT_DYLIB_PATH",
         .library.display(), .available.join(", ")
     )]

@@ -26,7 +26,7 @@ pub fn any_xml_rpc(data: &[u8]) {
     }
 }
 
-/// Feeds the bytes to a TCPROS connection. The first byte is the number of bytes that arrive at a time. Each frame is
+/// Feeds the bytes to a TCPROS connection. As many bytes arrive at a time as the first byte says, plus one. Each frame is
 /// parsed as a subscriber's header and as a publisher's.
 ///
 /// # Panics

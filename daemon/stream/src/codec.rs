@@ -14,8 +14,8 @@
 //! | 4, 4 | events, bytes of the body when it is not compressed |
 //! | rest | the body: wire forms of the events, one after the other |
 //!
-//! A batch's frame that takes long on its link is sent in [parts](part_frame). Other messages can be
-//! [compressed](encode_packed).
+//! A batch's frame that takes long on its link is sent in [parts](encode_part). Other messages can be
+//! [compressed](encode_compressed).
 
 mod parts;
 

@@ -212,7 +212,7 @@ pub enum IncidentKind {
     Refused,
     /// A model was loaded.
     ModelLoaded,
-    /// A wall clock was stepped.
+    /// A clock was stepped, slewed or interrupted.
     ClockStep,
     /// Events were dropped.
     Gap,

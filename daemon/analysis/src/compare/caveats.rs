@@ -58,7 +58,7 @@ fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
     LATENCIES.into_iter().zip(&line.latencies).filter_map(told).collect()
 }
 
-/// Returns whether the number is missing without a recorded reason.
+/// Returns whether the number is missing without a recorded reason, or too large for the statistics.
 fn is_missing(row: RowRef<'_>, name: &str) -> bool {
     let [up, down] = row.verdicts();
     let unknown = |verdict: Option<Verdict>| {

@@ -50,7 +50,7 @@ fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
 }
 
 /// Describes the end of a run that was ended early or broke off: `was interrupted after 57 of 120 iterations`. `None` for one that was
-/// complete, or whose end is not known.
+/// complete, that ended by itself before its limit, or whose end is not known.
 pub(crate) fn early_end(record: &RunRecord, rows: &Rows) -> Option<String> {
     match (record.reason.failure(), ended_early(record, rows)) {
         (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.progress_text())),

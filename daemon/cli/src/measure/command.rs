@@ -62,7 +62,7 @@ impl ProgressDisplay for JsonProgress {
     fn show(&mut self, report: &ProgressReport) {
         match serde_json::to_string(report) {
             Ok(line) => print_to_stdout(line),
-            // JSON cannot represent some numbers. The next update says more.
+            // This cannot happen with these fields. The next update says more.
             Err(error) => tracing::debug!(%error, "cannot write the progress report"),
         }
     }

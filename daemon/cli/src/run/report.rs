@@ -1,4 +1,4 @@
-//! Reports about the runs: tables of the comparison, tables of concurrent users, and figures.
+//! Reports about the runs: tables of the comparison, tables of concurrent users and of sensors, figures, and whether the runs can be published.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};

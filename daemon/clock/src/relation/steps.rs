@@ -23,7 +23,7 @@ pub(super) struct StepTracker {
 }
 
 /// Rule that excludes exchanges which were in flight during a step.
-// The edge compares its epoch before and after an exchange, and needs no rule. The cloud's epoch is read after its
+// The edge compares its epoch before and after an exchange. The cloud's epoch is read after its
 // stamps, so that a stamp may belong to an earlier epoch, but never to a later one.
 #[derive(Clone, Copy, Debug, Default)]
 enum Barrier {

@@ -74,7 +74,7 @@ pub(super) fn launch(
 }
 
 /// Checks everything that can be checked without running the user's code: the name, the folder, the interpreter, and
-/// whether it finds the module.
+/// whether it finds the top-level package of the module.
 ///
 /// # Errors
 /// The first failed check.

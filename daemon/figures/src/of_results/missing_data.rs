@@ -65,7 +65,7 @@ pub enum MissingData {
         /// Number of placements at which they ran.
         places: usize,
     },
-    /// The sizes of the messages do not vary.
+    /// The largest message has less than twice the size of the smallest.
     #[error(
         "it needs messages over one network of which the largest has twice the size of the smallest at least; see \
          peernet calibrate and the experiment payload-study"

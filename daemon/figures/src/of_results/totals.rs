@@ -19,7 +19,7 @@ const LINE_WIDTH: f64 = 1.0;
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let Configured { axes, groups } = Configured::from_runs(runs);
     let all = || groups.iter().flat_map(|(_, runs)| counted_rows(runs));
-    // If one configuration has no measured total, all curves are the sums of their stages.
+    // If one iteration has no measured total, all curves are the sums of their stages.
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
     let values = |runs: &[&Loaded]| -> SortedValues {
         let totals = counted_rows(runs).filter_map(|row: RowRef<'_>| row.value(total));

@@ -18,7 +18,7 @@ impl ModelConfig {
         facts
     }
 
-    /// Returns the keys of its table with their values, defaults included: `kind = onnx, workers = 2, …`.
+    /// Returns the published keys of its table with their values, defaults included: `kind = onnx, workers = 2, …`.
     fn settings(&self) -> String {
         let table = serde_json::to_value(self).unwrap_or_default();
         let unpublished = [&RECORDED_ELSEWHERE, self.kind_keys().unpublished_keys()].concat();

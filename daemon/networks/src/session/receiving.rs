@@ -112,7 +112,7 @@ impl ReceivingTask {
             }
         };
         // A goodbye is sent only if this end closes the session. In all other cases the other end knows already that the
-        // session is over.
+        // session is over, or cannot be reached.
         if reason == CloseReason::Local {
             self.send_goodbye();
         }

@@ -159,7 +159,7 @@ impl Server {
     /// Returns the limit that one more session of this peer would exceed, as a text for the refusal. `None` if the session
     /// may be opened.
     ///
-    /// One host may have half of the sessions that other hosts leave free, so that the next host always gets a session. Several
+    /// One host may have half of the sessions that other hosts leave free, so that one host cannot take all. Several
     /// hosts may share an address, which may have three quarters.
     fn check_session_limits(&self, peer: &Peer, host: HostId) -> Option<String> {
         let (open_sessions, max) = (self.sessions.len(), self.max_sessions);

@@ -43,7 +43,7 @@ impl SizeLimit {
         Ok(self.limit > 0 && !is_paused && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes the oldest arrivals of the kinds that may be deleted, of all runs, at any age. Returns whether more may remain.
+    /// Deletes the oldest arrivals of the kinds that may be deleted, of all runs that are not pinned, at any age. Returns whether more may remain.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,

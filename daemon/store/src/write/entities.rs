@@ -53,7 +53,7 @@ pub(super) struct KnownRun {
 struct Lookup {
     /// The reporter's run of this id.
     reporters_run: Option<KnownRun>,
-    /// `true` if another host has a run of this id.
+    /// `true` if a run of this id is stored, whoever reported it; used only if the reporter has none.
     is_taken: bool,
 }
 

@@ -59,7 +59,7 @@ fn take(frame: &[u8]) -> Option<BatchHead> {
 /// Reads arbitrary bytes as a message of either end.
 ///
 /// # Panics
-/// If a decoded message is encoded in another form than it was read from.
+/// If a decoded message, encoded and decoded again, is another message.
 pub fn any_message(data: &[u8]) {
     again(codec::decode::<ToAggregator>(data));
     again(codec::decode::<ToAgent>(data));

@@ -2,8 +2,8 @@
 //!
 //! They are separate from the types of the aggregator and the store, so that a change of these types does not change the API.
 //!
-//! Values are in units without prefixes (seconds, bytes, bits per second, watts, °C), names with hyphens, times in RFC
-//! 3339 with nanoseconds, in UTC.
+//! Values are in units without prefixes (seconds, bytes, bits per second, watts, °C), times in RFC 3339 with
+//! nanoseconds, in UTC. Names of fields have underscores, names of stages and kinds have hyphens.
 
 mod assumptions;
 mod clock;

@@ -64,7 +64,7 @@ impl Plan<'_> {
         self.x(at).clamp(0.0, 1.0)
     }
 
-    /// Returns a value of each point in milliseconds or another unit, with breaks where points are missing. Where a clock was set
+    /// Returns the result of `of` for each point, with its place on the time axis, and `None` where points are missing. Where a clock was set
     /// back, seconds come twice: each window is drawn for itself.
     pub(super) fn broken<T>(
         &self,

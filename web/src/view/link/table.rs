@@ -34,7 +34,7 @@ pub(crate) struct Direction {
     pub sign: Option<Sign>,
 }
 
-/// Rows of a table at most.
+/// Approximate number of rows of a table.
 const ROWS: f64 = 30.0;
 
 impl Row {

@@ -8,7 +8,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// Length of an encoded identity in bytes.
+/// Largest length of an encoded identity, and the length of its field in the file. Bytes.
 pub(super) const OWNER_BYTES: usize = 4096;
 /// Bytes before the path: four numbers and the length of the path.
 const NUMBERS_BYTES: usize = 4 * 8 + 2;

@@ -36,7 +36,7 @@ pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 /// This network works on every host.
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
-/// Length of the table of frame lengths in a message. Bytes.
+/// Largest length of the table of frame lengths in a message. Bytes.
 const FRAME_TABLE_BYTES: u32 = 2 + 4 * MAX_FRAMES as u32;
 
 fn largest_message(settings: &SessionSettings) -> u32 {

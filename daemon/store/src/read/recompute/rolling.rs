@@ -64,7 +64,7 @@ pub(super) struct RollingWindow {
 }
 
 impl RollingWindow {
-    /// Makes it for times from shortly before `at` on.
+    /// Returns a window for times from the allowed disorder before `at` on.
     pub(super) fn new(key: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {
             key,

@@ -30,7 +30,7 @@ impl CloudTasks {
         self.abort.child_token()
     }
 
-    /// Ends all tasks without goodbyes.
+    /// Asks all tasks to end immediately, without goodbyes.
     pub(super) fn abort(&self) {
         self.abort.cancel();
     }
