@@ -73,7 +73,7 @@ fn plot_errors_are_named() {
     let deployment = deployment();
     let cases: [(&[&str], i32, &str); 5] = [
         (&["all", "--kind", "payload"], 65, "it needs messages over one network"),
-        (&["all", "--kind", "paired"], 65, "two places"),
+        (&["all", "--kind", "paired"], 65, "two placements"),
         (&["all/small", "--kind", "histograms", "--x", "nonsense"], 65, "the column nonsense"),
         (&["nowhere"], 66, "no results in nowhere"),
         (&["all", "--y", "total"], 64, "use one of these kinds"),
