@@ -229,7 +229,7 @@ impl Prober {
                 self.awaited_departures.clear();
             }
             Err(error) => {
-                tracing::debug!(%error, "failed to reopen the socket for probes; the old socket remains in use")
+                tracing::debug!(%error, "failed to reopen the socket for probes; the old socket remains in use");
             }
         }
     }

@@ -142,7 +142,7 @@ impl RowWriter {
         header.add(row);
         match self.rewrite(&header) {
             Ok((file, complete_bytes)) => {
-                (self.file, self.complete_bytes, self.header) = (file, complete_bytes, header)
+                (self.file, self.complete_bytes, self.header) = (file, complete_bytes, header);
             }
             Err(error) => self.write_error = Some(WriteError::at(&self.path)(error)),
         }

@@ -174,10 +174,10 @@ impl Session {
             Ok(Ok(Answer::Reply(arrived))) => self.handle_reply(&mut exchange, &pending, *arrived),
             Ok(Ok(Answer::Lost(reason))) => exchange.result = Err(RequestError::Lost(reason)),
             Ok(Ok(Answer::SessionEnded(reason))) => {
-                exchange.result = Err(RequestError::Lost(reason.to_string()))
+                exchange.result = Err(RequestError::Lost(reason.to_string()));
             }
             Ok(Err(_)) => {
-                exchange.result = Err(RequestError::Lost("the task that receives answers has ended".into()))
+                exchange.result = Err(RequestError::Lost("the task that receives answers has ended".into()));
             }
             // The result remains the timeout.
             Err(_) => {}

@@ -117,7 +117,7 @@ impl IngestSession {
                     introduction_slot.fill(AdmittedWork::Work(Work::Hello(Box::new(introduction))), now.mono);
                     match missing {
                         Some(missing) => {
-                            gap_slot.fill(AdmittedWork::Work(Work::MissingBatches(missing)), now.mono)
+                            gap_slot.fill(AdmittedWork::Work(Work::MissingBatches(missing)), now.mono);
                         }
                         None => drop(gap_slot),
                     }

@@ -177,7 +177,7 @@ impl SessionNode for Ros1Node {
                     tracing::debug!(%error, node = self.name(), "cannot unregister a node from the ROS master");
                 }
                 Err(_) => {
-                    tracing::debug!(node = self.name(), "the ROS master did not unregister a node in time")
+                    tracing::debug!(node = self.name(), "the ROS master did not unregister a node in time");
                 }
             }
         };

@@ -248,7 +248,7 @@ impl<M: Machine> Port<M> {
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {
-                    machine.handle_port_unreachable()
+                    machine.handle_port_unreachable();
                 }
                 Err(error) => tracing::debug!(%error, "a UDP socket reported an error"),
             }

@@ -180,7 +180,7 @@ impl Machine for EdgeEnd {
             // A duplicated answer of the handshake, or a packet for an earlier socket at this port.
             Ok(_) => {}
             Err(error) if self.invalid_packets.len() < MAX_INVALID_PACKETS => {
-                self.invalid_packets.push_back(error.to_string())
+                self.invalid_packets.push_back(error.to_string());
             }
             Err(_) => {}
         }

@@ -77,7 +77,10 @@ impl SpoolReport {
                 }
             }
             Err(error) => {
-                self.problem(format!("cannot read the free space of its disk: {error}"), "check it with `df`")
+                self.problem(
+                    format!("cannot read the free space of its disk: {error}"),
+                    "check it with `df`",
+                );
             }
         }
     }

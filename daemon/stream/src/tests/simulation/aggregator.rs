@@ -198,7 +198,7 @@ impl Aggregator {
                     replies.extend(self.receiving.handle_failed_store(head.stream));
                 }
                 Work::MissingBatches(missing) => {
-                    replies.extend(self.receiving.handle_failed_store(missing.stream))
+                    replies.extend(self.receiving.handle_failed_store(missing.stream));
                 }
                 kept @ Work::Hello(..) => self.queue.push(kept),
             }
