@@ -103,7 +103,7 @@ def check_rospy_with_other_type_is_refused():
         typed.wait_for("ready")
         with rospy("refused", "wrong", "/typed") as wrong:
             wrong.wait_for("ready")
-            wait_until(lambda: typed.has_error("subscriber was refused"), "refused")
+            wait_until(lambda: typed.has_error("a connection of a ROS subscriber was not established"), "refused")
         texts = "".join(open(path, errors="replace").read() for path in glob.glob(f"{os.environ['ROS_LOG_DIR']}/*.log"))
         expected = (
             "topic /typed has two message types: "

@@ -62,7 +62,7 @@ def check_errors(started, peernetd, folder):
     for topic in ("/words", "/answers"):
         started.enter_context(Process(*OFFER, topic, "string", 10_000, 100))
     with Observer(peernetd, folder, pipeline("words", 2, "/words", "/answers")) as observer:
-        refused = "has the type std_msgs/msg/String, which does not begin with a std_msgs/Header; write pair_by"
+        refused = "has the type std_msgs/msg/String, which does not begin with a std_msgs/Header; set pair_by"
         wait_until(lambda: observer.has_error(refused), "the log says that there is no header")
         observer.stop()
     elsewhere = dict(os.environ, ROS_DOMAIN_ID="9")
