@@ -14,7 +14,10 @@ use peernet_ros::ros2::{QosProfile, Ros2Node, Ros2Settings};
 
 type PeerResult = Result<(), Box<dyn Error + Send + Sync>>;
 
-/// Longest wait for a peer or a message.
+/// Size of messages that are acknowledged one by one.
+const LARGE_BYTES: usize = 500_000;
+
+/// Longest wait for a peer, a message or an acknowledgement.
 const TIME_LIMIT: Duration = Duration::from_secs(20);
 
 #[derive(Clone, Copy)]
@@ -104,6 +107,10 @@ async fn publish(node: &Ros2Node, plan: &Plan) -> PeerResult {
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
+        // Sent all at once, 40 MB overflow the sockets' buffers, and Fast DDS may never get a message repaired.
+        if plan.size >= LARGE_BYTES {
+            publisher.wait_for_acknowledgment(TIME_LIMIT).await?;
+        }
     }
     publisher.wait_for_acknowledgment(TIME_LIMIT).await?;
     println!("published and acknowledged: {}", plan.count);
