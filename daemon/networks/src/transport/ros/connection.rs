@@ -107,6 +107,11 @@ impl Connection {
         self.peer
     }
 
+    /// Returns whether a companion of the peer was received.
+    pub(super) fn has_received(&self) -> bool {
+        self.incoming.has_received()
+    }
+
     /// Returns the number of the peer's companions that never arrived.
     pub(super) fn missing_companions(&self) -> u64 {
         self.incoming.missing_companions()

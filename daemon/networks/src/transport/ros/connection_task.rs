@@ -221,6 +221,11 @@ impl<S: Sink> ConnectionTask<S> {
         topics.into_iter().flatten().find_map(|subscriber| {
             let topic = subscriber.topic();
             if !is_connected(&**subscriber, &self.channel) {
+                // Before the peer's first companion, the publisher that left may be that of an earlier connection of
+                // the same pipeline, which this one replaces.
+                if !self.channel.lock().has_received() {
+                    connected.remove(topic);
+                }
                 return connected.contains(topic).then(|| topic.to_owned());
             }
             if !connected.contains(topic) {

@@ -72,6 +72,11 @@ impl IncomingSequence {
         self.next_expected = Some(number.saturating_add(1).max(next_expected));
     }
 
+    /// Returns whether a companion was received.
+    pub(super) fn has_received(&self) -> bool {
+        self.next_expected.is_some()
+    }
+
     /// Returns the number of companions that never arrived.
     pub(super) fn missing_companions(&self) -> u64 {
         self.missing
